@@ -137,12 +137,12 @@ def of_member(
     scene: Scene, result: hl.Calibration, recording: hl.Recording, given: bool, seed: int
 ) -> tuple[float, FloatArray]:
     """Return the detectable size, and its effect, of the error of `scene` with this seed."""
-    from handlaser_gtsam.results.projection import linear_rows
+    from handlaser_gtsam.results.projection import LinearRows
     from handlaser_gtsam.results.score_tests import ScoreTests
 
     _, truth = cell(scene, np.random.default_rng(seed))
     plane, other = truth.subject
-    rows = linear_rows(*linearization(result, recording))
+    rows = LinearRows(*linearization(result, recording))
     every = ScoreTests(rows, None if given else result.fit.dof)
     chosen = (every.codes == scene.code) & (every.plane == plane)
     if scene.code == "displaced":
@@ -153,7 +153,7 @@ def of_member(
         return math.inf, np.full((2, scene.beams, 3), np.nan)
     member = np.flatnonzero(chosen)[:1]
     size = every.detectable[member]
-    return float(size[0]), np.concatenate(every.shifts(member, size))
+    return float(size[0]), np.concatenate(every.moves(member, size)[:2])
 
 
 def linearization(

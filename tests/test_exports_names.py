@@ -15,8 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.exports.names import comment_text, identifiers, literal
-from handlaser_gtsam.files.exports.rendering import number
+from handlaser_gtsam.files.exports.rendering import comment_text, identifiers, literal, number
 from handlaser_gtsam.text import name_fault
 
 FILE = calibrated(names=HOSTILE)

@@ -172,7 +172,7 @@ def test_the_licence_of_the_library_is_readable_in_both_pages(calibration, optio
     pytest.importorskip("starlette", reason="needs the extra watch")
     from handlaser_gtsam.files.report.page import live_page
 
-    for html in (report_text(calibration, options), live_page().html):
+    for html in (report_text(calibration, options), live_page()[0]):
         shown = html[: html.index("<script")]
         assert "Permission is hereby granted, free of charge" in shown
         assert 'THE SOFTWARE IS PROVIDED "AS IS"' in shown

@@ -91,7 +91,7 @@ def test_a_third_of_outliers_is_searched_for_robustly(counts):
 def test_a_beam_that_loses_a_quarter_of_its_readings_is_not_settled_by_a_plain_screening():
     recording = recording_of(bench(1, 1), *motion("free", 40), [0] * 40, 1e-4)
     readings = recording.readings()
-    judge = consensus.PlainJudge(readings, 0, 1e-4)
+    judge = consensus.ConsensusJudge(readings, 0, 1e-4)
     one = judge.screened(bench(1, 1))
     assert one is not None
     assert judge.settles(one, agreed=False)

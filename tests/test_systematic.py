@@ -19,7 +19,7 @@ from handlaser_gtsam.model.effects.tool_displaced import DIRECTIONS
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import BeamAndPlaneNames
 from handlaser_gtsam.quantities import POWER
-from handlaser_gtsam.results.projection import linear_rows
+from handlaser_gtsam.results.projection import LinearRows
 from handlaser_gtsam.results.score_tests import ScoreTests, alike
 from handlaser_gtsam.results.significance import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.results.significance import holm
@@ -177,7 +177,7 @@ def report(problem, known=True):
 
 
 def judged(problem, known, dof):
-    rows, names = linear_rows(*problem), names_of(problem[1])
+    rows, names = LinearRows(*problem), names_of(problem[1])
     stations = [str(number) for number in range(1, int(rows.position.max()) + 2)]
     return systematic_errors(rows, names, stations, known=known, dof=dof)[0]
 
@@ -186,7 +186,7 @@ class Detectable:
     """What could go unnoticed of every member of one family, for noise of known size."""
 
     def __init__(self, code, problem):
-        found = ScoreTests(linear_rows(*problem), None)
+        found = ScoreTests(LinearRows(*problem), None)
         members = np.flatnonzero(found.codes == code)
         for name in (
             "plane",
@@ -199,7 +199,7 @@ class Detectable:
             "strained",
         ):
             setattr(self, name, getattr(found, name)[members])
-        self.location_shift, self.direction_shift = found.shifts(members, self.detectable)
+        self.location_shift, self.direction_shift = found.moves(members, self.detectable)[:2]
 
 
 # Two ways to one number

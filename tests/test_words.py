@@ -13,7 +13,7 @@ from handlaser_gtsam.cli.plan_tables import _enough
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
 from handlaser_gtsam.results.description.description import Description
-from handlaser_gtsam.results.description.noise import noise_words
+from handlaser_gtsam.results.description.evidence import noise_words
 
 
 @pytest.fixture(scope="module")

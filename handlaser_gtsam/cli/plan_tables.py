@@ -8,7 +8,7 @@ from ..planning.goal import Goal
 from ..planning.robot import Robot
 from ..planning.route import VIA, Plan
 from ..quantities import IN_DEG, IN_MM
-from ..results.lines import count
+from ..text import count
 
 FORECAST_ROWS = 10
 """Rows of the forecast, evenly over the stations: they fit on a screen beside the rest."""

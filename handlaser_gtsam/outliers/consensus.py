@@ -60,8 +60,11 @@ class Consensus:
 
 
 @dataclass(frozen=True, slots=True)
-class PlainJudge:
-    """Whether the screening of a plain start settles which readings are good."""
+class ConsensusJudge:
+    """Whether screening a plain start settles which readings are good; compares candidates if not.
+
+    Candidates of the robust search are compared by the readings that agree with them.
+    """
 
     readings: Readings
     terms: int
@@ -106,23 +109,6 @@ class PlainJudge:
             return screening.range_sigma <= MISFIT * self.range_sigma
         return screening.range_sigma <= part * self.readings.spread()
 
-    def _rejects_few(self, screening: Screening) -> bool:
-        readings = self.readings
-        for index, count in ((readings.beam, readings.beams), (readings.plane, readings.planes)):
-            whole = np.bincount(index, minlength=count)
-            if (np.bincount(index[~screening.kept], minlength=count) > FEW_REJECTED * whole).any():
-                return False
-        return True
-
-
-@dataclass(frozen=True, slots=True)
-class _ConsensusJudge:
-    """Compares candidates by the readings that agree with them."""
-
-    readings: Readings
-    terms: int
-    range_sigma: float | None
-
     def criterion(self, refined: Refined) -> float:
         """Return the criterion of a screening without its fit."""
         return quick_evidence(
@@ -139,6 +125,14 @@ class _ConsensusJudge:
             return len(candidates) >= IN_VAIN
         same = best.criterion + max(SAME_CRITERION, SAME_EVIDENCE * beyond)
         return agreeing(candidates, same) >= latest.agreeing
+
+    def _rejects_few(self, screening: Screening) -> bool:
+        readings = self.readings
+        for index, count in ((readings.beam, readings.beams), (readings.plane, readings.planes)):
+            whole = np.bincount(index, minlength=count)
+            if (np.bincount(index[~screening.kept], minlength=count) > FEW_REJECTED * whole).any():
+                return False
+        return True
 
 
 def find_consensus(
@@ -157,8 +151,8 @@ def find_consensus(
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     """
     sigma, usable = range_sigma if certain else None, usable_terms(readings, terms)
-    part, judge = excerpt_of(readings), PlainJudge(readings, usable, sigma)
-    early = judge if part.is_whole else PlainJudge(part.readings, usable, sigma)
+    part, judge = excerpt_of(readings), ConsensusJudge(readings, usable, sigma)
+    early = judge if part.is_whole else ConsensusJudge(part.readings, usable, sigma)
     start = find_start(
         readings, range_sigma, terms, effort="quick", certain=certain, accepts=early.accepts
     )
@@ -168,10 +162,10 @@ def find_consensus(
     last = start
     everything = np.ones(len(readings), dtype=bool)
     if not settled and enough(readings, everything, usable):
-        for candidate in _robust(judge, part, start, plain)[:SCREENED]:
+        for candidate in _robust(early, part, start, plain)[:SCREENED]:
             tight = judge.screened(candidate.parameters, candidate.scale)
             screenings += [] if tight is None else [(METHOD, tight)]
-        best = min(screenings, key=_evidence, default=None)
+        best = min(screenings, key=lambda one: one[1].evidence, default=None)
         settled = best is not None and judge.fits_well(best[1])
     # Where a constant would predict the readings better than any start, no further start will do.
     in_vain = float(part.readings.distance.std()) < start.tried[0][1] < np.inf
@@ -181,7 +175,7 @@ def find_consensus(
         screenings += [] if plain is None else [(last.method, plain)]
     if not screenings:
         return Consensus(start, everything, last.parameters, last.method, None)
-    method, screening = min(screenings, key=_evidence)
+    method, screening = min(screenings, key=lambda one: one[1].evidence)
     # The rejected readings may be the ones that contradict a beam in a wrong minimum.
     better = with_better_beams(screening.parameters, readings, MISFIT * screening.range_sigma)
     other = None if better is None else screen(readings, better, usable, sigma)
@@ -190,20 +184,15 @@ def find_consensus(
     return Consensus(start, screening.kept, screening.parameters, method, screening.range_sigma)
 
 
-def _evidence(screening: tuple[str, Screening]) -> float:
-    return screening[1].evidence
-
-
 def _robust(
-    judge: PlainJudge, part: Excerpt, start: Start, plain: Screening | None
+    judge: ConsensusJudge, part: Excerpt, start: Start, plain: Screening | None
 ) -> list[Candidate]:
-    """Return candidates among outliers for the whole recording, the best first."""
+    """Return candidates for the whole recording, the best first; `judge` has the readings of `part`."""
     readings, terms, sigma = part.readings, judge.terms, judge.range_sigma
     others = [start.parameters] if plain is None else [plain.parameters, start.parameters]
     known = [parameters.part(part.beams, part.planes) for parameters in others]
     known += [rival.parameters for rival in start.candidates[1 : RIVALS + 1]]
-    among = _ConsensusJudge(readings, terms, sigma)
-    candidates = robust_search(readings, known, sigma, terms, among.criterion, among.convinced)
+    candidates = robust_search(readings, known, sigma, terms, judge.criterion, judge.convinced)
     if part.is_whole:
         return candidates
     rule = LossScale(least_scale(part.whole, sigma), MAJORITY)

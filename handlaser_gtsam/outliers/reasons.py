@@ -1,20 +1,22 @@
 """Why a reading was rejected as an outlier, as far as the solution can tell."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.special import bdtrc
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..errors import CalibrationWarning
 from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import Observability, observability
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import ROUNDING
+from ..quantities import IN_MM, ROUNDING
 from .leverage import leverages
-from .range_ends import RangeEnd, range_ends
 from .snooping import MOST_CUT
 
 OUTLIER = "outlier"
@@ -30,6 +32,8 @@ ODDS_OF_PLANE = 13.8
 """Excess of the squares of a station before the next best plane that means odds of 1000."""
 PLANE_CHANCE = 0.05
 """Another plane is suggested when a random reading would fit one with less than this probability."""
+END_CHANCE = 0.01
+"""Part of the recordings in which outliers of other causes may look like an end of a range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +46,7 @@ class Reasons:
         One for each rejected row.
     other_plane : dict
         Station index to the index of the plane that it fits.
-    range_ends : tuple of RangeEnd
+    warnings : tuple of CalibrationWarning
         Where the range of a sensor seems to end.
     residual : (N,)
         Residuals of all readings [m]; infinite where a beam grazes its plane.
@@ -50,7 +54,7 @@ class Reasons:
 
     words: tuple[str, ...]
     other_plane: dict[int, int]
-    range_ends: tuple[RangeEnd, ...]
+    warnings: tuple[CalibrationWarning, ...]
     residual: FloatArray
 
     def residual_of(self, row: int) -> float | None:
@@ -92,10 +96,12 @@ def reasons(
         else:
             words[row] = OUTLIER
     residual = residuals(parameters, readings)
-    ends = range_ends(readings, (words == OUTLIER) | (words == STATION), residual)
-    for end in ends:
-        words[end.rows] = TOO_SHORT if end.far else TOO_LONG
-    return Reasons(tuple(words[rows].tolist()), other, ends, residual)
+    unexplained = (words == OUTLIER) | (words == STATION)
+    warnings = []
+    for of_end, reason, warning in range_ends(readings, unexplained, residual, beam_names):
+        words[of_end] = reason
+        warnings.append(warning)
+    return Reasons(tuple(words[rows].tolist()), other, tuple(warnings), residual)
 
 
 def _other_planes(
@@ -175,3 +181,51 @@ def _repeated_poses(readings: Readings) -> BoolArray:
     cells = np.round(poses / ROUNDING)
     _, index, size = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     return np.asarray((size[index.ravel()] > 1) & ~np.isnan(poses[:, 0]))
+
+
+def range_ends(
+    readings: Readings, unexplained: BoolArray, residual: FloatArray, beams: Sequence[str]
+) -> Iterator[tuple[IntArray, str, CalibrationWarning]]:
+    """Yield the ends that show among outliers that are `unexplained` (N,), by residuals (N,) [m].
+
+    Each with the rows of its outliers, the reason that they have, and a warning.
+
+    Before a sensor stops to read, many still give a value, near its limit and not beyond. Such readings
+    are too short at the far end, and too long at the near one. Outliers of other causes that are
+    extreme readings err the other way: too long at the far end, as where the beam misses the plate. A
+    residual is positive where the plane is farther than the reading.
+    """
+    for beam, name in enumerate(beams):
+        of_beam = np.flatnonzero(readings.beam == beam)
+        of_beam = of_beam[np.argsort(readings.distance[of_beam], kind="stable")]
+        share = float(unexplained[of_beam].mean()) if len(of_beam) else 0.0
+        for rows, far in ((of_beam[::-1], True), (of_beam, False)):
+            towards = np.isfinite(residual[rows]) & ((residual[rows] > 0.0) == far)
+            marked = unexplained[rows] & towards
+            extreme = _end(marked, 0.5 * share, END_CHANCE / (2.0 * readings.beams))
+            if not extreme:
+                continue
+            limit = float(readings.distance[rows[extreme - 1]])
+            out = rows[:extreme][marked[:extreme]]
+            warning = CalibrationWarning(
+                "range-end",
+                f"{len(out)} of the {extreme} {'largest' if far else 'smallest'} readings of beam "
+                f"{name}, from {limit * IN_MM:.4g} mm {'on' if far else 'down'}, are too "
+                f"{'short' if far else 'long'} and were left out: its range seems to end there, and "
+                "readings shortly before may err, too; state a narrower range (--range-mm MIN MAX, or "
+                "range_mm in the rig file's [sensor]), or measure within it",
+                {"beam": name, "limit_m": limit, "rejected": len(out)},
+            )
+            yield out, TOO_SHORT if far else TOO_LONG, warning
+
+
+def _end(marked: BoolArray, share: float, chance: float) -> int:
+    """Return the length of the first rows with more `marked` than chance explains, or 0.
+
+    By chance, each row is marked with the probability `share`. One reading is no pattern.
+    """
+    place = np.flatnonzero(marked) + 1
+    count = np.arange(1, len(place) + 1)
+    odds = len(place) * bdtrc(count - 1.0, place, share)
+    odds[(count < 2) | (2 * count <= place)] = np.inf
+    return int(place[odds.argmin()]) if (odds <= chance).any() else 0

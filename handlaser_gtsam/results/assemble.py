@@ -1,7 +1,6 @@
 """From a solution to the result people see."""
 
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +26,7 @@ from ..observability.wording import (
 )
 from ..outliers.reasons import Reasons
 from ..progress import tell
-from ..quantities import IN_MM, NEGLIGIBLE
+from ..quantities import NEGLIGIBLE
 from .calibration import Calibration
 from .calibration_fields import Status
 from .correlations import strong_correlations
@@ -35,7 +34,7 @@ from .dependence import INDEPENDENT, Dependence
 from .fit import fit_of
 from .lines import NAMES_IN_LINE
 from .problem import Problem, named_estimates
-from .projection import linear_rows
+from .projection import LinearRows
 from .reports import Beam, Determined, Fit, Plane, StartReport
 from .rivals import rival_warnings
 from .systematic import SystematicError, systematic_errors
@@ -46,6 +45,7 @@ from .warnings import (
     TEN_TIMES,
     fit_warnings,
     implausible_mounts,
+    lost_of_beams,
     misfit,
     noise_advice,
     poor_fit,
@@ -66,17 +66,20 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     fit, why = fit_of(problem, selection)
     determined = _determined_by(names, used, solution, fit)
     wrong = misfit(problem.recording, used, solution.best, fit)
-    if wrong is not None and wrong.code == IMPLAUSIBLE and _range_errors_are_any(used, solution):
-        wrong = None
+    if wrong is not None and wrong.code == IMPLAUSIBLE:
+        # Where the motion is poor and leaves free range errors undetermined, k1 = -1 fits, too.
+        free = solution.terms > 0 and solution.prior is None
+        if free and not solution.observability.full and poor_motion(used) is not None:
+            wrong = None
     if wrong is None and determined.undetermined:
         if _is_misfit(used, solution, fit):
             wrong = poor_fit(used, fit)
     elif wrong is None:
         wrong = implausible_mounts(used, solution.best, names)
     way = _way(problem, used, fit, solution, wrong)
-    mistaken = way is not None and (
-        wrong is not None or suspicious(used, fit) or _loses_much(fit, problem.recording.beam_names)
-    )
+    lost = lost_of_beams(fit, problem.recording.beam_names)
+    exchanged = any(out > MOST_EXCHANGED * every and every > out for out, every in lost)
+    mistaken = way is not None and (wrong is not None or suspicious(used, fit) or exchanged)
     if mistaken:
         wrong = way
     status, message = _status_of(solution, determined, wrong)
@@ -85,9 +88,17 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     if status == "converged" and solution.at.loss == GAUSSIAN:
         systematic, together = _tested(problem, used, solution, fit)
     joint, growth = None, None
-    if status == "converged" or _is_settled(solution, status, fit):
+    # Standard deviations mean something although not everything is determined.
+    settled = solution.at.status == "converged" and fit.range_sigma > 0.0
+    partly = status == "unobservable" and settled and not solution.observability.full
+    if status == "converged" or partly:
         growth = together.growth
         joint = joint_covariance(problem, solution, fit).grown(growth, together.plane_growth)
+    signs: tuple[CalibrationWarning, ...] = ()
+    if not mistaken:  # then single readings, and the residuals of all, are signs of something
+        beams = names.sorted_beams()
+        of_fit = fit_warnings(used, fit, problem.noise, solution, beams, together)
+        signs = (*_wrong_labels(problem, why), *why.warnings, *of_fit)
     whole = joint if determined.rank == determined.unknowns else None
     result = Calibration(
         status,
@@ -95,7 +106,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         (
             *([] if wrong is None else [wrong]),
             *([] if way is None or mistaken else [way]),
-            *([] if mistaken else _signs(problem, used, fit, why, solution, together)),
+            *signs,
             *rival_warnings(used, solution, joint, names),
             *together.warnings,
             *(
@@ -118,21 +129,6 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     return with_scales(result, problem, solution, growth)
 
 
-def _signs(
-    problem: Problem,
-    used: Readings,
-    fit: Fit,
-    why: Reasons,
-    solution: Solution,
-    together: Dependence,
-) -> Iterator[CalibrationWarning]:
-    """Yield what single readings, and the residuals of all, show where the file is read rightly."""
-    yield from _wrong_labels(problem, why)
-    yield from _range_ends(problem, why)
-    beams = problem.names.sorted_beams()
-    yield from fit_warnings(used, fit, problem.noise, solution, beams, together)
-
-
 def _estimates(
     problem: Problem, solution: Solution, joint: JointCovariance | None
 ) -> tuple[Mapping[str, Beam], Mapping[str, Plane]]:
@@ -150,12 +146,6 @@ def _estimates(
     )
 
 
-def _is_settled(solution: Solution, status: Status, fit: Fit) -> bool:
-    """Tell whether standard deviations mean something although not everything is determined."""
-    settled = solution.at.status == "converged" and fit.range_sigma > 0.0
-    return status == "unobservable" and settled and not solution.observability.full
-
-
 def _tested(
     problem: Problem, used: Readings, solution: Solution, fit: Fit
 ) -> tuple[tuple[SystematicError, ...], Dependence]:
@@ -167,7 +157,7 @@ def _tested(
         how = replace(whitening(at, used, equal), sigma=fit.range_sigma)
     prior = np.where(np.arange(2) < solution.terms, np.inf, 0.0)
     prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
-    rows = linear_rows(
+    rows = LinearRows(
         at,
         solution.at.readings,
         how,
@@ -213,23 +203,6 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
     return tuple(CalibrationWarning("wrong-label", f"{one}: correct its label") for one in words)
 
 
-def _range_ends(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:
-    """Warn of sensors that give readings where their range has ended."""
-    names = problem.names.sorted_beams()
-    return tuple(
-        CalibrationWarning(
-            "range-end",
-            f"{len(end.rows)} of the {end.extreme} {'largest' if end.far else 'smallest'} readings of "
-            f"beam {names[end.beam]}, from {end.limit * IN_MM:.4g} mm {'on' if end.far else 'down'}, "
-            f"are too {'short' if end.far else 'long'} and were left out: its range seems to end "
-            "there, and readings shortly before may err, too; state a narrower range (--range-mm MIN "
-            "MAX, or range_mm in the rig file's [sensor]), or measure within it",
-            {"beam": names[end.beam], "limit_m": end.limit, "rejected": len(end.rows)},
-        )
-        for end in why.range_ends
-    )
-
-
 def _way(
     problem: Problem,
     used: Readings,
@@ -270,15 +243,16 @@ def _determined_by(
     if solution.prior is not None:  # what is known of range errors without any reading
         parts = tuple(part for part in parts if part.quantity != "range error")
     motion, leans, how = None if found.full else poor_motion(used), False, solution.whitening
+    sigma = fit.range_sigma if how is None else how.sigma
+    squares = float(solution.at.residual @ solution.at.residual)
     if motion is not None:
-        sigma = fit.range_sigma if how is None else how.sigma
         leans = some_plane_leans(motion, parameters, used, sigma, how)
     words, help_ = named(
         motion, parts, leans=leans, k1_free=solution.terms > 0 and solution.prior is None
     )
     if found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
-    elif found.full and _is_ambiguous(used, solution, fit):
+    elif found.full and mirror_image_fits(parameters, used, squares, sigma):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
     elif not found.full and motion is None and _motion_determines(used, solution):
         help_ = (noise_advice(fit),)
@@ -300,20 +274,6 @@ def _motion_determines(used: Readings, solution: Solution) -> bool:
     return observability(at, used, terms, range_sigma=0.0, prior=solution.prior).full
 
 
-def _loses_much(fit: Fit, names: Sequence[str]) -> bool:
-    """Tell whether a beam loses so many readings that those of another may have taken their place."""
-    kept = (~np.isnan(fit.residuals)).sum(axis=0)
-    out = Counter(one.beam for one in fit.rejected if one.reason not in BY_LIMITS)
-    lost = (out[name] / (out[name] + left) for name, left in zip(names, kept, strict=True) if left)
-    return max(lost, default=0.0) > MOST_EXCHANGED
-
-
-def _range_errors_are_any(used: Readings, solution: Solution) -> bool:
-    """Tell whether the motion is poor and leaves free range errors undetermined: k1 = -1 fits, too."""
-    free = solution.terms > 0 and solution.prior is None
-    return free and not solution.observability.full and poor_motion(used) is not None
-
-
 def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:
     """Tell whether readings that fitted would determine everything, and these do not fit.
 
@@ -321,13 +281,6 @@ def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:
     """
     expected = fit.range_sigma_given and fit.sigma0 <= TEN_TIMES
     return not expected and suspicious(used, fit) and _motion_determines(used, solution)
-
-
-def _is_ambiguous(readings: Readings, solution: Solution, fit: Fit) -> bool:
-    """Tell whether the mirror image of the solution fits as well."""
-    squares = float(solution.at.residual @ solution.at.residual)
-    sigma = fit.range_sigma if solution.whitening is None else solution.whitening.sigma
-    return mirror_image_fits(solution.parameters, readings, squares, sigma)
 
 
 def _status_of(

@@ -11,8 +11,7 @@ from ..model.joint import BEAM_COORDINATES, JointCovariance
 STRONG = 0.95
 """Two unknowns whose correlation is larger in size are hardly distinguished: each would be known three
 times as well if the other were known."""
-NAMES = ("location x", "location y", "location z", "direction x", "direction y", "direction z")
-LABELS = (*NAMES, "k1", "k2")
+LABELS = (*(f"{what} {axis}" for what in ("location", "direction") for axis in "xyz"), "k1", "k2")
 """Names of the coordinates, in the order of `joint.BEAM_COORDINATES`."""
 
 
@@ -46,51 +45,36 @@ class Correlation:
         return "turn the hand further, and vary the range"
 
 
-@dataclass(frozen=True, slots=True)
-class CorrelationMatrix:
-    """Correlations of the unknowns of beams.
+def correlation_matrix(
+    beams: Sequence[str], directions: FloatArray, covariance: FloatArray
+) -> tuple[tuple[Coordinate, ...], FloatArray]:
+    """Return the unknowns of beams that are estimated, and their correlations, a row each.
 
-    Attributes
+    Of the three components of a direction, the largest follows from the others and is no row.
+
+    Parameters
     ----------
-    unknowns : tuple of Coordinate
-        Those that are estimated, one a row. Of the three components of a direction, the largest follows
-        from the others and is no row.
-    matrix : (n, n)
+    beams : B names
+    directions : (B, 3)
+    covariance : (8 B, 8 B)
+        Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
     """
-
-    unknowns: tuple[Coordinate, ...]
-    matrix: FloatArray
-
-    @classmethod
-    def of(
-        cls, beams: Sequence[str], directions: FloatArray, covariance: FloatArray
-    ) -> "CorrelationMatrix":
-        """Return the correlations of beams.
-
-        Parameters
-        ----------
-        beams : B names
-        directions : (B, 3)
-        covariance : (8 B, 8 B)
-            Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
-        """
-        width = len(BEAM_COORDINATES)
-        variance = np.diagonal(covariance)
-        keep = variance > 0.0
-        for index, v in enumerate(directions):
-            keep[width * index + 3 + int(np.abs(v).argmax())] = False
-        rows = np.flatnonzero(keep)
-        sigma = np.sqrt(variance[rows])
-        unknowns = tuple(Coordinate(beams[row // width], row % width) for row in rows.tolist())
-        return cls(unknowns, covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma))
+    width = len(BEAM_COORDINATES)
+    variance = np.diagonal(covariance)
+    keep = variance > 0.0
+    for index, v in enumerate(directions):
+        keep[width * index + 3 + int(np.abs(v).argmax())] = False
+    rows = np.flatnonzero(keep)
+    sigma = np.sqrt(variance[rows])
+    unknowns = tuple(Coordinate(beams[row // width], row % width) for row in rows.tolist())
+    return unknowns, covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma)
 
 
 def strong_correlations(joint: JointCovariance, limit: float = STRONG) -> tuple[Correlation, ...]:
     """Return the pairs of beam unknowns whose correlation exceeds `limit`, strongest first."""
     # The direction is perpendicular to its tangent plane; its sign does not matter here.
     directions = np.cross(joint.beam_bases[:, :, 0], joint.beam_bases[:, :, 1])
-    correlations = CorrelationMatrix.of(joint.beam_names, directions, joint.matrix(planes=[]))
-    unknowns, C = correlations.unknowns, correlations.matrix
+    unknowns, C = correlation_matrix(joint.beam_names, directions, joint.matrix(planes=[]))
     first, second = np.triu_indices(len(unknowns), 1)
     strong = np.flatnonzero(np.abs(C[first, second]) > limit)
     strong = strong[np.argsort(-np.abs(C[first, second])[strong], kind="stable")]

@@ -25,14 +25,13 @@ them without simulation.
 Systematic errors that were found make neighbouring residuals alike, too: they are taken out before.
 """
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 from scipy.optimize import nnls
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.families import BEAM
@@ -94,7 +93,7 @@ class Dependence:
 INDEPENDENT = Dependence()
 
 
-def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None) -> Dependence:
+def dependence(rows: LinearRows, *, known: bool, found: FloatArray) -> Dependence:
     """Test the residuals at a solution for correlation between neighbours in time.
 
     Parameters
@@ -102,35 +101,44 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray | None = None
     rows : LinearRows
     known : bool
         Whether the size of the noise was given.
-    found : (N, q), optional
+    found : (N, q)
         Columns of systematic errors that were found.
     """
-    chains = _Chains.of(rows.readings, rows.position)
+    chains = _Chains(rows.readings, rows.position)
     if chains.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
-    residuals = _Residuals(rows, found)
+    projection, how = Projection(rows, rows.prior), rows.how
+
+    def left(columns: FloatArray) -> FloatArray:
+        """Whiten what unknowns and systematic errors that were found leave of columns (N, q)."""
+        w = how.apply_rows(projection.rest(columns)[0])
+        return np.asarray(w - explained @ (explained.T @ w))
+
+    explained = np.empty((len(rows.readings), 0))
+    if found.size:
+        explained = np.linalg.qr(left(found))[0]
     count = int(np.clip(NUMBERS // len(rows.readings), LEAST_DRAWS, DRAWS))
     # A fixed seed: the same recording gives the same result each time.
     white = np.random.default_rng(20).standard_normal((len(rows.readings), count))
-    seen = chains.squares(residuals.whitened(rows.residual[:, None]))[:, 0]
+    seen = chains.squares(left(rows.residual[:, None]))[:, 0]
     if not seen[0] > 0.0:
         return INDEPENDENT
     # A few draws suffice where the sums are not even half as far above them as the test asks.
-    quiet = chains.squares(residuals.of_noise(white[:, :LEAST_DRAWS]))
+    quiet = chains.squares(left(how.coloured(white[:, :LEAST_DRAWS])))
     if not _stand_out(seen, quiet, 0.5 * FAR_SIGMAS):
         return INDEPENDENT
-    quiet = chains.squares(residuals.of_noise(white))
+    quiet = chains.squares(left(how.coloured(white)))
     if not _stand_out(seen, quiet, FAR_SIGMAS):
         return INDEPENDENT
-    lengths = chains.lengths()
-    drawn = [residuals.of_noise(chains.coloured(white, length)) for length in lengths]
+    lengths = chains.lengths
+    drawn = [left(how.coloured(chains.coloured(white, length))) for length in lengths]
     means = np.stack([quiet.mean(axis=1), *(chains.squares(w).mean(axis=1) for w in drawn)], axis=1)
     spread = quiet.std(axis=1)
     parts, _ = nnls(means / spread[:, None], seen / spread, maxiter=MOST_STEPS)
     # An estimated size of the noise lacks what the unknowns took of it.
     lost = 1.0 if known else float(parts.sum() * means[0, 0] / seen[0])
     parts = parts / parts.sum()
-    growth = max(_growths(rows, residuals.projection, chains, parts))
+    growth = _growth(rows, projection, chains, parts)
     means_growth = float(parts @ [1.0, *(chains.growth_of_means(length) for length in lengths)])
     growth, plane_growth = np.sqrt([lost * growth, lost * means_growth]).tolist()
     if max(growth, plane_growth) < LEAST_GROWTH:
@@ -150,82 +158,53 @@ def _stand_out(seen: FloatArray, quiet: FloatArray, far: float) -> bool:
     return bool((share > shares.mean(axis=1) + far * shares.std(axis=1))[1:].any())
 
 
-class _Residuals:
-    """Whitened residuals, less what the unknowns and the systematic errors that were found explain."""
-
-    def __init__(self, rows: LinearRows, found: FloatArray | None) -> None:
-        self.projection, self.how = Projection(rows), rows.how
-        self.found = np.empty((len(rows.readings), 0))
-        if found is not None and found.size:
-            self.found = np.linalg.qr(self.whitened(found))[0]
-
-    def whitened(self, columns: FloatArray) -> FloatArray:
-        """Return what is left of columns (N, q) of residuals."""
-        w = self.how.apply_rows(self.projection.rest(columns)[0])
-        return np.asarray(w - self.found @ (self.found.T @ w))
-
-    def of_noise(self, noise: FloatArray) -> FloatArray:
-        """Return what is left of whitened noise (N, q)."""
-        return self.whitened(self.how.coloured(noise))
-
-
-def _growths(
+def _growth(
     rows: LinearRows, projection: Projection, chains: "_Chains", parts: FloatArray
-) -> Iterator[float]:
-    """Yield of every beam the largest ratio of a variance to that with independent noise."""
-    planes = projection.response.reshape(-1, projection.beam_inverse.shape[0])
+) -> float:
+    """Return the largest ratio of a variance of any beam to that with independent noise."""
+    planes, growth = projection.response.reshape(-1, projection.beam_inverse.shape[0]), 0.0
     for beam in range(rows.readings.beams):
         x = projection.beam_inverse[:, BEAM.dim * beam : BEAM.dim * (beam + 1)]
         x = x[:, x.any(axis=0)]
         gain = rows.how.apply_rows(projection.J @ np.concatenate((x, -planes @ x)))
         alone = (gain**2).sum(axis=0)
-        variances = [alone, *(chains.variances(gain, length) for length in chains.lengths())]
-        yield float((parts @ variances / alone).max())
+        variances = [alone, *(chains.variances(gain, length) for length in chains.lengths)]
+        growth = max(growth, float((parts @ variances / alone).max()))
+    return growth
 
 
-@dataclass(frozen=True, slots=True)
 class _Chains:
     """Readings as chains in time, one a beam and plane.
 
     Attributes
     ----------
     order : (N,)
-        LinearRows by plane, beam and time.
+        Rows by plane, beam and time.
     joined : (N - 1,) of bool
         Which neighbours in that order are of one chain.
+    bounds : (chains + 1,)
+        The first row of every chain, and the end of the last.
+    longest : int
+        Readings of the longest chain.
+    lengths : (l,)
+        Lengths of correlation that are tried [stations]: powers of two.
     """
 
-    order: IntArray
-    joined: BoolArray
-
-    @classmethod
-    def of(cls, readings: Readings, position: IntArray) -> "_Chains":
-        """Return the chains of some readings."""
-        order = np.lexsort((position, readings.beam, readings.plane)).astype(np.intp)
+    def __init__(self, readings: Readings, position: IntArray) -> None:
+        order = np.lexsort((position, readings.beam, readings.plane))
         same = np.diff(readings.plane[order]) == 0
-        return cls(order, same & (np.diff(readings.beam[order]) == 0))
-
-    @property
-    def bounds(self) -> IntArray:
-        """The first row of every chain, and the end of the last."""
-        return np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(self.order)]))
-
-    @property
-    def longest(self) -> int:
-        """Readings of the longest chain."""
-        return int(np.diff(self.bounds).max())
-
-    def lengths(self) -> FloatArray:
-        """Return the lengths of correlation that are tried [stations]: powers of two."""
+        self.order, self.joined = order, same & (np.diff(readings.beam[order]) == 0)
+        self.bounds = np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(order)]))
+        self.longest = int(np.diff(self.bounds).max())
         most = max(self.longest / CHAINS_IN_LENGTH, 2.0)
-        return np.exp2(np.arange(int(np.log2(most)) + 1))
+        self.lengths = np.exp2(np.arange(int(np.log2(most)) + 1))
 
     def squares(self, w: FloatArray) -> FloatArray:
         """Return the squares of sums of 1, 2, 4 ... neighbours of columns (N, q), (s, q)."""
         sums = np.concatenate((np.zeros((1, w.shape[1])), np.cumsum(w[self.order], axis=0)))
         chain = np.concatenate(([0], np.cumsum(~self.joined)))
         squares = []
-        for m in (1, *(2 * self.lengths()).astype(int).tolist()):
+        for m in (1, *(2 * self.lengths).astype(int).tolist()):
             whole = chain[m - 1 :] == chain[: len(chain) - m + 1]
             if whole.any():
                 squares.append(((sums[m:] - sums[:-m])[whole] ** 2).sum(axis=0))

@@ -18,6 +18,7 @@ from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers
 from ..quantities import INCH, LARGEST_LENGTH, MM
 from ..starts import Effort
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
+from .warnings import MANY_OUTLIERS
 
 ALIKE = 4.0
 """Of several hypotheses those are named whose misfit is within this factor of the least."""
@@ -25,8 +26,6 @@ PROMISING = 9.0
 """And it is tried in earnest when it does so by this factor at a glance."""
 LEAST_REJECTED = 3
 """Fewer rejected readings of one beam do not suggest that they are another beam's."""
-MANY_LOST = 0.1
-"""Where more than this part of the readings is rejected, labels may be exchanged."""
 SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
 """Parts of the way to the next station, or back to the one before, at which readings may be taken."""
 CLOSE_SHARE = 1e-3
@@ -60,7 +59,10 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
     """
     if not tells(recording):
         return ""
-    measure = partial(_misfit, terms=terms)
+
+    def measure(changed: Recording, effort: Effort) -> float:
+        return misfit(changed, terms, effort)
+
     if rejected is None:
         rounds: list[list[Iterator[Rereading]]] = [
             [_promising(recording), _swaps(recording), _unit_changes(recording)],
@@ -68,7 +70,7 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
         ]
     else:
         rounds = [[_exchanges(recording, rejected), _second_plates(recording, rejected)]]
-        if rejected.mean() > MANY_LOST:
+        if rejected.mean() > MANY_OUTLIERS:
             rounds.append([_mixed_labels(recording)])
     for mistakes in rounds:  # those that take long are tried only where the others explain nothing
         without = misfits(recording, chain.from_iterable(mistakes), measure)
@@ -83,23 +85,15 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
     return ""
 
 
-def _misfit(recording: Recording, effort: Effort, terms: int) -> float:
-    return misfit(recording, terms, effort)
-
-
 def _glance(recording: Recording) -> float:
     """Return how badly a recording fits as it is."""
-    return float(glances(recording, [_as_it_is])[0])
-
-
-def _as_it_is(recording: Recording) -> Recording:
-    return recording
+    return float(glances(recording, [lambda same: same])[0])
 
 
 def _promising(recording: Recording) -> Iterator[Rereading]:
     """Yield the mistakes of poses or units without which one beam fits far better at a glance."""
     one, _ = one_beam(recording)
-    now, *without = glances(one, [_as_it_is, *HYPOTHESES.values()]).tolist()
+    now, *without = glances(one, [lambda same: same, *HYPOTHESES.values()]).tolist()
     for (words, undone), value in zip(HYPOTHESES.items(), without, strict=True):
         if now >= PROMISING * value:
             yield Rereading(words, undone)
@@ -184,7 +178,7 @@ def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Reread
         first = out[0] if out[-1] == own[-1] else own[np.searchsorted(own, out[-1]) + 1]
         yield Rereading(
             _of_another_plane(name, recording.station_names[first]),
-            partial(_parted, names=(name,), split=int(first)),
+            partial(_relabelled, labels={name: f"{name}, later"}, split=int(first)),
             "quick",
         )
 
@@ -235,7 +229,8 @@ def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
     stations of another plane.
     """
     planes = range(len(recording.plane_names))
-    alone = [_misfit_of_plane(recording, p) for p in planes]
+    parts = [recording.part(recording.plane_of_station == p) for p in planes]
+    alone = [_glance(part) if tells(part) else None for part in parts]
     whole = _glance(recording)
     too_small = [p for p in planes if alone[p] is None]
     mixed = [p for p in planes if (value := alone[p]) is not None and PROMISING * value > whole]
@@ -247,18 +242,19 @@ def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
         pairs = [pair for pair in combinations(others, 2) if not mixed or mixed[0] in pair]
         tried += pairs[:MOST_PAIRS]
     for group in tried:
-        names = tuple(recording.plane_names[p] for p in group)
+        first, *second = [recording.plane_names[p] for p in group]
+        other = second[0] if second else f"{first}, later"
         rows = np.isin(recording.plane_of_station, group)
         part = recording.part(rows)
-        undone = _parted if len(names) == 1 else _relabelled
-        split = _best_split(part, partial(undone, names=names))
+        undone = partial(_relabelled, labels={first: other, other: first})
+        split = _best_split(part, undone)
         if split is None:
             continue
         station, late = part.station_names[split], int(np.flatnonzero(rows)[split])
-        words = f"the labels {' and '.join(names)} look exchanged from station {station} on"
-        if len(names) == 1:
-            words = _of_another_plane(names[0], station)
-        yield Rereading(words, partial(undone, names=names, split=late))
+        words = f"the labels {first} and {other} look exchanged from station {station} on"
+        if not second:
+            words = _of_another_plane(first, station)
+        yield Rereading(words, partial(undone, split=late))
 
 
 def _on_the_way(recording: Recording) -> Iterator[Rereading]:
@@ -304,12 +300,6 @@ def _moved_on(recording: Recording, share: float) -> Recording:
     return replace(recording, world_R_hand=moved, world_t_hand=t + part * (t[other] - t))
 
 
-def _misfit_of_plane(recording: Recording, plane: int) -> float | None:
-    """Return the misfit of a plane alone; None where it has too few readings to tell."""
-    part = recording.part(recording.plane_of_station == plane)
-    return _glance(part) if tells(part) else None
-
-
 def _best_split(part: Recording, undone: Callable[..., Recording]) -> int | None:
     """Return the station from which on a change lowers the misfit most; None where it hardly does."""
     count = len(part.station_names)
@@ -337,24 +327,13 @@ def _of_another_plane(name: str, station: str) -> str:
     )
 
 
-def _parted(recording: Recording, names: tuple[str, ...], split: int) -> Recording:
-    """Return a recording in which a plane has another label from a station on."""
-    other = f"{names[0]}, later"
-    labels = tuple(
-        other if m >= split and label == names[0] else label
+def _relabelled(recording: Recording, labels: dict[str, str], split: int) -> Recording:
+    """Return a recording in which planes have other labels from a station on."""
+    changed = (
+        labels.get(label, label) if m >= split else label
         for m, label in enumerate(recording.plane_labels)
     )
-    return replace(recording, plane_labels=labels)
-
-
-def _relabelled(recording: Recording, names: tuple[str, ...], split: int) -> Recording:
-    """Return a recording in which two labels are exchanged from a station on."""
-    other = {names[0]: names[1], names[1]: names[0]}
-    labels = tuple(
-        other.get(label, label) if m >= split else label
-        for m, label in enumerate(recording.plane_labels)
-    )
-    return replace(recording, plane_labels=labels)
+    return replace(recording, plane_labels=tuple(changed))
 
 
 def _turned(change: Callable[[Rotation], Rotation]) -> Change:
@@ -395,12 +374,15 @@ def _shifted(recording: Recording, rows: int) -> Recording:
     return replace(recording.part(kept), ranges=recording.ranges[kept + rows], samples=None)
 
 
-def _signed(rotation: Rotation, signs: tuple[int, int, int]) -> Rotation:
-    return Rotation.from_quat(rotation.as_quat() * (*signs, 1))
+def _of_quaternions(order: tuple[int, ...], signs: tuple[int, ...]) -> Change:
+    def change(rotation: Rotation) -> Rotation:
+        return Rotation.from_quat(rotation.as_quat()[:, [*order, 3]] * (*signs, 1))
+
+    return _turned(change)
 
 
-def _permuted(rotation: Rotation, order: tuple[int, int, int]) -> Rotation:
-    return Rotation.from_quat(rotation.as_quat()[:, [*order, 3]])
+def _signs(negated: tuple[str, ...]) -> tuple[int, ...]:
+    return tuple(-1 if axis in negated else 1 for axis in "xyz")
 
 
 def _read_as(written: Convention, read: Convention) -> tuple[str, Change]:
@@ -422,47 +404,40 @@ def _read_as(written: Convention, read: Convention) -> tuple[str, Change]:
     return f"the rotations look like {both[0]} read as {both[1]}", undone
 
 
+PAIRS = {("x", "y"): (1, 0, 2), ("x", "z"): (2, 1, 0), ("y", "z"): (0, 2, 1)}
+"""Two axes, and the order in which they are exchanged."""
 HYPOTHESES: dict[str, Change] = {
     f"the poses look inverted: {INVERTED}": _inverted,
     "the rotations look inverted (hand_R_world instead of world_R_hand)": _turned(Rotation.inv),
     **{
-        f"the {name} of the quaternions look negated": _turned(partial(_signed, signs=signs))
-        for name, signs in {"qx": (-1, 1, 1), "qy": (1, -1, 1), "qz": (1, 1, -1)}.items()
+        f"the q{axis} of the quaternions look negated": _of_quaternions((0, 1, 2), _signs((axis,)))
+        for axis in "xyz"
     },
     **{
-        f"{name} of the quaternions look exchanged": _turned(partial(_permuted, order=order))
-        for name, order in {
-            "qx and qy": (1, 0, 2),
-            "qx and qz": (2, 1, 0),
-            "qy and qz": (0, 2, 1),
-        }.items()
+        f"q{first} and q{second} of the quaternions look exchanged": _of_quaternions(
+            order, (1, 1, 1)
+        )
+        for (first, second), order in PAIRS.items()
     },
     "the positions look like millimetres": partial(_scaled, positions=MM),
     "the ranges look like millimetres": partial(_scaled, ranges=MM),
     "the ranges look like inches": partial(_scaled, ranges=INCH),
     "the positions look like inches": partial(_scaled, positions=INCH),
     **{
-        f"the {name} of the positions look negated": _reordered((0, 1, 2), signs)
-        for name, signs in {
-            "x coordinates": (-1, 1, 1),
-            "y coordinates": (1, -1, 1),
-            "z coordinates": (1, 1, -1),
-            "x and y coordinates": (-1, -1, 1),
-            "x and z coordinates": (-1, 1, -1),
-            "y and z coordinates": (1, -1, -1),
-            "coordinates": (-1, -1, -1),
-        }.items()
+        f"the {' and '.join(axes)} coordinates of the positions look negated": _reordered(
+            (0, 1, 2), _signs(axes)
+        )
+        for axes in (("x",), ("y",), ("z",), *PAIRS)
     },
+    "the coordinates of the positions look negated": _reordered((0, 1, 2), (-1, -1, -1)),
     **{
-        f"the {name} of the positions look exchanged": _reordered(order, (1, 1, 1))
-        for name, order in {
-            "x and y coordinates": (1, 0, 2),
-            "x and z coordinates": (2, 1, 0),
-            "y and z coordinates": (0, 2, 1),
-            "x, y, z coordinates": (1, 2, 0),
-            "z, x, y coordinates": (2, 0, 1),
-        }.items()
+        f"the {first} and {second} coordinates of the positions look exchanged": _reordered(
+            order, (1, 1, 1)
+        )
+        for (first, second), order in PAIRS.items()
     },
+    "the x, y, z coordinates of the positions look exchanged": _reordered((1, 2, 0), (1, 1, 1)),
+    "the z, x, y coordinates of the positions look exchanged": _reordered((2, 0, 1), (1, 1, 1)),
     **dict(
         _read_as(Convention(written, angles=unit), Convention(read, angles=other))
         for written, unit, read, other in (

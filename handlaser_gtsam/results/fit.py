@@ -40,8 +40,8 @@ def fit_of_rows(
     standard deviations, and `ranges` the readings [m], NaN where they are not known.
     """
     far, known = np.abs(standardized), ranges[~np.isnan(ranges)]
-    table = np.full((len(names[0]), len(names[1])), np.nan)
-    table[at] = e
+    tables = np.full((2, len(names[0]), len(names[1])), np.nan)
+    tables[:, *at] = e, standardized
     worst, farthest = int(np.abs(e).argmax()), int(far.argmax())
     pairs = [(int(at[0][row]), int(at[1][row])) for row in (worst, farthest)]
     places = [(names[0][station], names[1][beam]) for station, beam in pairs]
@@ -61,7 +61,8 @@ def fit_of_rows(
         typical_range=typical_range(known) if known.size else np.nan,
         max_standardized_residual=float(far[farthest]),
         max_standardized_residual_at=places[1],
-        residuals=table,
+        residuals=tables[0],
+        standardized=tables[1],
         rejected=(),
     )
 
@@ -74,8 +75,12 @@ def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
     if solution.posterior is not None and not solution.at.estimates_poses:
         e = residuals(scene(solution.best, used), used.distance)
     given = problem.noise.range_sigma is not None
-    chi2, sigma = _size(solution, given=given)
-    at = solution.parameters
+    chi2, at = solution.chi2, solution.parameters
+    if not given and not solution.scales_estimated:
+        chi2 *= solution.at.sigma**2
+    sigma = unit_sigma(solution, given, _sigma0(chi2, solution.dof))
+    if solution.variances is not None:
+        sigma *= float(np.median(solution.variances.range_sigma)) / solution.at.sigma
     standardized = np.zeros(len(e))  # of an exact fit
     if solution.variances is not None:
         variances = solution.variances
@@ -108,20 +113,13 @@ def _sigma0(chi2: float, dof: int) -> float:
     return float(np.sqrt(chi2 / dof)) if dof > 0 else 0.0
 
 
-def _size(solution: Solution, *, given: bool) -> tuple[float, float]:
-    """Return chi2 and the range sigma [m] behind the covariances; see `Fit`."""
-    unit, known = solution.at.sigma, given or solution.scales_estimated
-    chi2 = solution.chi2 if known else solution.chi2 * unit**2
-    typical = 1.0
-    if solution.variances is not None:
-        typical = float(np.median(solution.variances.range_sigma)) / unit
-    sigma = unit if known else robust_sigma(solution) or _sigma0(chi2, solution.dof)
-    return chi2, sigma * typical
+def unit_sigma(solution: Solution, given: bool, sigma0: float) -> float:
+    """Return the sigma [m] of a residual of weight 1 behind the covariances.
 
-
-def robust_sigma(solution: Solution) -> float | None:
-    """Return the scale of a robust loss [m]: outliers would spoil the rms."""
-    return None if solution.at.loss == GAUSSIAN else solution.at.sigma
+    Of a robust loss it is its scale: outliers would spoil `sigma0`, which is estimated from residuals.
+    """
+    known = given or solution.scales_estimated or solution.at.loss != GAUSSIAN
+    return solution.at.sigma if known else sigma0
 
 
 def _rejected(problem: Problem, selection: Selection, why: Reasons) -> tuple[Rejected, ...]:

@@ -19,8 +19,6 @@ from .spot_error import Quantity, VarianceShares, freedom
 from .systematic import SystematicError
 from .warnings import MANY_OUTLIERS
 
-DOMINANT = 0.5
-"""A cause that makes up more than this part of the variance of the spot is worth the first word."""
 WELL_CONDITIONED = 100.0
 """A condition number below this is the usual demand: no motion is missing then."""
 MOTIONS: dict[Quantity, str] = {
@@ -118,7 +116,7 @@ def _largest_share(
         ("motion", MOTIONS[shares.weakest_quantity], weakest),
     )
     code, words, share = max(candidates, key=lambda one: np.nan_to_num(one[2], nan=-1.0))
-    if not share > DOMINANT:
+    if not share > 0.5:  # a cause of more than half of the variance is worth the first word
         return None
     return Improvement(
         code, words.format(f"{100.0 * min(share, 0.99):.0f} % of the variance"), share

@@ -1,6 +1,7 @@
 """Pass or fail: a calibration against the limits its user set."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -75,24 +76,26 @@ class LimitCheck:
     def failure(self) -> str:
         """The words for a limit that is exceeded."""
         owner = f"{self.subject}: " if self.subject else ""
-        scale, unit = self._unit
+        scale, unit = self.unit
         value, limit = self.value * scale, self.limit * scale
         noise = self.random * scale
         of_noise = "" if math.isnan(noise) else f" ({noise:.4g} {unit} of it random errors)"
-        return f"{owner}{self._name} {value:.4g} {unit}{of_noise} above {limit:.4g} {unit}"
+        return f"{owner}{self.name} {value:.4g} {unit}{of_noise} above {limit:.4g} {unit}"
 
     @property
     def comparison(self) -> str:
         """The value beside its limit, in words: "rms 0.11 of 0.2 mm"."""
-        scale, unit = self._unit
-        return f"{self._name} {self.value * scale:.2g} of {self.limit * scale:.3g} {unit}"
+        scale, unit = self.unit
+        return f"{self.name} {self.value * scale:.2g} of {self.limit * scale:.3g} {unit}"
 
     @property
-    def _name(self) -> str:
+    def name(self) -> str:
+        """The quantity in words."""
         return self.quantity.replace("_", " ")
 
     @property
-    def _unit(self) -> tuple[float, str]:
+    def unit(self) -> tuple[float, str]:
+        """The unit in which people read the value, with the factor from SI."""
         return (IN_DEG, "deg") if self.quantity == "direction_sigma" else (IN_MM, "mm")
 
 
@@ -105,21 +108,34 @@ def checked(calibration: CalibrationData, limits: Limits) -> tuple[LimitCheck, .
     """
     found, hidden = list(rms_checked("", calibration.fit.rms, limits)), hidden_errors(calibration)
     for number, beam in enumerate(calibration.beams.values()):
-        location, direction, owner = beam.location_sigma, beam.direction_sigma, f"beam {beam.name}"
+        if beam.location_sigma is None or beam.direction_sigma is None:
+            continue
         shifts = np.nan_to_num([one.location_shift[number] for one in hidden]).reshape(-1, 3)
         turns = np.nan_to_num([one.direction_shift[number] for one in hidden]).reshape(-1, 3)
-        if location is not None and limits.location_sigma is not None:
-            noise, square = float(location.max()), location**2 + (shifts**2).sum(axis=0) / 3.0
-            value = math.sqrt(float(square.max()))
-            random = noise if value > noise else math.nan
-            found.append(LimitCheck("location_sigma", owner, value, limits.location_sigma, random))
-        if direction is not None and limits.direction_sigma is not None:
-            value = math.hypot(direction, float(np.linalg.norm(turns)) / math.sqrt(3.0))
-            random = direction if value > direction else math.nan
-            found.append(
-                LimitCheck("direction_sigma", owner, value, limits.direction_sigma, random)
-            )
+        square = beam.location_sigma**2 + (shifts**2).sum(axis=0) / 3.0
+        turn = math.hypot(beam.direction_sigma, float(np.linalg.norm(turns)) / math.sqrt(3.0))
+        found += sigmas_checked(
+            f"beam {beam.name}",
+            (math.sqrt(float(square.max())), turn),
+            (float(beam.location_sigma.max()), beam.direction_sigma),
+            limits,
+        )
     return tuple(found)
+
+
+def sigmas_checked(
+    owner: str, values: tuple[float, float], noise: tuple[float, float], limits: Limits
+) -> Iterator[LimitCheck]:
+    """Compare standard deviations of location [m] and direction [rad] with the limits there are.
+
+    `noise` is the part of each `values` that the noise makes.
+    """
+    quantities: tuple[Quantity, Quantity] = ("location_sigma", "direction_sigma")
+    for quantity, value, alone in zip(quantities, values, noise, strict=True):
+        limit = getattr(limits, quantity)
+        if limit is not None:
+            random = alone if value > alone else math.nan
+            yield LimitCheck(quantity, owner, value, limit, random)
 
 
 def hidden_errors(calibration: CalibrationData) -> list[SystematicError]:

@@ -5,8 +5,6 @@ import textwrap
 
 from ..data.noise import LEAST_SIGMA
 from ..quantities import IN_MM
-from ..text import count as count
-from ..text import some as some
 
 WIDTH = 100
 """Columns of the default screen, and of everything that is not printed to a terminal."""

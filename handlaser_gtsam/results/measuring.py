@@ -14,12 +14,10 @@ from ..checks import require_kind
 from ..data.value import Value
 from ..errors import InputError
 from ..model.joint import JointCovariance, plane_lift
+from ..quantities import NEGLIGIBLE
 from .calibration_fields import CalibrationData
 from .reports import Beam
 from .spot_error import spot_at
-
-LEAST_SPREAD = 1e-6
-"""Spots nearer to a line than this part of their extent span no plane."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -82,8 +80,7 @@ def spot(calibration: CalibrationData, beam: str, reading: float) -> Spot:
         No such beam, a reading that is not positive, or a calibration without covariance.
     """
     (one,), joint = _known(calibration, [beam])
-    if one.direction_sigma is None:
-        raise InputError(f"a calibration that is {calibration.status}", "one with a covariance")
+    assert one.direction_sigma is not None  # known wherever there is a covariance
     x, J, slope = spot_at(calibration, one, reading)
     S = J @ joint.matrix([beam], []) @ J.T
     v = one.direction
@@ -137,7 +134,7 @@ def measured_plane(calibration: CalibrationData, readings: Mapping[str, float]) 
 def plane_of(spots: FloatArray) -> tuple[FloatArray, FloatArray] | None:
     """Return the normal of the plane through spots (N, 3), and their middle; None for one line."""
     axes, middle, size = model.plane_through(spots)
-    return None if size[1] <= LEAST_SPREAD * size[0] else (axes[2], middle)
+    return None if size[1] <= NEGLIGIBLE * size[0] else (axes[2], middle)
 
 
 def typical_plane(calibration: CalibrationData) -> tuple[str, MeasuredPlane] | None:

@@ -17,14 +17,9 @@ from ..data.noise import LEAST_SIGMA, Noise
 from ..data.recording_checks import require_once
 from ..data.value import Value
 from ..errors import InputError
-from ..quantities import LARGEST_LENGTH
+from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from ..text import shown
 from .calibration import Calibration
-
-UNIT = 1e-6
-"""What the length of a direction may differ from 1 by."""
-ROUNDING = 1e-6
-"""Asymmetry and negative eigenvalues of a computed covariance, as a part of its variances."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -71,8 +66,25 @@ class Mounts(Value):
         arrays = (self.locations, self.directions, self.range_errors, self.covariance)
         if [a.shape for a in arrays] != shapes or len(self.terms) != count:
             raise InputError(f"arrays of shapes {[a.shape for a in arrays]}", f"{shapes}")
-        _check_names(self)
-        _check_numbers(self)
+        require_names("the name of a beam", self.names)
+        require_once("beam", self.names)
+        for name, terms in zip(self.names, self.terms, strict=True):
+            require_count(f"range-error terms of beam {name}", terms, 0, 2)
+        for what, values, unit in (
+            ("location", self.locations, " m"),
+            ("range error", self.range_errors, ""),
+        ):
+            wrong = ~(np.abs(values) <= LARGEST_LENGTH)
+            if wrong.any():
+                found = f"a {what} of {values[wrong][0]:g}{unit}"
+                raise InputError(found, f"finite numbers, at most {LARGEST_LENGTH:g}")
+        with np.errstate(over="ignore"):  # an infinite length is refused like any other
+            length = np.linalg.norm(self.directions, axis=1)
+        wrong = ~(np.abs(length - 1.0) <= NEGLIGIBLE)
+        if wrong.any():
+            raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
+        require_covariance("a covariance of the beams", self.covariance, LARGEST_LENGTH, NEGLIGIBLE)
+        require_number("range_sigma", self.range_sigma, LEAST_SIGMA, LARGEST_LENGTH, unit="m")
         if self.pose_covariance is not None:
             checked = Noise(pose_covariance=self.pose_covariance).pose_covariance
             object.__setattr__(self, "pose_covariance", checked)
@@ -126,29 +138,3 @@ class Mounts(Value):
             self.range_sigma,
             self.pose_covariance,
         )
-
-
-def _check_names(mounts: Mounts) -> None:
-    require_names("the name of a beam", mounts.names)
-    require_once("beam", mounts.names)
-    for name, terms in zip(mounts.names, mounts.terms, strict=True):
-        require_count(f"range-error terms of beam {name}", terms, 0, 2)
-
-
-def _check_numbers(mounts: Mounts) -> None:
-    for name, values, unit in (
-        ("location", mounts.locations, " m"),
-        ("range error", mounts.range_errors, ""),
-    ):
-        wrong = ~(np.abs(values) <= LARGEST_LENGTH)
-        if wrong.any():
-            found = f"a {name} of {values[wrong][0]:g}{unit}"
-            raise InputError(found, f"finite numbers, at most {LARGEST_LENGTH:g}")
-    v = mounts.directions
-    with np.errstate(over="ignore"):  # an infinite length is refused like any other
-        length = np.linalg.norm(v, axis=1)
-    wrong = ~(np.abs(length - 1.0) <= UNIT)
-    if wrong.any():
-        raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
-    require_covariance("a covariance of the beams", mounts.covariance, LARGEST_LENGTH, ROUNDING)
-    require_number("range_sigma", mounts.range_sigma, LEAST_SIGMA, LARGEST_LENGTH, unit="m")

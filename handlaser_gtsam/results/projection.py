@@ -3,14 +3,13 @@
 Planes are eliminated before beams, as everywhere, so that the cost is linear in readings and planes.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import csr_array
 
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.reduction import Normal
 from ..model.weighting import Whitening
@@ -20,24 +19,25 @@ SQUARE_ROUNDING = 1e-14
 """Information, or a square, below this part of the whole is lost in rounding."""
 
 
-@dataclass(frozen=True, slots=True)
-class LinearRows:
-    """The linear problem at a solution.
+class LinearRows(SeenStations):
+    """The linear problem at a solution: readings as effects see them, and their derivatives.
 
-    Attributes
+    Raises GrazingBeamError like the model.
+
+    Parameters
     ----------
-    at : Parameters
-    readings : Readings
-        Those used, sorted, every plane in a frame amid its own stations.
+    at, readings, position
+        As of `SeenStations`.
     how : Whitening
         Of these rows, beam by beam in the order of the beams.
     prior : (B, 2)
         Standard deviations of the zero-mean prior on (k1, k2): infinite where a term is free, zero
         where it is not in the model.
-    position : (N,)
-        Order in time of each reading's station in the recording.
-    channel : (B,)
-        Which column of the recording each beam is.
+    channel : (B,), optional
+        As of `SeenStations`; the columns of the recording in their order where not given.
+
+    Attributes
+    ----------
     J : (N, 10)
         Derivatives of the residuals by the unknowns of the own beam (7) and plane (3).
     residual : (N,)
@@ -45,15 +45,23 @@ class LinearRows:
         Of all unknowns.
     """
 
-    at: Parameters
-    readings: Readings
-    how: Whitening
-    prior: FloatArray
-    position: IntArray
-    channel: IntArray
-    J: FloatArray
-    residual: FloatArray
-    normal: Normal
+    def __init__(
+        self,
+        at: Parameters,
+        readings: Readings,
+        how: Whitening,
+        prior: FloatArray,
+        position: IntArray,
+        channel: IntArray | None = None,
+    ) -> None:
+        super().__init__(
+            at, readings, position, np.arange(readings.beams) if channel is None else channel
+        )
+        self.how, self.prior = how, prior
+        columns = jacobian_columns(at, readings, 2)
+        self.J = np.ascontiguousarray(columns[: BEAM.dim + PLANE.dim].T)
+        self.residual = columns[-1]
+        self.normal: Normal = linearized(at, readings, 2, how).normal
 
     def sparse(self) -> csr_array:
         """Return the derivatives (N, 7 B + 3 P) by all unknowns."""
@@ -68,56 +76,15 @@ class LinearRows:
         return csr_array((self.J.ravel(), columns, starts), shape=(len(readings), size))
 
 
-def linear_rows(
-    at: Parameters,
-    readings: Readings,
-    how: Whitening,
-    prior: FloatArray,
-    position: IntArray,
-    channel: IntArray | None = None,
-) -> LinearRows:
-    """Return the linear problem at a solution; raises GrazingBeamError like the model.
-
-    Where no channels are given, the beams are the columns of the recording in their order.
-    """
-    channel = np.arange(readings.beams) if channel is None else channel
-    columns = jacobian_columns(at, readings, 2)
-    normal = linearized(at, readings, 2, how).normal
-    J = np.ascontiguousarray(columns[: BEAM.dim + PLANE.dim].T)
-    return LinearRows(at, readings, how, prior, position, channel, J, columns[-1], normal)
-
-
-@dataclass(frozen=True, slots=True)
-class Adjusted:
-    """Columns without the part that the unknowns explain.
-
-    Attributes
-    ----------
-    rest : (N, q)
-        What is left of the columns.
-    heavy : (N, q)
-        Times sigma^2 inv(C).
-    squares : (q,)
-        Of the whitened columns, rows of the prior included.
-    moved : (7 B, q)
-        The beams' part of the unknowns that explain the rest.
-    """
-
-    rest: FloatArray
-    heavy: FloatArray
-    squares: FloatArray
-    moved: FloatArray
-
-
 class Projection:
     """Takes out of columns what the unknowns explain; planes are eliminated before beams.
 
     Unknowns are scaled by the square roots of their own information, so that their units do not
-    matter.
+    matter. `prior` is as that of the rows, or another one.
     """
 
-    def __init__(self, rows: LinearRows) -> None:
-        self.J, self.how, prior = rows.sparse(), rows.how, rows.prior
+    def __init__(self, rows: LinearRows, prior: FloatArray) -> None:
+        self.J, self.how = rows.sparse(), rows.how
         self.readings, readings, normal = rows.readings, rows.readings, rows.normal
         self.pull = np.zeros((readings.beams, BEAM.dim))
         finite = np.isfinite(prior) & (prior > 0.0)
@@ -161,12 +128,25 @@ class Projection:
             moved += x
         return rest, pulled, moved
 
-    def perpendicular(self, columns: FloatArray, pulled: FloatArray | None = None) -> Adjusted:
-        """Return the `rest` of columns (N, q) with its weighed columns and squares."""
+    def perpendicular(
+        self, columns: FloatArray, pulled: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return the `rest` of columns (N, q), what it weighs, its squares, and how the beams move.
+
+        Returns
+        -------
+        rest : (N, q)
+        heavy : (N, q)
+            Times sigma^2 inv(C).
+        squares : (q,)
+            Of the whitened columns, rows of the prior included.
+        moved : (7 B, q)
+            The beams' part of the unknowns that explain what is not left.
+        """
         rest, pulled, moved = self.rest(columns, pulled)
         heavy = self.how.weighed(rest)
         squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
-        return Adjusted(rest, heavy, squares, moved)
+        return rest, heavy, squares, moved
 
     def members(
         self, products: FloatArray, squares: FloatArray, plane: IntArray

@@ -16,9 +16,6 @@ from ..model.sensor import BY_LIMITS, Rejected
 from ..observability.rank import Indices
 from ..observability.wording import OpenPart
 
-POOR_SIGMA = 0.5
-"""An estimated sigma whose own standard deviation is above this part of it is hardly known."""
-
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Beam(Value):
@@ -153,11 +150,14 @@ class Fit(Value):
     loss : str
         `gaussian`, or the robust loss of the estimate.
     max_standardized_residual : float
-        Largest residual in its own standard deviation, the errors of reading and pose included.
+        Largest residual in its own standard deviation, the errors of reading and pose included; zero
+        where all fit exactly.
     max_standardized_residual_at : (str, str)
         Station and beam of it.
     residuals : (M, B)
         Residual of every reading [m], stations by beams; NaN where there is none or it was rejected.
+    standardized : (M, B)
+        The same in their own standard deviations.
     rejected : readings that were rejected, each with its reason
     """
 
@@ -177,6 +177,7 @@ class Fit(Value):
     max_standardized_residual: float
     max_standardized_residual_at: tuple[str, str]
     residuals: FloatArray
+    standardized: FloatArray
     rejected: tuple[Rejected, ...]
 
     @property
@@ -212,8 +213,8 @@ class NoiseComponent(Value):
 
     @property
     def prior_carries(self) -> bool:
-        """Whether the sigma is hardly determined by the recording."""
-        return self.error >= POOR_SIGMA * self.sigma
+        """Whether the recording hardly determines the sigma: its own error is half of it or more."""
+        return self.error >= 0.5 * self.sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from ..arrays import FloatArray, IntArray
 from ..model.effects import EFFECTS
-from ..model.effects.effect import Everywhere, OnPlanes, SeenStations
+from ..model.effects.effect import Everywhere, OnPlanes
 from .projection import LinearRows, Projection
 
 
@@ -31,19 +31,10 @@ class CommonErrors:
 
     def __init__(self, rows: LinearRows, kinds: Sequence[tuple[str, Everywhere]]) -> None:
         self.columns = np.hstack([kind.columns for _, kind in kinds])
-        mixes = [
-            np.eye(kind.columns.shape[1]) if kind.mix is None else kind.mix for _, kind in kinds
-        ]
-        self.mix = np.asarray(block_diag(*mixes))
-        counts = [mix.shape[1] for mix in mixes]
-        self.codes = np.repeat([code for code, _ in kinds], counts)
+        self.mix = np.asarray(block_diag(*(kind.mix for _, kind in kinds)))
+        self.position = np.concatenate([kind.since for _, kind in kinds])
+        self.codes = np.repeat([code for code, _ in kinds], [len(kind.since) for _, kind in kinds])
         self.plane = self.beam = np.full(len(self.codes), -1)
-        self.position = np.concatenate(
-            [
-                np.full(count, -1) if kind.since is None else kind.since
-                for count, (_, kind) in zip(counts, kinds, strict=True)
-            ]
-        )
         self.squares = self._squares(rows.how.weighed(self.columns))
 
     def dot(self, y: FloatArray) -> FloatArray:
@@ -56,8 +47,8 @@ class CommonErrors:
 
     def adjusted_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
         """Return how beams follow the members (m, 7 B), and the adjusted squares (m,)."""
-        rest = projection.perpendicular(self.columns)
-        return (rest.moved @ self.mix).T, self._squares(rest.heavy)
+        _, heavy, _, moved = projection.perpendicular(self.columns)
+        return (moved @ self.mix).T, self._squares(heavy)
 
     def _squares(self, heavy: FloatArray) -> FloatArray:
         """Return the squares (m,) of the members, given their weighed columns (N, c)."""
@@ -145,16 +136,16 @@ class PlaneErrors:
 
 def score_members(rows: LinearRows) -> list[CommonErrors | PlaneErrors]:
     """Return all effects of the registry: those of all readings, and a family of each other one."""
-    stations = SeenStations(rows.at, rows.readings, rows.position, rows.channel)
     everywhere: list[tuple[str, Everywhere]] = []
     families: list[CommonErrors | PlaneErrors] = []
     for code, effect in EFFECTS.items():
-        members = effect.at(stations)
+        members = effect.at(rows)
         if isinstance(members, Everywhere):
             everywhere.append((code, members))
         elif members is not None:
             families.append(PlaneErrors(rows, code, members))
-    everywhere.sort(key=lambda one: one[1].since is not None)  # those of one member first
+    # Those with more members than columns last.
+    everywhere.sort(key=lambda one: one[1].mix.shape[1] > len(one[1].mix))
     return [CommonErrors(rows, everywhere), *families]
 
 

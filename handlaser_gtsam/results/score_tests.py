@@ -6,7 +6,7 @@ a strained member is judged as if range errors had no prior.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,13 +15,11 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..model.distributions import gaussian_cdf, gaussian_sf, needed, two_sided
 from ..model.effects import EFFECTS
 from ..model.families import BEAM
+from ..quantities import NEGLIGIBLE
 from .projection import SQUARE_ROUNDING, LinearRows, Projection
 from .score_members import score_members
 from .significance import CONFIDENCE, FAMILY_LEVEL, holm
 
-CONFOUNDED_SHARE = 1e-6
-"""An error is confounded where the unknowns explain all but this part of its column. Rounding makes up
-to 1e-11 of a member of a family; errors that a recording shows at all have 3e-5 or more."""
 UNKNOWN_SIZE = 0.02
 """An error is confounded, too, where the standard deviation of its size is above this part of its
 natural unit, the typical range or 1: it would be found from five times that on, where derivatives at
@@ -89,16 +87,16 @@ class ScoreTests:
         plausible: Mapping[str, float] | None = None,
         growth: float = 1.0,
     ) -> None:
-        self.rows, self.dof, self.growth, prior = rows, dof, growth, rows.prior
+        self.rows, self.dof, self.growth = rows, dof, growth
         self.kinds = score_members(rows)
         self.codes = np.concatenate([kind.codes for kind in self.kinds])
         self.plane = np.concatenate([kind.plane for kind in self.kinds])
         self.beam = np.concatenate([kind.beam for kind in self.kinds])
         self.position = np.concatenate([kind.position for kind in self.kinds])
-        self._bound = self._loose = self._adjusted(Projection(rows))
+        self._bound = self._loose = self._adjusted(Projection(rows, rows.prior))
         if self._bound.projection.pull.any():
-            free = replace(rows, prior=np.where(prior > 0.0, np.inf, 0.0))
-            self._loose = self._adjusted(Projection(free))
+            free = np.where(rows.prior > 0.0, np.inf, 0.0)
+            self._loose = self._adjusted(Projection(rows, free))
         bound, loose = self._bound, self._loose
         scale = rows.how.sigma if dof is None else float(np.sqrt(bound.square / dof))
         scale *= growth
@@ -129,10 +127,11 @@ class ScoreTests:
         moved, left = zip(*(kind.adjusted_by(projection) for kind in self.kinds), strict=True)
         pulled = projection.pull.copy()
         pulled[:, 5:] *= self.rows.at.range_errors
-        rest = projection.perpendicular(self.rows.residual[:, None], pulled.reshape(-1, 1))
-        score = self.products(rest.heavy)[:, 0]
+        residual, pull = self.rows.residual[:, None], pulled.reshape(-1, 1)
+        _, heavy, squares, _ = projection.perpendicular(residual, pull)
+        score = self.products(heavy)[:, 0]
         return AdjustedMembers(
-            projection, np.concatenate(left), np.concatenate(moved), score, float(rest.squares[0])
+            projection, np.concatenate(left), np.concatenate(moved), score, float(squares[0])
         )
 
     def _determined(self, scale: float) -> BoolArray:
@@ -141,7 +140,9 @@ class ScoreTests:
         share = left / np.where(whole > 0.0, whole, np.inf)
         unit = {"m": self.rows.readings.typical_range(), "1": 1.0}
         most = np.array([UNKNOWN_SIZE * unit[EFFECTS[code].unit] for code in self.codes.tolist()])
-        determined = (share > CONFOUNDED_SHARE) & (left > (scale / most) ** 2)
+        # An error is confounded where the unknowns explain all of its column but a negligible part.
+        # Rounding makes up to 1e-11 of a member; errors that a recording shows have 3e-5 or more.
+        determined = (share > NEGLIGIBLE) & (left > (scale / most) ** 2)
         if (self.rows.prior[:, 0] > 0.0).all():
             is_k1 = [code for code, effect in EFFECTS.items() if effect.is_k1]
             determined &= ~np.isin(self.codes, is_k1)
@@ -172,22 +173,24 @@ class ScoreTests:
         smallest = self.delta * scale / np.sqrt(left)
         self.detectable = np.where(self.determined, smallest, np.inf)
 
-    def shifts(self, members: IntArray, sizes: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return by how much r and v of every beam (m, B, 3) are wrong by members of some sizes.
-
-        NaN where a size is infinite.
-        """
-        x = self._moved_by(members, sizes)
-        return x[:, :, :3], self._turns(x)
-
-    def spots(self, members: IntArray, sizes: FloatArray) -> FloatArray:
-        """Return by how much laser spots are wrong (m, B, 4, 3), by powers 0 to 3 of the reading [m].
+    def moves(
+        self, members: IntArray, sizes: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return by how much r, v and laser spots of every beam are wrong by members of some sizes.
 
         The spot x = r + g(d) v is wrong by dr + g(d) dv + (d dk1 + d^2 dk2) v, and by what the error
-        itself makes g wrong by.
+        itself makes g wrong by. NaN where a size is infinite.
+
+        Returns
+        -------
+        location, turn : (m, B, 3)
+        spot : (m, B, 4, 3)
+            By powers 0 to 3 of the reading [m].
         """
-        at, x = self.rows.at, self._moved_by(members, sizes)
-        k, v, turn = at.range_errors[:, :, None], at.directions, self._turns(x)
+        at, sizes = self.rows.at, np.where(np.isfinite(sizes), sizes, np.nan)
+        k, v = at.range_errors[:, :, None], at.directions
+        x = -self.moved[members].reshape(len(members), len(v), BEAM.dim) * sizes[:, None, None]
+        turn = np.einsum("bij,mbj->mbi", model.tangent_basis(v), x[:, :, 3:5])
         parts = (
             x[:, :, :3],
             (1.0 + k[:, 0]) * turn + x[:, :, 5:6] * v,
@@ -198,23 +201,9 @@ class ScoreTests:
         for number, member in enumerate(members.tolist()):
             power = EFFECTS[str(self.codes[member])].power
             if power is not None:
-                spots[number, :, power] += (
-                    sizes[number] / self.rows.readings.level.max() ** power * v
-                )
-        return spots
-
-    def _moved_by(self, members: IntArray, sizes: FloatArray) -> FloatArray:
-        """Return by how much the unknowns of every beam (m, B, 7) are wrong."""
-        sizes = np.where(np.isfinite(sizes), sizes, np.nan)
-        beams = len(self.rows.at.directions)
-        return np.asarray(
-            -self.moved[members].reshape(len(members), beams, BEAM.dim) * sizes[:, None, None]
-        )
-
-    def _turns(self, x: FloatArray) -> FloatArray:
-        """Return the turns (m, B, 3) of beams of which the unknowns (m, B, 7) are wrong."""
-        basis = model.tangent_basis(self.rows.at.directions)
-        return np.asarray(np.einsum("bij,mbj->mbi", basis, x[:, :, 3:5]))
+                largest = self.rows.readings.level.max() ** power
+                spots[number, :, power] += sizes[number] / largest * v
+        return x[:, :, :3], turn, spots
 
     def representatives(self) -> IntArray:
         """Return the clearest determined member of every family, in the order of their clearness."""
@@ -249,7 +238,7 @@ class ScoreTests:
     def _correlated(
         self, adjusted: AdjustedMembers, members: IntArray, columns: FloatArray
     ) -> FloatArray:
-        products = self.products(adjusted.projection.perpendicular(columns).heavy).T
+        products = self.products(adjusted.projection.perpendicular(columns)[1]).T
         left = np.where(self.determined, adjusted.left, np.inf)
         return np.asarray(products / np.sqrt(left[members, None] * left))
 

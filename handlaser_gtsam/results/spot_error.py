@@ -48,15 +48,9 @@ from .calibration_fields import CalibrationData
 from .reports import Beam
 from .significance import CONFIDENCE
 
-DERIVATIVE_FACTOR = 2.0
-"""The pose variances are multiplied and divided by this to take the logarithmic derivative."""
-
 Quantity = Literal["location", "direction", "range error"]
-ROWS: dict[Quantity, slice] = {
-    "location": slice(0, 3),
-    "direction": slice(3, 6),
-    "range error": slice(6, 8),
-}
+QUANTITIES: tuple[Quantity, ...] = ("location", "direction", "range error")
+"""Of what the coordinates of a beam are."""
 
 
 def spot_at(
@@ -157,12 +151,13 @@ def variance_shares(
     known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=SINGULAR, hermitian=True) @ S[k]
     unit = np.tile([reading] * 3 + [1.0] * 3 + [1.0, 1.0 / reading], len(S) // 8)
     values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
-    along, square = J @ (unit * axes[:, -1]), axes[:, -1].reshape(-1, 8) ** 2
+    along = J @ (unit * axes[:, -1])
+    parts = np.split(axes[:, -1].reshape(-1, 8) ** 2, [3, 6], axis=1)
     return VarianceShares(
         _pose_share(calibration, J),
         _part(1.0 - float(np.trace(J @ known @ J.T)) / whole),
         _part(float(values[-1] * (along @ along)) / whole),
-        max(ROWS, key=lambda name: float(square[:, ROWS[name]].sum())),
+        QUANTITIES[int(np.argmax([part.sum() for part in parts]))],
     )
 
 
@@ -177,18 +172,15 @@ def _pose_share(calibration: CalibrationData, J: FloatArray) -> float:
     if recording is None:
         return math.nan
     readings = calibration.used_in(recording).readings()
+    halved, doubled = (replace(variances, pose=times * variances.pose) for times in (0.5, 2.0))
     try:
-        low, high = (
-            _spot_variance(
-                calibration, J, readings, replace(variances, pose=factor * variances.pose)
-            )
-            for factor in (1.0 / DERIVATIVE_FACTOR, DERIVATIVE_FACTOR)
-        )
+        low = _spot_variance(calibration, J, readings, halved)
+        high = _spot_variance(calibration, J, readings, doubled)
     except HandlaserError:
         return math.nan
     if not low > 0.0:
         return math.nan
-    return _part(math.log(high / low) / (2.0 * math.log(DERIVATIVE_FACTOR)))
+    return _part(math.log(high / low) / (2.0 * math.log(2.0)))
 
 
 def _spot_variance(

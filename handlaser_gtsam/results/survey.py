@@ -21,16 +21,14 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR
 from ..quantities import IN_MM
 from ..text import count, some
-from .limits import LimitCheck, Limits
+from .limits import LimitCheck, Limits, sigmas_checked
+from .lines import NAMES_IN_LINE
 from .spot_error import radius
+from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
-MANY_REJECTED = 0.1
-"""Part of the shots that are rejected from which on it is a warning."""
 ON_ONE_CIRCLE = 0.02
 """Normals are on one circle about a direction if their spread along it is below this."""
-NAMES = 4
-"""Names that a sentence lists."""
 ANGLES = {"rx": "turn about x", "ry": "turn about y", "rz": "turn about z"}
 """Coordinates of a sensor that are turns, in words."""
 
@@ -253,7 +251,7 @@ class SurveyCalibration(Value):
         opening = "Usable" if not self.warnings else "Usable with care"
         if not self.usable:
             opening = "Not usable"
-        words = some(parts, NAMES)
+        words = some(parts, NAMES_IN_LINE)
         if self.warnings:
             words += f"; {self.warnings[0].message.rstrip('.')}"
         return f"{opening}: {words}."
@@ -265,21 +263,17 @@ def survey_limits(result: SurveyCalibration, limits: Limits) -> tuple[LimitCheck
     A limit of the rms residual is none of a survey, whose readings weigh differently.
     """
     mounts = [
-        (f"sensor {one.name}", one.location_sigma.max(), one.rotation_sigma.max())
+        (f"sensor {one.name}", one.location_sigma, float(one.rotation_sigma.max()))
         for one in result.sensors.values()
     ]
     mounts += [
-        (f"beam {one.name}", one.location_sigma.max(), one.direction_sigma)
+        (f"beam {one.name}", one.location_sigma, one.direction_sigma)
         for one in result.beams.values()
     ]
-    checks = []
-    for name, location, direction in mounts:
-        if limits.location_sigma is not None:
-            value = float(location)
-            checks.append(LimitCheck("location_sigma", name, value, limits.location_sigma))
-        if limits.direction_sigma is not None:
-            value = float(direction)
-            checks.append(LimitCheck("direction_sigma", name, value, limits.direction_sigma))
+    checks: list[LimitCheck] = []
+    for name, location, turn in mounts:
+        sigmas = float(location.max()), turn
+        checks += sigmas_checked(name, sigmas, sigmas, limits)
     return tuple(checks)
 
 
@@ -321,16 +315,14 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
 
 
 def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...]) -> SensorMount:
-    rows, shots = found.rows, found.rows.survey.shots[member]
+    shots = found.rows.survey.shots[member]
     x = found.estimate.values[SENSOR.name][member]
     R = x[:9].reshape(3, 3)
     own = found.estimate.marginal(SENSOR.name, member)
-    names = _free_names(found, member)
+    first = f"{SENSOR.name}[{member}]."
+    names = [n.removeprefix(first) for n in found.estimate.names if n.startswith(first)]
     kept = [i for i, name in enumerate(names) if name not in ERRORS or name in shots.free]
     C = own[np.ix_(kept, kept)]
-    items = [
-        i for i, it in enumerate(rows.items) if (it.family, it.member) == (SENSOR.name, member)
-    ]
     reading = float(np.median(shots.reading))
     spot = _spot_of(shots.kind, shots.across, reading)
     J = np.hstack((-skew(spot), np.eye(3)))
@@ -348,15 +340,9 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         reading,
         spot,
         radius(J @ C[:6, :6] @ J.T) if np.isfinite(C[:6, :6]).all() else math.inf,
-        len(items),
-        int((~found.used[items]).sum()),
+        *_taken(found, SENSOR.name, member),
         errors,
     )
-
-
-def _free_names(found: SurveyEstimate, member: int) -> list[str]:
-    first = f"{SENSOR.name}[{member}]."
-    return [n.removeprefix(first) for n in found.estimate.names if n.startswith(first)]
 
 
 def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
@@ -369,7 +355,6 @@ def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
 def _beam(found: SurveyEstimate, member: int) -> BeamMount:
     x, C = found.estimate.values[BEAM.name][member], found.estimate.marginal(BEAM.name, member)
     rows = found.rows
-    items = [i for i, it in enumerate(rows.items) if (it.family, it.member) == (BEAM.name, member)]
     turn = C[3:5, 3:5]
     known = bool(np.isfinite(turn).all())
     return BeamMount(
@@ -380,9 +365,14 @@ def _beam(found: SurveyEstimate, member: int) -> BeamMount:
         C,
         np.sqrt(np.diagonal(C)[:3]),
         math.sqrt(float(np.linalg.eigvalsh(turn)[-1])) if known else math.inf,
-        len(items),
-        int((~found.used[items]).sum()),
+        *_taken(found, BEAM.name, member),
     )
+
+
+def _taken(found: SurveyEstimate, family: str, member: int) -> tuple[int, int]:
+    """Return how many shots or readings there are of a sensor or beam, and how many are rejected."""
+    own = [(one.family, one.member) == (family, member) for one in found.rows.items]
+    return sum(own), int((~found.used[own]).sum())
 
 
 def _target(found: SurveyEstimate, family: str, member: int, label: str) -> SurveyTarget:
@@ -478,10 +468,11 @@ def _warnings(
                     "range-error", words, {"sensor": sensor.name, "size": error.size}
                 )
     out = [one for one in rejected if one.reason == "contradicted"]
-    if len(out) > MANY_REJECTED * len(found.rows.items):
+    if len(out) > MANY_OUTLIERS * len(found.rows.items):
+        names = some([f"{one.sensor} at {one.station}" for one in out], NAMES_IN_LINE)
         words = (
             f"{len(out)} of {len(found.rows.items)} shots contradict the others and are left out: "
-            f"{some([f'{one.sensor} at {one.station}' for one in out], NAMES)}; are their labels right?"
+            f"{names}; are their labels right?"
         )
         yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
     if found.rows.lost:
@@ -493,7 +484,7 @@ def _undetermined(found: SurveyEstimate) -> Iterator[str]:
     """Yield what is undetermined in words, and why where that is known."""
     for direction in found.estimate.undetermined:
         words = [_coordinate(found.rows, name) for name in direction.split(", ")]
-        yield f"undetermined, moving together: {some(words, NAMES)}"
+        yield f"undetermined, moving together: {some(words, NAMES_IN_LINE)}"
     yield from _circles(found)
 
 

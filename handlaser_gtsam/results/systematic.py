@@ -106,6 +106,10 @@ class SystematicError(Value):
         powers = reading ** np.arange(shift.shape[1])
         return np.asarray(np.linalg.norm(np.einsum("bpi,p->bi", shift, powers), axis=1))
 
+    def moved(self, reading: float, *, unnoticed: bool) -> float:
+        """Return how far it moves the spot that it moves most [m]; zero where nothing is known."""
+        return float(np.nan_to_num(self.spots(reading, unnoticed=unnoticed)).max())
+
     @property
     def warning(self) -> str:
         """The sentence with the remedy, where it is found and nothing clearer explains it."""
@@ -266,7 +270,7 @@ def _largest_moves(
     tests: ScoreTests, family: IntArray, sizes: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return by how much members of some sizes move r, v and the spot of every beam at most."""
-    shifts = (*tests.shifts(family, sizes), tests.spots(family, sizes))
+    shifts = tests.moves(family, sizes)
     powers = tests.rows.readings.typical_range() ** np.arange(4)
     moves = [*shifts[:2], np.einsum("mbpi,p->mbi", shifts[2], powers)]
     beams = np.arange(shifts[0].shape[1])

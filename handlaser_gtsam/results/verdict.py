@@ -8,10 +8,11 @@ import numpy as np
 from ..errors import CalibrationWarning
 from ..model.effects import EFFECTS, may_also_be
 from ..quantities import IN_MM
+from ..text import count, some
 from .calibration_fields import CalibrationData
 from .improvement import Improvement, improvement
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
-from .lines import NAMES_IN_LINE, count, some
+from .lines import NAMES_IN_LINE
 from .spot_error import VarianceShares, spot_radii, variance_shares
 from .systematic import SystematicError
 
@@ -135,7 +136,9 @@ def verdict(
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(calibration, radii, reading)
     shares = variance_shares(calibration, beam, reading) if beam else None
-    hidden, beyond = _most_hidden(calibration, reading)
+    hiding = hidden_errors(calibration)  # where a plausible size is known
+    hidden = max(hiding, key=lambda one: one.moved(reading, unnoticed=True), default=None)
+    beyond = None if hidden is None else hidden.moved(reading, unnoticed=True)
     doubtful = hidden if (beyond or 0.0) > max(radii.values(), default=np.inf) else None
     code = "usable-with-care" if harmful or calibration.warnings or doubtful else "usable"
     if failed:
@@ -144,7 +147,17 @@ def verdict(
         code = "systematic-error"
     best = improvement(calibration, shares, harmful, failed, doubtful)
     found = Verdict(
-        *(code, (), best, reading, beam, radii.get(beam), harmful, hidden, beyond, checks, shares)
+        code,
+        (),
+        best,
+        reading,
+        spot_beam=beam,
+        spot_error=radii.get(beam),
+        harmful=harmful,
+        hidden=hidden,
+        hidden_error=beyond,
+        limits=checks,
+        shares=shares,
     )
     named = [warning for warning in calibration.warnings if warning.code == CAUSE]
     words = (_clause(warning.message) for warning in named)
@@ -168,21 +181,6 @@ def _causes(judged: Verdict, calibration: CalibrationData) -> Iterator[Calibrati
         values = {"subject": error.subject, "size": error.size, "p_value": error.p_value}
         yield CalibrationWarning(error.code, error.message, values)
     yield from (warning for warning in calibration.warnings if warning.code != CAUSE)
-
-
-def _most_hidden(
-    calibration: CalibrationData, reading: float
-) -> tuple[SystematicError | None, float | None]:
-    """Return the systematic error that may hide and moves a laser spot most, and how far [m].
-
-    Nothing where no plausible size is known.
-    """
-    worst, most = None, None
-    for one in hidden_errors(calibration):
-        shift = float(np.nan_to_num(one.spots(reading, unnoticed=True)).max())
-        if most is None or shift > most:
-            worst, most = one, shift
-    return worst, most
 
 
 def _most_harmful(
@@ -216,7 +214,11 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
         at += RANDOM_ONLY if calibration.sensor_kind is None else ""
         yield f"laser spot within {_mm(found.spot_error)} mm (95 %, {at})"
         if found.hidden is not None and found.hidden_error is not None:
-            yield hidden_words(found.hidden, found.spot_error + found.hidden_error)
+            error = EFFECTS[found.hidden.code].with_size(found.hidden.unnoticed)
+            yield (
+                f"up to {_mm(found.spot_error + found.hidden_error)} mm if there is {error}, which is "
+                "plausible and this recording would not show"
+            )
     if found.code == "usable-with-care" and found.harmful is not None:
         one = found.harmful
         others = f" ({may_also_be(one.alike)})" if one.alike else ""
@@ -227,15 +229,6 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     if found.code == "usable-with-care" and warnings:
         yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
     yield best_improvement(found.best)
-
-
-def hidden_words(one: SystematicError, whole: float) -> str:
-    """Say how far a spot may be off [m] if a systematic error is there unnoticed."""
-    words = EFFECTS[one.code]
-    return (
-        f"up to {_mm(whole)} mm if there is {words.with_size(one.unnoticed)}, which is plausible and "
-        "this recording would not show"
-    )
 
 
 def best_improvement(best: Improvement) -> str:

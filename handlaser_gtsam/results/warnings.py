@@ -19,8 +19,8 @@ from ..model.equation import cosines, plausible_range_errors, scene
 from ..model.sensor import BY_LIMITS
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import IN_DEG, IN_MM
+from ..text import count
 from .dependence import Dependence
-from .lines import count
 from .reports import Fit
 from .significance import FAR_SIGMAS, FEW_DEGREES, SINGLE_LEVEL
 
@@ -30,9 +30,8 @@ more."""
 TEN_TIMES = 10.0
 """A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""
 SAME_PLACE = 1e-3
-"""Two beams that lie nearer [m] and point one way are one: no two sensors fit there."""
-SAME_WAY = 0.01
-"""Two beams of one place whose directions differ by less [rad] point one way."""
+"""Two beams that lie nearer [m], and differ by less than ten times as much [rad], are one: no two
+sensors fit there."""
 MANY_OUTLIERS = 0.1
 """More outliers than this part of the readings are no accident, but have a cause."""
 MOST_LOST = 0.5
@@ -58,9 +57,15 @@ def misfit(
     recording: Recording, readings: Readings, parameters: Parameters, fit: Fit
 ) -> CalibrationWarning | None:
     """Say that the readings that were used do not fit at all, where that is so; None otherwise."""
-    lost = _lost_beam(recording, fit)
-    if lost is not None:
-        return lost
+    beams = recording.beam_names
+    for name, (lost, readings_of) in zip(beams, lost_of_beams(fit, beams), strict=True):
+        if lost and lost >= MOST_LOST * readings_of:
+            return CalibrationWarning(
+                "contradicting-beam",
+                f"{lost} of the {readings_of} readings of beam {name} contradict the others: look for "
+                f"another unit, a swapped column or a loose sensor, or leave beam {name} out; {CHECKS}",
+                {"beam": name, "rejected": lost, "readings": readings_of},
+            )
     if fit.range_sigma_given and fit.dof > 0 and fit.sigma0 > TEN_TIMES:
         return CalibrationWarning(
             "no-fit",
@@ -133,20 +138,11 @@ def implausible_mounts(
     )
 
 
-def _lost_beam(recording: Recording, fit: Fit) -> CalibrationWarning | None:
-    """Name a beam most of whose readings contradict the rest; None where there is none."""
-    out = Counter(r.beam for r in fit.rejected if r.reason not in BY_LIMITS)
-    kept = (~np.isnan(fit.residuals)).sum(axis=0)
-    for name, left in zip(recording.beam_names, kept.tolist(), strict=True):
-        if out[name] and out[name] >= MOST_LOST * (out[name] + left):
-            return CalibrationWarning(
-                "contradicting-beam",
-                f"{out[name]} of the {out[name] + left} readings of beam {name} contradict the "
-                f"others: look for another unit, a swapped column or a loose sensor, or leave beam "
-                f"{name} out; {CHECKS}",
-                {"beam": name, "rejected": out[name], "readings": out[name] + left},
-            )
-    return None
+def lost_of_beams(fit: Fit, names: Sequence[str]) -> list[tuple[int, int]]:
+    """Return how many readings of every beam contradict the rest, and how many it has in all."""
+    out = Counter(one.beam for one in fit.rejected if one.reason not in BY_LIMITS)
+    kept = (~np.isnan(fit.residuals)).sum(axis=0).tolist()
+    return [(out[name], out[name] + left) for name, left in zip(names, kept, strict=True)]
 
 
 def suspicious(readings: Readings, fit: Fit) -> bool:
@@ -217,7 +213,7 @@ def _same_mounts(
                 break
             turned = parameters.directions[j] - parameters.directions[i]
             near = np.linalg.norm(apart) < min(SAME_PLACE, 0.1 * fit.typical_range)
-            if near and np.linalg.norm(turned) < SAME_WAY:
+            if near and np.linalg.norm(turned) < 10.0 * SAME_PLACE:
                 yield CalibrationWarning(
                     "column-twice",
                     f"beams {names[i]} and {names[j]} lie in one place and point one way: if they "

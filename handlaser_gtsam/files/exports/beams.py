@@ -19,13 +19,11 @@ from ...quantities import IN_DEG, IN_MM, SINGULAR
 from ...results.mounts import Mounts
 from ...text import shown
 from ..survey_json import SurveyFile
-from .names import comment_text, identifiers
+from .rendering import comment_text, identifiers
 
 Axis = Literal["x", "y", "z"]
 Placed = tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]
 """Name, comment, location r [m], direction v, rotation of the frame, and (k1, k2) of a beam."""
-HALF_TURN = {"x": (0.0, 0.0, 1.0), "y": (1.0, 0.0, 0.0), "z": (0.0, 1.0, 0.0)}
-"""Where the beam is opposite to an axis: the axis that is turned over with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +142,11 @@ def smallest_rotation(axis: Axis, v: FloatArray) -> FloatArray:
     The rotation is composed of two reflections, which keeps R a = v to rounding even beside the
     opposite, where the roll depends on the last digits of `v`.
     """
-    a = np.zeros(3)
-    a["xyz".index(axis)] = 1.0
+    number = "xyz".index(axis)
+    a, turned_over = np.eye(3)[[number, number - 1]]
     between = a + v
     length = float(np.linalg.norm(between))
-    half = np.array(HALF_TURN[axis]) if length < SINGULAR else between / length
+    half = turned_over if length < SINGULAR else between / length
     first, second = (np.eye(3) - 2.0 * np.outer(normal, normal) for normal in (a, half))
     return np.asarray(second @ first)
 

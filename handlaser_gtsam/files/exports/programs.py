@@ -15,14 +15,11 @@ from ...data.station_list import StationList
 from ...model.conventions import FORMATS, numbers_of, spelled_columns
 from ...planning.route import VIA
 from ...quantities import IN_DEG
-from .names import comment_text
-from .rendering import REMARK, fixed, number, rendered
+from .rendering import REMARK, comment_text, fixed, number, rendered
 
 CONVENTION = {"krl": "kuka", "rapid": "abb", "tp": "fanuc", "urscript": "ur"}
 """Of the poses of each language."""
 IN_JOINTS = ("krl", "rapid", "urscript")
-JOINTS = 6
-"""An arm of another number of joints has axes that programs count in other ways."""
 
 
 def program_text(stations: StationList, to: str, signal: int, pause: float) -> str:
@@ -34,7 +31,8 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
     """
     x = numbers_of(stations.world_R_hand, stations.world_t_hand, FORMATS[CONVENTION[to]])
     joints = stations.joints
-    if to not in IN_JOINTS or joints is None or joints.shape[1] != JOINTS:
+    # An arm of another number of joints than six has axes that programs count in other ways.
+    if to not in IN_JOINTS or joints is None or joints.shape[1] != 6:
         joints = np.empty((len(x), 0))
     names = zip(stations.station_names, stations.plane_labels, strict=True)
     write, unit = (number, 1.0) if to == "urscript" else (fixed, IN_DEG)

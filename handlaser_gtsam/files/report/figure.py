@@ -85,11 +85,16 @@ def numbers(values: FloatArray | Iterable[float], digits: int = 6) -> list[float
     ]
 
 
-def layout(x: str, y: str, height: int = 320, more: Record | None = None) -> Record:
-    """Return the layout that all flat figures share: thin lines, no frame, the page's font."""
+def layout(
+    x: str, y: str, height: int = 320, more: Record | None = None, *, legend: bool = False
+) -> Record:
+    """Return the layout that all flat figures share: thin lines, no frame, the page's font.
+
+    A legend stands above a figure.
+    """
     shared: Record = {
         "height": height,
-        "margin": {"l": 58, "r": 14, "t": 12, "b": 48},
+        "margin": {"l": 58, "r": 14, "t": 34 if legend else 12, "b": 48},
         "font": {"family": FONT, "size": 12, "color": INK},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
@@ -104,7 +109,7 @@ def layout(x: str, y: str, height: int = 320, more: Record | None = None) -> Rec
         },
         "hoverlabel": {"font": {"size": 12}, "align": "left"},
         "dragmode": False,
-        "showlegend": False,
+        "showlegend": legend,
     }
     return shared | (more or {})
 
@@ -126,6 +131,12 @@ def axis(title: str, **more: object) -> Record:
     return shared | more
 
 
+def marker(index: int, count: int) -> Record:
+    """Return the marker of one of `count` beams: the same for all where there are more than colours."""
+    symbol = SYMBOLS[index] if count <= LEGEND else SYMBOLS[0]
+    return {"color": colour(index, count), "symbol": symbol, "size": 6}
+
+
 def colour(index: int, count: int) -> str:
     """Return the colour of one of `count` beams: the same for all where there are more than colours."""
-    return COLOURS[index] if count <= len(COLOURS) else COLOURS[0]
+    return COLOURS[index] if count <= LEGEND else COLOURS[0]

@@ -11,7 +11,16 @@ from scipy.spatial.transform import Rotation
 from ... import __version__
 from ...quantities import IN_MM
 from ...results.description.evidence import rejected_words
-from ...results.description.tables import Column, Facts, Table, concise, number, sentence, text
+from ...results.description.tables import (
+    Facts,
+    Table,
+    concise,
+    number,
+    of_numbers,
+    of_words,
+    sentence,
+    text,
+)
 from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
 from .options import changed_on, sha256
@@ -35,7 +44,7 @@ def warnings_of(subject: Subject) -> tuple[str, ...]:
     contradicting = (
         f"plane {plane} contradicts the beams found without it" for plane in subject.contradicting
     )
-    return tuple(map(sentence, (*subject.described.warnings, *contradicting)))
+    return tuple(map(sentence, (*subject.warnings, *contradicting)))
 
 
 def head_facts(subject: Subject) -> Facts:
@@ -58,7 +67,7 @@ def _facts(subject: Subject) -> Iterator[tuple[str, str]]:
         read = np.atleast_1d((~np.isnan(recording.ranges)).any(axis=1))
         merged = "" if read.all() else f" with readings, of {len(read)}"
         yield "stations", f"{read.sum()}{merged}"
-    yield "readings", f"{calibration.fit.readings} used, {rejected_words(subject.described)}"
+    yield "readings", f"{calibration.fit.readings} used, {rejected_words(subject)}"
     if recording is not None and recording.ignored_columns:
         yield "columns not used", some(recording.ignored_columns, NAMES_ON_PAGE)
     yield "frames and units", FRAMES
@@ -132,8 +141,7 @@ def plan_table(subject: Subject) -> Table | None:
         for j in range(len(stations.plane_labels))
         if not np.isnan(plan.ranges[j]).all()
     )
-    titles = ("x mm", "y mm", "z mm", "qx", "qy", "qz", "qw")
-    columns = (Column("plane", number=False), *map(Column, titles))
+    columns = (*of_words("plane"), *of_numbers("x mm", "y mm", "z mm", "qx", "qy", "qz", "qw"))
     return Table("next", "Hand poses world_T_hand.", columns, rows)
 
 

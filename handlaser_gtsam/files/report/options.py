@@ -88,17 +88,14 @@ def sha256(path: Path | str) -> str:
     InputError
         No readable file.
     """
-    found = hashlib.sha256()
     try:
         if (Path(path) / METADATA).is_file():
             inside = sorted(one for one in Path(path).iterdir() if one.is_file())
             return hashlib.sha256("\n".join(map(sha256, inside)).encode()).hexdigest()
         with Path(path).open("rb") as file:
-            while block := file.read(1 << 20):
-                found.update(block)
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise _unreadable(path, error) from error
-    return found.hexdigest()
 
 
 def changed_on(path: Path | str) -> date:

@@ -11,7 +11,7 @@ import base64
 import hashlib
 import json
 import zlib
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,12 +19,11 @@ from ...checks import require_kind
 from ...results.calibration import Calibration
 from ..calibration_json import calibration_text
 from ..writing import path_of, require_writable, write_text
-from . import head, held_out, stations
+from . import head, tables
 from .figure import Figure
 from .figures import flat_figures
-from .geometry import in_hand, in_world
 from .options import ReportOptions
-from .scene import scene_figure, still_picture
+from .scene import in_hand, in_world, scene_figure, still_picture
 from .subject import Subject, subject_of
 
 if TYPE_CHECKING:
@@ -32,13 +31,7 @@ if TYPE_CHECKING:
 
 MOST_JSON = 400_000
 """Characters of the calibration's JSON that a page holds; a larger one is not in it."""
-HARMLESS = {
-    "<": r"\u003c",
-    ">": r"\u003e",
-    "&": r"\u0026",
-    "\u2028": r"\u2028",
-    "\u2029": r"\u2029",
-}
+HARMLESS = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 SECTIONS = {
     "verdict": "",
     "next": "Next stations",
@@ -89,86 +82,60 @@ def report_text(calibration: Calibration, options: ReportOptions) -> str:
         As `write_report`.
     """
     require_kind("options", options, ReportOptions)
-    content = content_of(subject_of(calibration, options))
-    return page_of(
-        f"{content.opening} · {content.title}",
-        content.sections,
-        content.figures,
-        result=content.result,
-        script=script_of("page.js"),
-    )
+    subject = subject_of(calibration, options)
+    sections, figures, result = content_of(subject)
+    title = f"{subject.opening} · {head.title_of(subject)}"
+    return page_of(title, sections, figures, result=result, script=script_of("page.js"))
 
 
-@dataclass(frozen=True, slots=True)
-class Content:
-    """What a page shows of a calibration.
+def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str]:
+    """Return what a page shows of a subject.
 
-    Attributes
-    ----------
-    title, opening : str
+    Returns
+    -------
     sections : mapping of str to str
         HTML by the names of `SECTIONS`.
     figures : mapping of str to Figure
     result : str
         The calibration as harmless JSON; empty where it is too large.
     """
-
-    title: str
-    opening: str
-    sections: dict[str, str]
-    figures: dict[str, Figure]
-    result: str
-
-
-def content_of(subject: Subject) -> Content:
-    """Return what a page shows of a subject."""
     spaces = [space for space in (in_world(subject), in_hand(subject)) if space is not None]
     drawn = [scene_figure(space) for space in spaces] + flat_figures(subject)
-    result = calibration_text(subject.calibration, subject.described.verdict)
+    result = calibration_text(subject.calibration, subject.verdict)
     result = safe_json(json.loads(result)) if len(result) <= MOST_JSON else ""
     figures = {figure.name: figure for figure in drawn}
-    title = head.title_of(subject)
-    module = (
-        templates()
-        .get_template("sections.html.j2")
-        .make_module(
-            {
-                "subject": subject,
-                "shown": subject.described,
-                "status": subject.calibration.status,
-                "title": title,
-                "warnings": head.warnings_of(subject),
-                "head": head.head_facts(subject),
-                "promise": head.promise(subject),
-                "plan": head.plan_table(subject),
-                "made": head.made_facts(subject),
-                "held_out": held_out.held_out_table(subject),
-                "splits": held_out.splits_words(subject),
-                "stations": stations.stations_table(subject),
-                "stills": {f"space-{space.frame}": still_picture(space) for space in spaces},
-                "figures": figures,
-                "result": result,
-            }
-        )
-    )
-    sections = {name: getattr(module, f"section_{name.replace('-', '_')}")() for name in SECTIONS}
-    return Content(title, subject.described.opening, sections, figures, result)
+    values = {
+        "shown": subject,
+        "status": subject.calibration.status,
+        "title": head.title_of(subject),
+        "warnings": head.warnings_of(subject),
+        "head": head.head_facts(subject),
+        "promise": head.promise(subject),
+        "plan": head.plan_table(subject),
+        "made": head.made_facts(subject),
+        "held_out": tables.held_out_table(subject),
+        "splits": tables.splits_words(subject),
+        "stations": tables.stations_table(subject),
+        "stills": {f"space-{space.frame}": still_picture(space) for space in spaces},
+        "figures": figures,
+        "result": result,
+    }
+    return sections_of("sections.html.j2", SECTIONS, values), figures, result
 
 
-@dataclass(frozen=True, slots=True)
-class LivePage:
-    """The page of a server, the name of its version, and the policy that lets nothing else run."""
+def sections_of(
+    template: str, names: Iterable[str], values: Mapping[str, object]
+) -> dict[str, str]:
+    """Return sections as HTML by their names: macros of a template that know the values."""
+    module = templates().get_template(template).make_module(dict(values))
+    return {name: getattr(module, f"section_{name.replace('-', '_')}")() for name in names}
 
-    html: str
-    name: str
-    policy: str
 
+def live_page() -> tuple[str, str, str]:
+    """Return the same page without content, the name of its version, and the policy of the server.
 
-def live_page() -> LivePage:
-    """Return the same page without content, which a script gets from the server.
-
-    The scripts that may run are named by their hashes: the page's own, and plotly.js, which is in the
-    page compressed.
+    A script gets the content from the server. The scripts that may run are named by their hashes: the
+    page's own, and plotly.js, which is in the page compressed.
     """
     from plotly.offline import get_plotlyjs
 
@@ -191,7 +158,7 @@ def live_page() -> LivePage:
             "frame-ancestors 'none'",
         )
     )
-    return LivePage(page(name), name, policy)
+    return page(name), name, policy
 
 
 def page_of(
@@ -256,6 +223,4 @@ def packed(text: str) -> str:
 def safe_json(value: object) -> str:
     """Return JSON that may stand in a script element."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-    for letter, escape in HARMLESS.items():
-        text = text.replace(letter, escape)
-    return text
+    return text.translate(HARMLESS)

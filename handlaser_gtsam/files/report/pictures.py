@@ -14,14 +14,13 @@ import numpy as np
 from ...checks import require_kind
 from ...errors import InputError
 from ...results.calibration import Calibration
-from ...results.correlations import CorrelationMatrix
 from ..calibration_file import CalibrationFile
+from ..calibration_reading import mounts_of
 from ..writing import path_of, write_bytes
-from .correlations import correlation_figure
 from .figure import AXIS_COLOURS, GREY, INK, LEGEND, LINE, Figure, colour, short
-from .figures import flat_figures
-from .geometry import Geometry, in_hand, in_world, of_hand
+from .figures import correlation_figure, flat_figures
 from .options import ReportOptions
+from .scene import Geometry, in_hand, in_world, of_hand
 from .subject import subject_of
 
 if TYPE_CHECKING:
@@ -125,18 +124,14 @@ def _of_file(calibration: CalibrationFile) -> tuple[list[Geometry | None], list[
     """Return what the file of a calibration tells: its beams, and their correlations."""
     if calibration.status != "converged" or calibration.beam_covariance is None:
         return [], []
-    names = tuple(beam.name for beam in calibration.beams)
-    r, v = (
-        np.array([getattr(beam, n) for beam in calibration.beams])
-        for n in ("location_m", "direction")
-    )
-    k = np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in calibration.beams])
+    mounts = mounts_of(calibration)
+    beams = mounts.locations, mounts.directions, mounts.range_errors
     reach = np.array(
         [np.nan if beam.spot is None else beam.spot.reading_m for beam in calibration.beams]
     )
-    S = np.array(calibration.beam_covariance)[: 8 * LEGEND, : 8 * LEGEND]
-    correlations = CorrelationMatrix.of(names[:LEGEND], v[:LEGEND], S)
-    return [of_hand(names, (r, v, k), reach)], [correlation_figure(correlations)]
+    S = mounts.covariance[: 8 * LEGEND, : 8 * LEGEND]
+    flat = correlation_figure(mounts.names[:LEGEND], mounts.directions[:LEGEND], S)
+    return [of_hand(mounts.names, beams, reach)], [flat]
 
 
 def _flat(figure: Figure) -> "Drawing":
@@ -219,15 +214,16 @@ def _shape(axes: "Axes", shape: Mapping[str, Any]) -> None:
 
 def _axis(axes: Any, axis: Mapping[str, Any], side: str) -> None:
     """Set title, scale, range and ticks of an axis."""
-    from matplotlib.ticker import NullLocator
+    from matplotlib.ticker import LogLocator
 
     drawn = axes.xaxis if side == "x" else axes.yaxis
     drawn.set_label_text(axis["title"]["text"], fontsize=9)
     drawn.set_tick_params(labelsize=8)
     if axis["type"] == "log":
         axes.set_yscale("log")
-        axes.set_ylim(*(10.0 ** np.array(axis["range"])))
-        drawn.set_minor_locator(NullLocator())
+        drawn.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+        drawn.set_major_formatter("{x:g}")
+        drawn.set_minor_formatter("{x:g}")
     elif "range" in axis:
         (axes.set_xlim if side == "x" else axes.set_ylim)(*axis["range"])
     if "tickvals" in axis:
@@ -250,10 +246,10 @@ def _in_space(geometry: Geometry) -> "Drawing":
     if corners:
         axes.add_collection3d(Poly3DCollection(corners, facecolors="#8aa0b4", alpha=0.25))
     shown = []
-    for index, one in enumerate(geometry.beams):
+    for index, (_, segments, _) in enumerate(geometry.beams):
         shade = colour(index, len(geometry.beams))
-        axes.add_collection3d(Line3DCollection(one.segments, colors=shade, lw=0.8, alpha=0.6))
-        shown.append(axes.scatter(*one.segments[:, 1].T, color=shade, s=7))
+        axes.add_collection3d(Line3DCollection(segments, colors=shade, lw=0.8, alpha=0.6))
+        shown.append(axes.scatter(*segments[:, 1].T, color=shade, s=7))
     for axis, shade in enumerate(AXIS_COLOURS):
         axes.add_collection3d(
             Line3DCollection(geometry.hands[:, [0, 1 + axis]], colors=shade, lw=1)
@@ -271,7 +267,7 @@ def _in_space(geometry: Geometry) -> "Drawing":
     axes.view_init(elev=24, azim=-48)
     if 0 < len(shown) <= LEGEND:
         legend = axes.legend(
-            shown, [f"beam {short(one.name)}" for one in geometry.beams], fontsize=8
+            shown, [f"beam {short(name)}" for name, *_ in geometry.beams], fontsize=8
         )
         for text in legend.get_texts():
             text.set_parse_math(False)

@@ -19,13 +19,12 @@ from .figure import (
     MOST_POINTS,
     MOST_SHAPES,
     SHORTEST_LABEL,
-    SYMBOLS,
     Figure,
     axis,
-    colour,
     evenly,
     label,
     layout,
+    marker,
     numbers,
     tick_labels,
 )
@@ -34,8 +33,6 @@ from .subject import ReadingRows, Subject
 BESIDE = 0.7
 """The part of the distance between two planes that their beams take up: a gap tells the planes
 apart."""
-UPPER_MARGIN: Record = {"l": 58, "r": 14, "t": 34, "b": 48}
-"""Room for a legend above a figure."""
 
 
 def residual_figures(subject: Subject) -> list[Figure]:
@@ -146,12 +143,7 @@ def _figure(
                 "x": numbers(x[mine]),
                 "y": numbers(rows.residual[mine] * IN_MM),
                 "text": words,
-                "marker": {
-                    "color": colour(index, len(names)),
-                    "symbol": SYMBOLS[index] if len(names) <= LEGEND else SYMBOLS[0],
-                    "size": 6,
-                    "opacity": 0.8,
-                },
+                "marker": marker(index, len(names)) | {"opacity": 0.8},
                 "hovertemplate": "%{y:.4f} mm<br>%{text}",
             }
         )
@@ -159,9 +151,9 @@ def _figure(
     sigma = subject.calibration.fit.range_sigma * IN_MM
     known = subject.solved and math.isfinite(sigma)
     shared: Record = {"shapes": [_band("x", y0=-sigma, y1=sigma)] if known else []}
-    if 1 < len(names) <= LEGEND:
-        shared |= {"showlegend": True, "margin": UPPER_MARGIN}
-    return Figure(name, caption, traces, layout(title, "residual, mm", more=shared | more))
+    legend = 1 < len(names) <= LEGEND
+    drawn_in = layout(title, "residual, mm", more=shared | more, legend=legend)
+    return Figure(name, caption, traces, drawn_in)
 
 
 def _band(across: str, **edges: float) -> Record:
@@ -185,7 +177,7 @@ def qq_figure(subject: Subject) -> Figure | None:
         return None
     z = np.sort(rows.standardized[rows.used & np.isfinite(rows.standardized)])
     count = len(z)
-    if count < 3:
+    if count < 3 or not z.any():  # of an exact fit
         return None
     rank = np.arange(1, count + 1)
     expected = gaussian_quantile((rank - 0.5) / count)

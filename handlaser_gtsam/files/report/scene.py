@@ -1,10 +1,17 @@
-"""The view in space: for plotly.js, and as a still picture (SVG) for paper."""
+"""The view in space: planes, beams with their spots, and the hand at its stations, all in mm.
+
+It is drawn by plotly.js, and as a still picture (SVG) for paper.
+"""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
+from ... import model
 from ...arrays import FloatArray
+from ...data.parameters import Beams
+from ...quantities import IN_MM
 from ..json_text import Record
 from .figure import (
     AXIS_COLOURS,
@@ -13,30 +20,162 @@ from .figure import (
     INK,
     LEGEND,
     LINE,
+    MOST_POINTS,
+    MOST_SHAPES,
     Figure,
     colour,
+    evenly,
     harmless,
     label,
     numbers,
+    short,
 )
-from .geometry import Geometry
+from .subject import ReadingRows, Subject
 
+PLANE_SIZE = 1.15
+"""The size of a plane that is drawn, in sizes of what its spots take up: they stand clear of its
+edge."""
+AXIS_SIZE = 0.05
+"""Length of the axes of a hand, as a part of the extent of the picture: many hands do not cover it."""
+Segments = tuple[str, FloatArray, tuple[str, ...]]
+"""A beam from the sensor to its spots: its name, segments (N, 2, 3) [mm], and what each of them is."""
 EYE = (1.15, -1.3, 0.75)
 """From where both pictures are seen: a little from above, so that walls and floors are both seen."""
 SIZE = (760, 520)
 """Width and height of the still picture: on paper two stand side by side, half as large."""
 MARGIN = 28
-"""Room around the still picture, and the height of a row of its legend."""
-LETTERS = 19
-"""Height of letters in the still picture, which is readable at half the size."""
+"""Room around the still picture, and the height of a row of its legend; letters of two thirds of it are
+readable at half the size."""
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """A picture in space, in one frame.
+
+    Attributes
+    ----------
+    frame : str
+        `world` or `hand`.
+    planes : tuple of (str, (4, 3))
+        Name and corners of every plane [mm].
+    beams : tuple of Segments
+    hands : (M, 4, 3)
+        Origin of the hand and the ends of its x, y and z axis [mm].
+    hand_names : tuple of str
+    """
+
+    frame: str
+    planes: tuple[tuple[str, FloatArray], ...]
+    beams: tuple[Segments, ...]
+    hands: FloatArray
+    hand_names: tuple[str, ...]
+
+    @property
+    def points(self) -> FloatArray:
+        """Everything that is drawn (N, 3)."""
+        parts = [corners for _, corners in self.planes] + [self.hands.reshape(-1, 3)]
+        parts += [segments.reshape(-1, 3) for _, segments, _ in self.beams]
+        return np.concatenate(parts)
+
+
+def in_world(subject: Subject) -> Geometry | None:
+    """Return stations, beams, spots and planes in the world frame; None without a recording.
+
+    Where there is no calibration, only the stations are known.
+    """
+    rows = subject.rows
+    if rows is None:
+        return None
+    recording = rows.recording
+    R, t = recording.world_R_hand, recording.world_t_hand * IN_MM
+    shown = evenly(len(t), MOST_POINTS)
+    beams: tuple[Segments, ...] = ()
+    planes: tuple[tuple[str, FloatArray], ...] = ()
+    everything = t
+    if subject.solved:
+        beams, planes = _beams(subject, rows), _planes(subject, rows)
+        everything = np.concatenate((t, rows.spot * IN_MM))
+    length = AXIS_SIZE * max(float(np.ptp(everything, axis=0).max()), 1.0)
+    ends = t[shown, None, :] + length * np.swapaxes(R[shown], 1, 2)
+    names = tuple(
+        f"station {short(recording.station_names[j])}, plane {short(recording.plane_labels[j])}"
+        for j in shown.tolist()
+    )
+    return Geometry("world", planes, beams, np.concatenate((t[shown, None], ends), axis=1), names)
+
+
+def in_hand(subject: Subject) -> Geometry | None:
+    """Return the beams in the hand frame, as far as they read; None where there is no calibration."""
+    calibration, rows = subject.calibration, subject.rows
+    if not subject.solved:
+        return None
+    reach = np.full(len(calibration.beams), calibration.fit.typical_range)
+    if rows is not None:
+        np.maximum.at(reach, rows.beam, rows.reading)
+    return of_hand(tuple(calibration.beams), calibration.parameters().beams, reach)
+
+
+def of_hand(names: tuple[str, ...], beams: Beams, reach: FloatArray) -> Geometry | None:
+    """Return beams (r, v, k) up to readings `reach` (B,) [m]; None where these are not known."""
+    if not np.isfinite(reach).all():
+        return None
+    r, v, k = beams
+    ends = np.stack((r, r + model.corrected(reach, k)[:, None] * v), axis=1) * IN_MM
+    extent = np.ptp(np.concatenate((ends.reshape(-1, 3), np.zeros((1, 3)))), axis=0)
+    length = 4.0 * AXIS_SIZE * max(float(extent.max()), 1.0)
+    hand = np.concatenate((np.zeros((1, 3)), length * np.eye(3)))
+    drawn = zip(names, ends[:, None], ((f"beam {short(name)}",) for name in names), strict=True)
+    return Geometry("hand", (), tuple(drawn), hand[None], ("the hand",))
+
+
+def _beams(subject: Subject, rows: ReadingRows) -> tuple[Segments, ...]:
+    calibration, recording = subject.calibration, rows.recording
+    used = np.flatnonzero(rows.used)
+    used = used[evenly(len(used), MOST_POINTS)]
+    found = []
+    for index, beam in enumerate(calibration.beams.values()):
+        mine = used[rows.beam[used] == index]
+        R = recording.world_R_hand[rows.station[mine]]
+        start = R @ beam.location + recording.world_t_hand[rows.station[mine]]
+        words = tuple(
+            f"beam {short(beam.name)}, station {short(recording.station_names[j])}, "
+            f"plane {short(recording.plane_labels[j])}, reading {d * IN_MM:.3f} mm"
+            for j, d in zip(rows.station[mine].tolist(), rows.reading[mine].tolist(), strict=True)
+        )
+        found.append((beam.name, np.stack((start, rows.spot[mine]), axis=1) * IN_MM, words))
+    return tuple(found)
+
+
+def _planes(subject: Subject, rows: ReadingRows) -> tuple[tuple[str, FloatArray], ...]:
+    """Return a rectangle around the spots of every plane."""
+    recording = rows.recording
+    found = []
+    for index, plane in enumerate(list(subject.calibration.planes.values())[:MOST_SHAPES]):
+        spots = rows.spot[rows.used & (recording.plane_of_station[rows.station] == index)]
+        if not len(spots):
+            continue
+        on = spots - (spots @ plane.normal + plane.offset)[:, None] * plane.normal
+        found.append((plane.name, plate(plane.normal, on)))
+    return tuple(found)
+
+
+def plate(n: FloatArray, on: FloatArray) -> FloatArray:
+    """Return the corners (4, 3) [mm] of a rectangle around points (N, 3) [m] of a plane."""
+    middle = on.mean(axis=0)
+    axes = np.linalg.svd(on - middle, full_matrices=len(on) < 3)[2][:2] if len(on) > 2 else None
+    basis = model.tangent_basis(n[None])[0].T if axes is None else axes
+    basis = basis - (basis @ n)[:, None] * n
+    flat = (on - middle) @ basis.T
+    low, high = PLANE_SIZE * flat.min(axis=0), PLANE_SIZE * flat.max(axis=0)
+    corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
+    return np.asarray((middle + np.array(corners) @ basis) * IN_MM)
 
 
 def scene_figure(geometry: Geometry) -> Figure:
     """Return a picture in space that can be turned."""
     traces: list[Record] = [_plane(name, corners) for name, corners in geometry.planes]
-    for index, one in enumerate(geometry.beams):
-        shade = colour(index, len(geometry.beams))
-        traces += _beam(one.name, one.segments, one.words, shade)
+    for index, (name, segments, words) in enumerate(geometry.beams):
+        traces += _beam(name, segments, words, colour(index, len(geometry.beams)))
     traces += _hands(geometry)
     sides: Record = {}
     for name in "xyz":
@@ -84,13 +223,10 @@ def _caption(geometry: Geometry) -> str:
 
 
 def _plane(name: str, corners: FloatArray) -> Record:
-    x, y, z = (numbers(corners[:, axis]) for axis in range(3))
     return {
         "type": "mesh3d",
         "name": f"plane {label(name)}",
-        "x": x,
-        "y": y,
-        "z": z,
+        **_xyz(corners),
         "i": [0, 0],
         "j": [1, 2],
         "k": [2, 3],
@@ -113,14 +249,10 @@ def _beam(name: str, segments: FloatArray, words: tuple[str, ...], shade: str) -
         "hoverinfo": "skip",
         "showlegend": False,
     }
-    x, y, z = (numbers(segments[:, 1, axis]) for axis in range(3))
-    said = [harmless(one) for one in words]
     yield shared | {
         "mode": "markers",
-        "x": x,
-        "y": y,
-        "z": z,
-        "text": said,
+        **_xyz(segments[:, 1]),
+        "text": [harmless(one) for one in words],
         "marker": {"color": shade, "size": 2.5},
         "hovertemplate": "%{text}<br>(%{x:.2f}, %{y:.2f}, %{z:.2f}) mm<extra></extra>",
     }
@@ -139,16 +271,12 @@ def _hands(geometry: Geometry) -> Iterator[Record]:
             "hoverinfo": "skip",
             "showlegend": False,
         }
-    x, y, z = (numbers(hands[:, 0, axis]) for axis in range(3))
-    said = [harmless(one) for one in geometry.hand_names]
     yield {
         "type": "scatter3d",
         "mode": "markers",
         "name": "hand",
-        "x": x,
-        "y": y,
-        "z": z,
-        "text": said,
+        **_xyz(hands[:, 0]),
+        "text": [harmless(one) for one in geometry.hand_names],
         "marker": {"color": INK, "size": 2},
         "hovertemplate": "hand at %{text}<extra></extra>"
         if geometry.frame == "world"
@@ -160,8 +288,11 @@ def _hands(geometry: Geometry) -> Iterator[Record]:
 def _lines(segments: FloatArray) -> Record:
     """Return segments (N, 2, 3) as one line with gaps."""
     gaps = np.full((len(segments), 1, 3), np.nan)
-    path = np.concatenate((segments, gaps), axis=1).reshape(-1, 3)
-    return {name: numbers(path[:, axis]) for axis, name in enumerate("xyz")}
+    return _xyz(np.concatenate((segments, gaps), axis=1).reshape(-1, 3))
+
+
+def _xyz(points: FloatArray) -> Record:
+    return {name: numbers(points[:, axis]) for axis, name in enumerate("xyz")}
 
 
 def still_picture(geometry: Geometry) -> str:
@@ -184,9 +315,9 @@ def still_picture(geometry: Geometry) -> str:
     nearness = {name: float(_projected(c)[1].mean()) for name, c in geometry.planes}
     for _, corners in sorted(geometry.planes, key=lambda one: nearness[one[0]]):
         parts.append(f'<path d="{_path(place(corners))}Z" fill="#8aa0b4" fill-opacity="0.28"/>')
-    for index, one in enumerate(geometry.beams):
+    for index, (_, segments, _) in enumerate(geometry.beams):
         shade = colour(index, len(geometry.beams))
-        ends = [place(segment) for segment in one.segments]
+        ends = [place(segment) for segment in segments]
         lines = "".join(map(_path, ends))
         parts.append(
             f'<path d="{lines}" fill="none" stroke="{shade}" stroke-opacity="0.6" stroke-width="1.4"/>'
@@ -217,11 +348,11 @@ def _key(geometry: Geometry) -> Iterable[str]:
     """Yield the names of the beams with their colours."""
     if len(geometry.beams) > LEGEND:
         return
-    for index, one in enumerate(geometry.beams):
+    for index, (name, _, _) in enumerate(geometry.beams):
         y, shade = 18 + MARGIN * index, colour(index, len(geometry.beams))
         yield f'<circle cx="12" cy="{y}" r="6" fill="{shade}"/>'
-        words = f"beam {label(one.name)}"
-        yield f'<text x="26" y="{y + 6}" font-size="{LETTERS}" fill="{INK}">{words}</text>'
+        words = f"beam {label(name)}"
+        yield f'<text x="26" y="{y + 6}" font-size="{2 * MARGIN // 3}" fill="{INK}">{words}</text>'
 
 
 def _ruler(scale: float) -> Iterable[str]:
@@ -230,7 +361,5 @@ def _ruler(scale: float) -> Iterable[str]:
     length = max(step * power for step in (1.0, 2.0, 5.0) if step * power * scale <= 0.25 * SIZE[0])
     x, y = SIZE[0] - 12.0, SIZE[1] - 12.0
     yield f'<path d="M{x:.1f} {y:.1f}h{-length * scale:.1f}" stroke="{GREY}" stroke-width="2"/>'
-    yield (
-        f'<text x="{x:.1f}" y="{y - 6.0:.1f}" font-size="{LETTERS}" text-anchor="end" fill="{INK}">'
-        f"{length:g} mm</text>"
-    )
+    style = f'font-size="{2 * MARGIN // 3}" text-anchor="end" fill="{INK}"'
+    yield f'<text x="{x:.1f}" y="{y - 6.0:.1f}" {style}>{length:g} mm</text>'

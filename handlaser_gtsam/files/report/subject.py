@@ -8,8 +8,6 @@ import numpy as np
 from ... import model
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
-from ...errors import HandlaserError
-from ...model.weighting import Variances, reading_sigmas
 from ...planning.advice import next_stations
 from ...planning.goal import Forecast
 from ...planning.history import history
@@ -23,16 +21,13 @@ from ...validation.held_out import HeldOut, held_out
 from .options import ReportOptions
 
 
-@dataclass(frozen=True, slots=True)
-class Subject:
-    """A calibration and what a report shows of it.
+@dataclass(frozen=True)
+class Subject(Description):
+    """A calibration and what a report shows of it, beside what every view shows.
 
     Attributes
     ----------
-    calibration : Calibration
     options : ReportOptions
-    described : Description
-        The facts, sentences and tables that every view shows, with the verdict.
     held_out : HeldOut
     history : (number of stations, Forecast) or None
     plan : Plan or None
@@ -43,21 +38,10 @@ class Subject:
 
     calibration: Calibration
     options: ReportOptions
-    described: Description
     held_out: HeldOut
     history: tuple[IntArray, Forecast] | None
     plan: Plan | None
     rows: "ReadingRows | None"
-
-    @property
-    def solved(self) -> bool:
-        """Whether there is a calibration: every number of beams and planes means something."""
-        return self.described.solved
-
-    @property
-    def reading(self) -> float:
-        """The working distance [m]."""
-        return self.described.reading
 
     @property
     def contradicting(self) -> tuple[str, ...]:
@@ -80,7 +64,7 @@ class ReadingRows:
     residual : (N,)
         [m]; NaN where it was rejected.
     standardized : (N,)
-        Residual in its own standard deviation, the error of the pose included; NaN where not known.
+        Residual in its own standard deviation; NaN where it was rejected.
     incidence : (N,)
         Angle between beam and plane normal [rad]; NaN where there is no calibration.
     spot : (N, 3)
@@ -121,16 +105,15 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
         past = history(calibration, judged.reading)
     held = held_out(calibration)
     rows = None if recording is None else _rows(calibration, recording)
-    described = Description(calibration, judged)
-    return Subject(calibration, options, described, held, past, plan, rows)
+    return Subject(calibration, judged, options, held, past, plan, rows)
 
 
 def _rows(calibration: Calibration, recording: Recording) -> ReadingRows:
-    d, e = recording.ranges, calibration.fit.residuals
+    d, fit = recording.ranges, calibration.fit
     station, beam = np.nonzero(~np.isnan(d))
     nothing = np.full(len(station), np.nan)
-    residual = e[station, beam] if e.shape == d.shape else nothing
-    where = (recording, station, beam, d[station, beam], residual)
+    where = (recording, station, beam, d[station, beam], fit.residuals[station, beam])
+    z = fit.standardized[station, beam]
     if calibration.status != "converged":
         return ReadingRows(*where, nothing, nothing, np.full((len(station), 3), np.nan))
     at = calibration.parameters()
@@ -140,27 +123,4 @@ def _rows(calibration: Calibration, recording: Recording) -> ReadingRows:
     incidence = np.arccos(np.clip(np.abs((v * n).sum(axis=1)), 0.0, 1.0))
     g = model.corrected(d[station, beam], at.range_errors[beam])
     spot = np.einsum("nij,nj->ni", R, at.locations[beam]) + t + g[:, None] * v
-    return ReadingRows(*where, _standardized(calibration, recording), incidence, spot)
-
-
-def _standardized(calibration: Calibration, recording: Recording) -> FloatArray:
-    """Return residuals in units of their standard deviations, in the order of the stations (N,).
-
-    As `Fit.max_standardized_residual` has it: with the range errors at the most probable scales.
-    """
-    fit, variances, scaled = calibration.fit, calibration.variances, calibration.at_scales
-    at = calibration.parameters() if scaled is None else scaled.parameters
-    if variances is None:
-        variances = Variances(np.full(len(calibration.beams), fit.range_sigma))
-    if fit.poses == "estimated":  # what is left once the poses have moved
-        variances = variances.without_poses()
-    readings, table = recording.readings(), np.full(recording.ranges.shape, np.nan)
-    try:
-        sigma = reading_sigmas(at, readings, variances)
-    except HandlaserError:
-        sigma = np.full(len(readings), np.nan)
-    e = fit.residuals[readings.station, readings.beam]
-    table[readings.station, readings.beam] = np.divide(
-        e, sigma, out=np.full(len(e), np.nan), where=sigma > 0.0
-    )
-    return table[~np.isnan(recording.ranges)]
+    return ReadingRows(*where, z, incidence, spot)

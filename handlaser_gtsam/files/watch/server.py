@@ -88,11 +88,11 @@ class PageServer:
     """
 
     def __init__(self, host: str, bound: socket.socket) -> None:
-        page = live_page()
-        self._bound, self._page = bound, page
-        self._hub = Hub(page.name)
+        self._bound = bound
+        self._page, name, policy = live_page()
+        self._hub = Hub(name)
         routes = [Route("/", self._index), Route("/events", self._events)]
-        guarded = Guard(Starlette(routes=routes), names_of(host, bound), page.policy)
+        guarded = Guard(Starlette(routes=routes), names_of(host, bound), policy)
         self._server = Server(
             Config(
                 guarded,
@@ -168,7 +168,7 @@ class PageServer:
         await self._server.serve(sockets=[self._bound])
 
     async def _index(self, _: Request) -> Response:
-        return HTMLResponse(self._page.html)
+        return HTMLResponse(self._page)
 
     async def _events(self, request: Request) -> Response:
         if self._hub.clients >= MOST_CLIENTS:

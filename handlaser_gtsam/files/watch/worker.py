@@ -17,8 +17,8 @@ from ...pipeline import calibrate
 from ...text import printable
 from ..logs.report import LogReport
 from ..report.options import ReportOptions
-from ..report.page import Content, content_of
-from ..report.subject import subject_of
+from ..report.page import content_of
+from ..report.subject import Subject, subject_of
 from ..rig_toml import Rig, known_rig
 from .watched import FileContent, Watched, content, file_content, read_contents
 
@@ -136,26 +136,26 @@ class Calibrator:
         options = replace(self._watched.options, sensor=rig.sensor)
         calibration = calibrate(report.recording, rig.noise, options)
         subject = subject_of(calibration, ReportOptions(rig, self._watched.reading))
-        return messages_of(content_of(subject))
+        return messages_of(subject)
 
 
-def messages_of(content: Content) -> dict[str, str]:
+def messages_of(subject: Subject) -> dict[str, str]:
     """Return messages by topic, each one line: an event's name, and after a colon what it is about.
 
     Sections are HTML that the templates of the report have escaped; figures escape names as plotly.js
     wants it. What has not changed is the same text, and is sent to nobody again.
     """
+    sections, figures, result = content_of(subject)
     found = {
         f"figure:{name}": _line({"name": name, "figure": figure.json()})
-        for name, figure in content.figures.items()
+        for name, figure in figures.items()
     }
     found |= {
-        f"section:{name}": _line({"name": name, "html": html})
-        for name, html in content.sections.items()
+        f"section:{name}": _line({"name": name, "html": html}) for name, html in sections.items()
     }
-    found["result"] = content.result or "null"
+    found["result"] = result or "null"
     digest = hashlib.sha256("\n".join(found.values()).encode()).hexdigest()
-    return found | {"state": _line({"opening": content.opening, "digest": digest})}
+    return found | {"state": _line({"opening": subject.opening, "digest": digest})}
 
 
 def _line(value: object) -> str:

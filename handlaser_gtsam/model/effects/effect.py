@@ -85,22 +85,25 @@ class SeenStations:
         return -np.asarray(np.einsum("ni,ni->n", self.linear.pose, error[self.first[1]]))
 
 
-@dataclass(frozen=True, slots=True)
 class Everywhere:
     """Members that concern all readings.
 
-    Attributes
+    Parameters
     ----------
     columns : (N, c)
     mix : (c, m), optional
         Of which columns each member is the sum; each is one by itself where it is not given.
     since : (m,), optional
-        Position in the recording from which on each member counts, -1 for the whole of it.
+        Position in the recording from which on each member counts; -1 for the whole of it, as where it
+        is not given.
     """
 
-    columns: FloatArray
-    mix: FloatArray | None = None
-    since: IntArray | None = None
+    def __init__(
+        self, columns: FloatArray, mix: FloatArray | None = None, since: IntArray | None = None
+    ) -> None:
+        self.columns = columns
+        self.mix = np.eye(columns.shape[1]) if mix is None else mix
+        self.since = np.full(self.mix.shape[1], -1) if since is None else since
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,12 +7,11 @@ plates, robots and converters do not depend on the sensor. All are half widths: 
 from dataclasses import dataclass, fields
 
 from ...checks import require_number
+from ...quantities import LARGEST_LENGTH
 from . import EFFECTS
 
 KINDS = tuple(EFFECTS["incidence"].of_sensor)
 """Kinds of sensors; of an `other` kind nothing is plausible."""
-LARGEST_SIZE = 1e3
-"""No plausible size is larger [m, or as a part]: it would be a wrong unit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +55,14 @@ class Plausible:
     translation_scale: float | None = None
 
     def __post_init__(self) -> None:
-        for size in fields(self):
-            if getattr(self, size.name) is not None:
-                unit = EFFECTS[_code(size.name)].unit
-                require_number(size.name, getattr(self, size.name), 0.0, LARGEST_SIZE, unit=unit)
+        for code, name in CODES.items():
+            size = getattr(self, name)
+            if size is not None:
+                require_number(name, size, 0.0, LARGEST_LENGTH, unit=EFFECTS[code].unit)
+
+
+CODES = {field.name.replace("_", "-"): field.name for field in fields(Plausible)}
+"""The field of `Plausible` by the code of a systematic error."""
 
 
 def plausible_sizes(
@@ -70,14 +73,10 @@ def plausible_sizes(
     A stated size comes first; nothing else is known where no kind is stated.
     """
     sizes = {}
-    for field in fields(Plausible):
-        code, size = _code(field.name), getattr(stated, field.name)
+    for code, name in CODES.items():
+        size = getattr(stated, name)
         if size is None and kind is not None:
             size = EFFECTS[code].plausible(kind, measuring_range)
         if size is not None:
             sizes[code] = size
     return sizes
-
-
-def _code(name: str) -> str:
-    return name.replace("_", "-")

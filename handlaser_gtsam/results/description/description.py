@@ -36,11 +36,6 @@ class Description:
         return self.calibration.status == "converged"
 
     @property
-    def reading(self) -> float:
-        """The working distance [m]."""
-        return self.verdict.reading
-
-    @property
     def opening(self) -> str:
         """The verdict in a few words."""
         return OPENING[self.verdict.code]

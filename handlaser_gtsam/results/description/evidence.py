@@ -1,30 +1,33 @@
-"""Why to trust a calibration: fit, observability, systematic errors, rejected readings."""
+"""Why to trust a calibration: fit, noise, observability, systematic errors, rejected readings."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...model.effects.effect import size_in_words
-from ...quantities import IN_MM
+from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
+from ..calibration_fields import CalibrationData
 from ..correlations import STRONG
 from ..improvement import WELL_CONDITIONED
 from ..lines import NAMES_IN_LINE, small_mm
+from ..reports import NoiseComponent
 from ..systematic import SystematicError
-from .noise import noise_words, range_error_words
 from .tables import (
     NONE,
-    ROWS_ON_PAGE,
     Cell,
-    Column,
     Facts,
     Table,
     concise,
-    more,
+    listed,
     name_cell,
     number,
+    of_numbers,
+    of_words,
     sentence,
     significant,
     text,
@@ -32,6 +35,14 @@ from .tables import (
 
 if TYPE_CHECKING:
     from .description import Description
+
+PRIOR = "the prior decides"
+"""Stands beside a sigma of which the recording says little."""
+KINDS = {
+    "range": "a reading",
+    "pose translation": "hand position",
+    "pose rotation": "hand rotation",
+}
 
 
 def fit_facts(described: "Description") -> Facts:
@@ -65,12 +76,9 @@ def fit_facts(described: "Description") -> Facts:
 def rejected_words(described: "Description") -> str:
     """Return how many readings were rejected, and the most frequent reasons."""
     rejected = described.calibration.fit.rejected
-    numbers: dict[str, int] = {}
-    for reading in rejected:
-        numbers[reading.reason] = numbers.get(reading.reason, 0) + 1
-    most = sorted(numbers, key=lambda reason: -numbers[reason])
-    listed = some([f"{reason}: {numbers[reason]}" for reason in most], NAMES_IN_LINE)
-    return f"{len(rejected)} rejected" + (f" ({listed})" if listed else "")
+    numbers = Counter(reading.reason for reading in rejected).most_common()
+    reasons = some([f"{reason}: {times}" for reason, times in numbers], NAMES_IN_LINE)
+    return f"{len(rejected)} rejected" + (f" ({reasons})" if reasons else "")
 
 
 def observability_sentences(described: "Description") -> Iterator[str]:
@@ -148,13 +156,20 @@ def correlations_table(described: "Description") -> Table | None:
     if calibration.covariance is None or not described.solved:
         return None
     pairs = calibration.correlations
-    rows = tuple(
-        (text(str(pair.first)), text(str(pair.second)), number(pair.coefficient, 3, "care"))
-        for pair in pairs[:ROWS_ON_PAGE]
+    table = listed(
+        "correlations",
+        "",
+        (*of_words("unknown", "and"), *of_numbers("correlation")),
+        pairs,
+        lambda pair: (
+            text(str(pair.first)),
+            text(str(pair.second)),
+            number(pair.coefficient, 3, "care"),
+        ),
+        "pair",
     )
-    columns = (Column("unknown", number=False), Column("and", number=False), Column("correlation"))
-    notes = f"{count(len(pairs), 'pair')} above {STRONG}.", more(len(pairs) - len(rows), "pair")
-    return Table("correlations", "", columns, rows, " ".join(filter(None, notes)))
+    note = f"{count(len(pairs), 'pair')} above {STRONG}. {table.note}"
+    return replace(table, note=note.rstrip())
 
 
 def systematic_table(described: "Description") -> Table | None:
@@ -167,13 +182,12 @@ def systematic_table(described: "Description") -> Table | None:
         "Found where p is below 0.01 after Holm's correction. What is not found may still be as large "
         "as the size given; the last column says how far it would then move a laser spot.",
         (
-            Column("error", number=False),
-            Column("result", number=False),
-            Column("p"),
-            Column("unnoticed below", number=False),
-            Column("spot moves mm"),
+            *of_words("error", "result"),
+            *of_numbers("p"),
+            *of_words("unnoticed below"),
+            *of_numbers("spot moves mm"),
         ),
-        tuple(_systematic(error, described.reading) for error in tested),
+        tuple(_systematic(error, described.verdict.reading) for error in tested),
     )
 
 
@@ -190,25 +204,18 @@ def _systematic(error: SystematicError, reading: float) -> tuple[Cell, ...]:
         return name, state, *[Cell(NONE)] * 3
     size = error.size if error.found else error.unnoticed
     below = Cell(size_in_words(size, error.unit), size) if math.isfinite(size) else Cell(NONE)
-    shift = moved(error, reading, unnoticed=not error.found)
+    shift = error.moved(reading, unnoticed=not error.found)
     return name, state, significant(error.p_value, 2), below, significant(shift * IN_MM, 2)
-
-
-def _name(error: SystematicError) -> str:
-    return f"{error.code}, {error.subject}" if error.subject else error.code
-
-
-def moved(error: SystematicError, reading: float, *, unnoticed: bool) -> float:
-    """Return how far a systematic error moves the laser spot that it moves most [m]; NaN if unknown."""
-    shift = error.spots(reading, unnoticed=unnoticed)
-    return float(np.nan_to_num(shift).max()) if shift.size else math.nan
 
 
 def systematic_facts(described: "Description") -> Facts:
     """Return the errors that were found or are confounded, each with its remedy in words."""
     tested = described.calibration.systematic if described.solved else ()
     return tuple(
-        (_name(error), sentence(f"{error.message}; {error.remedy}"))
+        (
+            f"{error.code}, {error.subject}".rstrip(", "),
+            sentence(f"{error.message}; {error.remedy}"),
+        )
         for error in tested
         if error.confounded or (error.found and not error.explained_by)
     )
@@ -219,24 +226,95 @@ def rejected_table(described: "Description") -> Table | None:
     rejected = described.calibration.fit.rejected
     if not rejected:
         return None
-    rows = tuple(
-        (
+    return listed(
+        "rejected",
+        "",
+        (*of_words("station", "beam", "reason"), *of_numbers("residual mm")),
+        rejected,
+        lambda reading: (
             name_cell(reading.station),
             name_cell(reading.beam),
             text(reading.reason),
             significant(None if reading.residual is None else reading.residual * IN_MM),
-        )
-        for reading in rejected[:ROWS_ON_PAGE]
-    )
-    return Table(
-        "rejected",
-        "",
-        (
-            Column("station", number=False),
-            Column("beam", number=False),
-            Column("reason", number=False),
-            Column("residual mm"),
         ),
-        rows,
-        more(len(rejected) - ROWS_ON_PAGE, "reading"),
+        "reading",
     )
+
+
+def noise_words(result: CalibrationData) -> str:
+    """Return the standard deviations behind the result: given, estimated, or carried by a prior.
+
+    The sigmas of many beams are summed up by the least and the largest.
+    """
+    estimated = result.noise_estimate
+    ranges = [component for component in estimated if component.quantity == "range"]
+    parts = [_estimate(component) for component in ranges]
+    if len(parts) > NAMES_IN_LINE:
+        sigmas = [component.sigma * IN_MM for component in ranges]
+        some_by_prior = any(component.prior_carries for component in ranges)
+        how = f"estimated; {PRIOR} some" if some_by_prior else "estimated"
+        parts = [f"a reading {min(sigmas):.2g} to {max(sigmas):.2g} mm, by beam ({how})"]
+    if not parts:
+        how = "given" if result.fit.range_sigma_given else "estimated"
+        parts = [f"a reading {small_mm(result.fit.range_sigma, 3)} ({how})"]
+    parts += [_estimate(component) for component in estimated if component.quantity != "range"]
+    return ", ".join([*parts, *_given_poses(result)])
+
+
+def _estimate(one: NoiseComponent) -> str:
+    """Return an estimated sigma with its own standard deviation."""
+    scale, unit = (IN_DEG, "deg") if one.quantity == "pose rotation" else (IN_MM, "mm")
+    error = f" +- {one.error * scale:.1g}" if math.isfinite(one.error) else ""
+    owner = KINDS[one.quantity] + ("" if one.beam is None else f" of beam {one.beam}")
+    how = PRIOR if one.prior_carries else "estimated"
+    return f"{owner} {one.sigma * scale:.2g}{error} {unit} ({how})"
+
+
+def _given_poses(result: CalibrationData) -> list[str]:
+    """Return the pose sigmas that were not estimated."""
+    pose = None if result.variances is None else result.variances.pose
+    if result.fit.poses == "exact" or pose is None:
+        variables = result.fit.poses == "estimated"
+        return ["hand poses as variables of the graph" if variables else "hand poses exact"]
+    variance, estimated = np.einsum("sii->si", pose).mean(axis=0), result.noise_estimate
+    given = {
+        "pose translation": f"{math.sqrt(float(variance[3:].mean())) * IN_MM:.2g} mm",
+        "pose rotation": f"{math.sqrt(float(variance[:3].mean())) * IN_DEG:.2g} deg",
+    }
+    found = {one.quantity for one in estimated}
+    return [f"{KINDS[one]} {size} (given)" for one, size in given.items() if one not in found]
+
+
+def zero_excluded(result: CalibrationData, beam: str) -> tuple[bool, bool]:
+    """Tell whether the 95 % intervals of k1 and of k2 exclude zero."""
+    interval = result.intervals(beam)
+    if interval is None or not np.isfinite(interval[6:]).all():
+        return False, False
+    k1, k2 = ((interval[6:, 0] > 0.0) | (interval[6:, 1] < 0.0)).tolist()
+    return k1, k2
+
+
+def range_error_words(result: CalibrationData) -> str:
+    """Return which range errors differ from zero, and their learned scales."""
+    if not any(beam.terms for beam in result.beams.values()):
+        return "taken as zero"
+    excluded = {name: zero_excluded(result, name) for name in result.beams}
+    listed = []
+    for index, term in enumerate(("k1", "k2")):
+        names = [name for name, found in excluded.items() if found[index]]
+        if names:
+            listed.append(f"{term}{_beams(names, len(excluded))}")
+    words = "zero is not excluded"
+    if listed:
+        words = f"zero is excluded (95 %) for {' and '.join(listed)}"
+    learned = result.range_error_scales
+    form = "d + k1 d + k2 d^2"
+    if learned is not None:
+        form = f"learned scales k1 {learned.k1:.2g}, k2 {learned.k2_per_m:.2g}/m"
+    return f"{form}: {words}"
+
+
+def _beams(names: list[str], beams: int) -> str:
+    if len(names) == beams:
+        return " of all beams" if beams > 1 else ""
+    return f" of beam{'s' if len(names) > 1 else ''} {some(names, NAMES_IN_LINE)}"

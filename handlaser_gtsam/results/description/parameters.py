@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,9 +10,10 @@ import numpy as np
 from ...arrays import FloatArray
 from ...quantities import IN_DEG, IN_MM
 from ..correlations import LABELS
+from ..limits import LimitCheck
 from ..lines import UNDETERMINED, decimals
 from ..measuring import spot, typical_plane
-from ..reports import Beam
+from ..reports import Beam, Plane
 from ..spot_error import spot_radii
 from .tables import (
     NONE,
@@ -22,9 +24,12 @@ from .tables import (
     concise,
     determined,
     digits_of,
+    listed,
     more,
     name_cell,
     number,
+    of_numbers,
+    of_words,
     plain,
     significant,
     text,
@@ -48,50 +53,47 @@ def beams_table(described: "Description") -> Table | None:
     beams = list(described.calibration.beams.values())
     if not any(_known(beam.sigma) for beam in beams):
         return None
-    radii = spot_radii(described.calibration, described.reading) if described.solved else {}
+    radii = spot_radii(described.calibration, described.verdict.reading) if described.solved else {}
     spot_words = ""
     if radii:
-        at = concise(described.reading * IN_MM, 4)
+        at = concise(described.verdict.reading * IN_MM, 4)
         spot_words = f" 95 % of laser spots lie within the radius at a reading of {at} mm."
-    rows = tuple(_beam_row(beam, radii.get(beam.name)) for beam in beams[:ROWS_ON_PAGE])
-    notes = [more(len(beams) - ROWS_ON_PAGE, "beam")]
-    if any(cell.mark == "care" for row in rows for cell in row):
-        notes.insert(0, "A dash stands for what the stations do not determine.")
-    return Table(
+    table = listed(
         "beams",
         "Hand frame. Standard deviations are the largest of a coordinate of the location, and that of "
         "the angle of the direction; in parentheses, that of the last digits of k1 and k2 [1/m]."
         + spot_words,
         (
-            Column("beam", number=False),
-            *(Column(f"{axis} mm") for axis in "xyz"),
-            Column("± mm"),
-            *(Column(f"v{axis}", wide=True) for axis in "xyz"),
-            Column("± deg"),
-            Column("k1", wide=True),
-            Column("k2", wide=True),
-            Column("spot mm"),
+            *of_words("beam"),
+            *of_numbers("x mm", "y mm", "z mm", "± mm"),
+            *of_numbers("vx", "vy", "vz", wide=True),
+            *of_numbers("± deg"),
+            *of_numbers("k1", "k2", wide=True),
+            *of_numbers("spot mm"),
         ),
-        rows,
-        " ".join(filter(None, notes)),
+        beams,
+        lambda beam: _beam_row(beam, radii.get(beam.name)),
+        "beam",
     )
+    if not any(cell.mark == "care" for row in table.rows for cell in row):
+        return table
+    note = f"A dash stands for what the stations do not determine. {table.note}".rstrip()
+    return replace(table, note=note)
 
 
 def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
-    place = digits_of((sigma[:3] * IN_MM).tolist(), 5)
-    towards = digits_of(sigma[3:6].tolist(), 7)
-    coordinates = [
-        determined(value * scale, known, digits, NONE)
-        for value, known, scale, digits in zip(
-            beam.coordinates[:6].tolist(),
-            sigma[:6].tolist(),
-            [IN_MM] * 3 + [1.0] * 3,
-            [place] * 3 + [towards] * 3,
-            strict=True,
+    location, direction = (
+        [
+            determined(x, s, digits_of(sigmas, most), NONE)
+            for x, s in zip(values.tolist(), sigmas, strict=True)
+        ]
+        for values, sigmas, most in (
+            (beam.location * IN_MM, (sigma[:3] * IN_MM).tolist(), 5),
+            (beam.direction, sigma[3:6].tolist(), 7),
         )
-    ]
+    )
     errors = [
         _concise(value, known, most) if term < beam.terms else Cell("0", 0.0)
         for term, (value, known, most) in enumerate(
@@ -100,9 +102,9 @@ def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     ]
     return (
         name_cell(beam.name),
-        *coordinates[:3],
+        *location,
         significant(float(sigma[:3].max()) * IN_MM, 2),
-        *coordinates[3:],
+        *direction,
         significant(turn * IN_DEG, 2),
         *errors,
         significant(None if radius is None else radius * IN_MM, 2),
@@ -128,12 +130,8 @@ def mounts_table(described: "Description") -> Table | None:
         "Hand frame: locations in mm, directions as unit vectors with the standard deviation of their "
         "angle in deg, k2 in 1/m. The true range is d + k1 d + k2 d² for a reading d.",
         (
-            Column("beam", number=False),
-            Column("parameter", number=False),
-            Column("value"),
-            Column("std dev"),
-            Column("95 % from"),
-            Column("to"),
+            *of_words("beam", "parameter"),
+            *of_numbers("value", "std dev", "95 % from", "to"),
             Column("unit", number=False, wide=True),
         ),
         tuple(rows),
@@ -173,42 +171,42 @@ def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ..
 
 def spots_table(described: "Description") -> Table | None:
     """Return how well the laser spot of every beam is known at the working distance."""
-    calibration, reading = described.calibration, described.reading
+    calibration, reading = described.calibration, described.verdict.reading
     radii = spot_radii(calibration, reading) if described.solved else {}
     if not radii:
         return None
-    rows = []
-    for name in list(radii)[:ROWS_ON_PAGE]:
+
+    def row(name: str) -> tuple[Cell, ...]:
         found = spot(calibration, name, reading)
         numbers = (radii[name], found.along, found.across, found.reading_sigma)
         cells = [significant(x * IN_MM, 2) for x in numbers]
-        rows.append((name_cell(name), *cells, significant(found.direction_sigma * IN_DEG, 2)))
-    notes = [more(len(radii) - ROWS_ON_PAGE, "beam")]
-    measured = typical_plane(calibration)
-    if measured is not None:
-        station, plane = measured
-        notes.insert(
-            0,
-            f"A plane measured by all beams at once, as at station {station}: "
-            f"± {concise(plane.distance_sigma * IN_MM)} mm in distance, "
-            f"± {concise(plane.angle_sigma * IN_DEG)} deg in angle.",
-        )
-    return Table(
+        return name_cell(name), *cells, significant(found.direction_sigma * IN_DEG, 2)
+
+    table = listed(
         "spots",
         f"At a reading of {concise(reading * IN_MM, 4)} mm, the working distance: the radius that "
         "holds the spot with 95 % from the calibration alone, and its standard deviations. One reading "
         "adds its own noise along the beam.",
         (
-            Column("beam", number=False),
-            Column("95 % spot mm"),
-            Column("along mm"),
-            Column("across mm"),
-            Column("reading adds mm"),
-            Column("direction deg"),
+            *of_words("beam"),
+            *of_numbers(
+                "95 % spot mm", "along mm", "across mm", "reading adds mm", "direction deg"
+            ),
         ),
-        tuple(rows),
-        " ".join(filter(None, notes)),
+        list(radii),
+        row,
+        "beam",
     )
+    measured = typical_plane(calibration)
+    if measured is None:
+        return table
+    station, plane = measured
+    note = (
+        f"A plane measured by all beams at once, as at station {station}: "
+        f"± {concise(plane.distance_sigma * IN_MM)} mm in distance, "
+        f"± {concise(plane.angle_sigma * IN_DEG)} deg in angle. {table.note}"
+    )
+    return replace(table, note=note.rstrip())
 
 
 def planes_table(described: "Description") -> Table | None:
@@ -216,34 +214,28 @@ def planes_table(described: "Description") -> Table | None:
     planes = list(described.calibration.planes.values())
     if not any(_known(plane.sigma) for plane in planes):
         return None
-    rows = []
-    for plane in planes[:ROWS_ON_PAGE]:
-        sigma = np.full(4, np.inf) if plane.sigma is None else plane.sigma
-        turn, shift = plane.normal_sigma, float(sigma[3])
-        turn = math.inf if turn is None else turn
-        digits = digits_of([turn], 7)
-        n = [
-            determined(x, s, digits)
-            for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
-        ]
-        offset = determined(plane.offset * IN_MM, shift, digits_of([shift * IN_MM], 4))
-        row = (*n, significant(turn * IN_DEG, 2), offset)
-        rows.append((name_cell(plane.name), *row, significant(shift * IN_MM, 2)))
-    return Table(
+    return listed(
         "planes",
         "n · x + b = 0 in the world frame; n points away from the sensor.",
-        (
-            Column("plane", number=False),
-            Column("n x"),
-            Column("n y"),
-            Column("n z"),
-            Column("std dev deg"),
-            Column("b mm"),
-            Column("std dev mm"),
-        ),
-        tuple(rows),
-        more(len(planes) - ROWS_ON_PAGE, "plane"),
+        (*of_words("plane"), *of_numbers("n x", "n y", "n z", "std dev deg", "b mm", "std dev mm")),
+        planes,
+        _plane_row,
+        "plane",
     )
+
+
+def _plane_row(plane: Plane) -> tuple[Cell, ...]:
+    sigma = np.full(4, np.inf) if plane.sigma is None else plane.sigma
+    turn, shift = plane.normal_sigma, float(sigma[3])
+    turn = math.inf if turn is None else turn
+    digits = digits_of([turn], 7)
+    n = [
+        determined(x, s, digits)
+        for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
+    ]
+    offset = determined(plane.offset * IN_MM, shift, digits_of([shift * IN_MM], 4))
+    row = (*n, significant(turn * IN_DEG, 2), offset)
+    return name_cell(plane.name), *row, significant(shift * IN_MM, 2)
 
 
 def _known(sigma: FloatArray | None) -> bool:
@@ -255,24 +247,17 @@ def limits_table(described: "Description") -> Table | None:
     checks = sorted(described.verdict.limits, key=lambda one: -one.ratio)
     if not checks:
         return None
-    rows = []
-    for one in checks[:ROWS_ON_PAGE]:
-        scale, unit = (IN_DEG, "deg") if one.quantity == "direction_sigma" else (IN_MM, "mm")
-        words = one.quantity.replace("_", " ").replace("sigma", "std dev")
+
+    def row(one: LimitCheck) -> tuple[Cell, ...]:
+        scale, unit = one.unit
+        words = one.name.replace("sigma", "std dev")
         state = Cell("pass", 0.0, "good") if one.held else Cell("fail", 1.0, "bad")
         value, limit = significant(one.value * scale), significant(one.limit * scale)
-        rows.append((text(words), text(one.subject or "all"), value, limit, text(unit), state))
-    return Table(
-        "limits",
-        "",
-        (
-            Column("quantity", number=False),
-            Column("of", number=False),
-            Column("value"),
-            Column("limit"),
-            Column("unit", number=False),
-            Column("result", number=False),
-        ),
-        tuple(rows),
-        more(len(checks) - ROWS_ON_PAGE, "limit"),
+        return text(words), text(one.subject or "all"), value, limit, text(unit), state
+
+    columns = (
+        *of_words("quantity", "of"),
+        *of_numbers("value", "limit"),
+        *of_words("unit", "result"),
     )
+    return listed("limits", "", columns, checks, row, "limit")

@@ -1,9 +1,11 @@
-"""Tables and sentences as plain text of bounded width, for terminals and files."""
+"""Tables and sentences as plain text of bounded width, for terminals and files; and for notebooks."""
 
 from collections.abc import Iterator
+from html import escape
 
 from ...text import shortened
 from ..lines import wrapped
+from .description import Description
 from .tables import MINUS, NONE, Table
 
 PLAIN = str.maketrans({MINUS: "-", NONE: "-", "±": "+-", "²": "^2", "·": "."})
@@ -82,3 +84,19 @@ def full_table(title: str, table: Table, width: int) -> list[str]:
 def text_lines(sentences: list[str], width: int) -> list[str]:
     """Return sentences as lines of at most `width` columns."""
     return [line for words in sentences for line in wrapped(words.translate(PLAIN), None, width)]
+
+
+def notebook_html(described: Description) -> str:
+    """Return the verdict, the sizes and the table of the beams as HTML; names are escaped."""
+    html = f"<p><b>{escape(described.verdict.sentence)}</b></p><p>{escape(described.sizes)}</p>"
+    beams = described.beams
+    if beams is None:
+        return html
+    head = "".join(f"<th>{escape(column.title)}</th>" for column in beams.columns)
+    rows = (
+        "<tr>" + "".join(f"<td>{escape(cell.text)}</td>" for cell in row) + "</tr>"
+        for row in beams.rows
+    )
+    html += f"<p>{escape(beams.caption)}</p><table><thead><tr>{head}</tr></thead>"
+    html += f"<tbody>{''.join(rows)}</tbody></table>"
+    return html + (f"<p>{escape(beams.note)}</p>" if beams.note else "")

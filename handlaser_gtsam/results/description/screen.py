@@ -9,7 +9,6 @@ from ...text import count, some
 from ..lines import NAMES_IN_LINE, WIDTH, as_many, wrapped
 from ..systematic import SystematicError
 from .description import Description
-from .evidence import moved
 from .rendering import PLAIN, full_table, text_lines, text_table
 from .tables import ROWS_ON_SCREEN, Facts
 
@@ -45,7 +44,7 @@ def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH
     elif verdict.limits:
         add("limits held", ", ".join(check.comparison for check in verdict.worst_limits))
     if described.solved:
-        add("systematic errors", _systematic(calibration.systematic, described.reading), 3)
+        add("systematic errors", _systematic(calibration.systematic, described.verdict.reading), 3)
     if calibration.fit.rejected:
         names = [f"station {it.station} beam {it.beam}" for it in calibration.fit.rejected]
         listed = some(names, NAMES_IN_LINE - 1)  # a station and its beam take the room of two names
@@ -101,7 +100,7 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     if found:
         clear = [
             f"{error.code} of {size_in_words(error.size, error.unit)} (p = {error.p_value:.1g}), "
-            f"moving a spot by {moved(error, reading, unnoticed=False) * IN_MM:.2g} mm"
+            f"moving a spot by {error.moved(reading, unnoticed=False) * IN_MM:.2g} mm"
             for error in found
             if not error.explained_by
         ]
@@ -115,11 +114,11 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     words += f" (cannot be told: {some(hidden, NAMES_IN_LINE)})" if hidden else ""
     if not tested_for:
         return words
-    worst = max(tested_for, key=lambda error: moved(error, reading, unnoticed=True))
+    worst = max(tested_for, key=lambda error: error.moved(reading, unnoticed=True))
     return (
         f"{words}; the worst that would go unnoticed: {worst.code} below "
         f"{size_in_words(worst.unnoticed, worst.unit)}, moving a spot by "
-        f"{moved(worst, reading, unnoticed=True) * IN_MM:.2g} mm"
+        f"{worst.moved(reading, unnoticed=True) * IN_MM:.2g} mm"
     )
 
 

@@ -9,24 +9,21 @@ from scipy.spatial.transform import Rotation
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
 from ..limits import LimitCheck, worst_of_each
-from ..lines import NAMES_IN_LINE
-from ..survey import SensorMount, SurveyCalibration, SurveyTarget
+from ..lines import NAMES_IN_LINE, decimals
+from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
 from .tables import (
-    ROWS_ON_PAGE,
     Cell,
-    Column,
     Facts,
     Table,
-    digits_of,
-    more,
+    listed,
     name_cell,
     number,
+    of_numbers,
+    of_words,
     significant,
     text,
 )
 
-MOST_MM = 4
-"""Decimals of a length in millimetres, at most."""
 UNITS = {"k0": ("mm", IN_MM), "k1": ("%", 100.0), "k2": ("%/m", 100.0), "scale": ("%", 100.0)}
 """Units of range errors for people, with the factor from SI."""
 
@@ -35,30 +32,26 @@ def sensors_table(result: SurveyCalibration) -> Table | None:
     """Return where sensors of many rays sit: location, Euler angles, and sigmas of both."""
     if not result.sensors:
         return None
-    columns = (
-        Column("sensor", number=False),
-        *(Column(f"{axis} [mm]") for axis in "xyz"),
-        Column("sigma [mm]"),
-        *(Column(f"{angle} [deg]") for angle in "ABC"),
-        Column("sigma [deg]"),
-        Column("spot 95 % [mm]"),
-        Column("shots"),
-        Column("rejected", wide=True),
-    )
-    return Table(
+    return listed(
         "sensors",
         "hand_T_sensor: location, and R = Rz(A) Ry(B) Rx(C)",
-        columns,
-        tuple(_sensor_row(sensor) for sensor in result.sensors.values()),
+        (
+            *of_words("sensor"),
+            *of_numbers("x [mm]", "y [mm]", "z [mm]", "sigma [mm]"),
+            *of_numbers("A [deg]", "B [deg]", "C [deg]", "sigma [deg]"),
+            *of_numbers("spot 95 % [mm]", "shots"),
+            *of_numbers("rejected", wide=True),
+        ),
+        list(result.sensors.values()),
+        _sensor_row,
+        "sensor",
     )
 
 
 def _sensor_row(sensor: SensorMount) -> tuple[Cell, ...]:
     shift, turn = float(sensor.location_sigma.max()), float(sensor.rotation_sigma.max())
-    known = math.isfinite(shift) and math.isfinite(turn)
-    digits = digits_of([shift * IN_MM], MOST_MM) if known else 1
+    digits, turns = _digits(shift * IN_MM), _digits(turn * IN_DEG)
     angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
-    turns = digits_of([turn * IN_DEG], MOST_MM) if known else 1
     return (
         name_cell(sensor.name),
         *(number(x * IN_MM, digits) for x in sensor.location),
@@ -71,50 +64,52 @@ def _sensor_row(sensor: SensorMount) -> tuple[Cell, ...]:
     )
 
 
+def _digits(sigma: float) -> int:
+    """Return the decimals of a number [mm] or [deg]: few where it is undetermined."""
+    return decimals(sigma, 4) if math.isfinite(sigma) else 1
+
+
 def beams_table(result: SurveyCalibration) -> Table | None:
     """Return where single beams sit."""
     if not result.beams:
         return None
-    columns = (
-        Column("beam", number=False),
-        *(Column(f"{axis} [mm]") for axis in "xyz"),
-        Column("sigma [mm]"),
-        *(Column(f"v{axis}") for axis in "xyz"),
-        Column("sigma [deg]"),
-        Column("readings"),
+    return listed(
+        "beams",
+        "location and direction in the hand",
+        (
+            *of_words("beam"),
+            *of_numbers("x [mm]", "y [mm]", "z [mm]", "sigma [mm]"),
+            *of_numbers("vx", "vy", "vz", "sigma [deg]", "readings"),
+        ),
+        list(result.beams.values()),
+        _beam_row,
+        "beam",
     )
-    rows = []
-    for beam in result.beams.values():
-        shift = float(beam.location_sigma.max())
-        digits = digits_of([shift * IN_MM], MOST_MM) if math.isfinite(shift) else 1
-        rows.append(
-            (
-                name_cell(beam.name),
-                *(number(x * IN_MM, digits) for x in beam.location),
-                significant(shift * IN_MM, 2),
-                *(number(x, 5) for x in beam.direction),
-                significant(beam.direction_sigma * IN_DEG, 2),
-                Cell(str(beam.readings), beam.readings),
-            )
-        )
-    return Table("beams", "location and direction in the hand", columns, tuple(rows))
+
+
+def _beam_row(beam: BeamMount) -> tuple[Cell, ...]:
+    shift = float(beam.location_sigma.max())
+    digits = _digits(shift * IN_MM)
+    return (
+        name_cell(beam.name),
+        *(number(x * IN_MM, digits) for x in beam.location),
+        significant(shift * IN_MM, 2),
+        *(number(x, 5) for x in beam.direction),
+        significant(beam.direction_sigma * IN_DEG, 2),
+        Cell(str(beam.readings), beam.readings),
+    )
 
 
 def targets_table(result: SurveyCalibration) -> Table:
     """Return what was looked at."""
-    columns = (
-        Column("target", number=False),
-        Column("kind", number=False),
-        Column("place", number=False),
-        Column("sigma", number=False),
+    return listed(
+        "targets",
+        "in the world",
+        of_words("target", "kind", "place", "sigma"),
+        list(result.targets.values()),
+        lambda t: (name_cell(t.label), text(t.kind), text(_place(t)), text(_sigma(t))),
+        "target",
     )
-    targets = list(result.targets.values())
-    rows = tuple(
-        (name_cell(t.label), text(t.kind), text(_place(t)), text(_sigma(t)))
-        for t in targets[:ROWS_ON_PAGE]
-    )
-    note = more(len(targets) - len(rows), "target")
-    return Table("targets", "in the world", columns, rows, note)
 
 
 def _place(target: SurveyTarget) -> str:

@@ -1,8 +1,9 @@
 """Tables and facts: text, and the number behind a cell, by which a page sorts."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from ...text import count, shortened
 from ..lines import UNDETERMINED, decimals
@@ -14,8 +15,9 @@ ROWS_ON_PAGE = 200
 """Rows of beams, planes, readings or stations on a page, which more would make slow; the JSON has
 all."""
 ROWS_ON_SCREEN = 8
-"""Rows of a table on the default screen: half of it where the table stands in two parts."""
+"""Rows of a table on the default screen."""
 MINUS = "\N{MINUS SIGN}"
+Item = TypeVar("Item")
 Facts = tuple[tuple[str, str], ...]
 """Pairs of a name and words."""
 
@@ -51,21 +53,48 @@ class Table:
 
 def number(value: float | None, digits: int, mark: str = "") -> Cell:
     """Return a cell with this number of decimals; a dash where there is no number."""
-    if value is None or not math.isfinite(value):
-        return Cell(NONE, None, mark)
-    return Cell(plain(value, digits), float(value), mark)
+    return _cell(value, plain, digits, mark)
 
 
 def significant(value: float | None, digits: int = 3, mark: str = "") -> Cell:
     """Return a cell with this number of significant digits; a dash where there is no number."""
+    return _cell(value, concise, digits, mark)
+
+
+def _cell(
+    value: float | None, written: Callable[[float, int], str], digits: int, mark: str
+) -> Cell:
     if value is None or not math.isfinite(value):
         return Cell(NONE, None, mark)
-    return Cell(concise(value, digits), float(value), mark)
+    return Cell(written(value, digits), float(value), mark)
 
 
 def determined(value: float, sigma: float, digits: int, unknown: str = UNDETERMINED) -> Cell:
     """Return a cell with this number of decimals; `unknown` where its sigma is not finite."""
     return number(value, digits) if math.isfinite(sigma) else Cell(unknown, None, "care")
+
+
+def of_words(*titles: str) -> tuple[Column, ...]:
+    """Return columns of words."""
+    return tuple(Column(title, number=False) for title in titles)
+
+
+def of_numbers(*titles: str, wide: bool = False) -> tuple[Column, ...]:
+    """Return columns of numbers."""
+    return tuple(Column(title, wide=wide) for title in titles)
+
+
+def listed(
+    name: str,
+    caption: str,
+    columns: tuple[Column, ...],
+    items: Sequence[Item],
+    row: Callable[[Item], tuple[Cell, ...]],
+    noun: str,
+) -> Table:
+    """Return a table with a row for each of the first items, and a note on how many more there are."""
+    rows = tuple(row(item) for item in items[:ROWS_ON_PAGE])
+    return Table(name, caption, columns, rows, more(len(items) - len(rows), noun))
 
 
 def more(left: int, noun: str) -> str:
