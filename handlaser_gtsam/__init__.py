@@ -89,7 +89,7 @@ if TYPE_CHECKING:
     from .files.rig_toml import read_rig as read_rig
     from .files.stations_csv import read_stations as read_stations
     from .files.stations_csv import write_stations as write_stations
-    from .files.study_picture import write_study_picture as write_study_picture
+    from .files.study_results import write_study_picture as write_study_picture
     from .files.study_toml import read_study as read_study
     from .files.survey_json import write_survey as write_survey
     from .files.survey_reading import read_survey as read_survey

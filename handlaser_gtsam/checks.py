@@ -81,7 +81,7 @@ def require_names(kind: str, names: object) -> None:
             continue
         fault = name_fault(name)
         if fault:
-            raise InputError(f"{fault} as {kind}".replace(", as", " as"), A_NAME)
+            raise InputError(f"{fault} as {kind}", A_NAME)
         good.add(name)
 
 

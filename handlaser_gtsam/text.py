@@ -35,15 +35,15 @@ def shown(value: object) -> str:
 def name_fault(name: object) -> str:
     """Return what keeps `name` from being the name of something; empty if nothing does."""
     if not isinstance(name, str):
-        return f"{shown(name)} of type {type(name).__name__}, which is no text,"
+        return f"{shown(name)} of type {type(name).__name__}, which is no text"
     if not name:
         return "an empty name"
     if len(name) > LONGEST_NAME:
-        return f"a name of {len(name)} characters, {shown(name[:20])}...,"
+        return f"a name of {len(name)} characters, {shown(name[:20])}..."
     if not name.isprintable():
-        return f"a name with characters that cannot be printed, {shown(name)},"
+        return f"a name with characters that cannot be printed, {shown(name)}"
     if name != name.strip():
-        return f"a name with blanks at its ends, {shown(name)},"
+        return f"a name with blanks at its ends, {shown(name)}"
     return ""
 
 

@@ -8,6 +8,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import typer
 
@@ -64,6 +65,13 @@ def print_wrapped(lines: Iterable[str]) -> None:
         sys.stdout.flush()
     except BrokenPipeError:  # as in `handlaser ... | head`: what is left goes nowhere
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def wrote(*paths: Path | None) -> list[str]:
+    """Return a line for each file that was written; None where none was asked for."""
+    from ..text import printable
+
+    return [f"wrote {printable(str(path))}" for path in paths if path is not None]
 
 
 def columns() -> int:

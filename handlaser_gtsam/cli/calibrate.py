@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped, text_width
+from .answer import Answer, print_wrapped, text_width, wrote
 from .options import (
-    HOW,
     AtRangeOption,
     Given,
     JsonOption,
     Model,
     QuietOption,
     RecordingArgument,
+    how_option,
     metres,
 )
 from .progress_line import Working
@@ -53,28 +53,24 @@ class Manner(Model):
 
     outliers: Annotated[
         OutliersChoice,
-        typer.Option(
+        how_option(
             help="Leave out, and list, readings that the others contradict; or keep them.",
-            rich_help_panel=HOW,
         ),
     ] = OutliersChoice.reject
     loss: Annotated[
         LossChoice,
-        typer.Option(help="Loss of the final estimate, reading by reading.", rich_help_panel=HOW),
+        how_option(help="Loss of the final estimate, reading by reading."),
     ] = LossChoice.gaussian
     incremental: Annotated[
         bool,
-        typer.Option(
+        how_option(
             "--incremental",
             help="Add plane by plane, show what each teaches, and compare with all at once.",
-            rich_help_panel=HOW,
         ),
     ] = False
     cross_check: Annotated[
         bool,
-        typer.Option(
-            "--cross-check", help="Solve again with SciPy and compare.", rich_help_panel=HOW
-        ),
+        how_option("--cross-check", help="Solve again with SciPy and compare."),
     ] = False
 
     def options(self, rig: "Rig") -> "CalibrationOptions":
@@ -177,14 +173,9 @@ def _of_beams(
         check = cross_check(result, recording)
     aloud = output.json_ or output.quiet
     if output.report is not None or not aloud:
-        from ..planning.advice import missing_stations, next_stations
+        from .check import advised
 
-        if result.status == "unobservable":
-            advice = missing_stations(
-                recording, rig.bounds, rig.sensor, rig.workspace, rig.noise, rig.goal
-            )
-        else:
-            advice = next_stations(result, rig.sensor, rig.workspace, rig.goal)
+        advice = advised(recording, rig, result)
     if output.report is not None:
         from ..files.report.options import ReportOptions, called_as, iso_day
         from ..files.report.page import write_report
@@ -225,8 +216,7 @@ def _show(
     width, described = text_width(), Description(result, judged)
     above = [line for text in before for line in wrapped(text, None, width)]
     after = wrapped(f"log: {printable('; '.join(read))}", None, width) if read else []
-    written = [path for path in (output.out, output.report) if path is not None]
-    after += [f"wrote {printable(str(path))}" for path in written]
+    after += wrote(output.out, output.report)
     if output.verbose:
         words = [] if advice is None else advice_lines(advice)
         next_best = [line for text in words for line in wrapped(text, None, width)]

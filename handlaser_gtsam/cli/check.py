@@ -14,6 +14,8 @@ from .stopping import UNDETERMINED
 if TYPE_CHECKING:
     from ..data.recording import Recording
     from ..files.rig_toml import Rig
+    from ..planning.route import Plan
+    from ..results.calibration import Calibration
 
 
 RigOption = Annotated[
@@ -51,27 +53,31 @@ def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption
                 "the motion determines everything, for beams and planes in general position"
             )
         if rig is not None and not json_:
-            lines += _advice(read, known, determined=failure is None)
+            from ..planning.advice import advice_lines
+
+            plan = advised(read, known, _calibrated(read, known) if failure is None else None)
+            lines += [] if plan is None else advice_lines(plan)
     warnings = [f"WARNING: {warning}" for warning in read.warnings]
     show = partial(print_wrapped, lines)
     Answer(check_text(found), show, warnings, failure).give(json=json_)
 
 
-def _advice(recording: "Recording", rig: "Rig", *, determined: bool) -> list[str]:
-    """Return in words the next best stations after a calibration, or the stations that are missing.
+def _calibrated(recording: "Recording", rig: "Rig") -> "Calibration":
+    from ..estimation.options import CalibrationOptions
+    from ..pipeline import calibrate
 
-    Nothing where there is no calibration, or the rig file has no bounds.
+    return calibrate(recording, rig.noise, CalibrationOptions(sensor=rig.sensor))
+
+
+def advised(recording: "Recording", rig: "Rig", found: "Calibration | None") -> "Plan | None":
+    """Return the next best stations, or those that are missing where nothing is determined yet.
+
+    None where nothing can be said, as where the rig file has no bounds.
     """
-    from ..planning.advice import advice_lines, missing_stations, next_stations
+    from ..planning.advice import missing_stations, next_stations
 
-    if determined:
-        from ..estimation.options import CalibrationOptions
-        from ..pipeline import calibrate
-
-        found = calibrate(recording, rig.noise, CalibrationOptions(sensor=rig.sensor))
-        plan = next_stations(found, rig.sensor, rig.workspace, rig.goal)
-    else:
-        plan = missing_stations(
+    if found is None or found.status == "unobservable":
+        return missing_stations(
             recording, rig.bounds, rig.sensor, rig.workspace, rig.noise, rig.goal
         )
-    return [] if plan is None else advice_lines(plan)
+    return next_stations(found, rig.sensor, rig.workspace, rig.goal)

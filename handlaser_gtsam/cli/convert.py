@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped
+from .answer import Answer, print_wrapped, wrote
 from .log_options import Log
 from .options import QuietOption
 from .progress_line import Working
@@ -74,7 +74,7 @@ def convert(
             write_text(write_log, rig_text)
     lines, ignored = list(report.lines), report.recording.ignored_columns
     lines += [f"not used: {some(ignored, 8)}"] if ignored else []
-    lines += [f"wrote {path}" for path in outputs.values() if path is not None]
+    lines += wrote(out, write_log)
     warnings = [f"WARNING: {warning}" for warning in report.recording.warnings]
     show = partial(print_wrapped, [printable(line) for line in lines])
     Answer("", show, warnings).give(json=False, quiet=quiet)

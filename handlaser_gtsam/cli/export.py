@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..quantities import MM
-from .answer import print_wrapped
+from .answer import print_wrapped, wrote
 from .options import QuietOption
 from .progress_line import Working
 
@@ -103,7 +103,6 @@ def export(
     from ..files.stations_csv import read_stations
     from ..files.survey_json import is_survey_result, read_survey_result
     from ..files.writing import require_outputs
-    from ..text import printable
 
     text = ""
     what: StationList | CalibrationFile | SurveyFile
@@ -135,7 +134,7 @@ def export(
     if out is None:
         sys.stdout.write(text)
     elif not quiet:
-        print_wrapped([f"wrote {printable(str(out))}"])
+        print_wrapped(wrote(out))
 
 
 def _warn(file: "CalibrationFile | SurveyFile") -> None:

@@ -21,18 +21,22 @@ LogLevelOption = Annotated[
 
 
 class _Lines(logging.Formatter):
-    """Time since the beginning, level, and what is said, as one printable line."""
+    """Time since the beginning, level, and what is said, as one printable line.
+
+    On a terminal, behind what takes away the sign of life that may stand in the line.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self._began = time.time()
+        self._clear = CLEAR if sys.stderr.isatty() else ""
 
     def format(self, record: logging.LogRecord) -> str:
         from ..text import printable
 
         elapsed = max(record.created - self._began, 0.0)
         line = f"{elapsed:9.3f} s {record.levelname.lower():7} {record.getMessage()}"
-        return printable(line)
+        return self._clear + printable(line)
 
 
 @contextmanager
@@ -43,8 +47,6 @@ def logging_at(level: LogLevel | None) -> Iterator[None]:
         return
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_Lines())
-    if sys.stderr.isatty():  # where the sign of life may stand in the line
-        handler.setFormatter(_Cleared())
     before = LOGGER.level
     LOGGER.addHandler(handler)
     LOGGER.setLevel(level.value.upper())
@@ -53,10 +55,3 @@ def logging_at(level: LogLevel | None) -> Iterator[None]:
     finally:
         LOGGER.removeHandler(handler)
         LOGGER.setLevel(before)
-
-
-class _Cleared(_Lines):
-    """The same, after what stands in the line of a terminal is taken away."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return CLEAR + super().format(record)

@@ -49,6 +49,8 @@ QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no table
 
 KNOWN, HOW = "Noise and sensor, instead of the rig file", "How it is calibrated"
 """Sections of the help, behind the options that most people need."""
+known_option = functools.partial(typer.Option, rich_help_panel=KNOWN)
+how_option = functools.partial(typer.Option, rich_help_panel=HOW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,38 +67,27 @@ class Given:
     ] = None
     pose_translation_sigma_mm: Annotated[
         float | None,
-        typer.Option(
-            help="Sigma of the hand position an axis, mm; estimated if not given.",
-            rich_help_panel=KNOWN,
-        ),
+        known_option(help="Sigma of the hand position an axis, mm; estimated if not given."),
     ] = None
     pose_rotation_sigma_deg: Annotated[
         float | None,
-        typer.Option(
-            help="Sigma of the hand rotation about each axis, deg; estimated if not given.",
-            rich_help_panel=KNOWN,
+        known_option(
+            help="Sigma of the hand rotation about each axis, deg; estimated if not given."
         ),
     ] = None
     incidence_sigma_mm: Annotated[
         float | None,
-        typer.Option(
+        known_option(
             help="Added to a reading's sigma times the tangent of the incidence, mm.",
-            rich_help_panel=KNOWN,
         ),
     ] = None
     range_mm: Annotated[
         tuple[float, float] | None,
-        typer.Option(
-            metavar="MIN MAX",
-            help="Range of the sensor, mm: --range-mm 0 30.",
-            rich_help_panel=KNOWN,
-        ),
+        known_option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
     ] = None
     max_incidence_deg: Annotated[
         float | None,
-        typer.Option(
-            help="Largest angle between beam and plane normal, deg.", rich_help_panel=KNOWN
-        ),
+        known_option(help="Largest angle between beam and plane normal, deg."),
     ] = None
 
     def read(self) -> "Rig":
@@ -112,35 +103,28 @@ class Model:
 
     range_error: Annotated[
         RangeErrorChoice,
-        typer.Option(
+        how_option(
             help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: both, under a prior "
-            "of zero mean whose scales are learned from all beams.",
-            rich_help_panel=HOW,
+            "of zero mean whose scales are learned from all beams."
         ),
     ] = RangeErrorChoice.auto
     poses: Annotated[
         PosesChoice,
-        typer.Option(
+        how_option(
             help="How errors of the hand poses count; auto: marginalised, pose sigmas that are not "
-            "given are estimated; exact: the robot is taken to make no errors, as with sigmas of zero.",
-            rich_help_panel=HOW,
+            "given are estimated; exact: the robot is taken to make no errors, as with sigmas of zero."
         ),
     ] = PosesChoice.auto
     estimate_noise: Annotated[
         bool,
-        typer.Option(
+        how_option(
             "--estimate-noise",
             help="Estimate the sigmas of ranges and poses even where they are given.",
-            rich_help_panel=HOW,
         ),
     ] = False
     range_sigma_by_beam: Annotated[
         bool,
-        typer.Option(
-            "--range-sigma-by-beam",
-            help="Estimate the range sigma of each beam.",
-            rich_help_panel=HOW,
-        ),
+        how_option("--range-sigma-by-beam", help="Estimate the range sigma of each beam."),
     ] = False
 
     def options(self, rig: "Rig") -> "CalibrationOptions":
@@ -156,10 +140,6 @@ class Model:
         )
 
 
-def _with_log(log_level: LogLevelOption = None) -> None:
-    """Carry the option that every verb has."""
-
-
 def metres(at_range_mm: float | None) -> float | None:
     """Return the reading of --at-range-mm in metres."""
     from ..checks import require_number
@@ -169,17 +149,6 @@ def metres(at_range_mm: float | None) -> float | None:
         return None
     require_number("--at-range-mm", at_range_mm, -1e3 * LARGEST_LENGTH, 1e3 * LARGEST_LENGTH)
     return 1e-3 * at_range_mm
-
-
-def _is_option(parameter: inspect.Parameter) -> bool:
-    """Tell whether a parameter is an option, and no argument, of a command."""
-    kinds = getattr(parameter.annotation, "__metadata__", ())
-    return not any(isinstance(kind, typer.models.ArgumentInfo) for kind in kinds)
-
-
-def _is_group(kind: object) -> bool:
-    """Tell whether a parameter is a group: a dataclass, or a class that states its signature."""
-    return isinstance(kind, type) and (is_dataclass(kind) or "__signature__" in vars(kind))
 
 
 @contextmanager
@@ -205,15 +174,24 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     groups: dict[str, Callable[..., object]] = {}
     parameters: list[inspect.Parameter] = []
     for one in inspect.signature(verb).parameters.values():
-        if _is_group(one.annotation):
-            groups[one.name] = one.annotation
-            parameters += inspect.signature(one.annotation).parameters.values()
+        kind = one.annotation  # a group is a dataclass, or a class that states its signature
+        if isinstance(kind, type) and (is_dataclass(kind) or "__signature__" in vars(kind)):
+            groups[one.name] = kind
+            parameters += inspect.signature(kind).parameters.values()
         else:
             parameters.append(one)
 
-    parameters.append(inspect.signature(_with_log).parameters["log_level"])
-
-    names = {one.name: f"--{one.name.replace('_', '-')}" for one in parameters if _is_option(one)}
+    where = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    log = inspect.Parameter("log_level", where, default=None, annotation=LogLevelOption)
+    parameters.append(log)
+    names = {
+        one.name: f"--{one.name.replace('_', '-')}"
+        for one in parameters
+        if not any(
+            isinstance(kind, typer.models.ArgumentInfo)
+            for kind in getattr(one.annotation, "__metadata__", ())
+        )
+    }
 
     @functools.wraps(verb)
     def flat(log_level: LogLevel | None = None, **values: object) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped
+from .answer import Answer, print_wrapped, wrote
 from .options import Given, JsonOption, Model, QuietOption
 from .progress_line import Working
 
@@ -84,7 +84,6 @@ def plan(
     from ..files.writing import require_outputs, write_text
     from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan
-    from ..text import printable
     from .plan_tables import plan_lines, scene_lines
     from .survey import survey_plan_lines
 
@@ -105,8 +104,7 @@ def plan(
             write_stations(out, planned.stations)
         if picture is not None and not isinstance(planned, SurveyPlan):
             write_text(picture, forecast_svg(planned.forecast, rig.goal))
-        written = [path for path in outputs.values() if path is not None]
-        lines += [f"wrote {printable(str(path))}" for path in written]
+        lines += wrote(out, picture)
         answer = Answer(text, partial(print_wrapped, lines))
     answer.give(json=json_, quiet=quiet)
 

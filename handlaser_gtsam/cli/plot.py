@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped
+from .answer import Answer, print_wrapped, wrote
 from .options import Given, Model
 from .progress_line import Working
 from .stopping import UNDETERMINED
@@ -43,7 +43,6 @@ def plot(file: SourceArgument, out: OutOption, given: Given, model: Model) -> No
     from ..files.report.pictures import write_pictures
     from ..files.rig_reading import read_with
     from ..pipeline import calibrate
-    from ..text import printable
 
     found: Calibration | CalibrationFile
     with Working():
@@ -54,7 +53,7 @@ def plot(file: SourceArgument, out: OutOption, given: Given, model: Model) -> No
             report, rig = read_with(rig, file)
             found = calibrate(report.recording, rig.noise, model.options(rig))
         files = write_pictures(out, found, ReportOptions(rig))
-    show = partial(print_wrapped, [f"wrote {printable(str(path))}" for path in files])
+    show = partial(print_wrapped, wrote(*files))
     failure = None if found.status == "converged" else (UNDETERMINED, found.message)
     warnings = [f"WARNING: {one.message}" for one in found.warnings]
     Answer("", show, warnings, failure).give(json=False)

@@ -42,8 +42,7 @@ def study(
 
     Exit codes: 0 done; 2 bad input; 130 stopped by Ctrl-C: with --out the same command goes on.
     """
-    from ..files.runs_parquet import read_runs, write_runs
-    from ..files.study_picture import write_study_picture
+    from ..files.study_results import read_runs, write_runs, write_study_picture
     from ..files.study_toml import read_study
     from ..files.writing import require_outputs
     from ..validation.runs import count_warnings, summarize_runs

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..quantities import IN_MM
-from .answer import Answer, print_wrapped
+from .answer import Answer, print_wrapped, text_width, wrote
 from .stopping import NOT_USABLE, UNDETERMINED
 
 if TYPE_CHECKING:
@@ -68,7 +68,6 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
     require_outputs({"--out": output.out, "--report": output.report}, (path, *tables))
     result = calibrate(survey, rig.noise)
     text, checks = survey_text(result), survey_limits(result, rig.limits)
-    written = [file for file in (output.out, output.report) if file is not None]
     if output.out is not None:
         write_text(output.out, text)
     if output.report is not None:
@@ -78,7 +77,7 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
         write_text(output.report, page)
     aloud = output.json_ or output.quiet
     warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
-    show = partial(_show, result, checks, written)
+    show = partial(_show, result, checks, output)
     return Answer(text, show, warnings, _failure(result, checks))
 
 
@@ -160,13 +159,9 @@ def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
                 )
 
 
-def _show(
-    result: "SurveyCalibration", checks: "Sequence[LimitCheck]", written: Sequence[Path]
-) -> None:
+def _show(result: "SurveyCalibration", checks: "Sequence[LimitCheck]", output: "Output") -> None:
     from ..results.description.rendering import full_table, text_lines
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
-    from ..text import printable
-    from .answer import text_width
 
     width = text_width()
     lines = text_lines([result.verdict], width)
@@ -180,7 +175,7 @@ def _show(
     lines += text_lines([f"{name}: {words}" for name, words in facts(result, checks)], width)
     lines += text_lines([f"undetermined: {words}" for words in result.undetermined[1:]], width)
     lines += text_lines([f"WARNING: {one.message}" for one in result.warnings], width)
-    print_wrapped([*lines, *(f"wrote {printable(str(file))}" for file in written)])
+    print_wrapped([*lines, *wrote(output.out, output.report)])
 
 
 def _failure(result: "SurveyCalibration", checks: "Sequence[LimitCheck]") -> tuple[int, str] | None:

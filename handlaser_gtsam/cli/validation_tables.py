@@ -21,7 +21,11 @@ def validation_lines(result: Validation, verdict: Verdict, width: int) -> Iterat
     yield f"residuals of the calibration itself: {_size(fit)}"
     yield from _left_out_lines(result)
     if result.splits:
-        yield from _splits(result.splits)
+        every = pooled(result.splits)
+        yield (
+            f"30 % of the stations from the other 70 %, {len(result.splits)} times: {_size(every)}, "
+            f"{every.standardized:.2f} of the predicted standard deviations"
+        )
     if result.reconstruction is not None and result.without_range_error is not None:
         yield (
             "plane from all beams at one station, ranges at the others: "
@@ -105,14 +109,6 @@ def hold_out_sentence(found: HoldOut) -> str:
     return (
         f"{opening}: a difference this large would come by chance {chance(found.p_value)} such "
         f"recordings (p = {found.p_value:.2g})."
-    )
-
-
-def _splits(splits: tuple[Prediction, ...]) -> Iterator[str]:
-    every = pooled(splits)
-    yield (
-        f"30 % of the stations from the other 70 %, {len(splits)} times: {_size(every)}, "
-        f"{every.standardized:.2f} of the predicted standard deviations"
     )
 
 

@@ -109,7 +109,9 @@ def usage_words(error: Exception) -> str:
     context = getattr(error, "ctx", None)
     command = NAME if context is None else context.command_path
     option = getattr(error, "option_name", "").lstrip("-").replace("-", "_")
-    if option in LogFormat.__dataclass_fields__ and "--rig" in _options(context):
+    parameters = [] if context is None else context.command.params
+    options = {name for one in parameters for name in one.opts}
+    if option in LogFormat.__dataclass_fields__ and "--rig" in options:
         return (
             f"no option --{option.replace('_', '-')} at {command}: how a log is written stands in the "
             f"table [log] of the rig file, as {option}. `{NAME} convert` has the option: it turns the "
@@ -120,12 +122,6 @@ def usage_words(error: Exception) -> str:
         message.replace("Value error, ", "").replace("Input should be", "expected").rstrip(".")
     )
     return f"{printable(message)} ({command} --help shows what there is)"
-
-
-def _options(context: Any) -> set[str]:
-    """Return the options of the verb whose command line is wrong."""
-    parameters = [] if context is None else context.command.params
-    return {option for one in parameters for option in one.opts}
 
 
 def _print_version(wanted: bool) -> None:

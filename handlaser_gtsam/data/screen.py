@@ -18,9 +18,6 @@ from .columns import BY_CHANCE, refuse_repeated_columns
 from .recording import Recording
 from .stations import merged_stations
 
-MORE_OFTEN = 3
-"""A code that lies near other readings stands at least this many times as often as any of them."""
-
 
 def screened(
     recording: Recording, sigma: float | None
@@ -110,7 +107,7 @@ def _is_code(d: FloatArray, value: float) -> bool:
     if (gap > most - least).all():
         return True
     often = np.unique(rest[~np.isnan(rest)], return_counts=True)[1].max()
-    return bool(where.sum() >= MORE_OFTEN * often)
+    return bool(where.sum() >= BY_CHANCE * often)
 
 
 def coded_numbers(d: FloatArray, impossible: BoolArray) -> BoolArray:

@@ -43,8 +43,8 @@ from .survey_starts import TRIMMED, start_of
 GROSS = 6.0
 """Shots farther than this many times the typical misfit are left out before anything is learned."""
 HALVES = 12
-"""Halves of the shots that starts are looked for from, where most shots do not fit. Of eighteen with two
-wrong ones a fifth of the halves has none, and one of twelve with 93 %."""
+"""Halves of the shots that starts are looked for from, where most shots do not fit. Of eighteen with
+two wrong ones a fifth of the halves has none, and one of twelve with 93 %."""
 ROBUST_ROUNDS = 8
 """Rounds of leaving out gross shots; most settle within three."""
 SIZES_SETTLED = 0.01

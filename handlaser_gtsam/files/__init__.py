@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from .rig_survey import SensorTable as SensorTable
     from .rig_survey import SurveyTables as SurveyTables
     from .rig_toml import Rig as Rig
-    from .runs_parquet import read_runs as read_runs
-    from .runs_parquet import write_runs as write_runs
+    from .study_results import read_runs as read_runs
+    from .study_results import write_runs as write_runs
     from .survey_json import SurveyFile as SurveyFile
     from .survey_json import read_survey_result as read_survey_result
 else:

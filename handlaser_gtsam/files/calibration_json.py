@@ -12,7 +12,7 @@ from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.limits import Limits
 from ..results.measuring import spot
-from ..results.reports import Beam, Fit, NoiseComponent, Plane
+from ..results.reports import Beam, Fit, NoiseComponent
 from ..results.verdict import Verdict
 from ..results.verdict import verdict as verdict_on
 from . import calibration_file as schema
@@ -47,7 +47,16 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
         warnings=[record(one, schema.WarningRecord) for one in calibration.warnings],
         beams=[_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         beam_covariance=None if joint is None else joint.matrix(planes=[]),
-        planes=[_plane(plane) for plane in calibration.planes.values()],
+        planes=[
+            record(
+                plane,
+                schema.PlaneRecord,
+                sigma=None
+                if plane.sigma is None
+                else {"normal_rad": plane.normal_sigma, "offset_m": plane.offset_sigma},
+            )
+            for plane in calibration.planes.values()
+        ],
         fit=_fit(calibration.fit, calibration.pose_covariance, calibration.noise_estimate),
         observability=record(
             seen, schema.ObservabilityRecord, weakest=seen.weakest or None, indices=indices
@@ -150,22 +159,20 @@ def _beam(beam: Beam, calibration: Calibration, reading: float) -> Record:
         }
         intervals = {"location_m": found[:3], "direction": found[3:6]}
         intervals |= dict(zip(RANGE_ERRORS, found[6:], strict=True))
+    place = None
+    # A graph does not tell its readings.
+    if calibration.covariance is not None and not math.isnan(reading):
+        at = spot(calibration, beam.name, reading)
+        sigmas = {"along_sigma_m": at.along, "across_sigma_m": at.across}
+        place = record(at, schema.SpotRecord, reading_m=reading, **sigmas)
     return _mount(beam.name, beam.location, beam.direction, beam.range_error) | {
         "range_error_terms": beam.terms,
         "range_error_excludes_zero": excludes,
         "sigma": sigma,
         "interval_95": intervals,
         "covariance": beam.covariance,
-        "spot": _spot(calibration, beam.name, reading),
+        "spot": place,
     }
-
-
-def _spot(calibration: Calibration, name: str, reading: float) -> Record | None:
-    if calibration.covariance is None or math.isnan(reading):  # a graph does not tell its readings
-        return None
-    found = spot(calibration, name, reading)
-    sigmas = {"along_sigma_m": found.along, "across_sigma_m": found.across}
-    return record(found, schema.SpotRecord, reading_m=reading, **sigmas)
 
 
 def _verdict(verdict: Verdict) -> Record:
@@ -192,11 +199,6 @@ def _verdict(verdict: Verdict) -> Record:
         causes=[record(cause, schema.WarningRecord) for cause in verdict.causes],
         remedies=[{"code": best.code, "message": best.words, "number": best.number}],
     )
-
-
-def _plane(plane: Plane) -> Record:
-    sigma = {"normal_rad": plane.normal_sigma, "offset_m": plane.offset_sigma}
-    return record(plane, schema.PlaneRecord, sigma=None if plane.sigma is None else sigma)
 
 
 def _fit(fit: Fit, pose: FloatArray | None, noise: tuple[NoiseComponent, ...]) -> Record:

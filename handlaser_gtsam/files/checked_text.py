@@ -8,7 +8,6 @@ from typing import Any, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
-from pydantic_core import ErrorDetails
 
 from ..arrays import FloatArray
 from ..checks import as_called
@@ -133,9 +132,12 @@ def _first_fault(
     if fault["type"] == "missing":
         kind = expected.split(",")[0]
         return InputError(f"no field {field}", f"the field, which {kind} needs", path)
-    kinds = [faults[i] for i in first if places[i] == place]
-    wanted = " or ".join(dict.fromkeys(map(_wanted, kinds)))
-    return InputError(f"{field} = {shown(fault['input'])}", wanted, path)
+    wanted = []
+    for one in (faults[i] for i in first if places[i] == place):
+        kind = one["type"].removesuffix("_type").removesuffix("_parsing")
+        wanted.append(KINDS.get(kind, "another value").format(**one.get("ctx", {})))
+    wanted_words = " or ".join(dict.fromkeys(wanted))
+    return InputError(f"{field} = {shown(fault['input'])}", wanted_words, path)
 
 
 def _place(parts: Sequence[int | str], missing: bool, data: object) -> list[str]:
@@ -150,12 +152,6 @@ def _place(parts: Sequence[int | str], missing: bool, data: object) -> list[str]
             continue
         found.append(str(part))
     return found
-
-
-def _wanted(fault: ErrorDetails) -> str:
-    """Return what a field must be."""
-    kind = fault["type"].removesuffix("_type").removesuffix("_parsing")
-    return KINDS.get(kind, "another value").format(**fault.get("ctx", {}))
 
 
 KINDS = {

@@ -63,7 +63,7 @@ def read_points(
             "station",
         )
     station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
-    numbers = np.column_stack([_numbers(table, name, path) for name in wanted])
+    numbers = np.column_stack([frame_numbers(table, name, path) for name in wanted])
     good = np.isfinite(numbers).all(axis=1)
     if kind != "profiler":
         good &= (numbers[:, -1] > 0.0) if kind != "points" else (numbers != 0.0).any(axis=1)
@@ -76,17 +76,27 @@ def read_points(
     return station.astype(np.intp), numbers
 
 
-def _table(path: Path, wanted: "Sequence[str]") -> pl.DataFrame:
+def read_frame(path: Path, expected: str, *, text: bool = False) -> pl.DataFrame:
+    """Return a table as it stands; of CSV all cells as `text`, or as what they look like.
+
+    Raises
+    ------
+    InputError
+        No readable file, or no table.
+    """
     if not path.is_file():
-        raise InputError("no readable file", "a table of points, CSV or Parquet", path)
+        raise InputError("no readable file", expected, path)
     try:
         if path.suffix.lower() in PARQUET:
-            table = pl.read_parquet(path)
-        else:
-            table = pl.read_csv(path, infer_schema_length=0, truncate_ragged_lines=False)
+            return pl.read_parquet(path)
+        return pl.read_csv(path, infer_schema_length=0 if text else 100)
     except (pl.exceptions.PolarsError, OSError) as error:
         what = str(error).splitlines()[0][:120]
-        raise InputError(f"no table ({what})", "CSV with a header, or Parquet", path) from error
+        raise InputError(f"no table ({what})", expected, path) from error
+
+
+def _table(path: Path, wanted: "Sequence[str]") -> pl.DataFrame:
+    table = read_frame(path, "a table of points, CSV with a header or Parquet", text=True)
     missing = [name for name in wanted if name not in table.columns]
     if missing:
         found = f"no column {missing[0]!r} among {some(table.columns, 8)}"
@@ -99,8 +109,13 @@ def _table(path: Path, wanted: "Sequence[str]") -> pl.DataFrame:
     return table.with_columns(pl.col("station").cast(pl.String).str.strip_chars())
 
 
-def _numbers(table: pl.DataFrame, name: str, path: Path) -> FloatArray:
-    """Return a column as numbers; NaN where a cell is empty, or a word says that it is none."""
+def frame_numbers(table: pl.DataFrame, name: str, path: Path) -> FloatArray:
+    """Return a column as numbers; NaN where a cell is empty, or a word says that it is none.
+
+    Raises
+    ------
+    InputError
+    """
     column = table[name]
     if column.dtype == pl.String:
         text = column.str.strip_chars().str.to_lowercase()

@@ -10,7 +10,6 @@ become rows stands in `table`.
 import re
 from difflib import SequenceMatcher
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
@@ -19,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
 from ..data.recording import Recording, first_repeated
+from ..data.station_list import StationList
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH
@@ -27,9 +27,6 @@ from .range_cells import code_warnings, range_numbers
 from .table import Table as _Table
 from .table import column_numbers, labels, read_table
 from .writing import path_of, write_text
-
-if TYPE_CHECKING:
-    from ..data.station_list import StationList
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX, SAMPLES = "range_", "samples_"
@@ -65,19 +62,19 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     samples = {SAMPLES + beam for beam in beams} & set(table.frame.columns)
     if _used(table.frame.columns[-1]) or table.frame.columns[-1] in samples:
         table.refuse_cut()
-    rotation, position, planes, stations = stations_of(table)
+    stations = stations_of(table)
     columns = [PREFIX + beam for beam in beams]
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
     whose = {PREFIX + beam: [beam] for beam in beams}
     warnings = (*table.warnings, *code_warnings(table, whose, coded))
-    _refuse_unread(table, ranges, planes, beams)
+    _refuse_unread(table, ranges, stations.plane_labels, beams)
     return Recording(
-        rotation,
-        position,
+        stations.world_R_hand,
+        stations.world_t_hand,
         ranges,
-        planes,
+        stations.plane_labels,
         tuple(beams),
-        stations,
+        stations.station_names,
         tuple(name for name in table.frame.columns if not _used(name) and name not in samples),
         _samples(table, beams, ranges) if samples else None,
         warnings,
@@ -98,7 +95,7 @@ def write_recording(path: Path | str, recording: Recording) -> None:
     write_text(path_of(path), table.write_csv())
 
 
-def station_columns(stations: "Recording | StationList") -> pl.DataFrame:
+def station_columns(stations: Recording | StationList) -> pl.DataFrame:
     """Return the columns of a file that all say where the hand is, in their order."""
     quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
     numbers = np.hstack((stations.world_t_hand, quaternions))
@@ -107,22 +104,38 @@ def station_columns(stations: "Recording | StationList") -> pl.DataFrame:
     return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
 
 
-def stations_of(
-    table: _Table,
-) -> tuple[FloatArray, FloatArray, tuple[str, ...], tuple[str, ...]]:
-    """Return rotations, positions, plane labels and station names of the rows of a table.
+def stations_of(table: _Table) -> StationList:
+    """Return the hand poses, plane labels and station names of the rows of a table.
 
     Raises
     ------
     InputError
+        A column that is missing, or a cell that is not what its column holds.
     """
+    table.require("plane", *POSE)
     planes = labels(table, "plane")
     stations = tuple(str(line - table.header_line) for line in table.lines)
     if "station" in table.frame.columns:
         stations = labels(table, "station")
-        _refuse_repeated(table, stations)
-    position, rotation = _positions(table), _rotations(table)
-    return rotation, position, planes, stations
+        twice = first_repeated(stations)
+        if twice is not None:
+            first = table.lines[stations.index(stations[twice])]
+            wrong = np.arange(len(stations)) == twice
+            found = f"station {stations[twice]!r} again (first at line {first})"
+            table.refuse(wrong, "station", "every station label once", found)
+    x = np.column_stack([column_numbers(table, name) for name in POSE])
+    for index, name in enumerate(POSE[:3]):
+        too_far = np.abs(x[:, index]) > LARGEST_LENGTH
+        table.refuse(too_far, name, f"a position in metres, at most {LARGEST_LENGTH:.0f}")
+    length, wrong = off_unit(x[:, 3:])
+    off = length[wrong.argmax()]
+    table.refuse(
+        wrong,
+        "qx, qy, qz, qw",
+        f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw",
+        f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off",
+    )
+    return StationList(Rotation.from_quat(x[:, 3:]).as_matrix(), x[:, :3], planes, stations)
 
 
 def _check_header(table: _Table) -> list[str]:
@@ -138,7 +151,7 @@ def _check_header(table: _Table) -> list[str]:
             raise table.fault(f"column {column!r}", expected, column)
     beams = [column.removeprefix(PREFIX) for column in columns if column.startswith(PREFIX)]
     for beam in beams:
-        fault = name_fault(beam).rstrip(",")
+        fault = name_fault(beam)
         if fault:
             raise table.fault(f"{fault} of a beam", f"range_NAME: {A_NAME}", PREFIX + beam)
     if not beams:
@@ -168,41 +181,11 @@ def _samples(table: _Table, beams: list[str], ranges: FloatArray) -> FloatArray:
     return found
 
 
-def _positions(table: _Table) -> FloatArray:
-    position = np.column_stack([column_numbers(table, name) for name in POSE[:3]])
-    for index, name in enumerate(POSE[:3]):
-        too_far = np.abs(position[:, index]) > LARGEST_LENGTH
-        table.refuse(too_far, name, f"a position in metres, at most {LARGEST_LENGTH:.0f}")
-    return position
-
-
-def _rotations(table: _Table) -> FloatArray:
-    quaternion = np.column_stack([column_numbers(table, name) for name in POSE[3:]])
-    length, wrong = off_unit(quaternion)
-    off = length[wrong.argmax()]
-    table.refuse(
-        wrong,
-        "qx, qy, qz, qw",
-        f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw",
-        f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off",
-    )
-    return Rotation.from_quat(quaternion).as_matrix()
-
-
 def off_unit(q: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return the length (M,) of quaternions (M, 4), and which are none."""
     with np.errstate(over="ignore"):  # an infinite length is refused like any other
         length = np.linalg.norm(q, axis=1)
     return length, ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
-
-
-def _refuse_repeated(table: _Table, stations: tuple[str, ...]) -> None:
-    twice = first_repeated(stations)
-    if twice is not None:
-        first = table.lines[stations.index(stations[twice])]
-        wrong = np.arange(len(stations)) == twice
-        found = f"station {stations[twice]!r} again (first at line {first})"
-        table.refuse(wrong, "station", "every station label once", found)
 
 
 def _refuse_unread(

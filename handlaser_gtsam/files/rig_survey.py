@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import polars as pl
 from pydantic import Strict
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +25,7 @@ from ..errors import InputError
 from ..quantities import DEG, MM
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
-from .points_table import Echo, read_points
+from .points_table import Echo, frame_numbers, read_frame, read_points
 
 Words = Annotated[tuple[str, ...], Strict(False)]
 Floats = Annotated[tuple[float, ...], Strict(False)]
@@ -178,13 +177,9 @@ def _shots(
 
 def _directions(path: Path, zone: FloatArray) -> FloatArray:
     """Return the direction (N, 3) of the zone of each reading."""
-    try:
-        table = pl.read_csv(path)
-        numbers = {name: table[name].cast(pl.Float64).to_numpy() for name in table.columns}
-    except (pl.exceptions.PolarsError, OSError) as error:
-        what = str(error).splitlines()[0][:120]
-        expected = "CSV with zone, x, y, z or zone, x_deg, y_deg"
-        raise InputError(f"no table ({what})", expected, path) from error
+    expected = "zone, x, y, z or zone, x_deg, y_deg"
+    table = read_frame(path, f"CSV with {expected}")
+    numbers = {name: frame_numbers(table, name, path) for name in table.columns}
     if {"zone", "x", "y", "z"} <= numbers.keys():
         u = np.stack([numbers[a] for a in "xyz"], axis=1)
     elif {"zone", "x_deg", "y_deg"} <= numbers.keys():
@@ -192,7 +187,7 @@ def _directions(path: Path, zone: FloatArray) -> FloatArray:
         u = np.stack((x, y, np.ones_like(x)), axis=1)
     else:
         found = f"columns {', '.join(table.columns)}"
-        raise InputError(found, "zone, x, y, z or zone, x_deg, y_deg", path, 1)
+        raise InputError(found, expected, path, 1)
     place = {float(name): i for i, name in enumerate(numbers["zone"])}
     lacking = sorted({float(one) for one in np.unique(zone)} - place.keys())
     if lacking:

@@ -5,16 +5,16 @@ with an arm `joint_NAME` for each of its joints (radians; metres where it slides
 `range_NAME` for every beam has a recording; columns of ranges are ignored here.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.station_list import StationList
 from .recording_csv import POSE, station_columns, stations_of
-from .table import Table, column_numbers, read_table
+from .table import column_numbers, read_table
 from .writing import path_of, write_text
 
 JOINT = "joint_"
@@ -50,14 +50,10 @@ def read_stations(path: Path | str) -> StationList:
     last = table.frame.columns[-1]
     if last in POSE or last.startswith(JOINT):
         table.refuse_cut()
-    R, t, planes, stations = stations_of(table)
-    return StationList(R, t, planes, stations, *_joints(table))
-
-
-def _joints(table: Table) -> tuple[FloatArray | None, tuple[str, ...]]:
-    """Return joints (M, J) and their names; None where there are no such columns."""
+    stations = stations_of(table)
     columns = [name for name in table.frame.columns if name.startswith(JOINT)]
     if not columns:
-        return None, ()
+        return stations
     joints = np.stack([column_numbers(table, name) for name in columns], axis=1)
-    return joints, tuple(name.removeprefix(JOINT) for name in columns)
+    names = tuple(name.removeprefix(JOINT) for name in columns)
+    return replace(stations, joints=joints, joint_names=names)

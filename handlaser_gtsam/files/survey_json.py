@@ -65,7 +65,7 @@ def survey_text(result: SurveyCalibration) -> str:
             | {
                 "rotation": one.rotation,
                 "location_m": one.location,
-                "range_error": dict(one.range_error),
+                "range_error": one.range_error,
                 "working_distance_m": one.reading,
                 "range_errors_tested": [
                     record(error, "code size sigma detectable found spot_shift")
@@ -79,35 +79,22 @@ def survey_text(result: SurveyCalibration) -> str:
             | {
                 "location_m": one.location,
                 "direction_sigma_rad": one.direction_sigma,
-                "range_error": list(one.range_error),
+                "range_error": one.range_error,
             }
             for one in result.beams.values()
         ],
-        "targets": [
-            {
-                "label": one.label,
-                "kind": one.kind,
-                "values": dict(one.values),
-                "sigma": dict(one.sigma),
-            }
-            for one in result.targets.values()
-        ],
+        "targets": [record(one, "label kind values sigma") for one in result.targets.values()],
         "pose_sigma": {
             "rotation_rad": result.pose_sigma[0],
             "translation_m": result.pose_sigma[1],
             "estimated": result.pose_sigma_estimated,
         },
         "known": [
-            {
-                "relation": one.known.relation,
-                "of": list(one.known.of),
-                "p_value": one.p_value,
-                "contradicted": one.contradicted,
-            }
+            record(one.known, "relation of") | record(one, "p_value contradicted")
             for one in result.relations
         ],
         "rejected": [record(one, "sensor station target reason") for one in result.rejected],
-        "undetermined": list(result.undetermined),
+        "undetermined": result.undetermined,
         "chi2": result.chi2,
         "dof": result.dof,
     }

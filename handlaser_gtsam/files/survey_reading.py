@@ -72,9 +72,7 @@ def _stations(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tup
     if rig.log.stated or path.suffix.lower() != ".csv":
         return _of_log(path, rig.log), None, ()
     table = read_table(path, ("plane", *POSE))
-    table.require("plane", *POSE)
-    R, t, labels, names = stations_of(table)
-    stations = StationList(R, t, labels, names)
+    stations = stations_of(table)
     columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
     if not columns:
         return stations, None, ()

@@ -221,7 +221,7 @@ def table_of(text: str, path: Path, separator: str) -> Table:
     names = [cell.strip(BLANK) for cell in cells[0].split(UNIT)]
     names = [name or f"(column {i + 1} without a name)" for i, name in enumerate(names)]
     for name in names:
-        fault = name_fault(name).rstrip(",")
+        fault = name_fault(name)
         if fault:
             expected = f"printable names of at most {LONGEST_NAME} characters in the header"
             raise InputError(fault, expected, path, numbers[0])
@@ -273,7 +273,7 @@ def labels(table: Table, column: str) -> tuple[str, ...]:
     faults = {name: name_fault(name) for name in strange.unique().to_list()}
     rows = text.is_in([name for name, fault in faults.items() if fault]).to_numpy()
     if rows.any():
-        table.refuse(rows, column, A_NAME, faults[text[int(rows.argmax())]].rstrip(","))
+        table.refuse(rows, column, A_NAME, faults[text[int(rows.argmax())]])
     return tuple(text.to_list())
 
 

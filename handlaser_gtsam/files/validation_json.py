@@ -1,7 +1,7 @@
 """Validations and hold-out tests as JSON; SI units, finite numbers only."""
 
 from ..validation.hold_out import HoldOut
-from ..validation.leave_out import PlaneLeftOut, Validation
+from ..validation.leave_out import Validation
 from ..validation.prediction import Prediction
 from .json_text import Record, json_text, record
 
@@ -11,7 +11,10 @@ def validation_text(validation: Validation) -> str:
     return json_text(
         "validation",
         {
-            "planes_left_out": [_plane(one) for one in validation.planes],
+            "planes_left_out": [
+                record(one, "plane message") | ({} if one.result is None else _hold_out(one.result))
+                for one in validation.planes
+            ],
             "splits": [_prediction(one) for one in validation.splits],
             "reconstruction": _prediction(validation.reconstruction),
             "reconstruction_without_range_error": _prediction(validation.without_range_error),
@@ -22,11 +25,6 @@ def validation_text(validation: Validation) -> str:
 def hold_out_text(found: HoldOut) -> str:
     """Return a hold-out test as JSON text."""
     return json_text("hold-out", _hold_out(found))
-
-
-def _plane(one: PlaneLeftOut) -> Record:
-    result = {} if one.result is None else _hold_out(one.result)
-    return {**record(one, "plane message"), **result}
 
 
 def _hold_out(found: HoldOut) -> Record:

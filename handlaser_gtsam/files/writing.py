@@ -17,8 +17,6 @@ from ..text import shown
 
 BESIDE = ".handlaser-"
 """Beginning of the names of files that are not whole yet."""
-NEW_MODE = 0o666
-"""Permissions of a new file, before the mask of the process, as `open` gives them."""
 
 
 def path_of(path: Path | str) -> Path:
@@ -124,7 +122,7 @@ def _target(path: Path) -> tuple[Path, int]:
             target.parent.stat()
         except OSError as error:
             raise _refusal(path, error) from error
-        return target, NEW_MODE & ~mask
+        return target, 0o666 & ~mask  # as `open` gives them
     except OSError as error:
         raise _refusal(path, error) from error
     if stat.S_ISLNK(mode):

@@ -77,7 +77,7 @@ class ExportOptions:
     def __post_init__(self) -> None:
         require_names("the name of a beam", self.beams)
         if self.link != "" and name_fault(self.link):
-            raise InputError(f"{name_fault(self.link)} as link".replace(", as", " as"), A_NAME)
+            raise InputError(f"{name_fault(self.link)} as link", A_NAME)
         if self.axis is not None:
             require_word("axis", self.axis, ("x", "y", "z"))
         require_number("at_reading", self.at_reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")

@@ -70,8 +70,7 @@ def assembled(
         min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
-    needed, way = log.way.narrowed(rows)
-    doubts += refuse_wrong_convention(recording, poses.poses[needed], way, given, path)
+    doubts += refuse_wrong_convention(recording, poses.poses, log.way, rows, given, path)
     if doubts:
         recording = replace(recording, warnings=(*recording.warnings, *doubts))
     parts = (

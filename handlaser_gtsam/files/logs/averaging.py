@@ -25,17 +25,6 @@ def averaged(
 ) -> tuple[FloatArray, FloatArray | None, FloatArray, int]:
     """Average the readings of each of S stations and B beams.
 
-    Returns
-    -------
-    ranges : (S, B)
-        Means or medians [m]; NaN where there is no reading.
-    samples : (S, B) or None
-        How many independent readings each is worth; None where nothing is averaged.
-    scatter : (1 + B,)
-        Standard deviation of one reading [m], of all beams and of each; NaN where none repeats.
-    repeated : int
-        Readings that were averaged.
-
     Parameters
     ----------
     d : (M, B)
@@ -47,6 +36,17 @@ def averaged(
     sigma : float, optional
         Standard deviation of a reading, if it is known [m]: what of it does not scatter is common
         to all readings of a station, and is not averaged away.
+
+    Returns
+    -------
+    ranges : (S, B)
+        Means or medians [m]; NaN where there is no reading.
+    samples : (S, B) or None
+        How many independent readings each is worth; None where nothing is averaged.
+    scatter : (1 + B,)
+        Standard deviation of one reading [m], of all beams and of each; NaN where none repeats.
+    repeated : int
+        Readings that were averaged.
     """
     shape = stations, d.shape[1]
     ranges, scatter = np.full(shape, np.nan), np.full(1 + shape[1], np.nan)

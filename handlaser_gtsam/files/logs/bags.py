@@ -298,7 +298,7 @@ def _beams(topics: Mapping[str, str], given: LogFormat) -> list[Beam]:
                 f"a topic of {kind}: {some(of_kind(topics, kind), 8) or 'there is none'}"
                 + ("; a ray of a LaserScan is TOPIC[INDEX]" if beam.ray is None else ""),
             )
-        fault = name_fault(beam.name).rstrip(",")
+        fault = name_fault(beam.name)
         if fault or [one.name for one in found].count(beam.name) > 1:
             raise InputError(fault or f"beam {beam.name!r} twice", f"one each: {A_NAME}")
         if [(one.topic, one.ray) for one in found].count((beam.topic, beam.ray)) > 1:

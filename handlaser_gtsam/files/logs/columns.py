@@ -207,13 +207,18 @@ def _named(table: Table, field: str, stated: str, usual: Sequence[str]) -> str:
 def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
     """Return the columns of ranges by the names of beams."""
     found: dict[str, str] = {}
-    pairs = [_beam_of(one, table.frame.columns) for one in given.range_columns]
+    pairs = []
+    for text in given.range_columns:  # BEAM=COLUMN or COLUMN
+        beam, equals, column = map(str.strip, text.partition("="))
+        if not equals or text in table.frame.columns:
+            beam, column = UNIT_IN_NAME.sub("", text.strip()).removeprefix(RANGE), text
+        pairs.append((beam, column))
     if not pairs:
         columns = [name for name in table.frame.columns if name.lower().startswith(RANGE)]
         pairs = [(UNIT_IN_NAME.sub("", name[len(RANGE) :]), name) for name in columns]
     for beam, column in pairs:
         _require(table, column, "range_columns")
-        fault = name_fault(beam).rstrip(",") or (f"beam {beam!r} twice" if beam in found else "")
+        fault = name_fault(beam) or (f"beam {beam!r} twice" if beam in found else "")
         if fault:
             raise table.fault(fault, f"one column a beam: {A_NAME}", column)
         found[beam] = column
@@ -223,14 +228,6 @@ def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
             "range_NAME for every beam, or --range-columns, or --beam-column and --range-column",
         )
     return found
-
-
-def _beam_of(text: str, names: Sequence[str]) -> tuple[str, str]:
-    """Return beam and column of `BEAM=COLUMN` or `COLUMN`."""
-    beam, equals, column = text.partition("=")
-    if equals and text not in names:
-        return beam.strip(), column.strip()
-    return UNIT_IN_NAME.sub("", text.strip()).removeprefix(RANGE), text
 
 
 def _check_units(table: Table, found: Columns, given: LogFormat) -> None:

@@ -114,7 +114,7 @@ def _check_together(given: "LogFormat") -> None:
             "one of --plane, --plane-column, --plane-ranges, --plane-file",
         )
     if given.plane and name_fault(given.plane):
-        raise InputError(name_fault(given.plane).rstrip(","), "a name for the plane")
+        raise InputError(name_fault(given.plane), "a name for the plane")
     if len(given.frames) not in (0, 2):
         raise InputError(
             f"--frames of {len(given.frames)} names",

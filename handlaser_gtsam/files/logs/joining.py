@@ -235,8 +235,8 @@ def _at_readings(
     else:
         near, words, needed = off <= tolerance, "the nearest pose", "a pose within the tolerance"
     _require_any(near, poses, readings, wanted, needed)
-    kept = np.flatnonzero(near)
-    names = [readings.names[i] for i in kept.tolist()]
+    kept, labels = np.flatnonzero(near), readings.names
+    names = [labels[i] for i in kept.tolist()]
     twice = first_repeated(names)
     if twice is not None:
         raise InputError(

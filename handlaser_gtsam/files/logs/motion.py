@@ -81,10 +81,9 @@ class Way:
 
     def narrowed(self, stations: IntArray) -> "tuple[IntArray, Way]":
         """Return the rows that some stations need, and how they get their poses from these."""
-        ends = np.append(self.start, len(self.row))
-        parts = [self.row[ends[s] : ends[s + 1]] for s in stations.tolist()]
-        start = np.cumsum([0, *map(len, parts)])[:-1].astype(np.intp)
-        rows = np.concatenate(parts)
+        count = np.diff(np.append(self.start, len(self.row)))[stations]
+        start = np.cumsum(count) - count
+        rows = self.row[np.repeat(self.start[stations] - start, count) + np.arange(count.sum())]
         part = None if self.part is None else self.part[stations]
         return rows, Way(np.arange(len(rows), dtype=np.intp), start, part)
 

@@ -63,7 +63,7 @@ def intervals(given: LogFormat) -> list[Interval]:
 
 
 def _interval(plane: str, first: str, last: str) -> Interval:
-    fault = name_fault(plane).rstrip(",")
+    fault = name_fault(plane)
     if fault:
         raise InputError(f"{fault} of a plane", A_NAME)
     times = [SECONDS.fullmatch(end) for end in (first, last)]

@@ -45,8 +45,13 @@ class Fault:
     doubt: bool = False
 
 
-def faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
-    """Yield what cannot be, or can hardly be, of the numbers x (M, k) under a convention."""
+def faults(x: FloatArray, convention: Convention) -> list[Fault]:
+    """Return what cannot be, or can hardly be, of the numbers x (M, k) under a convention."""
+    return [fault for fault in _faults(x, convention) if fault.wrong.any()]
+
+
+def _faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
+    """Yield all faults that may be, with the rows that have them: often none."""
     if convention.is_matrix:
         yield from _matrix_faults(x, convention)
     elif not convention.has_angles:
@@ -175,8 +180,7 @@ def hand_poses(numbers: FloatArray, way: Way, given: LogFormat) -> tuple[FloatAr
             )
         x = np.array([stated], dtype=np.float64)
         for fault in faults(x, convention):
-            if fault.wrong.any():
-                raise InputError(f"{name}: {fault.found}", fault.expected)
+            raise InputError(f"{name}: {fault.found}", fault.expected)
         S, s = poses_of(x, convention)
         if name == "tool":
             S, s = inverted(S, s)

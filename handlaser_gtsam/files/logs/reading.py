@@ -157,14 +157,13 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
         time_units=given.readings_time_units or given.time_units,
     )
     other = read_log_table(given.readings, second)
-    timed = replace(given, time_units=second.time_units)
-    others = columns_of(other, timed, poses=False)
+    others = columns_of(other, second, poses=False)
     if given.plane_column and not (columns.plane or others.plane):
         expected = "the name of a column of either, as its header has it"
         raise InputError(f"no column {shown(given.plane_column)} in both files", expected, path)
     in_time = bool(given.stands or not (columns.station and others.station))
     poses = rows_of(table, columns, given, sensor, in_time=in_time)
-    readings = rows_of(other, others, timed, sensor, in_time=in_time)
+    readings = rows_of(other, others, second, sensor, in_time=in_time)
     if not in_time:
         return by_station(poses, readings)
     refuse_other_units(poses, readings, given)

@@ -193,8 +193,6 @@ def _pose_numbers(
         table.refuse(np.abs(x[:, i]) > 1e3 * LARGEST_LENGTH, name, "a number of a pose")
     found = []
     for fault in faults(x, convention_of(given)):
-        if not fault.wrong.any():
-            continue
         if not (fault.doubt and given.as_stated):
             names = columns[fault.numbers]
             where = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"

@@ -81,12 +81,6 @@ class Stands:
         row = np.repeat(self.first - start, count) + np.arange(count.sum())
         return Way(row.astype(np.intp), start)
 
-    def stand_of(self, time: FloatArray) -> IntArray:
-        """Return the stand (N,) in which each time lies, -1 for none."""
-        stand = np.searchsorted(self.begin, time, side="right") - 1
-        inside = (stand >= 0) & (time <= self.end[np.maximum(stand, 0)])
-        return np.where(inside, stand, -1).astype(np.intp)
-
 
 def find_stands(track: Track, given: LogFormat) -> Stands:
     """Return the stands of a track.

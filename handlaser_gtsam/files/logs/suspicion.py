@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray
 from ...data.ordering import sorted_readings
 from ...data.recording import Recording, typical_range
 from ...errors import CalibrationWarning, HandlaserError, InputError
@@ -107,7 +107,12 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
 
 
 def refuse_wrong_convention(
-    recording: Recording, numbers: FloatArray, way: Way, given: LogFormat, path: Path
+    recording: Recording,
+    numbers: FloatArray,
+    way: Way,
+    chosen: IntArray,
+    given: LogFormat,
+    path: Path,
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log that fits a hundredfold better under another convention; warn where it is less.
 
@@ -118,7 +123,9 @@ def refuse_wrong_convention(
     numbers : (M, k)
         Poses as the log has them.
     way : Way
-        How the stations of the recording get theirs from these.
+        How stations get theirs from these.
+    chosen : (S,)
+        Which of them each station of the recording is.
 
     Raises
     ------
@@ -128,7 +135,7 @@ def refuse_wrong_convention(
     part, stations = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
     if len(stations) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
-    rows, way = way.narrowed(stations)
+    rows, way = way.narrowed(chosen[stations])
     numbers, convention = numbers[rows], convention_of(given)
 
     def under(other: Convention, inverse: bool, recording: Recording) -> Recording:
@@ -222,6 +229,6 @@ def _alternatives(
             if one.meaning in seen or numbers.shape[1] not in one.numbers:
                 continue
             seen.add(one.meaning)
-            if not any(fault.wrong.any() for fault in faults(numbers, one)):
+            if not faults(numbers, one):
                 words = f"the poses are {one.words}: {called(one)}"
                 yield Rereading(words, partial(under, one, given.inverted), "glance")

@@ -270,7 +270,7 @@ def _of_values(frame: pl.DataFrame, path: Path) -> Table:
     """Return a frame as a table of numbers and texts: arrays and structures become columns."""
     flat = [one for column in frame.get_columns() for one in _flat(column)]
     for column in flat:
-        fault = name_fault(column.name).rstrip(",")
+        fault = name_fault(column.name)
         if fault:
             expected = f"printable names of at most {LONGEST_NAME} characters"
             raise InputError(fault, expected, path)

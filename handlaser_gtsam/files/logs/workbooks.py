@@ -119,7 +119,11 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
             element.clear()
         elif tag == "c" and event == "end":
             place = PLACE.fullmatch(element.get("r", ""))
-            column = _number(place[1]) if place else column + 1
+            column += 1
+            if place:  # A is 1, AA is 27
+                column = 0
+                for letter in place[1]:
+                    column = 26 * column + ord(letter) - ord("A") + 1
             if len(element):
                 cells += 1
                 rows.add(row)
@@ -156,14 +160,6 @@ def _problem(cell: ET.Element) -> str:
     if "f" in parts and not value and cell.get("t") != "str":  # a text may be empty
         return "formula without a value"
     return ""
-
-
-def _number(column: str) -> int:
-    """Return the number of a column from its letters: A is 1, AA is 27."""
-    number = 0
-    for letter in column:
-        number = 26 * number + ord(letter) - ord("A") + 1
-    return number
 
 
 def _letters(number: int) -> str:
