@@ -173,7 +173,7 @@ def _show(result: "SurveyCalibration", checks: "Sequence[LimitCheck]", output: "
     for title, table in tables.items():
         lines += [] if table is None else full_table(title, table, width)
     lines += text_lines([f"{name}: {words}" for name, words in facts(result, checks)], width)
-    lines += text_lines([f"undetermined: {words}" for words in result.undetermined[1:]], width)
+    lines += text_lines(list(result.undetermined[1:]), width)
     lines += text_lines([f"WARNING: {one.message}" for one in result.warnings], width)
     print_wrapped([*lines, *wrote(output.out, output.report)])
 

@@ -22,11 +22,13 @@ from ..arrays import FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.survey import Known, Shots
 from ..errors import InputError
-from ..quantities import DEG, MM
+from ..quantities import DEG, IN_MM, MM
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
 from .points_table import Echo, frame_numbers, read_frame, read_points
 
+SHORTEST, LONGEST = 1e-3, 100.0
+"""All lengths below a millimetre, or readings of more than a hundred metres, are a wrong unit [m]."""
 Words = Annotated[tuple[str, ...], Strict(False)]
 Floats = Annotated[tuple[float, ...], Strict(False)]
 
@@ -145,6 +147,17 @@ class SurveyRig(FileRecord):
         return SurveyTables(self.sensors, tuple(map(_known, self.known)), folder)
 
 
+def _require_lengths(shots: Shots) -> Shots:
+    """Refuse shots whose lengths no such sensor has: a wrong unit."""
+    sizes = [np.abs(shots.reading), np.abs(shots.across) if shots.kind == "profiler" else 0.0]
+    largest, typical = max(float(np.max(x)) for x in sizes), float(np.median(sizes[0]))
+    if largest < SHORTEST or typical > LONGEST:
+        far = f"{largest * IN_MM:.2g} mm" if largest < SHORTEST else f"{typical:.3g} m"
+        found = f"lengths of {shots.name} {'up to' if largest < SHORTEST else 'of some'} {far}"
+        raise InputError(found, 'units = "mm" or "m" in [[sensors]], as the lengths are')
+    return shots
+
+
 def _shots(
     table: SensorTable,
     folder: Path,
@@ -164,15 +177,17 @@ def _shots(
         raise InputError(found, "the file of zones of an array, and of nothing else")
     if table.kind == "profiler":
         x, z = (numbers * length).T
-        return Shots.profiler(table.name, station, x, z, **noise)
+        return _require_lengths(Shots.profiler(table.name, station, x, z, **noise))
     if table.kind == "scanner":
         ranges = numbers[:, 1] * length
-        return Shots.scanner(table.name, station, numbers[:, 0] * angle, ranges, **noise)
+        scans = Shots.scanner(table.name, station, numbers[:, 0] * angle, ranges, **noise)
+        return _require_lengths(scans)
     if table.kind == "points":
-        return Shots.points(table.name, station, numbers * length, **noise)
+        return _require_lengths(Shots.points(table.name, station, numbers * length, **noise))
     directions = _directions(folder / str(table.zones), numbers[:, 0])
     reading = numbers[:, 1] * length
-    return Shots.array(table.name, station, directions, reading, table.convention, **noise)
+    shots = Shots.array(table.name, station, directions, reading, table.convention, **noise)
+    return _require_lengths(shots)
 
 
 def _directions(path: Path, zone: FloatArray) -> FloatArray:

@@ -24,6 +24,7 @@ from .shots import (
     WEAK_SPHERE,
     Condensed,
     condensed,
+    share_of,
 )
 
 POINTS_AT_ONCE = 250_000
@@ -100,18 +101,23 @@ def _robust(
     c, m = _fitted(X, Z, np.ones(X.shape, dtype=bool))
     c, m = c.reshape(G, TRIALS), m.reshape(G, TRIALS)
     e = np.abs(z[:, None, voters] - c[..., None] - m[..., None] * x[:, None, voters])
-    middle = e.shape[2] // 2
-    best = np.partition(e, middle, axis=2)[..., middle].argmin(axis=1)
+    share, to_sigma = share_of(n)
+    place = int(share * (e.shape[2] - 1))
+    best = np.partition(e, place, axis=2)[..., place].argmin(axis=1)
     c, m = c[np.arange(G), best], m[np.arange(G), best]
     least = np.maximum(SHAPE_SETTLED * np.median(z, axis=1), sigma or 0.0)
-    larger = MEDIAN_TO_SIGMA * (1.0 + FEW_TOO_CLOSE / (n - SIZE))
+    larger = 1.0 + FEW_TOO_CLOSE / (n - SIZE)
     kept = np.ones(x.shape, dtype=bool)
     for sifting in range(SIFTINGS):
         e = np.abs(z - c[:, None] - m[:, None] * x)
         order = np.sort(np.where(kept, e, np.inf), axis=1)
-        count = np.maximum(kept.sum(axis=1), 1)
-        median = 0.5 * (order[np.arange(G), (count - 1) // 2] + order[np.arange(G), count // 2])
-        now = e <= FAR_FROM_SHAPE * np.maximum(larger * median, least)[:, None]
+        if sifting:
+            count = np.maximum(kept.sum(axis=1), 1)
+            median = order[np.arange(G), (count - 1) // 2] + order[np.arange(G), count // 2]
+            scale = 0.5 * MEDIAN_TO_SIGMA * median
+        else:
+            scale = to_sigma * order[:, int(share * (n - 1))]
+        now = e <= FAR_FROM_SHAPE * np.maximum(larger * scale, least)[:, None]
         if sifting and (now == kept).all():
             break
         kept = now

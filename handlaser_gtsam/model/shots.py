@@ -19,6 +19,7 @@ from scipy.linalg import qr
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, TINY
+from .distributions import gaussian_quantile
 from .sensors.fans import Rayset
 from .sensors.kinds import Kind
 
@@ -31,6 +32,11 @@ FEW_TOO_CLOSE = 5.0
 this over n - p (Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987, page 202)."""
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
+MANY, OF_MANY = 100, 0.35
+"""Of so many points this part has to be on the target, the rest may be on anything behind it; of fewer
+points the better half, because a shape passes through a third of them by chance."""
+LARGEST_BALL = 2.0
+"""The radius of a sphere is less than so many times the range: larger ones look flat."""
 VOTING = 128
 """Points that vote on trial shapes."""
 MOST_SLANTED = 3.0
@@ -335,11 +341,20 @@ def _robust(
     trials = shape.through(_stacked(rays, sets), reading[sets])
     e = np.abs(reading[voters] - shape.ranges(trials, _rows(rays, voters)))
     e = np.where(np.isfinite(e), e, np.inf)
-    best, kept = trials[int(np.median(e, axis=1).argmin())], np.ones(n, dtype=bool)
-    larger = MEDIAN_TO_SIGMA * (1.0 + FEW_TOO_CLOSE / (n - shape.size))
-    for _ in range(SIFTINGS):
+    if isinstance(shape, _Sphere):  # a wall behind it would be the largest of all
+        e[trials[:, -1] > LARGEST_BALL * float(np.median(reading))] = np.inf
+    share, to_sigma = share_of(n)
+    best = trials[int(np.quantile(e, share, axis=1, method="lower").argmin())]
+    kept = np.ones(n, dtype=bool)
+    larger = 1.0 + FEW_TOO_CLOSE / (n - shape.size)
+    for sifting in range(SIFTINGS):
         e = np.abs(reading - shape.ranges(best[None], rays)[0])
-        scale = larger * float(np.median(e[kept])) if kept.any() else np.inf
+        e = np.where(np.isfinite(e), e, np.inf)
+        scale = np.inf
+        if not sifting:
+            scale = to_sigma * larger * float(np.quantile(e, share, method="lower"))
+        elif kept.any():
+            scale = MEDIAN_TO_SIGMA * larger * float(np.median(e[kept]))
         kept = e <= FAR_FROM_SHAPE * max(
             scale, sigma or 0.0, SHAPE_SETTLED * float(np.median(reading))
         )
@@ -350,6 +365,15 @@ def _robust(
             return None, kept
         best = again
     return best, kept
+
+
+def share_of(points: int) -> tuple[float, float]:
+    """Return the part of so many points that has to be on the target, and one over its quantile.
+
+    The quantile is that of the sizes of Gaussian errors of unit variance.
+    """
+    share = 0.5 if points < MANY else OF_MANY
+    return share, 1.0 / float(gaussian_quantile(0.5 + 0.5 * share))
 
 
 def _steep(shape: Shape, found: FloatArray, rays: Rayset) -> BoolArray:

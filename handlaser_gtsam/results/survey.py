@@ -475,8 +475,20 @@ def _warnings(
             f"{names}; are their labels right?"
         )
         yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
+    stations = len(found.rows.survey.stations)
+    read = {item.station for item in found.rows.items} | {at for _, at in found.rows.lost}
+    unread = stations - len(read)
+    if unread:
+        words = f"{unread} of {stations} stations have no reading, and were left out"
+        sizes = {"stations": unread, "total": stations}
+        yield CalibrationWarning("stations-left-out", words, sizes)
     if found.rows.lost:
-        words = f"{count(len(found.rows.lost), 'shot')} with too few points on their target"
+        lost = [one for one in rejected if one.reason == "too-few-points"]
+        words = (
+            f"{count(len(lost), 'shot')} with too few points on their target, or most of them on "
+            "something else behind or beside it: "
+            f"{some([f'{one.sensor} at {one.station}' for one in lost], NAMES_IN_LINE)}"
+        )
         yield CalibrationWarning("too-few-points", words, {"shots": len(found.rows.lost)})
 
 
@@ -484,7 +496,8 @@ def _undetermined(found: SurveyEstimate) -> Iterator[str]:
     """Yield what is undetermined in words, and why where that is known."""
     for direction in found.estimate.undetermined:
         words = [_coordinate(found.rows, name) for name in direction.split(", ")]
-        yield f"undetermined, moving together: {some(words, NAMES_IN_LINE)}"
+        together = ", moving together" if len(words) > 1 else ""
+        yield f"undetermined{together}: {some(words, NAMES_IN_LINE)}"
     yield from _circles(found)
 
 

@@ -17,7 +17,7 @@ from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.survey import Survey, normal_label
 from ..data.value import Value
-from ..errors import HandlaserError, InputError
+from ..errors import HandlaserError, InputError, SolverError
 from ..estimation.survey import SurveyEstimate, estimate_survey
 from ..estimation.survey_rows import Item
 from ..model.distributions import chi2_sf, f_sf
@@ -116,7 +116,7 @@ def validate_survey(
 
     Raises
     ------
-    InputError
+    SolverError
         A survey that does not converge.
     """
     require_kind("survey", survey, Survey)
@@ -124,6 +124,8 @@ def validate_survey(
     rng = np.random.default_rng(0) if rng is None else rng
     whole = estimate_survey(survey, noise)
     calibration = survey_calibration(whole)
+    if calibration.status != "converged":
+        raise SolverError(calibration.verdict)
     reference = cross_check_survey(calibration)
     labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
     different = sorted(set(labels.tolist()))

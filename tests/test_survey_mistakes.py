@@ -1,0 +1,163 @@
+"""What goes wrong at a cell with a profiler, a plate and a ball; by formulas of this file."""
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.errors import SolverError
+from handlaser_gtsam.validation.survey import validate_survey
+
+FAN = np.linspace(-0.2, 0.2, 400)
+SIGMA = 2e-5
+MOUNT = Rotation.from_euler("ZYX", [80.0, -30.0, 140.0], degrees=True).as_matrix()
+PLACE = np.array([0.06, -0.03, 0.14])
+CENTRE, RADIUS = np.array([0.76, 0.24, 0.18]), 0.019
+BEHIND = 0.08
+"""The table lies so far behind the middle of the ball, and the plate is a plane at z = 0.05."""
+
+
+def profile(R, t, label, rng, *, background=True):
+    """x and z of a fan of rays in the plane y = 0, at a hand pose, before the plate or the ball."""
+    u = np.column_stack((np.sin(FAN), 0.0 * FAN, np.cos(FAN))) @ (R @ MOUNT).T
+    o = R @ PLACE + t
+    height = 0.05 if label == "plane:plate" else CENTRE[2] - BEHIND
+    s = (height - o[2]) / u[:, 2]
+    if label == "sphere:ball":
+        w = o - CENTRE
+        b, c = u @ w, w @ w - RADIUS**2
+        on = b * b > c
+        near = -b - np.sqrt(np.maximum(b * b - c, 0.0))
+        s = np.where(on, near, s if background else np.nan)
+        steep = np.abs(((o + s[:, None] * u - CENTRE) / RADIUS * u).sum(axis=1)) < 0.4
+        s = np.where(on & steep, np.nan, s)
+    x, z = s * np.sin(FAN), s * np.cos(FAN) + SIGMA * rng.standard_normal(len(FAN))
+    seen = np.isfinite(z)
+    return x[seen], z[seen]
+
+
+def looking(target, rng):
+    """A hand pose whose sensor looks down at a target from 0.14 to 0.2 m, tilted by up to 0.45 rad."""
+    tilt = Rotation.from_rotvec([*rng.uniform(-0.45, 0.45, 2), 0.0])
+    down = Rotation.from_euler("XZ", [np.pi, rng.uniform(-1.0, 1.0)])
+    R = (tilt * down).as_matrix()
+    at = target - rng.uniform(0.14, 0.2) * R[:, 2]
+    R = R @ MOUNT.T
+    return R, at - R @ PLACE
+
+
+def cell(seed, *, background=False, exchanged=(), labels=()):
+    """A survey of nine stations before the plate and nine before the ball."""
+    rng = np.random.default_rng(seed)
+    label = ["plane:plate"] * 9 + ["sphere:ball"] * 9
+    poses, shots = [], []
+    for one in label:
+        middle = np.array([0.7, 0.2, 0.05]) if one == "plane:plate" else CENTRE
+        if one == "plane:plate":
+            middle = middle + [*rng.uniform(-0.08, 0.08, 2), 0.0]
+        else:
+            middle = middle + [0.0, 0.0, RADIUS] + rng.uniform(-0.006, 0.006, 3)
+        R, t = looking(middle, rng)
+        poses.append((R, t))
+        shots.append(profile(R, t, one, rng, background=background))
+    for a, b in exchanged:
+        shots[a], shots[b] = shots[b], shots[a]
+    for number, wrong in labels:
+        label[number] = wrong
+    stations = hl.StationList(*map(np.array, zip(*poses, strict=True)), tuple(label))
+    station = np.repeat(np.arange(18), [len(x) for x, _ in shots])
+    x, z = (np.concatenate(column) for column in zip(*shots, strict=True))
+    return hl.Survey(stations, (hl.Shots.profiler("profiler", station, x, z),))
+
+
+def require_right(found):
+    assert found.usable, found.verdict
+    mount = found.sensors["profiler"]
+    turn = Rotation.from_matrix(mount.rotation.T @ MOUNT).as_rotvec()
+    error = np.concatenate((turn, mount.rotation.T @ (PLACE - mount.location)))
+    assert error @ np.linalg.solve(mount.covariance, error) < 30.0
+
+
+def left_out(found):
+    return {int(one.station) - 1 for one in found.rejected}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_wrong_label_is_left_out_and_nothing_else(seed):
+    found = hl.calibrate(cell(seed, labels=[(12, "plane:plate")]))
+    require_right(found)
+    assert left_out(found) == {12}
+
+
+@pytest.mark.parametrize("pair", [(1, 2), (13, 14)])
+@pytest.mark.parametrize("seed", range(3))
+def test_two_exchanged_stations_are_left_out_and_nothing_else(seed, pair):
+    found = hl.calibrate(cell(seed, exchanged=[pair]))
+    require_right(found)
+    assert left_out(found) == set(pair)
+
+
+@pytest.mark.parametrize("sigma", [5e-4, 5e-5])
+def test_a_radius_that_is_roughly_known_is_no_contradiction(sigma):
+    survey = cell(2, labels=[(12, "plane:plate")])
+    known = hl.Known("radius", ("sphere:ball",), RADIUS, sigma=sigma)
+    survey = hl.Survey(survey.stations, survey.shots, known=(known,))
+    found = hl.calibrate(survey)
+    require_right(found)
+    assert found.targets["sphere:ball"].values["radius"] > 0.0
+    assert not found.relations[0].contradicted
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_table_behind_the_ball_is_not_the_ball(seed):
+    found = hl.calibrate(cell(seed, background=True))
+    require_right(found)
+    # What is lost are profiles with a third of their points or less on the ball.
+    assert len(left_out(found)) <= 7
+    assert found.targets["sphere:ball"].values["radius"] == pytest.approx(RADIUS, abs=2e-4)
+
+
+def test_a_search_that_does_not_come_to_rest_states_no_sigma():
+    rng = np.random.default_rng(0)
+    survey = cell(0)
+    shots = survey.shots[0]
+    station = rng.permutation(18)[shots.station]
+    survey = hl.Survey(
+        survey.stations, (hl.Shots.profiler("profiler", station, shots.across, shots.reading),)
+    )
+    found = hl.calibrate(survey)
+    assert not found.usable
+    if found.status == "not_converged":
+        assert np.isnan(found.sensors["profiler"].location_sigma).all()
+    with pytest.raises(SolverError, match="Not usable"):
+        validate_survey(survey)
+
+
+def test_stations_without_a_reading_are_said():
+    survey = cell(1)
+    shots = survey.shots[0]
+    kept = shots.station != 4
+    few = hl.Shots.profiler(
+        "profiler", shots.station[kept], shots.across[kept], shots.reading[kept]
+    )
+    found = hl.calibrate(hl.Survey(survey.stations, (few,)))
+    assert "1 of 18 stations have no reading" in found.warnings[0].message
+
+
+@pytest.mark.parametrize(
+    ("units", "words"), [("mm", "lengths of scanner up to"), ("m", "lengths of scanner of some")]
+)
+def test_a_wrong_unit_of_points_is_named(tmp_path, handlaser, units, words):
+    example = ROOT / "examples" / "profiler"
+    lines = (example / "profiles.csv").read_text().splitlines()
+    if units == "mm":  # the table is in metres, and read as millimetres
+        rows = [line.split(",") for line in lines[1:]]
+        lines[1:] = [f"{name},{float(x) / 1e3},{float(z) / 1e3}" for name, x, z in rows]
+    (tmp_path / "profiles.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "poses.csv").write_text((example / "poses.csv").read_text())
+    rig = (example / "rig.toml").read_text() + f'units = "{units}"\n'
+    (tmp_path / "rig.toml").write_text(rig)
+    code, _, err = handlaser("calibrate", tmp_path / "poses.csv", "--rig", tmp_path / "rig.toml")
+    assert code == 2
+    assert words in err
