@@ -55,9 +55,9 @@ def cell(seed, *, background=False, exchanged=(), labels=()):
     for one in label:
         middle = np.array([0.7, 0.2, 0.05]) if one == "plane:plate" else CENTRE
         if one == "plane:plate":
-            middle = middle + [*rng.uniform(-0.08, 0.08, 2), 0.0]
+            middle = middle + np.array([*rng.uniform(-0.08, 0.08, 2), 0.0])
         else:
-            middle = middle + [0.0, 0.0, RADIUS] + rng.uniform(-0.006, 0.006, 3)
+            middle = middle + np.array([0.0, 0.0, RADIUS]) + rng.uniform(-0.006, 0.006, 3)
         R, t = looking(middle, rng)
         poses.append((R, t))
         shots.append(profile(R, t, one, rng, background=background))

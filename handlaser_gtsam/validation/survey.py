@@ -34,6 +34,8 @@ from .cross_check import CrossCheck, compared
 
 PART_LEFT_OUT = 0.3
 """Of the stations, in a random split: as of recordings."""
+FITS = "converged", "contradicted"
+"""Status of a survey that has a minimum."""
 PARTS = {
     SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
     BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
@@ -117,14 +119,14 @@ def validate_survey(
     Raises
     ------
     SolverError
-        A survey that does not converge.
+        A survey that has no minimum, or more than one.
     """
     require_kind("survey", survey, Survey)
     noise = Noise() if noise is None else noise
     rng = np.random.default_rng(0) if rng is None else rng
     whole = estimate_survey(survey, noise)
     calibration = survey_calibration(whole)
-    if calibration.status != "converged":
+    if calibration.status not in FITS:
         raise SolverError(calibration.verdict)
     reference = cross_check_survey(calibration)
     labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
@@ -149,7 +151,7 @@ def cross_check_survey(calibration: SurveyCalibration) -> CrossCheck:
         A calibration that did not converge.
     """
     require_kind("calibration", calibration, SurveyCalibration)
-    if calibration.status not in ("converged", "contradicted"):
+    if calibration.status not in FITS:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     found = calibration._found
     theirs = solve_survey(_problem(found))
