@@ -35,8 +35,8 @@ TRIALS = 32
 MANY, OF_MANY = 100, 0.35
 """Of so many points this part has to be on the target, the rest may be on anything behind it; of fewer
 points the better half, because a shape passes through a third of them by chance."""
-LARGEST_BALL = 2.0
-"""The radius of a sphere is less than so many times the range: larger ones look flat."""
+LARGEST_BALL = 5.0
+"""The radius of a sphere is below so many times the largest length of a shot: larger ones look flat."""
 VOTING = 128
 """Points that vote on trial shapes."""
 MOST_SLANTED = 3.0
@@ -342,7 +342,8 @@ def _robust(
     e = np.abs(reading[voters] - shape.ranges(trials, _rows(rays, voters)))
     e = np.where(np.isfinite(e), e, np.inf)
     if isinstance(shape, _Sphere):  # a wall behind it would be the largest of all
-        e[trials[:, -1] > LARGEST_BALL * float(np.median(reading))] = np.inf
+        largest = max(float(np.abs(reading).max()), float(np.abs(rays.origin).max()))
+        e[trials[:, -1] > LARGEST_BALL * largest] = np.inf
     share, to_sigma = share_of(n)
     best = trials[int(np.quantile(e, share, axis=1, method="lower").argmin())]
     kept = np.ones(n, dtype=bool)
