@@ -20,7 +20,7 @@ NEARLY_ALL = 0.9
 """The part of the common stations at which two columns must read the same."""
 BY_CHANCE = 3
 """Fewer coincidences, of columns at a station or of a number in a table, may be chance: among numbers
-near it, fewer than so many times those of any other."""
+near it, fewer than this multiple of any other."""
 ENOUGH_STATIONS = 8
 """With this many common stations, agreement within rounding or a part of the noise is no chance."""
 RELATIVE = 2e-6

@@ -266,7 +266,7 @@ class Survey(Value):
     Attributes
     ----------
     stations : StationList
-        Their labels are those of targets.
+        Their labels name the targets.
     shots : tuple of Shots
     ranges : (M, B), optional
         What single beams read [m], NaN for nothing.

@@ -81,7 +81,7 @@ class _Likelihood:
         self.source[at] = source[order]
 
     def __call__(self, factor: FloatArray, rotation: float, translation: float) -> float:
-        """Return it for variances that are so many times those of the rows, and pose sigmas."""
+        """Return it for factors on the variances of the rows, and for pose sigmas."""
         S = np.array([rotation**2] * 3 + [translation**2] * 3)
         V = (self.P * S) @ np.swapaxes(self.P, 1, 2)
         # Rows without a sensor, as of relations, have unit variance; so have those that fill up.

@@ -38,7 +38,7 @@ class Unknowns:
 
 
 def unknowns_of(counts: Mapping[str, int], unknown: Mapping[str, BoolArray | bool]) -> Unknowns:
-    """Return where the unknowns of families with so many members stand."""
+    """Return where the unknowns of families stand, given the number of their members."""
     place: dict[str, IntArray] = {}
     free: dict[str, IntArray] = {}
     names: list[str] = []

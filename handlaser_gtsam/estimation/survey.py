@@ -1,6 +1,6 @@
 r"""The estimate of a survey: sensors of many rays and beams, before planes, spheres and points.
 
-From a start without a guess, shots that the others contradict are left out, sizes of the noise that are
+From a start without a guess, shots that the others contradict are rejected, sizes of the noise that are
 not stated are learned, and the whole is judged as any blocks are: rank, covariances that GTSAM
 eliminates, chi2. Shots are tested as wholes, because their points share what made them wrong; points
 within a shot were sorted out when it was condensed.
@@ -41,7 +41,7 @@ from .survey_rows import (
 from .survey_starts import TRIMMED, start_of
 
 GROSS = 6.0
-"""Shots farther than this many times the typical misfit are left out before anything is learned."""
+"""Shots farther than this many times the typical misfit are rejected before anything is learned."""
 HALVES = 12
 """Halves of the shots that starts are looked for from, where most shots do not fit. Of eighteen with
 two wrong ones a fifth of the halves has none, and one of twelve with 93 %."""
@@ -50,9 +50,9 @@ ROBUST_ROUNDS = 8
 SIZES_SETTLED = 0.01
 """Sizes of the noise that change by less than this part have settled."""
 MOST_LEFT_OUT = 0.4
-"""Largest part of the shots, of all and of one target, that may be left out."""
+"""Largest part of the shots, of all and of one target, that may be rejected."""
 TAKEN_BACK = 0.5
-"""A shot that was left out counts again where it fits as well as the better part, so large, of good
+"""A rejected shot counts again where it fits as well as the better part, so large, of good
 shots does."""
 FIRST_OUT = 0.5
 """Of the shots of a target, those go first whose misfit is at least this part of its largest: least
@@ -237,7 +237,7 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
 
 
 def _doubtful(state: SurveyState) -> list[str]:
-    """Return the sensors, beams and targets of which too many shots were left out to be trusted."""
+    """Return the sensors, beams and targets of which too many shots were rejected to be trusted."""
     shares: dict[str, list[bool]] = {}
     for item, used in zip(state.rows.items, state.used, strict=True):
         for name in (_name(state.rows, item.family, item.member), state.rows.label(item.target)):
@@ -294,7 +294,7 @@ def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components
 def _leave_out_gross(state: SurveyState) -> None:
     """Leave out shots that are far from what most agree on, before sizes are learned.
 
-    While most shots misfit, those that fit worst are left out and the rest is solved again (the
+    While most shots misfit, those that fit worst are rejected and the rest is solved again (the
     concentration steps of least trimmed squares: Rousseeuw and Van Driessen, 2006).
     """
     different = {x: n for n, x in enumerate(dict.fromkeys(i.target for i in state.rows.items))}
@@ -438,7 +438,7 @@ def _worst_changed(state: SurveyState) -> bool:
 
 
 def _most_contradicted(p: FloatArray, chi2: FloatArray) -> int:
-    """Return the least probable; where probabilities are all rounded to zero, that of largest chi2."""
+    """Return the least probable; if all probabilities are rounded to zero, by the largest chi2."""
     return int(np.lexsort((-chi2, p))[0])
 
 

@@ -79,7 +79,7 @@ class Rows:
     targets : mapping
         Labels of the targets of each family, in their order.
     known : tuple of Known
-        Relations, without those of targets that no shot has seen.
+        Relations, but none of a target that no shot has seen.
     lost : tuple of (sensor, station)
         Shots with too few points on their target.
     length : float

@@ -192,7 +192,7 @@ def _readings(rows: Rows, entries: list[tuple[int, int, int, float]], beams: int
 
 
 def _virtual_across(across: FloatArray) -> FloatArray:
-    """Return a few different rays amid those of a sensor."""
+    """Return a few different rays of a sensor, near its middle."""
     if across.shape[1] == 1:
         return np.quantile(across, np.linspace(*FAR_AND_NEAR, VIRTUAL), axis=0)
     mean, spread = across.mean(axis=0), across.std(axis=0)

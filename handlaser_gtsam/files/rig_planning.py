@@ -143,7 +143,7 @@ class Plans:
     goal : Goal
         What to plan for.
     placement : Placement
-        How the plate can be put anew.
+        How the plate can be placed again.
     """
 
     workspace: Workspace | None = None

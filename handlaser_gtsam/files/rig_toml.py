@@ -174,7 +174,7 @@ class Rig:
 
     @property
     def placement(self) -> "Placement":
-        """How the plate can be put anew."""
+        """How the plate can be placed again."""
         from ..planning.bounds import Placement
 
         return Placement() if self.plans is None else self.plans.placement

@@ -44,7 +44,7 @@ from .writing import path_of
 
 
 class SceneTable(FileRecord):
-    """A scene of this package, and what is read in it; errors are those of the scene if not given."""
+    """A scene of this package, and what is read in it; its own errors if none are given."""
 
     scene: Literal["paper", "unplanned", "arm"]
     beams: int = 4

@@ -355,7 +355,7 @@ def _split(line: str, separator: str) -> str:
 def _whole(cell: str | None, others: pl.Series) -> bool:
     """Tell whether a number has all its digits, as far as the numbers above it in its column show.
 
-    It has as many decimals as any of them, or so many that further ones do not matter, or an exponent.
+    It has as many decimals as any of them, up to where further ones do not matter, or an exponent.
     """
     if cell is None:
         return False

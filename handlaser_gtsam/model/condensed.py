@@ -28,7 +28,7 @@ class Mixed:
     weights: Weights = field(default_factory=Weights)
 
     def slots(self) -> tuple[Slot, ...]:
-        """Return those of the ranges."""
+        """Return the slots of the ranges."""
         return self.ranges.slots()
 
     def evaluate(self, values: Values) -> Rows:
@@ -43,7 +43,7 @@ class Mixed:
         return Rows((rows.columns[..., None, :] @ self.mix)[..., 0, :], impossible)
 
     def picked(self, problems: IntArray) -> "Mixed":
-        """Return those of some problems."""
+        """Return the block of some problems."""
         ranges, weights = self.ranges.picked(problems), self.weights.picked(problems)
         return replace(self, ranges=ranges, weights=weights)
 
@@ -82,5 +82,5 @@ class Unexplained:
         return Rows(columns)
 
     def picked(self, problems: IntArray) -> "Unexplained":
-        """Return those of some problems."""
+        """Return the block of some problems."""
         return replace(self, weights=self.weights.picked(problems))

@@ -87,7 +87,7 @@ class Sensor(Protocol):
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
         """Return ds by its tangent coordinates (q, K, G, S), for covectors a in the hand.
 
-        Those of a range error, which move no ray, are left out: `Rays.by_error` has them.
+        Coordinates of a range error, which move no ray, are not among them: see `Rays.by_error`.
         """
 
 

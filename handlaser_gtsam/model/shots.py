@@ -1,4 +1,4 @@
-r"""A shot of many rays on one target, as a handful of rows: compressed, wrong points left out.
+r"""A shot of many rays on one target, as a handful of rows: compressed, wrong points rejected.
 
 What n readings of a shot say of where the target is in the sensor's frame is the shape that fits them
 best, with its information: two numbers for a line in a profile, three for a plane or a circle, four for
@@ -24,7 +24,7 @@ from .sensors.fans import Rayset
 from .sensors.kinds import Kind
 
 FAR_FROM_SHAPE = 4.5
-"""Points farther than this many standard deviations from the shape of their shot are left out."""
+"""Points farther than this many standard deviations from the shape of their shot are rejected."""
 WEAK_SPHERE = 4
 """A sphere is hardly known from up to this many times as many points as it has numbers."""
 FEW_TOO_CLOSE = 5.0
@@ -33,16 +33,16 @@ this over n - p (Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
 MANY, OF_MANY = 100, 0.35
-"""Of so many points this part has to be on the target, the rest may be on anything behind it; of fewer
+"""From that number of points on, this part has to be on the target, the rest on anything; of fewer
 points the better half, because a shape passes through a third of them by chance."""
 LARGEST_BALL = 5.0
-"""The radius of a sphere is below so many times the largest length of a shot: larger ones look flat."""
+"""The radius of a sphere is below this multiple of the largest length of a shot, or it looks flat."""
 VOTING = 128
 """Points that vote on trial shapes."""
 MOST_SLANTED = 3.0
 """Rays that count meet the target with a cosine of at least one over this."""
 SIFTINGS = 4
-"""Rounds in which points that are far from their shape are left out; two settle most shots."""
+"""Rounds in which points that are far from their shape are rejected; two settle most shots."""
 STEPS_OF_SHAPE = 12
 """Gauss-Newton steps of a shape: a good start takes four."""
 SHAPE_SETTLED = 1e-10
@@ -214,7 +214,7 @@ def condensed(
     reading : (n,)
         [m]
     ratio : float
-        Standard deviation of `across` over that of a reading, for profilers.
+        Standard deviation of `across`, in standard deviations of a reading, for profilers.
     sigma : float, optional
         Standard deviation of a reading [m], where it is known.
     """
@@ -369,9 +369,9 @@ def _robust(
 
 
 def share_of(points: int) -> tuple[float, float]:
-    """Return the part of so many points that has to be on the target, and one over its quantile.
+    """Return the part of a number of points that has to be on the target, and one over its quantile.
 
-    The quantile is that of the sizes of Gaussian errors of unit variance.
+    The quantile is of the sizes of Gaussian errors with unit variance.
     """
     share = 0.5 if points < MANY else OF_MANY
     return share, 1.0 / float(gaussian_quantile(0.5 + 0.5 * share))

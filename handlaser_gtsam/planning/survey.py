@@ -37,7 +37,7 @@ CANDIDATES = 600
 TRIED = 6 * CANDIDATES
 """Orientations that are drawn for them: of a hand that turns in all directions a sixth looks there."""
 RAYS = 60
-"""Rays of a candidate, evenly among those of a shot, with the weight of all."""
+"""Rays of a candidate: some of a shot, evenly spaced, with the weight of all."""
 STEEPEST = np.radians(50.0)
 """Candidates look at a plane at angles of incidence up to that: most sensors read there."""
 ASIDE = 0.6

@@ -31,7 +31,7 @@ from .significance import SINGLE_LEVEL
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""
 NAMED = 0.1
-"""Variables are named that have such a part of what the one has that is left open most."""
+"""Variables are named that move by this part of what the least determined one does."""
 ANCHOR = (
     "anchor at least one pose, tie every pose to others by a prior, odometry or a fix, and check that "
     "all lengths are metres"

@@ -80,7 +80,7 @@ class Projection:
     """Takes out of columns what the unknowns explain; planes are eliminated before beams.
 
     Unknowns are scaled by the square roots of their own information, so that their units do not
-    matter. `prior` is as that of the rows, or another one.
+    matter. `prior` is the one of the rows, or another one.
     """
 
     def __init__(self, rows: LinearRows, prior: FloatArray) -> None:

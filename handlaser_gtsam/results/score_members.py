@@ -135,7 +135,7 @@ class PlaneErrors:
 
 
 def score_members(rows: LinearRows) -> list[CommonErrors | PlaneErrors]:
-    """Return all effects of the registry: those of all readings, and a family of each other one."""
+    """Return all effects of the registry: one of all readings each, and a family of each other one."""
     everywhere: list[tuple[str, Everywhere]] = []
     families: list[CommonErrors | PlaneErrors] = []
     for code, effect in EFFECTS.items():

@@ -163,7 +163,7 @@ class SurveyTarget(Value):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RejectedShot(Value):
-    """A shot, or a reading of a beam, that was left out.
+    """A rejected shot, or reading of a beam.
 
     Attributes
     ----------

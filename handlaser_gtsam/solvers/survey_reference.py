@@ -204,7 +204,7 @@ class _Unknowns:
     def solution(
         self, x: FloatArray, inverse: FloatArray
     ) -> tuple[dict[tuple[str, int], FloatArray], dict[tuple[str, int], FloatArray]]:
-        """Return values and covariances of each variable, given those of the unknowns."""
+        """Return values and covariances of each variable, given the covariance of the unknowns."""
         at = self.at(x)
         tables = {"beam": at.beam, "plane": at.plane}
         values, covariances = {}, {}
@@ -244,7 +244,7 @@ class _Residuals:
         return across or bool(self.of.pose.any())
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """Return all residuals, those of relations and priors last."""
+        """Return all residuals, relations and priors last."""
         at = self.unknowns.at(x)
         e = self._readings(at, self.of.world_R_hand, self.of.world_t_hand)
         for rows, U, shrink in self.weights:
@@ -289,7 +289,7 @@ class _Residuals:
     def _rays(
         self, one: Observed, at: _At, R: FloatArray, t: FloatArray, shifted: float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Return origins and directions in the world, x shifted by so much [m]."""
+        """Return origins and directions in the world, with x `shifted` [m]."""
         if one.across is None:
             beam = at.beam[one.sensor]
             o, u = beam[:, :3], beam[:, 3:6]
@@ -320,7 +320,7 @@ class _Residuals:
         return one.reading + _range(at, one, o, u) - _true(one, at, one.reading)
 
     def _inflated(self, one: Observed, at: _At) -> FloatArray:
-        """Return by how much noise of x makes that of each reading larger."""
+        """Return the factor on the noise of each reading that the noise of x adds."""
         noise = 0.0 if one.across is None else self.of.shots[int(one.sensor)].sigma_across
         if not noise:
             return np.ones(len(one.reading))

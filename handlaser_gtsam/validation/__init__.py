@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from .simulate import Errors as Errors
     from .study import Case as Case
     from .study import Study as Study
+    from .survey import SurveyLeftOut as SurveyLeftOut
+    from .survey import SurveyValidation as SurveyValidation
+    from .survey import cross_check_survey as cross_check_survey
+    from .survey import validate_survey as validate_survey
 else:
     from ..lazy import lazy_names
 

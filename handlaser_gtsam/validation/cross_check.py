@@ -51,7 +51,8 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     InputError
         The calibration did not converge, or its loss is robust: SciPy solves least squares.
     """
-    require_kind("calibration", calibration, Calibration)
+    of_surveys = "a Calibration; hl.validation.cross_check_survey takes the result of a Survey"
+    require_kind("calibration", calibration, Calibration, of_surveys)
     require_kind("recording", recording, Recording)
     if calibration.status != "converged":
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")

@@ -99,6 +99,8 @@ def validate(
     require_count("splits", splits, 0, 10**9)
     if rng is not None:
         require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
+    of_surveys = "a Recording; hl.validation.validate_survey takes a Survey"
+    require_kind("recording", recording, Recording, of_surveys)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     rng = rng or np.random.default_rng(0)

@@ -1,9 +1,9 @@
-"""Validation of surveys: does an independent solver agree, and is predicted what was left out.
+"""Validation of surveys: does an independent solver agree, and are parts predicted by the rest.
 
 Two tests. SciPy solves the same points again, by formulas of its own (`solvers/survey_reference.py`).
-And every target, and random parts of the stations, are left out and predicted: with the rest of the
-survey alone the mounts are found again, and what the shots that were left out add to the sum of squares
-is compared with what it should be.
+And every target, and random parts of the stations, are predicted by the rest: the mounts are found
+again with the rest alone, and what the other shots add to the sum of squares is compared with what it
+should be.
 """
 
 from collections import defaultdict
@@ -48,14 +48,14 @@ PARTS = {
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SurveyLeftOut(Value):
-    """How the rest of a survey predicts what was left out.
+    """How the rest of a survey predicts a part of it.
 
     Attributes
     ----------
     name : str
         A label, or the number of a random split.
     shots : int
-        Shots and readings of beams that were left out.
+        Shots and readings of beams that were predicted.
     chi2, dof : float, int
         What they add to the sum of squares, and what it should be about.
     p_value : float
@@ -104,7 +104,7 @@ def validate_survey(
     splits: int = 5,
     rng: np.random.Generator | None = None,
 ) -> SurveyValidation:
-    """Calibrate a survey, solve it again with SciPy, and predict targets and stations left out.
+    """Calibrate a survey, solve it again with SciPy, and predict its parts from the rest.
 
     Parameters
     ----------
@@ -316,7 +316,7 @@ def _without(survey: Survey, out: BoolArray) -> Survey | None:
 
 
 def _values_of(whole: SurveyEstimate, found: SurveyEstimate) -> dict[str, FloatArray]:
-    """Return the values that the rest has found, and of what it has not seen those of the whole."""
+    """Return the values that the rest has found; the whole has those that the rest has not seen."""
     values = {name: x[None].copy() for name, x in whole.estimate.values.items()}
     for kind, x in found.estimate.values.items():
         if kind == PLANE.name or kind in found.rows.targets:

@@ -63,8 +63,8 @@ def exported_beams(
 ) -> tuple[ExportedBeam, ...]:
     """Return the named beams, and sensors of a survey; or all where none is named.
 
-    The frame of each has its origin where it reads `reading` [m] along the beam, or along the z axis of
-    a sensor. Identifiers do not depend on the choice.
+    The frame of each has its origin where it reads `reading` [m] along the beam, along the z axis of a
+    sensor, or along the x axis of a scanner. Identifiers do not depend on the choice.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def exported_beams(
 def _beams(mounts: Mounts, axis: Axis) -> Iterator[Placed]:
     """Yield beams with their range errors and standard deviations in words.
 
-    That of the direction is the largest over its tangents.
+    The sigma of the direction is the largest over its tangents.
     """
     directions = normalized(mounts.directions)
     for i, name in enumerate(mounts.names):
@@ -120,8 +120,9 @@ def _sensors(file: SurveyFile, axis: Axis) -> Iterator[Placed]:
     """Yield sensors of many rays in their own frames, and beams."""
     for sensor in file.sensors:
         R = np.array(sensor.rotation)
+        ahead = R[:, 0] if sensor.kind == "scanner" else R[:, 2]
         words = _located(sensor.kind, sensor.name, sensor.location_sigma_m)
-        yield sensor.name, words, np.array(sensor.location_m), R[:, 2], R, np.zeros(2)
+        yield sensor.name, words, np.array(sensor.location_m), ahead, R, np.zeros(2)
     for beam in file.beams:
         r, v, k = map(np.array, (beam.location_m, beam.direction, beam.range_error))
         words = _located("beam", beam.name, beam.location_sigma_m)

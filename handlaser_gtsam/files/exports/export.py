@@ -198,15 +198,20 @@ def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
         frames = f"{axis} of each frame lies along its beam; its origin is {where}."
     elif beams_only:
         frames = "x of each frame lies along its beam, from where the true range is zero."
+    roll = "The roll about the beam is free; it is that of the smallest rotation from the hand frame."
+    has_beams = isinstance(what, Mounts) or len(what.beams) > 0
+    if not has_beams:
+        frames = "Each frame is the sensor's own, in which its points are."
+        roll = "All three of its axes are measured: nothing about it is free."
     text = rendered(
         to,
         beams=beams,
         about=f"{'Laser beams' if beams_only else 'Sensors'} calibrated by handlaser {__version__}, "
         "in the hand frame: the frame that the recorded poses describe.",
         frames=frames,
-        roll="The roll about the beam is free; it is that of the smallest rotation from the hand "
-        "frame.",
+        roll=roll,
         parent=options.link,
+        along=f"{axis} along beam" if has_beams else "frame of sensor",
         axis=axis,
         tool=tool,
         reading=shown_reading,

@@ -1,4 +1,4 @@
-"""The report of a survey: one page, like that of beams before planes, with profiles drawn."""
+"""The report of a survey: one page, as beams before planes have one, with profiles drawn."""
 
 from collections.abc import Iterator
 from dataclasses import replace

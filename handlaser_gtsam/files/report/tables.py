@@ -1,4 +1,4 @@
-"""Tables of a report beside those of every view: stations, and parts that were held out."""
+"""Tables that only a report has: stations, and parts that were held out."""
 
 import math
 

@@ -1,6 +1,6 @@
 """Carry-over of a converter: each channel keeps a part of the channel before it, the first of the last.
 
-Predicted readings are carried over, not those of the recording: two readings of a station differ by
+Predicted readings are carried over, not the recorded ones: two readings of a station differ by
 errors of the pose as well, which the residuals hold, too, and most of the little that the unknowns do
 not explain of the difference would be these errors.
 """

@@ -9,7 +9,7 @@ WARMING = 8.0
 
 
 def members(stations: SeenStations) -> Everywhere:
-    """Return the derivatives (N, 2) by a steady drift, and by that of a sensor that warms up."""
+    """Return the derivatives (N, 2) by a steady drift, and by the drift of a sensor that warms up."""
     steady = stations.longer * (stations.time - 0.5)
     warming = -stations.longer * np.exp(-WARMING * stations.time)
     return Everywhere(np.stack((steady, warming), axis=1))

@@ -7,7 +7,7 @@ from .fans import Rayset
 
 
 def zone_rays(across: FloatArray) -> Rayset:
-    """Return the rays of directions (n, 3); their scale is that of the tangents x/z, y/z."""
+    """Return the rays of directions (n, 3); their scale multiplies the tangents x/z, y/z."""
     u = across / np.linalg.norm(across, axis=1)[:, None]
     # Unit vector of (x c, y c, z): its derivative by c is across u.
     aside = np.column_stack((u[:, :2], np.zeros(len(u))))
