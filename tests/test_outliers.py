@@ -153,14 +153,13 @@ def test_robust_starts_agree_on_the_good_readings():
     readings = spoilt(recording, 0.3, 4).readings()
     others = [grow(start, readings) for start in direction_starts(readings, 2)]
 
-    class LeastScale:
-        def criterion(self, refined):
-            return refined.scale
+    def scale_of(refined):
+        return refined.scale
 
-        def convinced(self, *_):
-            return False
+    def never(*_):
+        return False
 
-    best = robust_search(readings, others, None, 0, LeastScale())[0]
+    best = robust_search(readings, others, None, 0, scale_of, never)[0]
     angle = np.linalg.norm(np.cross(best.parameters.directions, truth.directions), axis=1)
     assert np.degrees(angle.max()) < 1.0
 
