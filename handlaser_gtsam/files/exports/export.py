@@ -198,7 +198,9 @@ def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
         frames = f"{axis} of each frame lies along its beam; its origin is {where}."
     elif beams_only:
         frames = "x of each frame lies along its beam, from where the true range is zero."
-    roll = "The roll about the beam is free; it is that of the smallest rotation from the hand frame."
+    roll = (
+        "The roll about the beam is free; it is that of the smallest rotation from the hand frame."
+    )
     has_beams = isinstance(what, Mounts) or len(what.beams) > 0
     if not has_beams:
         frames = "Each frame is the sensor's own, in which its points are."
