@@ -1,10 +1,12 @@
 """All figures of a subject, in the order of the report: a further one is a line of `flat_figures`."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from ...arrays import FloatArray
+from ...planning.picture import logarithmic_ticks
 from ...quantities import IN_DEG, IN_MM
 from ...results.correlations import LABELS, STRONG, correlation_matrix
 from ..json_text import Record
@@ -21,6 +23,11 @@ from .figure import (
 )
 from .residual_figures import qq_figure, residual_figures
 from .subject import Subject
+
+LABELS_ABOVE = 7
+"""Labels of an axis that fit above one another."""
+CLEAR = 0.06
+"""Room above and below a logarithmic curve, in decades: its line stands clear of the edge."""
 
 
 def flat_figures(subject: Subject) -> list[Figure]:
@@ -127,10 +134,31 @@ def stations_figure(subject: Subject) -> Figure | None:
     caption += "stations of the recording, at the noise found from all."
     if plan is not None:
         caption += " Dotted: what the next best stations promise."
-    scale = "log" if known.spot.any() else "linear"  # of readings without noise
+    right = _logarithmic(traces, "y2")
     more: Record = {
-        "yaxis": axis("mm", type=scale),
-        "yaxis2": axis("deg", type=scale, overlaying="y", side="right", showgrid=False),
+        "yaxis": axis("mm", **_logarithmic(traces, "y")),
+        "yaxis2": axis("deg", **right, overlaying="y", side="right", showgrid=False),
         "margin": {"l": 58, "r": 58, "t": 34, "b": 48},
     }
     return Figure("by-count", caption, traces, layout("stations", "mm", more=more, legend=True))
+
+
+def _logarithmic(traces: list[Record], side: str) -> Record:
+    """Return the type, the range and round ticks of an axis, for what stands on its `side`.
+
+    Left to itself plotly labels every digit, one over the other where the figure is small.
+    """
+    values: list[float] = [
+        y
+        for trace in traces
+        if trace["yaxis"] == side and isinstance(trace["y"], list)
+        for y in trace["y"]
+        if y
+    ]
+    if not values:  # of readings without noise
+        return {"type": "linear"}
+    low, high = math.log10(min(values)) - CLEAR, math.log10(max(values)) + CLEAR
+    inside = logarithmic_ticks(low, high)
+    inside = inside[:: math.ceil(len(inside) / LABELS_ABOVE) or 1]
+    words = [f"{tick:g}" for tick in inside]
+    return {"type": "log", "range": [low, high], "tickvals": inside, "ticktext": words}

@@ -214,16 +214,15 @@ def _shape(axes: "Axes", shape: Mapping[str, Any]) -> None:
 
 def _axis(axes: Any, axis: Mapping[str, Any], side: str) -> None:
     """Set title, scale, range and ticks of an axis."""
-    from matplotlib.ticker import LogLocator
+    from matplotlib.ticker import NullLocator
 
     drawn = axes.xaxis if side == "x" else axes.yaxis
     drawn.set_label_text(axis["title"]["text"], fontsize=9)
     drawn.set_tick_params(labelsize=8)
     if axis["type"] == "log":
         axes.set_yscale("log")
-        drawn.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
-        drawn.set_major_formatter("{x:g}")
-        drawn.set_minor_formatter("{x:g}")
+        axes.set_ylim(*(10.0**power for power in axis["range"]))
+        drawn.set_minor_locator(NullLocator())
     elif "range" in axis:
         (axes.set_xlim if side == "x" else axes.set_ylim)(*axis["range"])
     if "tickvals" in axis:
