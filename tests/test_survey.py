@@ -1,5 +1,7 @@
 """Sensors of many rays, spheres, points and relations: rows, starts, noise, and what is rejected."""
 
+import pickle
+
 import numpy as np
 import pytest
 from helpers import ROOT  # noqa: F401  # puts the benchmarks on the path
@@ -69,6 +71,18 @@ def test_errors_of_the_hand_are_counted_stated_or_not():
         assert ratio.min() > 2.0
 
 
+def test_results_are_equal_and_pickled_as_others_are():
+    rig = rigs_by_rays.profiler(3, targets="planes+sphere")
+    ball = rig.truth["targets"]["sphere:S1"]
+    survey = survey_of(rig, [hl.Known("radius", ("sphere:S1",), ball["radius"], sigma=1e-4)])
+    one, again = hl.calibrate(survey, EXACT), hl.calibrate(survey, EXACT)
+    assert one == again
+    assert "_found" not in repr(one)
+    kept = pickle.loads(pickle.dumps(one))
+    assert kept == one
+    assert (hl.planning.plan_survey(kept, 2).spot_errors > 0.0).all()
+
+
 def test_wrong_shots_are_left_out_as_wholes():
     options = {"wrong_shots": 0.1, "wrong_by": "station", "stations": 15, "planes": 2}
     rig = rigs_by_rays.profiler(3, **options)
@@ -93,7 +107,7 @@ def test_a_cone_is_refused_with_what_is_undetermined():
 def test_covariances_are_gtsams_and_the_dense_inverse():
     rig = rigs_by_rays.mixed(3)
     found = estimate_survey(survey_of(rig), EXACT)
-    problem, estimate = found.problem, found.estimate
+    problem, estimate = found.problem(), found.estimate
     J, _ = problem.rows(
         problem.blocks, {name: x[None] for name, x in estimate.values.items()}
     ).whitened()
@@ -147,9 +161,9 @@ def test_condensed_shots_say_what_all_points_say():
     estimate = found.estimate
     values = {name: x[None] for name, x in estimate.values.items()}
     whole = whole_block(survey, list(found.rows.targets["plane"]))
-    problem = hl.estimation.BlockProblem([whole], values, found.problem.unknown, 0.2)
+    problem = hl.estimation.BlockProblem([whole], values, found.problem().unknown, 0.2)
     rows = problem.rows([whole], values)
-    few = problem.rows(found.problem.blocks, values)
+    few = problem.rows(found.problem().blocks, values)
     sigma = np.sqrt(np.diagonal(estimate.covariance))
     J, e = rows.derivatives * sigma / 1e-4, rows.residuals / 1e-4
     K, f = few.derivatives * sigma, few.residuals

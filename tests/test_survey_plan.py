@@ -86,6 +86,19 @@ def test_a_plan_determines_what_a_poor_motion_left_open():
     assert after.sensors["profiler"].spot_error < 1e-3
 
 
+def test_a_plan_ends_where_its_goal_is_reached():
+    rng = np.random.default_rng(2)
+    first = hl.calibrate(measured(list(looking(rng.uniform(-0.5, 0.5, (6, 2)), rng)), rng), EXACT)
+    whole = plan_survey(first, 6)
+    enough = hl.planning.Goal(spot=float(whole.spot_errors[3]) * 1.001)
+    plan = plan_survey(first, 6, goal=enough)
+    assert plan.reached
+    assert len(plan.sensors) == 3
+    for hard in (hl.planning.Goal(location_sigma=1e-9), hl.planning.Goal(direction_sigma=1e-9)):
+        assert plan_survey(first, 6, goal=hard).reached is False
+    assert whole.reached is None
+
+
 def test_the_command(handlaser, tmp_path):
     poses, rig = (str(ROOT / "examples/profiler" / name) for name in ("poses.csv", "rig.toml"))
     out = tmp_path / "next.csv"

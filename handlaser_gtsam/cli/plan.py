@@ -150,7 +150,9 @@ def _planned(
     if isinstance(read, Survey):
         plain = (model, planes) == (Model(), None)
         refuse_of_beams(rig, [], recording or Path(), plain=plain)
-        return survey_plan(read, rig, stations or UNASKED // 2, rng)
+        return survey_plan(
+            read, rig, stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED), rng
+        )
     require_range(rig.sensor)
     calibration: Calibration | Mounts
     if read is None:

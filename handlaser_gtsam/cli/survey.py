@@ -121,7 +121,7 @@ def survey_plan(
             "a workspace without it: stations of sensors of many rays are not asked of an arm"
         )
         raise InputError("the table [robot] of the rig file", expected)
-    return plan_survey(calibrate(survey, rig.noise), stations, rig.workspace, rng)
+    return plan_survey(calibrate(survey, rig.noise), stations, rig.workspace, rig.goal, rng)
 
 
 def survey_plan_lines(planned: "SurveyPlan") -> list[str]:
@@ -131,6 +131,8 @@ def survey_plan_lines(planned: "SurveyPlan") -> list[str]:
         f"{len(planned.sensors)} stations: spots within {errors[-1]:.2g} mm (95 %) after them, "
         f"{errors[0]:.2g} mm before"
     ]
+    if planned.reached is not None:
+        lines.append(f"the goal is {'' if planned.reached else 'not '}reached after them")
     of = zip(planned.stations.plane_labels, planned.sensors, errors[1:].tolist(), strict=True)
     lines += [
         f"{number}. {sensor} before {label}: then {error:.2g} mm"

@@ -26,8 +26,9 @@ class Value:
     """Base of frozen dataclasses with arrays.
 
     Two values are equal if they are of one class and all their fields are equal: arrays in shape and
-    every entry, mappings in the order of their names too, and NaN is equal to NaN. Values have no hash,
-    like arrays. Arrays and mappings in them are read-only, in copies and after unpickling as well;
+    every entry, mappings in the order of their names too, and NaN is equal to NaN. Private fields do
+    not count, and are not shown. Values have no hash, like arrays. Arrays and mappings in them are
+    read-only, in copies and after unpickling as well;
     building a value copies no array, so that who keeps a writable one must not write to it.
     """
 
@@ -41,7 +42,7 @@ class Value:
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
             return NotImplemented
-        names = self.__dataclass_fields__
+        names = [name for name in self.__dataclass_fields__ if not name.startswith("_")]
         return all(same(getattr(self, name), getattr(other, name)) for name in names)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -57,6 +58,8 @@ class Value:
         parts = []
         for name, field in self.__dataclass_fields__.items():
             value = getattr(self, name)
+            if name.startswith("_"):
+                continue
             if field.default is MISSING or not same(value, field.default):
                 parts.append(f"{name}={_short(value)}")
         return f"{type(self).__name__}({', '.join(parts)})"

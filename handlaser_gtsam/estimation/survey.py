@@ -91,8 +91,6 @@ class SurveyEstimate:
     rows : Rows
     given : Noise
         What was stated of it.
-    problem : BlockProblem
-        Of the shots that were used, in their standard deviations, errors of the hand counted.
     estimate : Estimate
     noise : Components
         Its pose sizes are 1 where covariances of the poses are stated.
@@ -104,12 +102,19 @@ class SurveyEstimate:
 
     rows: Rows
     given: Noise
-    problem: BlockProblem
     estimate: Estimate
     noise: Components
     stated: Components
     used: BoolArray
     tests: tuple[RelationTest, ...]
+
+    def problem(self) -> BlockProblem:
+        """Return the blocks of what was used, in standard deviations, errors of the hand counted.
+
+        They are made again: rules of relations cannot be pickled with a result.
+        """
+        values = {name: x[None] for name, x in self.estimate.values.items()}
+        return self.at(values, self.noise).problem()[0]
 
     def at(self, values: Mapping[str, FloatArray], sizes: Components) -> "SurveyState":
         """Return the same shots at other values and sizes of the noise, which are not learned."""
@@ -232,7 +237,7 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         message = f"the rest contradicts more than {MOST_REJECTED:.0%} of the shots of {names}"
         found = replace(found, status="contradicted", message=message)
     return SurveyEstimate(
-        rows, noise, problem, found, state.sizes, stated, state.used, _tested(state, problem)
+        rows, noise, found, state.sizes, stated, state.used, _tested(state, problem)
     )
 
 
@@ -346,9 +351,8 @@ def _started_from_halves(state: SurveyState) -> bool:
             break
     if values is None:
         return False
-    state.values, state.used = values, np.ones(len(items), dtype=bool)
-    misfits = _misfits(state)
-    state.used = misfits <= GROSS * max(least, 1.0)
+    state.values = values
+    state.used = _misfits(state) <= GROSS * max(least, 1.0)
     return True
 
 

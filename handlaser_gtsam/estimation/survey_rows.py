@@ -24,6 +24,7 @@ from ..model.targets.plane import Plane
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere
 from ..quantities import MM
+from .dense import Unknowns, unknowns_of
 
 TARGETS: dict[str, type[Plane] | type[Sphere]] = {PLANE.name: Plane, SPHERE.name: Sphere}
 """Targets that rays meet, by family."""
@@ -115,6 +116,10 @@ class Rows:
             mask[-len(ERRORS) :] = [error in free for error in ERRORS]
             unknown[SENSOR.name] = mask
         return unknown
+
+    def places(self) -> Unknowns:
+        """Return where the unknowns stand."""
+        return unknowns_of(self.counts(), self.unknown())
 
     def poses(self) -> FloatArray:
         """Return the hand poses as values (1, M, 12)."""

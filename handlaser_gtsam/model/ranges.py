@@ -148,13 +148,8 @@ class Ranges:
 
     def slots(self) -> tuple[Slot, ...]:
         """Return the members of sensor, target and, if its poses are variables, robot."""
-        slots, first = [], 0
-        for part in (self.sensor, self.target, self.robot):
-            if part.family:
-                dim = FAMILIES[part.family].dim
-                slots.append(Slot(part.family, part.member, slice(first, first + dim)))
-                first += dim
-        return tuple(slots)
+        parts = self.sensor, self.target, self.robot
+        return slots_of(*((part.family, part.member) for part in parts))
 
     def evaluate(self, values: Values) -> Rows:
         """Return the rows of all readings [m]."""
@@ -261,3 +256,13 @@ def turned(R: FloatArray, x: FloatArray) -> FloatArray:
 def turned_back(R: FloatArray, x: FloatArray) -> FloatArray:
     """Return R' x for rotations (3, 3, ...) and vectors (3, ...)."""
     return turned(np.swapaxes(R, 0, 1), x)
+
+
+def slots_of(*variables: tuple[str, IntArray]) -> tuple[Slot, ...]:
+    """Return slots one after the other, of (family, members); without a family there is none."""
+    slots, first = [], 0
+    for family, member in variables:
+        if family:
+            slots.append(Slot(family, member, slice(first, first + FAMILIES[family].dim)))
+            first = slots[-1].columns.stop
+    return tuple(slots)

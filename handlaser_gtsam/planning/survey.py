@@ -30,6 +30,7 @@ from ..results.spot_error import radius
 from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations
 from .choice import choose
+from .goal import Goal
 from .workspace import TURN_EXPONENT, Workspace, inside, workspace_of
 
 CANDIDATES = 600
@@ -59,11 +60,14 @@ class SurveyPlan(Value):
         The sensor that looks at the target, at each station.
     spot_errors : (M + 1,)
         Largest radius of a sensor that holds its spot with 95 %, before the first and after each [m].
+    reached : bool, optional
+        Whether the goal is reached after them, where there is one: the plan ends there.
     """
 
     stations: StationList
     sensors: tuple[str, ...]
     spot_errors: FloatArray
+    reached: bool | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +94,7 @@ def plan_survey(
     calibration: SurveyCalibration,
     count: int = 10,
     workspace: Workspace | None = None,
+    goal: Goal | None = None,
     rng: np.random.Generator | None = None,
 ) -> SurveyPlan:
     """Choose the next stations of a survey with sensors of many rays.
@@ -99,8 +104,11 @@ def plan_survey(
     calibration : SurveyCalibration
         Converged or undetermined.
     count : int
+        Stations at most.
     workspace : Workspace, optional
         Where the hand may go; about the stations so far where it is not given.
+    goal : Goal, optional
+        Standard deviations of locations and turns, and spot errors, that are enough for all sensors.
     rng : Generator, optional
 
     Raises
@@ -115,6 +123,8 @@ def plan_survey(
         raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
     if not calibration.sensors:
         raise InputError("a survey of single beams", "a sensor of many rays")
+    if rng is not None:
+        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
     rng = np.random.default_rng(0) if rng is None else rng
     if workspace is None:
         workspace = workspace_of(found.rows.survey.stations)
@@ -127,7 +137,8 @@ def plan_survey(
         expected = "a workspace with room for other orientations before the targets"
         raise InputError("no place from which a sensor sees its target", expected)
     values = {name: x[None] for name, x in found.estimate.values.items()}
-    J, _ = found.problem.rows(found.problem.blocks, values).whitened()
+    problem = found.problem()
+    J, _ = problem.rows(problem.blocks, values).whitened()
     before = _inverse(J.T @ J + np.eye(J.shape[1]) / WIDEST**2)
     weight = _weight(calibration, J.shape[1])
     most = max(view.rows.shape[1] for view in views)
@@ -135,21 +146,25 @@ def plan_survey(
         [np.pad(v.rows, ((0, 0), (0, most - v.rows.shape[1]), (0, 0))) for v in views]
     )
     taken, _, _ = choose(rows[None], before, weight, min(count, len(rows)))
-    view_of = np.repeat(np.arange(len(views)), [len(view.R) for view in views])
-    R, t = (np.concatenate([getattr(view, name) for view in views])[taken] for name in "Rt")
-    chosen = [views[i] for i in view_of[taken]]
-    labels = tuple(found.rows.label(view.target) for view in chosen)
-    names = list(calibration.sensors)
-    errors = [_spot_error(before, weight)]
-    C = before
+    C, errors = before, [_spot_error(before, weight)]
+    reached = False
     for A in rows[taken]:
+        if reached:
+            break
         gain = C @ A.T
         C = C - gain @ np.linalg.solve(np.eye(len(A)) + A @ gain, gain.T)
         errors.append(_spot_error(C, weight))
+        reached = goal is not None and goal.stated and _reached(calibration, C, errors[-1], goal)
+    taken = taken[: len(errors) - 1]
+    view_of = np.repeat(np.arange(len(views)), [len(view.R) for view in views])
+    R, t = (np.concatenate([getattr(view, name) for view in views])[taken] for name in "Rt")
+    chosen = [views[i] for i in view_of[taken]]
+    names = list(calibration.sensors)
     return SurveyPlan(
-        StationList(R, t, labels),
+        StationList(R, t, tuple(found.rows.label(view.target) for view in chosen)),
         tuple(names[view.member] for view in chosen),
         np.array(errors),
+        reached if goal is not None and goal.stated else None,
     )
 
 
@@ -308,12 +323,12 @@ def _said(
     columns, _ = _evaluated(values, member, target, rays, flat, by_error)
     columns = np.where(root > 0.0, columns[:, 0] * root, 0.0)  # (c, N, S)
     sensor, seen = slice(0, SENSOR.dim), FAMILIES[target[0]].dim
-    place, widths = found.problem.places(), found.rows.unknown()
+    place, widths = found.rows.places(), found.rows.unknown()
     free = np.flatnonzero(np.broadcast_to(widths[SENSOR.name], SENSOR.dim))
     J = np.concatenate((columns[sensor][free], columns[SENSOR.dim : SENSOR.dim + seen]))
     A = columns[SENSOR.dim + seen : SENSOR.dim + seen + 6]
     state = found.at(values, found.noise)
-    covariance = state.pose_covariance()
+    covariance = state.pose_covariance()  # as at the first station
     A = np.einsum("cns,cd->dns", A, pose_roots(covariance[:1])[0])
     J, A = np.moveaxis(J, 0, 2), np.moveaxis(A, 0, 2)  # (N, S, c)
     AJ = np.swapaxes(A, 1, 2) @ J
@@ -334,13 +349,25 @@ def _said(
 
 def _weight(calibration: SurveyCalibration, unknowns: int) -> FloatArray:
     """Return derivatives (3 sensors, U) of the spots at working distance, in their sensors' frames."""
-    place = calibration._found.problem.places().place[SENSOR.name]
+    place = calibration._found.rows.places().place[SENSOR.name]
     weight = np.zeros((3 * len(calibration.sensors), unknowns))
     for i, sensor in enumerate(calibration.sensors.values()):
         own = slice(3 * i, 3 * i + 3)
         weight[own, place[i] + np.arange(3)] = -skew(sensor.spot)
         weight[own, place[i] + 3 + np.arange(3)] = np.eye(3)
     return weight
+
+
+def _reached(calibration: SurveyCalibration, C: FloatArray, spot: float, goal: Goal) -> bool:
+    """Tell whether all sensors are as well known as the goal asks."""
+    turns, shifts = [], []
+    place = calibration._found.rows.places().place[SENSOR.name]
+    for first, sensor in zip(place.tolist(), calibration.sensors.values(), strict=True):
+        turn, shift = slice(first, first + 3), slice(first + 3, first + 6)
+        turns.append(np.diagonal(C[turn, turn]).max())
+        shifts.append(np.diagonal(sensor.rotation @ C[shift, shift] @ sensor.rotation.T).max())
+    asked = (goal.location_sigma, max(shifts) ** 0.5), (goal.direction_sigma, max(turns) ** 0.5)
+    return all(most is None or size <= most for most, size in (*asked, (goal.spot, spot)))
 
 
 def _spot_error(C: FloatArray, weight: FloatArray) -> float:

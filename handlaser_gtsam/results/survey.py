@@ -412,7 +412,7 @@ def _source(rows: Rows, family: str, member: int) -> str:
 
 def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
     """Return tests of the range errors that are held at zero, by sensor."""
-    problem, estimate = found.problem, found.estimate
+    problem, estimate = found.problem(), found.estimate
     blocks = kept_blocks(problem, estimate)
     values = {name: x[None] for name, x in estimate.values.items()}
     if SENSOR.name not in values:

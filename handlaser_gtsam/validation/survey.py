@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..checks import require_kind
+from ..checks import require_count, require_kind
 from ..data.noise import Noise
 from ..data.survey import Survey, normal_label
 from ..data.value import Value
@@ -118,10 +118,15 @@ def validate_survey(
 
     Raises
     ------
+    InputError
+        No sensible number of splits, or what `calibrate` refuses.
     SolverError
         A survey that has no minimum, or more than one.
     """
     require_kind("survey", survey, Survey)
+    require_count("splits", splits, 0, 10**9)
+    if rng is not None:
+        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
     noise = Noise() if noise is None else noise
     rng = np.random.default_rng(0) if rng is None else rng
     whole = estimate_survey(survey, noise)

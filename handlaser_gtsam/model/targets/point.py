@@ -12,8 +12,8 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ..block import Rows, Slot, Values, Weights
-from ..families import FAMILIES, Family, Vector, bases, register
-from ..ranges import Robot, Sensor, dot, members, turned, turned_back
+from ..families import Family, Vector, bases, register
+from ..ranges import Robot, Sensor, dot, members, slots_of, turned, turned_back
 
 POINT = register(Family("point", (Vector(3),), ("x", "y", "z"), (1, 1, 1)))
 """A position, world frame."""
@@ -44,14 +44,11 @@ class SpotsOnPoints:
 
     def slots(self) -> tuple[Slot, ...]:
         """Return the members of sensor, point and, if its poses are variables, robot."""
-        slots, first = [], 0
-        of = [(self.sensor.family, self.sensor.member), (POINT.name, self.member)]
-        if self.robot.family:
-            of.append((self.robot.family, self.robot.member))
-        for family, member in of:
-            slots.append(Slot(family, member, slice(first, first + FAMILIES[family].dim)))
-            first += FAMILIES[family].dim
-        return tuple(slots)
+        return slots_of(
+            (self.sensor.family, self.sensor.member),
+            (POINT.name, self.member),
+            (self.robot.family, self.robot.member),
+        )
 
     def evaluate(self, values: Values) -> Rows:
         """Return three rows a reading [m]."""
