@@ -27,7 +27,7 @@ from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
 from .points_table import Echo, frame_numbers, read_frame, read_points
 
-SHORTEST, LONGEST = 1e-3, 100.0
+SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
 """All lengths below a millimetre, or readings of more than a hundred metres, are a wrong unit [m]."""
 Words = Annotated[tuple[str, ...], Strict(False)]
 Floats = Annotated[tuple[float, ...], Strict(False)]
@@ -151,9 +151,11 @@ def _require_lengths(shots: Shots) -> Shots:
     """Refuse shots whose lengths no such sensor has: a wrong unit."""
     sizes = [np.abs(shots.reading), np.abs(shots.across) if shots.kind == "profiler" else 0.0]
     largest, typical = max(float(np.max(x)) for x in sizes), float(np.median(sizes[0]))
-    if largest < SHORTEST or typical > LONGEST:
-        far = f"{largest * IN_MM:.2g} mm" if largest < SHORTEST else f"{typical:.3g} m"
-        found = f"lengths of {shots.name} {'up to' if largest < SHORTEST else 'of some'} {far}"
+    if largest < SHORTEST_LENGTH or typical > LONGEST_READING:
+        far = f"{largest * IN_MM:.2g} mm" if largest < SHORTEST_LENGTH else f"{typical:.3g} m"
+        found = (
+            f"lengths of {shots.name} {'up to' if largest < SHORTEST_LENGTH else 'of some'} {far}"
+        )
         raise InputError(found, 'units = "mm" or "m" in [[sensors]], as the lengths are')
     return shots
 

@@ -29,7 +29,7 @@ from .shots import (
 
 POINTS_AT_ONCE = 250_000
 """Points that are held at once: their trial lines and triangles take some 100 MB."""
-SIZE = 2
+LINE_SIZE = 2
 """Numbers of a line."""
 
 
@@ -45,7 +45,7 @@ def condensed_shots(
     long_way = np.ones(len(shots), dtype=bool)
     if kind.parallel and target == "plane":
         lengths = np.array([len(reading) for _, reading in shots])
-        for n in np.unique(lengths[lengths > WEAK_SPHERE * SIZE]).tolist():
+        for n in np.unique(lengths[lengths > WEAK_SPHERE * LINE_SIZE]).tolist():
             alike, share = np.flatnonzero(lengths == n), max(POINTS_AT_ONCE // n, 1)
             for first in range(0, len(alike), share):
                 some = alike[first : first + share].tolist()
@@ -63,7 +63,7 @@ def _lines(
 ) -> list[Condensed | None]:
     """Return shots (G, n) in a few rows; None for those that go the long way."""
     c, m, kept = _robust(x, z, sigma)
-    good = (kept.sum(axis=1) > WEAK_SPHERE * SIZE) & (1.0 + m**2 < MOST_SLANTED**2)
+    good = (kept.sum(axis=1) > WEAK_SPHERE * LINE_SIZE) & (1.0 + m**2 < MOST_SLANTED**2)
     at = x
     for step in range(STEPS_OF_SHAPE if ratio else 1):
         root = 1.0 / np.sqrt(1.0 + (ratio * m) ** 2)
@@ -95,9 +95,9 @@ def _robust(
     """Return lines that most points of each shot agree with, and these points, as for one shot."""
     G, n = x.shape
     rng = np.random.default_rng(n)
-    sets = rng.integers(n, size=(TRIALS, SIZE + 1))
+    sets = rng.integers(n, size=(TRIALS, LINE_SIZE + 1))
     voters = rng.permutation(n)[:VOTING]
-    X, Z = (v[:, sets].reshape(-1, SIZE + 1) for v in (x, z))
+    X, Z = (v[:, sets].reshape(-1, LINE_SIZE + 1) for v in (x, z))
     c, m = _fitted(X, Z, np.ones(X.shape, dtype=bool))
     c, m = c.reshape(G, TRIALS), m.reshape(G, TRIALS)
     e = np.abs(z[:, None, voters] - c[..., None] - m[..., None] * x[:, None, voters])
@@ -106,7 +106,7 @@ def _robust(
     best = np.partition(e, place, axis=2)[..., place].argmin(axis=1)
     c, m = c[np.arange(G), best], m[np.arange(G), best]
     least = np.maximum(SHAPE_SETTLED * np.median(z, axis=1), sigma or 0.0)
-    larger = 1.0 + FEW_TOO_CLOSE / (n - SIZE)
+    larger = 1.0 + FEW_TOO_CLOSE / (n - LINE_SIZE)
     kept = np.ones(x.shape, dtype=bool)
     for sifting in range(SIFTINGS):
         e = np.abs(z - c[:, None] - m[:, None] * x)
@@ -164,21 +164,21 @@ def _in_rows(
         some = singular[g] > NEGLIGIBLE * whole[g]
         at = J[g, nodes[g]] * unit[g]
         rest = U[g][:, some].T @ along_base[g]
-        rays = np.zeros((SIZE, 3))
+        rays = np.zeros((LINE_SIZE, 3))
         rays[:, 0] = x[g, nodes[g]]
-        direction = np.zeros((SIZE, 3))
+        direction = np.zeros((LINE_SIZE, 3))
         direction[:, 2] = 1.0
         found.append(
             Condensed(
                 np.array([c[g], m[g]]),
-                Rayset(rays, direction, rays, np.zeros((SIZE, 3))),
+                Rayset(rays, direction, rays, np.zeros((LINE_SIZE, 3))),
                 s[g, nodes[g]],
                 np.asarray(np.linalg.inv(np.linalg.solve(R[g].T, at.T).T).T),
                 (at @ np.linalg.solve(R[g], projected[g])).T,
                 rest,
                 -singular[g, some, None] * Vt[g][some],
                 max(float(squares[g] - rest @ rest), 0.0),
-                int(kept[g].sum()) - SIZE - int(some.sum()),
+                int(kept[g].sum()) - LINE_SIZE - int(some.sum()),
                 kept[g],
             )
         )

@@ -33,19 +33,19 @@ from .choice import choose
 from .goal import Goal
 from .workspace import TURN_EXPONENT, Workspace, inside, workspace_of
 
-CANDIDATES = 600
+VIEWS = 600
 """Candidates before each target for each sensor: twice as many bring less than a tenth more."""
-TRIED = 6 * CANDIDATES
+ORIENTATIONS = 6 * VIEWS
 """Orientations that are drawn for them: of a hand that turns in all directions a sixth looks there."""
 RAYS = 60
 """Rays of a candidate: some of a shot, evenly spaced, with the weight of all."""
-STEEPEST = np.radians(50.0)
+STEEPEST_VIEW = np.radians(50.0)
 """Candidates look at a plane at angles of incidence up to that: most sensors read there."""
-ASIDE = 0.6
+PAST_CENTRE = 0.6
 """They look past the centre of a sphere by up to this part of its radius."""
 FEWEST = 0.6
 """This part of the rays meets a plane at least; of a sphere a third of that."""
-WIDEST = 1.0
+UNDETERMINED_SIGMA = 1.0
 """Standard deviation [m], [rad] of what is undetermined so far."""
 
 
@@ -139,7 +139,7 @@ def plan_survey(
     values = {name: x[None] for name, x in found.estimate.values.items()}
     problem = found.problem()
     J, _ = problem.rows(problem.blocks, values).whitened()
-    before = _inverse(J.T @ J + np.eye(J.shape[1]) / WIDEST**2)
+    before = _inverse(J.T @ J + np.eye(J.shape[1]) / UNDETERMINED_SIGMA**2)
     weight = _weight(calibration, J.shape[1])
     most = max(view.rows.shape[1] for view in views)
     rows = np.concatenate(
@@ -240,21 +240,21 @@ def _drawn(
     spots += stations.world_t_hand[station]
     family, number = items[0].target
     x = found.estimate.values[family][number]
-    turn = rng.standard_normal((TRIED, 3))
-    turn *= (workspace.largest_turn * rng.random(TRIED) ** (1.0 / TURN_EXPONENT))[:, None] / (
-        np.linalg.norm(turn, axis=1, keepdims=True)
-    )
+    turn = rng.standard_normal((ORIENTATIONS, 3))
+    turn *= (workspace.largest_turn * rng.random(ORIENTATIONS) ** (1.0 / TURN_EXPONENT))[
+        :, None
+    ] / (np.linalg.norm(turn, axis=1, keepdims=True))
     R = workspace.home @ Rotation.from_rotvec(turn).as_matrix()
     direction = R @ sensor.rotation @ u
     if family == PLANE.name:
         before = stations.world_R_hand[station] @ sensor.rotation @ u @ x[:3]
-        R = R[np.sign(before.sum()) * (direction @ x[:3]) > np.cos(STEEPEST)][:CANDIDATES]
+        R = R[np.sign(before.sum()) * (direction @ x[:3]) > np.cos(STEEPEST_VIEW)][:VIEWS]
         direction = R @ sensor.rotation @ u
         spread = (spots - spots.mean(axis=0))[rng.integers(len(spots), size=len(R))]
         at = spots.mean(axis=0) + rng.uniform(-1.0, 1.0, (len(R), 1)) * spread
     else:
-        R, direction = R[:CANDIDATES], direction[:CANDIDATES]
-        aside = bases(direction) @ rng.uniform(-ASIDE, ASIDE, (len(R), 2, 1)) * x[3]
+        R, direction = R[:VIEWS], direction[:VIEWS]
+        aside = bases(direction) @ rng.uniform(-PAST_CENTRE, PAST_CENTRE, (len(R), 2, 1)) * x[3]
         at = x[:3] + aside[..., 0] - x[3] * direction
     nearest, farthest = np.quantile(reading, (0.05, 0.95)).tolist()
     d = rng.uniform(nearest, farthest, (len(R), 1))

@@ -25,9 +25,9 @@ from ..data.survey import Known, Shots
 from .reference import POSE_STEP, REWEIGHTINGS
 from .unit_vectors import UnitVectors
 
-STEP = 1e-6
+RAY_STEP = 1e-6
 """Step of the differences by a shift of a ray [m]."""
-BESIDE = 0.005
+START_OFF = 0.005
 """All unknowns begin so far [m], [rad] from the start: far more than their standard deviations."""
 SETTLED = 1e-11
 """Tolerance of SciPy's; a Gauss-Newton step at the end takes it beyond."""
@@ -325,10 +325,10 @@ class _Residuals:
         if not noise:
             return np.ones(len(one.reading))
         sides = []
-        for shift in (STEP, -STEP):
+        for shift in (RAY_STEP, -RAY_STEP):
             o, u = self._rays(one, at, self.of.world_R_hand, self.of.world_t_hand, shift)
             sides.append(_range(at, one, o, u))
-        slope = (sides[0] - sides[1]) / (2.0 * STEP)
+        slope = (sides[0] - sides[1]) / (2.0 * RAY_STEP)
         return np.asarray(np.sqrt(1.0 + (slope * noise / one.sigma) ** 2))
 
 
@@ -435,7 +435,7 @@ def solve_survey(problem: SurveyProblem) -> SurveySolution:
     """
     residuals = _Residuals(problem)
     first = residuals.unknowns.start()
-    beside = first + BESIDE * (-1.0) ** np.arange(len(first))
+    beside = first + START_OFF * (-1.0) ** np.arange(len(first))
     found = _minimum(residuals, beside)
     if 2.0 * found.cost > (residuals(first) ** 2).sum():  # caught where rays miss a sphere, say
         found = _minimum(residuals, first)

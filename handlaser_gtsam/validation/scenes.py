@@ -102,6 +102,7 @@ _PAPER = _Kind(
     errors=Errors(3e-5, 5e-5, math.radians(0.03), (1,)),
     sensor=Sensor(0.0, 0.030),
 )
+"""The bench of the paper, of which other scenes differ in a few fields."""
 _KINDS = {
     "paper": _PAPER,
     "unplanned": replace(_PAPER, turns=_free_turns),

@@ -36,7 +36,7 @@ PART_LEFT_OUT = 0.3
 """Of the stations, in a random split: as of recordings."""
 FITS = "converged", "contradicted"
 """Status of a survey that has a minimum."""
-PARTS = {
+COMPARED_PARTS = {
     SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
     BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
     PLANE.name: {"normal": slice(0, 3), "offset": slice(3, None)},
@@ -262,7 +262,7 @@ def _differences(
             lift = np.zeros((4, 3))
             lift[:3, :2], lift[3, :2], lift[3, 2] = bases(n), -c @ bases(n), 1.0
             mine = lift @ mine @ lift.T
-        yield name, own - other, mine, theirs.covariances[kind, i], PARTS[kind]
+        yield name, own - other, mine, theirs.covariances[kind, i], COMPARED_PARTS[kind]
 
 
 def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> SurveyLeftOut:

@@ -26,11 +26,11 @@ from .poses import hand_poses
 from .rows import LogRows
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
-KINDS = {"profiler": CLOUD, "scanner": SCAN, "array": RANGE, "points": CLOUD}
+MESSAGE_OF = {"profiler": CLOUD, "scanner": SCAN, "array": RANGE, "points": CLOUD}
 """What each kind of sensor publishes."""
 FLAT = 1e-3 * MM
 """Points of a profile are in the plane y = 0 to that [m]: single precision of a metre is finer."""
-NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
 
 
@@ -64,7 +64,7 @@ class Cloud:
         InputError
             A topic that is not there, or not of the type that this kind publishes.
         """
-        wanted = KINDS[self.kind]
+        wanted = MESSAGE_OF[self.kind]
         if not self.topics or (len(self.topics) > 1 and self.kind != "array"):
             found = f"{len(self.topics)} topics of the sensor {self.name}, in a bag"
             raise InputError(found, "topics = one; of an array one for each zone")
@@ -174,14 +174,16 @@ def _points(message: Any, number: int) -> FloatArray:
     """Return the points (n, 3) of a PointCloud2 that are finite and not at the origin."""
     del number
     fields = {one.name: one for one in message.fields}
-    missing = [axis for axis in "xyz" if axis not in fields or fields[axis].datatype not in NUMBERS]
+    missing = [
+        axis for axis in "xyz" if axis not in fields or fields[axis].datatype not in FIELD_TYPES
+    ]
     if missing:
         raise InputError(f"a cloud without {', '.join(missing)}", "fields x, y and z of numbers")
     order = ">" if message.is_bigendian else "<"
     one_point = np.dtype(
         {
             "names": list("xyz"),
-            "formats": [order + NUMBERS[fields[axis].datatype] for axis in "xyz"],
+            "formats": [order + FIELD_TYPES[fields[axis].datatype] for axis in "xyz"],
             "offsets": [fields[axis].offset for axis in "xyz"],
             "itemsize": message.point_step,
         }

@@ -51,3 +51,4 @@ TOOL_DISPLACED = Effect(
     members=members,
     of_cell=2.5e-4,
 )
+"""A tool frame steps or creeps by half a millimetre while recording: half of that from its middle."""
