@@ -66,6 +66,8 @@ class Shots(Value):
         Of x [m], for a profiler whose `sigma` is stated, too.
     free : tuple of str
         Range errors that are unknown: `k0`, `k1`, `k2`, `scale`; all others are tested for.
+    convention : "radial" or "perpendicular"
+        As which the readings of an array came in; whether they fit better as the other is tested.
 
     Raises
     ------
@@ -81,10 +83,12 @@ class Shots(Value):
     sigma: float | None = None
     sigma_across: float = 0.0
     free: tuple[str, ...] = ()
+    convention: Literal["radial", "perpendicular"] = "radial"
 
     def __post_init__(self) -> None:
         names_of("the name of a sensor", (self.name,))
         require_word("kind", self.kind, ERRORS)
+        require_word("convention", self.convention, ("radial", "perpendicular"))
         store = object.__setattr__
         reading = number_array("readings", self.reading)
         across = number_array("across", self.across)
@@ -158,14 +162,13 @@ class Shots(Value):
         **noise: Any,
     ) -> "Shots":
         """Return ranges [m] along directions (N, 3); perpendicular ones are along the z axis."""
-        require_word("convention", convention, ("radial", "perpendicular"))
         u, d = number_array("readings", directions), number_array("readings", reading)
         if u.ndim != 2 or u.shape[1:] != (3,) or not (u[:, 2] > 0.0).all():
             raise InputError(f"directions of shape {u.shape}", "(N, 3), all with z above zero")
         u = u / np.linalg.norm(u, axis=1)[:, None]
         if convention == "perpendicular":
             d = d / u[:, 2]
-        return cls(name, "array", np.asarray(station), u, d, **noise)
+        return cls(name, "array", np.asarray(station), u, d, convention=convention, **noise)
 
     @classmethod
     def points(cls, name: str, station: ArrayLike, xyz: ArrayLike, **noise: Any) -> "Shots":

@@ -1,7 +1,8 @@
 r"""Ranges of any sensor to any target from any robot, as one block: the chain rule, written once.
 
 A reading d belongs to a ray with origin o and direction u in the hand, which meets a target at the
-range s; its residual is e = s - g(d), with g(d) the true range that the sensor means. In the hand, let
+range s; its residual is e = s - g(d), with g(d) the true range that the sensor means, or, of sensors
+whose readings are rough, e = h(s) - d with the reading h(s) that a range means. In the hand, let
 a = ds/do be the covector of the range. Everything on the near side of the target follows by pulling it
 back, because a direction acts as an origin that is s times as far:
 
@@ -14,6 +15,7 @@ Arrays of vectors have the coordinates first, (3, K, G, S): K problems, G groups
 the same members.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -39,6 +41,10 @@ class Rays:
     by_error : (q, K, G, S), optional
         dg by the range-error coordinates, which are the last of the sensor's variable; none where not
         given.
+    read : callable, optional
+        Takes ranges s and returns readings h(s), dh/ds, and dh by the range-error coordinates: the
+        residual is h(s) - d then. With s - g(d) a range error multiplies the noise of d, and noise
+        alone makes k1 tend to -1.
     """
 
     origin: FloatArray
@@ -46,6 +52,7 @@ class Rays:
     reading: FloatArray
     true: FloatArray
     by_error: FloatArray | None = None
+    read: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,15 +167,22 @@ class Ranges:
         a = turned_back(R, hits.covector)
         s = hits.range
         columns = [self.sensor.pull(values, a, rays, s)]
-        if rays.by_error is not None:
-            columns.append(-rays.by_error)
+        if rays.read is None:
+            e, slope = s - rays.true, None
+            by_error = None if rays.by_error is None else -rays.by_error
+        else:
+            reading, slope, by_error = rays.read(s)
+            e = reading - d
+        if by_error is not None:
+            columns.append(by_error)
         columns.append(hits.columns)
         if self.robot.family:
             spot = rays.origin + s * rays.direction
             spot, covector = np.broadcast_arrays(spot, a)
             turns = np.cross(spot, covector, axis=0)
             columns.append(self.robot.pull(np.concatenate((turns, covector))))
-        e = s - rays.true
+        if slope is not None:
+            columns = [c if c is by_error else c * slope for c in columns]
         shape = np.broadcast_shapes(e.shape, d.shape)
         whole = [np.broadcast_to(c, (len(c), *shape)) for c in (*columns, e[None])]
         impossible = np.broadcast_to(hits.impossible, shape)

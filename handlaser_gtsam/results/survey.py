@@ -21,6 +21,7 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR
 from ..quantities import IN_MM
 from ..text import count, some
+from .array_conventions import better_convention
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .spot_error import radius
@@ -29,6 +30,8 @@ from .warnings import MANY_OUTLIERS
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 ON_ONE_CIRCLE = 0.02
 """Normals are on one circle about a direction if their spread along it is below this."""
+CONVENTION = "convention"
+"""Code of the warning that an array reads in the other way."""
 ANGLES = {"rx": "turn about x", "ry": "turn about y", "rz": "turn about z"}
 """Coordinates of a sensor that are turns, in words."""
 
@@ -222,8 +225,8 @@ class SurveyCalibration(Value):
     def usable(self) -> bool:
         """Whether it can be used.
 
-        It cannot where a relation is contradicted, or where a range error that was found moves a spot
-        by more than what is stated of it.
+        It cannot where a relation is contradicted, where an array reads in the other convention, or
+        where a range error that was found moves a spot by more than what is stated of it.
         """
         contradicted = any(one.contradicted for one in self.relations)
         moved = any(
@@ -231,13 +234,15 @@ class SurveyCalibration(Value):
             for sensor in self.sensors.values()
             for error in sensor.errors
         )
-        return self.status == "converged" and not contradicted and not moved
+        misread = any(one.code == CONVENTION for one in self.warnings)
+        return self.status == "converged" and not contradicted and not misread and not moved
 
     @property
     def verdict(self) -> str:
         """What to do with it, in one sentence."""
         if self.status != "converged":
             why = self.undetermined[:2] if self.undetermined else (self.message,)
+            why = (*[one.message for one in self.warnings if one.code == CONVENTION], *why)
             return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
         parts = [
             f"{sensor.name} within {sensor.spot_error * IN_MM:.2g} mm (95 %, a spot at "
@@ -456,6 +461,14 @@ def _warnings(
                 f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
             )
             yield CalibrationWarning("relation-contradicted", words, {"p": tested.p_value})
+    for shots in found.rows.survey.shots:
+        better = better_convention(shots, found.rows.survey.stations.plane_labels)
+        if better is not None:
+            words = (
+                f"the readings of {shots.name} fit better if they are {better}: set convention = "
+                f'"{better}"'
+            )
+            yield CalibrationWarning(CONVENTION, words, {"sensor": shots.name})
     for sensor in sensors.values():
         for error in sensor.errors:
             if error.found:

@@ -11,12 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
+from ...quantities import TINY
 from ..block import Values
 from ..families import Family, Motion, Vector, register
 from ..ranges import Rays, members, turned, turned_back
 
 ERRORS = ("k0", "k1", "k2", "scale")
 """Coordinates of the range error of all rays: [m], [1], [1/m], [1]."""
+LEAST_SLOPE = 0.05
+"""A true range grows with its reading by at least this part; below it a search has gone astray."""
 SENSOR = register(
     Family(
         "sensor",
@@ -50,10 +53,22 @@ class Mounted:
         """Return the rays of readings (K, G, S)."""
         x = members(values, self.family, self.member)
         R = x[:9].reshape(3, 3, *x.shape[1:])
-        true = reading + (x[12:] * self.by_error).sum(axis=0)
-        shape = (len(ERRORS), *true.shape)
         origin, direction = turned(R, self.origin) + x[9:12], turned(R, self.direction)
-        return Rays(origin, direction, reading, true, np.broadcast_to(self.by_error, shape))
+        k0, k1, k2, scale = x[12:]
+        offset, _, by_k2, by_scale = self.by_error
+        by_square = by_k2 / np.maximum(reading**2, TINY)
+
+        def read(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+            """Solve s = h + k0 + k1 h + k2 h^2 + scale for the reading h."""
+            known = s - k0 * offset - scale * by_scale
+            square = (1.0 + k1) ** 2 + 4.0 * k2 * by_square * known
+            root = np.sqrt(np.maximum(square, LEAST_SLOPE**2))
+            h = 2.0 * known / np.maximum(1.0 + k1 + root, LEAST_SLOPE)
+            parts = offset, h, by_square * h**2, by_scale
+            by_error = -np.stack(np.broadcast_arrays(*parts)) / root
+            return h, 1.0 / root, by_error
+
+        return Rays(origin, direction, reading, reading, read=read)
 
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
         """Return ds by the mount, moved on the right by a turn and a shift."""
