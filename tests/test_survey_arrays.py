@@ -11,6 +11,7 @@ from helpers import ROOT
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from benchmarks import rigs, rigs_by_rays
 
 LCSPC = Path(os.environ.get("HANDLASER_SHARED", ROOT.parent / "shared")) / "data" / "lcspc"
 TANGENTS = np.array([(x, y) for x in (-0.2, 0.0, 0.2) for y in (-0.2, 0.0, 0.2)])
@@ -42,8 +43,8 @@ def test_noise_of_a_rough_array_is_no_range_error():
     """Residuals are in units of the reading: else k1 would be found near -1 in each."""
     exact = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
     tested = []
-    for seed in range(12):
-        survey, mount, place = rough(seed)
+    for seed in range(8):
+        survey, mount, place = rough(seed, stations=25)
         found = hl.calibrate(survey, exact)
         sensor = found.sensors["tof"]
         turn = Rotation.from_matrix(sensor.rotation.T @ mount).as_rotvec()
@@ -51,13 +52,13 @@ def test_noise_of_a_rough_array_is_no_range_error():
         assert error @ np.linalg.solve(sensor.covariance[:6, :6], error) < 30.0
         (k1,) = [one for one in sensor.errors if one.code == "k1"]
         tested.append(k1.size / k1.sigma)
-    assert abs(np.mean(tested)) < 4.0 / np.sqrt(12.0)
+    assert abs(np.mean(tested)) < 4.0 / np.sqrt(8.0)
     assert np.abs(tested).max() < 4.0
 
 
 @pytest.mark.parametrize("stated", ["radial", "perpendicular"])
 def test_the_wrong_convention_is_named(stated):
-    survey, _, _ = rough(3, sigma=2e-4, stated=stated)
+    survey, _, _ = rough(3, stations=12, sigma=2e-4, stated=stated)
     found = hl.calibrate(survey)
     named = [one for one in found.warnings if one.code == "convention"]
     if stated == "radial":
@@ -94,3 +95,12 @@ def test_what_no_range_error_describes_is_not_called_usable(name, convention):
     assert not found.usable
     if found.status == "converged":
         assert "reads with an error" in found.verdict
+
+
+def test_a_zone_that_grazes_its_ball_does_not_end_the_search():
+    """At the minimum of all readings of this rig one ray misses its ball by a hair."""
+    rig = rigs_by_rays.array(21, targets="spheres")
+    found = hl.calibrate(rigs.survey_of(rig), rigs.EXACT)
+    assert found.usable
+    ((error, C),) = rigs.errors_of(rig, found)
+    assert error @ np.linalg.solve(C, error) < 30.0

@@ -37,6 +37,7 @@ from .survey_rows import (
     priors_of,
     relations_of,
     rows_of,
+    without_grazing,
 )
 from .survey_starts import TRIMMED, start_of
 
@@ -154,6 +155,12 @@ class SurveyState:
         """
         problem, _ = self.problem()
         again = minimum(problem, list(problem.blocks), self.values)
+        if again is None:
+            fewer = without_grazing(self.rows, self.values)
+            if fewer is not None:
+                self.rows = fewer
+                problem, _ = self.problem()
+                again = minimum(problem, list(problem.blocks), self.values)
         if again is not None and (again.get(SPHERE.name, np.ones((1, 0, 4)))[..., 3] < 0.0).any():
             again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
             again = minimum(problem, list(problem.blocks), again)
@@ -237,7 +244,7 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         message = f"the rest contradicts more than {MOST_REJECTED:.0%} of the shots of {names}"
         found = replace(found, status="contradicted", message=message)
     return SurveyEstimate(
-        rows, noise, found, state.sizes, stated, state.used, _tested(state, problem)
+        state.rows, noise, found, state.sizes, stated, state.used, _tested(state, problem)
     )
 
 

@@ -19,7 +19,7 @@ from ..model.relations import Relation
 from ..model.sensors.beam import Beam
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
-from ..model.shots import Condensed
+from ..model.shots import MOST_SLANTED, Condensed, of_single_readings, some_of
 from ..model.targets.plane import Plane
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere
@@ -221,6 +221,34 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
     cut = cuts[int(np.argmin(squares))]
     # A point at the edge may be of either side, or of both.
     return [(f"plane:{name}.left", rows[: cut - 1]), (f"plane:{name}.right", rows[cut + 1 :])]
+
+
+def without_grazing(rows: Rows, values: Values) -> Rows | None:
+    """Return the rows without single readings that graze or miss their sphere; None where none does.
+
+    Of a shot with few readings each is a row, because its own shape does not say which of them graze.
+    Near the minimum one whose ray just misses the sphere ends the search.
+    """
+    items = list(rows.items)
+    for i, item in enumerate(items):
+        if item.shot is None or item.target[0] != SPHERE.name or not of_single_readings(item.shot):
+            continue
+        sensor, rays = values[SENSOR.name][0, item.member], item.shot.rays
+        X, place = sensor[:9].reshape(3, 3), sensor[9:12]
+        R, t = rows.survey.stations.world_R_hand[item.station], rows.survey.stations.world_t_hand
+        origin, direction = rays.origin @ X.T + place, rays.direction @ X.T
+        origin, direction = origin @ R.T + t[item.station], direction @ R.T
+        hits = Sphere(np.array([item.target[1]])).hit(
+            values, origin.T[:, None, None], direction.T[:, None, None]
+        )
+        steep = np.linalg.norm(hits.covector, axis=0)[0, 0] < MOST_SLANTED
+        steep &= ~hits.impossible[0, 0]
+        if steep.any() and not steep.all():
+            assert item.points is not None
+            shot, points = some_of(item.shot, steep), item.points[steep]
+            items[i] = replace(item, shot=shot, points=points)
+    same = all(one is other for one, other in zip(items, rows.items, strict=True))
+    return None if same else replace(rows, items=tuple(items))
 
 
 def blocks_of(

@@ -11,7 +11,7 @@ Noise across the rays, of x in a profile, is counted by the slope of the shape: 
 moved to where its ray most probably was, so that noise in x makes no slope too small.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -281,6 +281,20 @@ def _as_they_are(
         0,
         np.ones(n, dtype=bool) if kept is None else kept,
     )
+
+
+def of_single_readings(shot: Condensed) -> bool:
+    """Tell whether the readings of a shot are rows of their own, of a shape that is hardly known."""
+    return not shot.dof and not shot.rest.size and np.array_equal(shot.mix, np.eye(len(shot.mix)))
+
+
+def some_of(shot: Condensed, which: BoolArray) -> Condensed:
+    """Return some readings of a shot whose readings are rows of their own."""
+    kept = shot.kept.copy()
+    kept[np.flatnonzero(kept)[~which]] = False
+    mix, by_error = shot.mix[which][:, which], shot.by_error[:, which]
+    rays, reading = _rows(shot.rays, which), shot.reading[which]
+    return replace(shot, rays=rays, reading=reading, mix=mix, by_error=by_error, kept=kept)
 
 
 def _in_rows(
