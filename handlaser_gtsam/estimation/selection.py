@@ -63,8 +63,11 @@ def select(
     noise: Noise,
     options: CalibrationOptions,
     start: Parameters | None = None,
+    taken: BoolArray | None = None,
 ) -> Selection:
     """Choose readings and solve them jointly, from a start or from one that is sought.
+
+    The first solution from a given start takes the readings `taken` (N,), or all.
 
     Raises
     ------
@@ -82,6 +85,8 @@ def select(
         k = np.where(np.arange(2) < options.terms, start.range_errors, 0.0)
         start = replace(start, range_errors=k)
         kept = np.isfinite(residuals(start, part))
+        if taken is not None:
+            kept &= taken[rows]
         first = _First((), kept, start, "given", _scale(part, start))
     used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
     used[rows] = first.kept

@@ -125,10 +125,8 @@ class ScoreTests:
     def _adjusted(self, projection: Projection) -> AdjustedMembers:
         """Take out of all members, and of the residuals, what the unknowns explain."""
         moved, left = zip(*(kind.adjusted_by(projection) for kind in self.kinds), strict=True)
-        pulled = projection.pull.copy()
-        pulled[:, 5:] *= self.rows.at.range_errors
-        residual, pull = self.rows.residual[:, None], pulled.reshape(-1, 1)
-        _, heavy, squares, _ = projection.perpendicular(residual, pull)
+        residual, priors = self.rows.residual[:, None], projection.prior_residuals(self.rows.at)
+        _, heavy, squares, _ = projection.perpendicular(residual, priors)
         score = self.products(heavy)[:, 0]
         return AdjustedMembers(
             projection, np.concatenate(left), np.concatenate(moved), score, float(squares[0])
