@@ -1,10 +1,12 @@
 """The rows of range factors: of one, or of many evaluated together."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from handlaser_gtsam.arrays import FloatArray, IntArray
+from handlaser_gtsam.model.families import DIRECTION, MOUNT_DIM
 from handlaser_gtsam.model.weighting import Whitening
 
 LOCATION_COLUMNS = slice(0, 3)
@@ -77,8 +79,8 @@ def evaluation(residual: FloatArray, jacobian: FloatArray, how: Whitening | None
 def beam_columns(beam: int, terms: int) -> list[slice]:
     """Return the columns of location, direction and, if any, range error of a beam."""
     first = BEAM_WIDTH * beam
-    columns = [slice(first, first + 3), slice(first + 3, first + 5)]
-    return columns + ([slice(first + 5, first + 5 + terms)] if terms else [])
+    ends = [0, DIRECTION.start, MOUNT_DIM, *([MOUNT_DIM + terms] if terms else [])]
+    return [slice(first + a, first + b) for a, b in pairwise(ends)]
 
 
 def other_columns(beams: int, *, with_pose: bool) -> list[slice]:

@@ -22,7 +22,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..errors import InputError
 from ..quantities import SINGULAR
-from .families import BEAM, MOUNT_DIM, modelled
+from .families import BEAM, DIRECTION, LOCATION, MOUNT_DIM, RANGE_ERROR, modelled
 
 BEAM_COORDINATES = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
 PLANE_COORDINATES = ("nx", "ny", "nz", "b")
@@ -222,7 +222,9 @@ def _lifted(rows: FloatArray, lifts: Sequence[FloatArray]) -> FloatArray:
 def beam_lifts(bases: FloatArray) -> FloatArray:
     """Return (B, 8, 7) from tangent to ambient coordinates of each beam, bases (B, 3, 2)."""
     lifts = np.zeros((len(bases), BEAM.size, BEAM.dim))
-    lifts[:, :3, :3], lifts[:, 3:6, 3:5], lifts[:, 6:, 5:] = np.eye(3), bases, np.eye(2)
+    lifts[:, :3, LOCATION] = np.eye(3)
+    lifts[:, 3:6, DIRECTION] = bases
+    lifts[:, 6:, RANGE_ERROR] = np.eye(2)
     return lifts
 
 

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
-from ..model.families import BEAM, MOUNT_DIM
+from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
@@ -74,8 +74,8 @@ class Task:
             size = self.belief.first_error
             blocks = C[:size, :size].reshape(beams, BEAM.dim, beams, BEAM.dim)[each, :, each]
             variances = (
-                np.diagonal(blocks, 0, 1, 2)[:, :3].max(),
-                np.linalg.eigvalsh(blocks[:, 3:5, 3:5]).max(),
+                np.diagonal(blocks, 0, 1, 2)[:, LOCATION].max(),
+                np.linalg.eigvalsh(blocks[:, DIRECTION, DIRECTION]).max(),
             )
             sigmas.append((*np.sqrt(variances), max(radius(x @ C @ x.T) for x in spots)))
         location, direction, spot = np.array(sigmas).T
