@@ -219,6 +219,12 @@ def _lifted(rows: FloatArray, lifts: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate([lift @ part for lift, part in parts])
 
 
+def beam_units(length: float) -> FloatArray:
+    """Return the natural units (8,) of the ambient coordinates of a beam for a typical range [m]."""
+    tangent = BEAM.natural_units(length)
+    return np.concatenate((tangent[LOCATION], np.ones(3), tangent[RANGE_ERROR]))
+
+
 def beam_lifts(bases: FloatArray) -> FloatArray:
     """Return (B, 8, 7) from tangent to ambient coordinates of each beam, bases (B, 3, 2)."""
     lifts = np.zeros((len(bases), BEAM.size, BEAM.dim))
