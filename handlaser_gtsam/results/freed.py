@@ -193,17 +193,15 @@ def with_freed(
         if settled or not np.isfinite(step).all():
             break
         size = dict(zip(errors.members, (freed.columns.size + step).tolist(), strict=True))
-        problem = errors.corrected(size)
-        readings = problem.readings.seen_from(problem.origins)
-        selection = select(
-            problem.recording,
-            readings,
-            noise,
-            options,
-            selection.solution.parameters,
-            selection.used,
-        )
-        selection = replace(selection, method=first.method, tried=first.tried)
+        try:
+            corrected = errors.corrected(size)
+            readings = corrected.readings.seen_from(problem.origins)
+            start, used = selection.solution.parameters, selection.used
+            again = select(corrected.recording, readings, noise, options, start, used)
+        except InputError:  # sizes beyond sense leave readings that no sensor gives
+            break
+        problem = corrected
+        selection = replace(again, method=first.method, tried=first.tried)
     return problem, selection, replace(freed, settled=settled)
 
 
