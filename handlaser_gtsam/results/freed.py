@@ -91,7 +91,7 @@ class Freed:
 
     @property
     def rank(self) -> int:
-        """How many sizes the readings determine: the trace of its resolution matrix."""
+        """How many sizes the readings determine: the trace of their resolution matrix."""
         return round(len(self.covariance) - float(np.trace(self.covariance)))
 
     def grown(self, joint: JointCovariance) -> JointCovariance:
@@ -178,7 +178,8 @@ def with_freed(
     """
     if not options.free:
         return problem, selection, None
-    prior = prior_sizes(options.free, options.sensor, float(problem.readings.distance.max()))
+    largest = float(problem.readings.distance[selection.used].max())
+    prior = prior_sizes(options.free, options.sensor, largest)
     recorded, first = problem, selection
     size: dict[Member, float] = {}
     rank = 0
@@ -188,9 +189,11 @@ def with_freed(
             return problem, selection, None
         errors = _Errors(recorded, problem, selection, prior)
         freed, step = errors.estimated(size, rank)
+        if not np.isfinite(step).all():
+            return problem, selection, None
         known, rank = np.sqrt(np.diagonal(freed.covariance)), freed.rank
         settled = bool((np.abs(step) < WEIGHTS_SETTLED * known).all())
-        if settled or not np.isfinite(step).all():
+        if settled:
             break
         size = dict(zip(errors.members, (freed.columns.size + step).tolist(), strict=True))
         try:
