@@ -1,28 +1,20 @@
 """The rows of range factors: of one, or of many evaluated together."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from handlaser_gtsam.arrays import FloatArray, IntArray
+from handlaser_gtsam.model.families import BEAM, DIRECTION, MOUNT_DIM, PLANE, POSE
 from handlaser_gtsam.model.weighting import Whitening
 
-LOCATION_COLUMNS = slice(0, 3)
-"""Columns of a row by the location of its beam."""
-DIRECTION_COLUMNS = slice(3, 5)
-"""Columns of a row by the direction of its beam, along GTSAM's tangents."""
-RANGE_ERROR_COLUMNS = slice(5, 7)
-"""Columns of a row by the range error of its beam."""
-NORMAL_COLUMNS = slice(7, 9)
-"""Columns of a row by the normal of its plane, along GTSAM's tangents."""
-OFFSET_COLUMN = 9
-"""Column of a row by the offset of its plane."""
-POSE_COLUMNS = slice(10, 16)
+PLANE_COLUMNS = slice(BEAM.dim, BEAM.dim + PLANE.dim)
+"""Columns of a row by its plane, after those by its beam; tangents are GTSAM's."""
+NORMAL_COLUMNS, OFFSET_COLUMN = slice(BEAM.dim, PLANE_COLUMNS.stop - 1), PLANE_COLUMNS.stop - 1
+"""Columns of a row by the normal of its plane, and by its offset."""
+POSE_COLUMNS = slice(PLANE_COLUMNS.stop, PLANE_COLUMNS.stop + POSE.dim)
 """Columns of a row by its hand pose."""
-BEAM_WIDTH = RANGE_ERROR_COLUMNS.stop
-"""Number of columns by a beam."""
-PLANE_COLUMNS = slice(BEAM_WIDTH, POSE_COLUMNS.start)
-"""Columns of a row by the whole plane."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +46,9 @@ class Evaluation:
             return self.jacobian
         rows, K = self.jacobian, int(beam.max()) + 1
         if K > 1:
-            of_beams = np.zeros((len(rows), K, BEAM_WIDTH))
-            of_beams[np.arange(len(rows)), beam] = rows[:, :BEAM_WIDTH]
-            rows = np.hstack((of_beams.reshape(len(rows), -1), rows[:, BEAM_WIDTH:]))
+            of_beams = np.zeros((len(rows), K, BEAM.dim))
+            of_beams[np.arange(len(rows)), beam] = rows[:, : BEAM.dim]
+            rows = np.hstack((of_beams.reshape(len(rows), -1), rows[:, BEAM.dim :]))
         return how.apply_rows(rows)
 
 
@@ -76,13 +68,13 @@ def evaluation(residual: FloatArray, jacobian: FloatArray, how: Whitening | None
 
 def beam_columns(beam: int, terms: int) -> list[slice]:
     """Return the columns of location, direction and, if any, range error of a beam."""
-    first = BEAM_WIDTH * beam
-    columns = [slice(first, first + 3), slice(first + 3, first + 5)]
-    return columns + ([slice(first + 5, first + 5 + terms)] if terms else [])
+    first = BEAM.dim * beam
+    ends = [0, DIRECTION.start, MOUNT_DIM, *([MOUNT_DIM + terms] if terms else [])]
+    return [slice(first + a, first + b) for a, b in pairwise(ends)]
 
 
 def other_columns(beams: int, *, with_pose: bool) -> list[slice]:
     """Return the columns of the plane and, if any, the pose, which follow the beams."""
-    first = BEAM_WIDTH * beams
+    first = BEAM.dim * beams
     plane, pose = slice(first, first + 3), slice(first + 3, first + 9)
     return [plane, pose] if with_pose else [plane]

@@ -18,17 +18,15 @@ from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray, gathered
 from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.errors import SolverError
+from handlaser_gtsam.model.families import DIRECTION, LOCATION, RANGE_ERROR
 from handlaser_gtsam.model.weighting import Whitening
 
 from .block import RangeBlock, range_error
 from .evaluation import (
-    DIRECTION_COLUMNS,
-    LOCATION_COLUMNS,
     NORMAL_COLUMNS,
     OFFSET_COLUMN,
     PLANE_COLUMNS,
     POSE_COLUMNS,
-    RANGE_ERROR_COLUMNS,
     Evaluation,
     Share,
     beam_columns,
@@ -144,14 +142,14 @@ class SharedEvaluation:
         linear = model.linearize(x, self.measured[rows], with_pose=bool(self._posed.size))
         residual[rows] = linear.residual
         J = jacobian[rows]
-        J[:, LOCATION_COLUMNS] = linear.location
+        J[:, LOCATION] = linear.location
         np.einsum(
             "ni,nij->nj",
             linear.direction,
             gathered(now.v_basis, direction),
-            out=J[:, DIRECTION_COLUMNS],
+            out=J[:, DIRECTION],
         )
-        J[:, RANGE_ERROR_COLUMNS] = linear.range_error
+        J[:, RANGE_ERROR] = linear.range_error
         np.einsum(
             "ni,nij->nj", linear.normal, gathered(now.n_basis, plane), out=J[:, NORMAL_COLUMNS]
         )
@@ -185,9 +183,9 @@ class SharedEvaluation:
         """Return, for every key, the squared lengths of its Jacobian columns."""
         total: dict[int, FloatArray] = {}
         for keys, index, columns in (
-            (self.locations, self.location_of, LOCATION_COLUMNS),
-            (self.directions, self.direction_of, DIRECTION_COLUMNS),
-            (self.range_errors, self.range_error_of, RANGE_ERROR_COLUMNS),
+            (self.locations, self.location_of, LOCATION),
+            (self.directions, self.direction_of, DIRECTION),
+            (self.range_errors, self.range_error_of, RANGE_ERROR),
             (self.planes, self.plane_of, PLANE_COLUMNS),
             (self.poses, self.pose_of, POSE_COLUMNS),
         ):

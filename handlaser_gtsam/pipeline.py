@@ -19,6 +19,7 @@ from .estimation.selection import select
 from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
+from .results.freed import prior_sizes, with_freed
 from .results.problem import Problem
 
 if TYPE_CHECKING:
@@ -136,8 +137,11 @@ def _calibrated(
         selection = select(recording, local, ordered, options, start)
         # 4. Covariances of what is determined, in the names and the order of the recording.
         problem = Problem(recording, readings, order, origins, noise, options.sensor)
-        result = assemble(problem, selection)
-    return _logged(replace(result, recording=recording), warnings)
+        # Systematic errors that are unknowns are estimated beside it, and taken out of the readings.
+        problem, selection, freed = with_freed(problem, selection, ordered, options)
+        result = assemble(problem, selection, freed)
+    recorded = None if freed is None else recording
+    return _logged(replace(result, recording=problem.recording, recorded=recorded), warnings)
 
 
 def _logged(result: Calibration, warnings: tuple[CalibrationWarning, ...]) -> Calibration:
@@ -160,6 +164,7 @@ def _checked(recording: Recording, noise: Noise, options: CalibrationOptions) ->
     if other:
         raise InputError(f"the target {other!r}, which is no plane", "a Survey: hl.Survey")
     options.require_consistent(noise)
+    prior_sizes(options.free, options.sensor, 1.0)
     counts = len(recording.plane_labels), len(recording.plane_names), len(recording.beam_names)
     LOGGER.info("calibrating %d stations, %d planes, %d beams", *counts)
     if options.sensor.range_stated:

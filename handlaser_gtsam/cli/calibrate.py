@@ -73,10 +73,20 @@ class Manner(Model):
         how_option("--cross-check", help="Solve again with SciPy and compare."),
     ] = False
 
+    free: Annotated[
+        str | None,
+        how_option(
+            metavar="CODE,...",
+            help="Systematic errors that are unknowns, each under a prior of its plausible size: "
+            "--free lag,incidence (docs/messages.md has all codes).",
+        ),
+    ] = None
+
     def options(self, rig: "Rig") -> "CalibrationOptions":
         """Return the options of a calibration with the sensor of `rig`."""
         plain = Model.options(self, rig)  # a dataclass with slots has no super() of its own
-        return replace(plain, outliers=self.outliers.value, loss=self.loss.value)
+        free = () if self.free is None else tuple(code.strip() for code in self.free.split(","))
+        return replace(plain, outliers=self.outliers.value, loss=self.loss.value, free=free)
 
 
 @dataclass(frozen=True, slots=True)

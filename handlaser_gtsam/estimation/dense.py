@@ -1,7 +1,7 @@
 r"""All rows of some blocks as one dense matrix, for tests and for scales of noise.
 
 Rows are multiplied by the roots of their weights. Where rows of a station have columns U in common
-(`Weights.common`), their weight matrix is I - U U'; `whitened` multiplies them by its square root.
+(`Weights.common`), their weight matrix is I - U U' (`weighting.Whitening`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,10 +12,8 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..model.block import Block, Values, whitened
 from ..model.families import FAMILIES, POSE
+from ..model.weighting import Whitening, covariance_roots
 from ..quantities import SINGULAR, TINY
-
-LEAST_SHARE = 1e-12
-"""Part of the weight of a station's rows that common errors leave at least: rounding below it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,31 +79,16 @@ class DenseRows:
     where: list[slice]
     shapes: list[tuple[int, int]]
 
-    def weighted(self, rows: FloatArray) -> FloatArray:
-        """Return rows (R, q) times the weight matrix I - U U'."""
-        if not self.common.shape[1]:
-            return rows
-        sums = self._sums(self.common[:, :, None] * rows[:, None])
-        return np.asarray(rows - np.einsum("rc,rcq->rq", self.common, sums[self.station]))
+    @property
+    def how(self) -> Whitening:
+        """How the rows of a station weigh together: I - U U'."""
+        common = self.common if self.common.shape[1] else None
+        return Whitening(np.ones(len(self.residuals)), 1.0, self.station, common)
 
     def whitened(self) -> tuple[FloatArray, FloatArray]:
         """Return derivatives and residuals of rows that are independent, of one unit."""
-        U, rows = self.common, np.column_stack((self.derivatives, self.residuals))
-        if U.shape[1]:
-            squares = self._sums(U[:, :, None] * U[:, None])
-            values, axes = np.linalg.eigh(squares)
-            left = np.sqrt(np.clip(1.0 - values, LEAST_SHARE, 1.0))
-            part = np.where(values > LEAST_SHARE, (1.0 - left) / np.maximum(values, LEAST_SHARE), 0)
-            U = np.einsum("rc,rcd->rd", U, axes[self.station])
-            sums = self._sums(U[:, :, None] * rows[:, None]) * part[..., None]
-            rows = rows - np.einsum("rc,rcq->rq", U, sums[self.station])
+        rows = self.how.apply_rows(np.column_stack((self.derivatives, self.residuals)))
         return rows[:, :-1], rows[:, -1]
-
-    def _sums(self, products: FloatArray) -> FloatArray:
-        """Return sums over the rows of each station."""
-        sums = np.zeros((int(self.station.max()) + 1, *products.shape[1:]))
-        np.add.at(sums, self.station, products)
-        return sums
 
 
 def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRows:
@@ -160,7 +143,7 @@ def with_pose_errors(
     """
     if not covariance.any():
         return list(blocks)
-    root = pose_roots(covariance)
+    root = covariance_roots(covariance)
     found: list[tuple[int, FloatArray, IntArray]] = []
     sums = np.broadcast_to(np.eye(6), (len(covariance), 6, 6)).copy()
     for index, block in enumerate(blocks):
@@ -182,12 +165,6 @@ def with_pose_errors(
     return new
 
 
-def pose_roots(covariance: FloatArray) -> FloatArray:
-    """Return roots (M, 6, 6) of covariances, which may be singular: root root' is the covariance."""
-    values, axes = np.linalg.eigh(covariance)
-    return np.asarray(axes * np.sqrt(np.maximum(values, 0.0))[:, None])
-
-
 def tests_of(rows: DenseRows, group: IntArray) -> tuple[FloatArray, IntArray]:
     """Return how far each group of rows is from what all others say, chi2 with its degrees of freedom.
 
@@ -203,7 +180,7 @@ def tests_of(rows: DenseRows, group: IntArray) -> tuple[FloatArray, IntArray]:
     """
     A, scale = rows.derivatives, np.sqrt((rows.derivatives**2).sum(axis=0))
     A = A / np.where(scale > 0.0, scale, 1.0)
-    B = rows.weighted(np.column_stack((A, rows.residuals)))
+    B = rows.how.weighed(np.column_stack((A, rows.residuals)))
     information = A.T @ B[:, :-1]
     values, axes = np.linalg.eigh(information)
     some = values > SINGULAR * max(float(values.max()), TINY)

@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from ..arrays import IntArray
-from ..checks import require_bool, require_kind, require_word
+from ..checks import require_bool, require_kind, require_names, require_word
 from ..data.noise import Noise
 from ..errors import InputError
+from ..model.effects import EFFECTS
 from ..model.losses import TUNING, LossName
 from ..model.search import LevenbergOptions
 from ..model.sensor import Sensor
@@ -44,6 +45,10 @@ class CalibrationOptions:
     estimate_noise : bool
         Whether the sigmas of ranges, hand translations and hand rotations are estimated though they are
         given; the given values are then the scales of their priors.
+    free : tuple of str
+        Codes of systematic errors that are unknowns, such as `lag` and `incidence`: estimated beside
+        everything else, under a zero-mean prior whose sigma is the plausible size. All others are
+        tested for.
     sensor : Sensor
         Readings outside its limits are rejected, and listed; its linearity is the scale of the prior
         of the range errors' scales.
@@ -62,6 +67,7 @@ class CalibrationOptions:
     poses: Poses = "auto"
     range_sigma_by_beam: bool = False
     estimate_noise: bool = False
+    free: tuple[str, ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
     solver: LevenbergOptions = field(default_factory=LevenbergOptions)
     observability: ObservabilityOptions = field(default_factory=ObservabilityOptions)
@@ -73,6 +79,14 @@ class CalibrationOptions:
         require_word("poses", self.poses, get_args(Poses))
         require_bool("range_sigma_by_beam", self.range_sigma_by_beam)
         require_bool("estimate_noise", self.estimate_noise)
+        require_names("codes of free", self.free)
+        for code in self.free:
+            if code not in EFFECTS or EFFECTS[code].can_show:
+                require_word("free", code, [code for code in EFFECTS if EFFECTS[code].can_show])
+            else:
+                found = f"free {code}, which no recording tells from {EFFECTS[code].confounded}"
+                raise InputError(found, "codes of errors that a recording can show")
+        object.__setattr__(self, "free", tuple(dict.fromkeys(self.free)))
         require_kind("sensor", self.sensor, Sensor)
         require_kind("solver", self.solver, LevenbergOptions)
         require_kind("observability", self.observability, ObservabilityOptions)
@@ -107,6 +121,8 @@ class CalibrationOptions:
                 f"poses {self.poses} with pose sigmas of zero",
                 "pose sigmas above zero, or none at all: they are estimated then",
             )
+        if self.free and self.loss != "gaussian":
+            raise InputError(f"free errors with a {self.loss} loss", "the gaussian loss with them")
 
     def require_readings(self, count: IntArray, names: tuple[str, ...]) -> None:
         """Refuse to estimate the sigma of a beam that has few readings (B,).

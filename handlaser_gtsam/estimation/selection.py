@@ -19,7 +19,7 @@ from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.snooping import cut, enough, judge, test
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS
-from ..starts import find_start
+from ..starts import Start, find_start
 from .options import CalibrationOptions
 from .solution import Solution
 from .solve import Solved, settle
@@ -63,8 +63,11 @@ def select(
     noise: Noise,
     options: CalibrationOptions,
     start: Parameters | None = None,
+    taken: BoolArray | None = None,
 ) -> Selection:
     """Choose readings and solve them jointly, from a start or from one that is sought.
+
+    The first solution from a given start takes the readings `taken` (N,), or all.
 
     Raises
     ------
@@ -82,14 +85,16 @@ def select(
         k = np.where(np.arange(2) < options.terms, start.range_errors, 0.0)
         start = replace(start, range_errors=k)
         kept = np.isfinite(residuals(start, part))
-        first = _First((), kept, start, "given", _scale(part, start))
+        if taken is not None:
+            kept &= taken[rows]
+        first = Consensus(Start(start, "given", ()), kept, start, "given", _scale(part, start))
     used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
     used[rows] = first.kept
 
     def solved(start: Parameters, used: BoolArray) -> Solved:
         chosen = readings.subset(np.flatnonzero(used))
         limits.require_all(recording, chosen)
-        return settle(chosen, start, noise, options, first.scale)
+        return settle(chosen, start, noise, options, first.range_sigma)
 
     settled = solved(first.parameters, used)
     if (used != inside).any() and not settled.solution.observability.full:
@@ -113,7 +118,7 @@ def select(
             used = before
             break
         settled = again
-    return Selection(used, ~inside, flat, first.method, first.tried, settled.finished())
+    return Selection(used, ~inside, flat, first.method, first.start.tried, settled.finished())
 
 
 def _needs_what_was_rejected(before: Solution, after: Solution, noise: Noise) -> bool:
@@ -126,18 +131,8 @@ def _needs_what_was_rejected(before: Solution, after: Solution, noise: Noise) ->
     return before.dof > 0 and float(chi2_sf(before.chi2, before.dof)) > FITS_BY_CHANCE
 
 
-@dataclass(frozen=True, slots=True)
-class _First:
-    """Where the joint solution starts, and which readings it takes."""
-
-    tried: tuple[tuple[str, float], ...]
-    kept: BoolArray
-    parameters: Parameters
-    method: str
-    scale: float | None
-
-
-def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _First:
+def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> Consensus:
+    """Return where the joint solution starts, which readings it takes, and their scale."""
     terms = options.terms
     # Residuals as small as the range sigma are good ones; larger ones may be errors of the poses.
     certain = noise.incidence_sigma == 0.0 and not options.counts_poses(noise)
@@ -150,9 +145,7 @@ def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> _Fi
         consensus = Consensus(start, everything, start.parameters, start.method, None)
     steep = np.isfinite(residuals(consensus.parameters, readings))
     scale = consensus.range_sigma or _scale(readings, consensus.parameters)
-    return _First(
-        consensus.start.tried, consensus.kept & steep, consensus.parameters, consensus.method, scale
-    )
+    return replace(consensus, kept=consensus.kept & steep, range_sigma=scale)
 
 
 def _scale(readings: Readings, parameters: Parameters) -> float | None:

@@ -24,9 +24,10 @@ from ..model.relations import Relation
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
+from ..model.weighting import covariance_roots
 from ..quantities import MM, MOST_ROUNDS
 from .components import Components, Inside, components
-from .dense import dense_rows, pose_roots, tests_of, with_pose_errors
+from .dense import dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
 from .survey_rows import (
     AIMING,
@@ -403,7 +404,7 @@ def _learned(
     rows = problem.rows(problem.blocks, state.values)
     source = np.full(len(rows.residuals), -1)
     by_pose = rows.by_pose
-    root = pose_roots(state.pose_covariance())
+    root = covariance_roots(state.pose_covariance())
     for part, shape, some in zip(rows.where, rows.shapes, groups, strict=False):
         source[part] = np.concatenate([state.sources(item, shape[1]) for item in some])
         if state.noise.pose_covariance is not None:  # in standard deviations of what is stated

@@ -198,6 +198,18 @@ class SystematicRecord(FileRecord):
     spot_shift_m: Known = ()
 
 
+class FreedEffectRecord(FileRecord):
+    """A systematic error that was an unknown: its estimate, and the sigma of its prior."""
+
+    code: str
+    subject: str
+    unit: str
+    size: float
+    sigma: float
+    prior_sigma: float
+    determined: bool
+
+
 class TriedRecord(FileRecord):
     """A start that was tried, and the rms residual it led to; None if it led nowhere."""
 
@@ -272,6 +284,7 @@ class CalibrationFile(FileRecord):
     systematic: Many[SystematicRecord]
     start: StartRecord
     iterations: int
+    effects: Many[FreedEffectRecord] = ()
 
     @property
     def success(self) -> bool:

@@ -75,6 +75,7 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
             )
             for one in calibration.systematic
         ],
+        effects=[record(one, schema.FreedEffectRecord) for one in calibration.effects],
         start={
             "method": start.method,
             "tried": [{"method": method, "rms_m": rms} for method, rms in start.tried],

@@ -21,6 +21,7 @@ from ..arrays import BoolArray, FloatArray, gathered
 from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from ..errors import GrazingBeamError
+from .families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
 
 LEAST_FACTOR = 0.5
 """A true range below this part of its reading belongs to a wrong solution, not to a sensor."""
@@ -174,7 +175,9 @@ def linearize(x: Scene, d: FloatArray | Regressors, *, with_pose: bool = False) 
 def tangent_columns(
     linear: Linearization, v_basis: FloatArray, n_basis: FloatArray, centres: FloatArray, terms: int
 ) -> FloatArray:
-    """Return derivatives by the unknowns of its beam and plane, then e: (5 + terms + 4, N).
+    """Return derivatives by the unknowns of each reading's beam and plane, then e, transposed.
+
+    They are (q + 1, N): the q tangent coordinates of a beam with its terms, and of a plane.
 
     Parameters
     ----------
@@ -186,10 +189,11 @@ def tangent_columns(
     terms : int
         Range-error terms.
     """
-    columns = np.empty((5 + terms + 4, len(linear.residual)))
-    columns[:3] = linear.location.T
-    np.einsum("ni,nij->jn", linear.direction, v_basis, out=columns[3:5])
-    columns[5:-4] = linear.range_error[:, :terms].T
+    beam = MOUNT_DIM + terms
+    columns = np.empty((beam + PLANE.dim + 1, len(linear.residual)))
+    columns[LOCATION] = linear.location.T
+    np.einsum("ni,nij->jn", linear.direction, v_basis, out=columns[DIRECTION])
+    columns[MOUNT_DIM:beam] = linear.range_error[:, :terms].T
     local = linear.normal - linear.offset[:, None] * centres
     np.einsum("ni,nij->jn", local, n_basis, out=columns[-4:-2])
     columns[-2], columns[-1] = linear.offset, linear.residual

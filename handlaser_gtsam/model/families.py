@@ -180,6 +180,8 @@ BEAM = register(
 """Location and direction in the hand, then the range error (k1, k2)."""
 MOUNT_DIM = 5
 """Tangent coordinates of location and direction; range errors follow them."""
+LOCATION, DIRECTION, RANGE_ERROR = slice(0, 3), slice(3, MOUNT_DIM), slice(MOUNT_DIM, BEAM.dim)
+"""Tangent coordinates of a beam by what they are of."""
 PLANE = register(
     Family("plane", (Direction(), Vector(1), Constant(3)), ("n1", "n2", "offset"), (0, 0, 1))
 )

@@ -21,7 +21,8 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..errors import InputError
-from .families import BEAM, MOUNT_DIM, modelled
+from ..quantities import SINGULAR
+from .families import BEAM, DIRECTION, LOCATION, MOUNT_DIM, RANGE_ERROR, modelled
 
 BEAM_COORDINATES = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
 PLANE_COORDINATES = ("nx", "ny", "nz", "b")
@@ -77,6 +78,48 @@ class JointCovariance(Value):
         """
         scaled = self.scaled(beams**2)
         return replace(scaled, planes=planes**2 * self.planes)
+
+    def following(
+        self, beams: FloatArray, planes: FloatArray, covariance: FloatArray
+    ) -> "JointCovariance":
+        r"""Return the covariance where a few further unknowns a are known with some covariance only.
+
+        With A, M the covariance of a, and the derivatives by a of beams and planes at their optima,
+        every block C becomes C + M A M'. In terms of what beams leave of a and of the planes,
+
+            T = inv(inv(A) + M_b' inv(S) M_b),    m_p = M_p + W_p M_b,
+            W_p becomes W_p - m_p T M_b' inv(S),    cov(p, q) for known beams grows by m_p T m_q'.
+
+        Parameters
+        ----------
+        beams : (nb, q)
+            M_b, tangent.
+        planes : (P, 4, q)
+            M_p of (n, b), ambient.
+        covariance : (q, q)
+            A.
+        """
+        offsets = planes[:, 3] + np.einsum("pi,piq->pq", self.origins, planes[:, :3])
+        tilts = np.einsum("pij,piq->pjq", self.plane_bases, planes[:, :3])
+        own = np.concatenate((tilts, offsets[:, None]), axis=1) + self.response @ beams
+        unit = np.sqrt(np.diagonal(self.beams))
+        unit = np.where(unit > 0.0, unit, 1.0)
+        inverse = np.linalg.pinv(self.beams / np.outer(unit, unit), rcond=SINGULAR, hermitian=True)
+        known = (inverse @ (beams / unit[:, None])) / unit[:, None]
+        T = np.linalg.inv(np.linalg.inv(covariance) + beams.T @ known)
+        coupling = np.einsum("paq,qr,sbr->pasb", own, T, own)
+        if self.coupling is not None:
+            coupling += self.coupling
+        each = np.arange(len(own))
+        alone = coupling[each, :, each].copy()
+        coupling[each, :, each] = 0.0
+        return replace(
+            self,
+            beams=self.beams + beams @ covariance @ beams.T,
+            response=self.response - own @ T @ known.T,
+            planes=self.planes + alone,
+            coupling=coupling,
+        )
 
     def arranged(
         self, beams: Sequence[tuple[str, int]], planes: Sequence[tuple[str, int]]
@@ -176,10 +219,18 @@ def _lifted(rows: FloatArray, lifts: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate([lift @ part for lift, part in parts])
 
 
+def beam_units(length: float) -> FloatArray:
+    """Return the natural units (8,) of the ambient coordinates of a beam for a typical range [m]."""
+    tangent = BEAM.natural_units(length)
+    return np.concatenate((tangent[LOCATION], np.ones(3), tangent[RANGE_ERROR]))
+
+
 def beam_lifts(bases: FloatArray) -> FloatArray:
     """Return (B, 8, 7) from tangent to ambient coordinates of each beam, bases (B, 3, 2)."""
     lifts = np.zeros((len(bases), BEAM.size, BEAM.dim))
-    lifts[:, :3, :3], lifts[:, 3:6, 3:5], lifts[:, 6:, 5:] = np.eye(3), bases, np.eye(2)
+    lifts[:, :3, LOCATION] = np.eye(3)
+    lifts[:, 3:6, DIRECTION] = bases
+    lifts[:, 6:, RANGE_ERROR] = np.eye(2)
     return lifts
 
 

@@ -9,7 +9,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from .families import BEAM, PLANE, Family, Motion, bases, register
+from .families import (
+    BEAM,
+    DIRECTION,
+    LOCATION,
+    MOUNT_DIM,
+    PLANE,
+    Family,
+    Motion,
+    bases,
+    register,
+)
 from .geometry import skew
 from .relations import Relation
 from .sensors.mounted import SENSOR
@@ -260,9 +270,9 @@ def beam_at(
     T = bases(u)
 
     def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        by = np.zeros((len(x), 5, BEAM.dim))
-        by[:, :3, :3] = np.eye(3) / sigma
-        by[:, 3:, 3:5] = T.T @ bases(x[:, 3:6]) / sigma_angle
+        by = np.zeros((len(x), MOUNT_DIM, BEAM.dim))
+        by[:, LOCATION, LOCATION] = np.eye(3) / sigma
+        by[:, DIRECTION, DIRECTION] = T.T @ bases(x[:, 3:6]) / sigma_angle
         e = np.concatenate(((x[:, :3] - location) / sigma, x[:, 3:6] @ T / sigma_angle), axis=1)
         return e, (by,)
 

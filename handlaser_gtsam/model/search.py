@@ -65,6 +65,14 @@ class LevenbergOptions:
         require_number("damping_factor", self.damping_factor, 1.0, LARGEST_NUMBER, above=True)
         require_number("most_damping", self.most_damping, 0.0, LARGEST_NUMBER, above=True)
 
+    def adapted(self, damping: FloatArray, gain: FloatArray) -> FloatArray:
+        """Return lambda (K,) after steps that saved the shares `gain` (K,) of what was promised."""
+        higher = np.maximum(damping * self.damping_factor, self.first_damping)
+        lower = damping / self.damping_factor
+        lower = np.where(lower >= self.first_damping, lower, 0.0)
+        lower = np.maximum(lower, self.least_damping)
+        return np.where(gain < POOR_GAIN, higher, np.where(gain > GOOD_GAIN, lower, damping))
+
 
 @dataclass(frozen=True, slots=True)
 class LossScale:
@@ -364,7 +372,7 @@ class _Search:
         self._tell(decrement, trial.cost, better)
         self._accept(better, trial)
         arrived = (arrived & ~self.tightening) | (self.level >= LEVEL_STEPS)
-        self._adapt_damping(gain)
+        self.damping = self.options.adapted(self.damping, gain)
         self._leave(arrived | (self.damping > self.options.most_damping), ~arrived)
 
     def _goes_well(self, trial: _Point, decrement: FloatArray, arrived: BoolArray) -> bool:
@@ -430,17 +438,6 @@ class _Search:
         small &= same | (self.damping <= self.options.least_damping)
         self.before, self.damped = length, self.damping
         return np.asarray(small | (np.abs(decrement) <= self.problem.rounding))
-
-    def _adapt_damping(self, gain: FloatArray) -> None:
-        """Change the damping by how well the linear model did."""
-        options = self.options
-        higher = np.maximum(self.damping * options.damping_factor, options.first_damping)
-        lower = self.damping / options.damping_factor
-        lower = np.where(lower >= options.first_damping, lower, 0.0)
-        lower = np.maximum(lower, options.least_damping)
-        self.damping = np.where(
-            gain < POOR_GAIN, higher, np.where(gain > GOOD_GAIN, lower, self.damping)
-        )
 
     def _leave_all(self) -> None:
         """Let the problems end that are still on their way."""

@@ -10,6 +10,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.value import Value
+from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beam_lifts
 from ..text import some
 from .rank import NullSpace, Observability
@@ -179,9 +180,9 @@ def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:
     """Return the rows (B or P, D, K) of the null space for every quantity of a beam and a plane."""
     beams, planes = _normalized(space)
     return {
-        "location": beams[:, :3],
-        "direction": model.tangent_basis(parameters.directions) @ beams[:, 3:5],
-        "range error": beams[:, 5:],
+        "location": beams[:, LOCATION],
+        "direction": model.tangent_basis(parameters.directions) @ beams[:, DIRECTION],
+        "range error": beams[:, RANGE_ERROR],
         "normal": model.tangent_basis(parameters.normals) @ planes[:, :2],
         # The offset is taken at the world's origin: it is undetermined with the normal.
         "offset": np.linalg.norm(planes, axis=1, keepdims=True),

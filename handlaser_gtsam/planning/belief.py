@@ -10,7 +10,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..errors import InputError
-from ..model.families import BEAM, PLANE, modelled
+from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, covariance_roots
 from ..results.calibration import Calibration
@@ -91,14 +91,14 @@ class Belief:
         beam = x[: self.first_error].reshape(-1, BEAM.dim)
         plane = x[self.first_plane :].reshape(-1, PLANE.dim)
         mean = self.mean
-        turned = np.einsum("bij,bj->bi", self.beam_bases, beam[:, 3:5])
+        turned = np.einsum("bij,bj->bi", self.beam_bases, beam[:, DIRECTION])
         tilted = np.einsum("pij,pj->pi", self.plane_bases, plane[:, :2])
         normals = model.normalized(mean.normals + tilted)
         heights = (mean.normals * self.origins).sum(axis=1) + mean.offsets + plane[:, 2]
         return Parameters(
-            mean.locations + beam[:, :3],
+            mean.locations + beam[:, LOCATION],
             model.normalized(mean.directions + turned),
-            mean.range_errors + beam[:, 5:],
+            mean.range_errors + beam[:, RANGE_ERROR],
             normals,
             heights - (normals * self.origins).sum(axis=1),
         )

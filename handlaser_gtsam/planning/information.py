@@ -19,7 +19,7 @@ from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
 from ..model.effects import OF_READINGS
 from ..model.effects.effect import SeenStations
-from ..model.families import BEAM, PLANE
+from ..model.families import BEAM, DIRECTION, PLANE
 from ..model.weighting import covariance_roots, reading_sigmas, whitening
 from ..validation.simulate import Stations, predicted_readings
 from .belief import Belief
@@ -47,7 +47,7 @@ def outlook(
     rows = _derivatives(belief, readings, x)
     n_hand, v_world = np.einsum("nji,nj->ni", x.R, x.n), np.einsum("nij,nj->ni", x.R, x.v)
     steeper = np.zeros_like(rows)  # derivatives of the cosines
-    steeper[:, 3:5] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
+    steeper[:, DIRECTION] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
     steeper[:, BEAM.dim : BEAM.dim + 2] = np.einsum(
         "ni,nij->nj", v_world, belief.plane_bases[readings.plane]
     )

@@ -18,7 +18,6 @@ from ..checks import require_count, require_kind
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
-from ..estimation.dense import pose_roots
 from ..estimation.survey_rows import TARGETS, Item
 from ..model.families import FAMILIES, PLANE, POSE, bases
 from ..model.geometry import skew
@@ -26,6 +25,7 @@ from ..model.ranges import PoseVariables, Ranges
 from ..model.sensors.fans import Rayset
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
+from ..model.weighting import covariance_roots
 from ..results.spot_error import radius
 from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations
@@ -329,7 +329,7 @@ def _said(
     A = columns[SENSOR.dim + seen : SENSOR.dim + seen + 6]
     state = found.at(values, found.noise)
     covariance = state.pose_covariance()  # as at the first station
-    A = np.einsum("cns,cd->dns", A, pose_roots(covariance[:1])[0])
+    A = np.einsum("cns,cd->dns", A, covariance_roots(covariance[:1])[0])
     J, A = np.moveaxis(J, 0, 2), np.moveaxis(A, 0, 2)  # (N, S, c)
     AJ = np.swapaxes(A, 1, 2) @ J
     M = np.swapaxes(J, 1, 2) @ J

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
-from ..model.families import BEAM, MOUNT_DIM
+from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
@@ -74,8 +74,8 @@ class Task:
             size = self.belief.first_error
             blocks = C[:size, :size].reshape(beams, BEAM.dim, beams, BEAM.dim)[each, :, each]
             variances = (
-                np.diagonal(blocks, 0, 1, 2)[:, :3].max(),
-                np.linalg.eigvalsh(blocks[:, 3:5, 3:5]).max(),
+                np.diagonal(blocks, 0, 1, 2)[:, LOCATION].max(),
+                np.linalg.eigvalsh(blocks[:, DIRECTION, DIRECTION]).max(),
             )
             sigmas.append((*np.sqrt(variances), max(radius(x @ C @ x.T) for x in spots)))
         location, direction, spot = np.array(sigmas).T
@@ -94,10 +94,15 @@ def planning_task(
     Raises
     ------
     InputError
-        No covariance, plane or workspace is known; or the goal asks for errors of which no plausible
-        size is known, or without the recording that may show them.
+        No covariance, plane or workspace is known; the calibration has systematic errors that were
+        unknowns; or the goal asks for errors of which no plausible size is known, or without the
+        recording that may show them.
     """
     recording = None if isinstance(calibration, Mounts) else calibration.recording
+    if not isinstance(calibration, Mounts) and calibration.effects:
+        raise InputError(
+            "errors that were unknowns, which a plan cannot count", "none of them free"
+        )
     if workspace is None:
         if recording is None:
             raise InputError(

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .reports import BeamMixture as BeamMixture
     from .reports import Determined as Determined
     from .reports import Fit as Fit
+    from .reports import FreedEffect as FreedEffect
     from .reports import NoiseComponent as NoiseComponent
     from .reports import Plane as Plane
     from .reports import RangeErrorScales as RangeErrorScales

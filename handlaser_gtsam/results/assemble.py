@@ -12,7 +12,6 @@ from ..estimation.solution import Solution
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.sensor import BY_LIMITS
-from ..model.weighting import Variances, whitening
 from ..observability.other_solutions import mirror_image_fits
 from ..observability.poor_motion import named, poor_motion, some_plane_leans
 from ..observability.rank import observability
@@ -31,10 +30,10 @@ from .calibration import Calibration
 from .calibration_fields import Status
 from .correlations import strong_correlations
 from .dependence import INDEPENDENT, Dependence
-from .fit import fit_of
+from .fit import fit_of, linear_rows
+from .freed import Freed
 from .lines import NAMES_IN_LINE
 from .problem import Problem, named_estimates
-from .projection import LinearRows
 from .reports import Beam, Determined, Fit, Plane, StartReport
 from .rivals import rival_warnings
 from .systematic import SystematicError, systematic_errors
@@ -59,12 +58,18 @@ sure which of the two mounts is whose, or whether both are one."""
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 
 
-def assemble(problem: Problem, selection: Selection) -> Calibration:
-    """Return the calibration of a solution of the readings that were selected."""
+def assemble(problem: Problem, selection: Selection, freed: Freed | None = None) -> Calibration:
+    """Return the calibration of a solution of the readings that were selected.
+
+    Errors that were freed are taken out of the problem already, and counted here.
+    """
     solution, names = selection.solution, problem.names
     used = problem.chosen(selection.used)
-    fit, why = fit_of(problem, selection)
+    more = 0 if freed is None else freed.rank
+    fit, why = fit_of(problem, selection, more)
     determined = _determined_by(names, used, solution, fit)
+    ranks = determined.rank + more, determined.unknowns + more
+    determined = replace(determined, rank=ranks[0], unknowns=ranks[1])
     wrong = misfit(problem.recording, used, solution.best, fit)
     if wrong is not None and wrong.code == IMPLAUSIBLE:
         # Where the motion is poor and leaves free range errors undetermined, k1 = -1 fits, too.
@@ -86,14 +91,16 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
     systematic: tuple[SystematicError, ...] = ()
     together = INDEPENDENT
     if status == "converged" and solution.at.loss == GAUSSIAN:
-        systematic, together = _tested(problem, used, solution, fit)
+        systematic, together = _tested(problem, selection, fit, freed)
     joint, growth = None, None
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
     if status == "converged" or partly:
         growth = together.growth
-        joint = joint_covariance(problem, solution, fit).grown(growth, together.plane_growth)
+        joint = joint_covariance(problem, solution, fit, freed)
+        joint = joint.grown(growth, together.plane_growth)
+    effects = () if freed is None or growth is None else freed.reports(growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
@@ -109,6 +116,7 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
             *signs,
             *rival_warnings(used, solution, joint, names),
             *together.warnings,
+            *(() if freed is None else freed.warnings(effects)),
             *(
                 CalibrationWarning(f"systematic-{s.code}", s.warning)
                 for s in systematic
@@ -125,8 +133,9 @@ def assemble(problem: Problem, selection: Selection) -> Calibration:
         correlations=() if whole is None else strong_correlations(whole),
         systematic=systematic,
         sensor_kind=problem.sensor.kind,
+        effects=effects,
     )
-    return with_scales(result, problem, solution, growth)
+    return with_scales(result, problem, solution, growth, freed)
 
 
 def _estimates(
@@ -147,26 +156,14 @@ def _estimates(
 
 
 def _tested(
-    problem: Problem, used: Readings, solution: Solution, fit: Fit
+    problem: Problem, selection: Selection, fit: Fit, freed: Freed | None
 ) -> tuple[tuple[SystematicError, ...], Dependence]:
     """Test the residuals for errors that the model leaves out, and for correlation in time."""
     tell("tests")
-    how, at, names = solution.whitening, solution.parameters, problem.names
-    if how is None:
-        equal = Variances(np.full(used.beams, solution.at.sigma))
-        how = replace(whitening(at, used, equal), sigma=fit.range_sigma)
-    prior = np.where(np.arange(2) < solution.terms, np.inf, 0.0)
-    prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
-    rows = LinearRows(
-        at,
-        solution.at.readings,
-        how,
-        prior,
-        problem.order.stations[used.station],
-        problem.order.beams,
-    )
+    names, columns = problem.names, None if freed is None else freed.columns
+    rows = linear_rows(problem, selection, 0 if freed is None else freed.rank, columns)
     known, stations = fit.range_sigma_given, problem.recording.station_names
-    plausible = problem.sensor.plausible_sizes(float(used.distance.max()))
+    plausible = problem.sensor.plausible_sizes(float(rows.readings.distance.max()))
     found, together = systematic_errors(
         rows, names, stations, known=known, dof=fit.dof, plausible=plausible
     )

@@ -70,8 +70,8 @@ class Calibration(CalibrationData):
     systematic : tuple of SystematicError
         What the recording says of errors that the model leaves out.
     recording : Recording or None
-        What was solved: repeated stations are merged, and readings that are codes taken out. None
-        where it is not known.
+        What was solved: repeated stations are merged, readings that are codes taken out, and poses
+        and readings without the systematic errors that were unknowns. None where it is not known.
     range_error_prior : RangeErrorPrior or None
         The prior of the range errors at the most probable scales, beams as in the recording.
     cost : float
@@ -79,6 +79,10 @@ class Calibration(CalibrationData):
         residuals and the priors in units of their standard deviations. NaN where nothing was solved.
     sensor_kind : str or None
         What the options say of the sensor: which systematic errors are plausible of it.
+    effects : tuple of FreedEffect
+        Systematic errors that were unknowns, with their estimates.
+    recorded : Recording or None
+        `recording` with these errors; None where there are none.
 
     Notes
     -----

@@ -25,6 +25,7 @@ from .reports import (
     BeamMixture,
     Determined,
     Fit,
+    FreedEffect,
     NoiseComponent,
     Plane,
     RangeErrorScales,
@@ -64,6 +65,8 @@ class CalibrationData(Value):
     range_error_prior: RangeErrorPrior | None = None
     cost: float = math.nan
     sensor_kind: str | None = None
+    effects: tuple[FreedEffect, ...] = ()
+    recorded: Recording | None = None
 
     @property
     def success(self) -> bool:

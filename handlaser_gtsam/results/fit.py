@@ -13,9 +13,10 @@ from ..estimation.solution import Solution
 from ..model.equation import residuals, scene
 from ..model.losses import GAUSSIAN, LossName
 from ..model.sensor import FLAT, OUTSIDE, Rejected
-from ..model.weighting import reading_sigmas
+from ..model.weighting import Variances, reading_sigmas, whitening
 from ..outliers.reasons import Reasons, reasons
 from .problem import Problem
+from .projection import FreedColumns, LinearRows
 from .reports import Fit
 
 
@@ -67,18 +68,55 @@ def fit_of_rows(
     )
 
 
-def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
-    """Return the fit, and the reasons for what was rejected, in the order of the recording."""
+def linear_rows(
+    problem: Problem, selection: Selection, more: int = 0, freed: FreedColumns | None = None
+) -> LinearRows:
+    """Return the linear problem at a solution.
+
+    Parameters
+    ----------
+    problem : Problem
+    selection : Selection
+    more : int
+        Errors that are unknowns beside beams and planes, as many as the readings determine.
+    freed : FreedColumns, optional
+        All of these errors.
+    """
+    solution, used = selection.solution, problem.chosen(selection.used)
+    how, at = solution.whitening, solution.parameters
+    if how is None:
+        equal = Variances(np.full(used.beams, solution.at.sigma))
+        given = problem.noise.range_sigma is not None
+        sigma = unit_sigma(solution, given, _sigma0(*_chi2_of(problem, solution, more)))
+        how = replace(whitening(at, used, equal), sigma=sigma)
+    prior = np.where(np.arange(2) < solution.terms, np.inf, 0.0)
+    prior = np.tile(prior, (used.beams, 1)) if solution.prior is None else solution.prior.sigma
+    position = problem.order.stations[used.station]
+    readings = solution.at.readings
+    return LinearRows(at, readings, how, prior, position, problem.order.beams, freed)
+
+
+def _chi2_of(problem: Problem, solution: Solution, more: int) -> tuple[float, int]:
+    """Return chi2 and its degrees of freedom, with `more` unknowns than beams and planes."""
+    chi2 = solution.chi2
+    if problem.noise.range_sigma is None and not solution.scales_estimated:
+        chi2 *= solution.at.sigma**2
+    return chi2, solution.dof - more
+
+
+def fit_of(problem: Problem, selection: Selection, more: int = 0) -> tuple[Fit, Reasons]:
+    """Return the fit, and the reasons for what was rejected, in the order of the recording.
+
+    There may be `more` unknowns that the readings determine than beams and planes.
+    """
     solution, recording, order = selection.solution, problem.recording, problem.order
     used = problem.chosen(selection.used)
     e = solution.at.residual
     if solution.posterior is not None and not solution.at.estimates_poses:
         e = residuals(scene(solution.best, used), used.distance)
     given = problem.noise.range_sigma is not None
-    chi2, at = solution.chi2, solution.parameters
-    if not given and not solution.scales_estimated:
-        chi2 *= solution.at.sigma**2
-    sigma = unit_sigma(solution, given, _sigma0(chi2, solution.dof))
+    at, (chi2, dof) = solution.parameters, _chi2_of(problem, solution, more)
+    sigma = unit_sigma(solution, given, _sigma0(chi2, dof))
     if solution.variances is not None:
         sigma *= float(np.median(solution.variances.range_sigma)) / solution.at.sigma
     standardized = np.zeros(len(e))  # of an exact fit
@@ -96,7 +134,7 @@ def fit_of(problem: Problem, selection: Selection) -> tuple[Fit, Reasons]:
         standardized,
         used.distance,
         chi2=chi2,
-        dof=solution.dof,
+        dof=dof,
         range_sigma=sigma,
         given=given,
         poses=solution.poses,

@@ -15,6 +15,7 @@ from ..arrays import FloatArray
 from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..factors.keys import BeamKeys
+from ..model.families import DIRECTION, LOCATION
 from ..model.joint import JointCovariance
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE
@@ -198,7 +199,7 @@ def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
     basis B of the direction, de/dv = s de/dr B. Weights of rows cancel.
     """
     jacobian, _ = factor.linearize(values).jacobian()
-    by_location, by_direction = jacobian[:, :3], jacobian[:, 3:5]
+    by_location, by_direction = jacobian[:, LOCATION], jacobian[:, DIRECTION]
     across = by_location @ values.atUnit3(list(factor.keys())[1]).basis()
     square = (across**2).sum(axis=1)
     # Squares of the sine of the incidence; a row at right angles says nothing of its range.

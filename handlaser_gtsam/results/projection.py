@@ -1,7 +1,10 @@
 """Columns of residuals without what the unknowns of a solution explain of them.
 
 Planes are eliminated before beams, as everywhere, so that the cost is linear in readings and planes.
+Systematic errors that are unknowns come last: they are few.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -17,6 +20,25 @@ from ..solvers.beam_problem import jacobian_columns, linearized
 
 SQUARE_ROUNDING = 1e-14
 """Information, or a square, below this part of the whole is lost in rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreedColumns:
+    """Systematic errors that are unknowns, each in units of the sigma of its zero-mean prior.
+
+    Attributes
+    ----------
+    codes : tuple of str
+        Of every unknown.
+    columns : (N, q)
+        Derivatives of the residuals [m].
+    size : (q,)
+        Estimated.
+    """
+
+    codes: tuple[str, ...]
+    columns: FloatArray
+    size: FloatArray
 
 
 class LinearRows(SeenStations):
@@ -35,6 +57,8 @@ class LinearRows(SeenStations):
         where it is not in the model.
     channel : (B,), optional
         As of `SeenStations`; the columns of the recording in their order where not given.
+    freed : FreedColumns, optional
+        Systematic errors that are unknowns.
 
     Attributes
     ----------
@@ -43,6 +67,8 @@ class LinearRows(SeenStations):
     residual : (N,)
     normal : Normal
         Of all unknowns.
+    centres : (P, 3)
+        Points at which the offsets of the planes are taken [m].
     """
 
     def __init__(
@@ -53,15 +79,19 @@ class LinearRows(SeenStations):
         prior: FloatArray,
         position: IntArray,
         channel: IntArray | None = None,
+        freed: FreedColumns | None = None,
     ) -> None:
         super().__init__(
             at, readings, position, np.arange(readings.beams) if channel is None else channel
         )
         self.how, self.prior = how, prior
-        columns = jacobian_columns(at, readings, 2)
+        self.freed = freed or FreedColumns((), np.empty((len(readings), 0)), np.empty(0))
+        linear = linearized(at, readings, 2, how)
+        columns = jacobian_columns(at, readings, 2, linear.centres)
         self.J = np.ascontiguousarray(columns[: BEAM.dim + PLANE.dim].T)
         self.residual = columns[-1]
-        self.normal: Normal = linearized(at, readings, 2, how).normal
+        self.normal: Normal = linear.normal
+        self.centres = linear.centres
 
     def sparse(self) -> csr_array:
         """Return the derivatives (N, 7 B + 3 P) by all unknowns."""
@@ -103,18 +133,57 @@ class Projection:
         self.plane_inverse = reduced.local_inverse * np.outer(plane_unit, plane_unit)
         self.response = np.zeros((readings.planes, PLANE.dim, len(unit)))
         self.response[:, :, used] = plane_unit[:, None] * reduced.local_response / unit[used]
+        # Of the freed errors: what beams and planes leave of them, weighed, and their own information.
+        self.freed, freed = rows.freed, rows.freed.columns
+        self.freed_rest, self.freed_pulled, self.freed_moved = self._beside(freed)
+        self.freed_heavy = self.how.weighed(self.freed_rest)
+        self.freed_information = (
+            self.freed_rest.T @ self.freed_heavy + self.freed_pulled.T @ self.freed_pulled
+        )
+        self.freed_inverse = np.linalg.inv(
+            self.freed_information + self.how.sigma**2 * np.eye(freed.shape[1])
+        )
+
+    def prior_residuals(self, at: Parameters) -> FloatArray:
+        """Return the rows (7 B + q, 1) of the priors of range errors and of freed errors."""
+        pulled = self.pull.copy()
+        pulled[:, MOUNT_DIM:] *= at.range_errors
+        return np.concatenate((pulled.ravel(), self.how.sigma * self.freed.size))[:, None]
 
     def rest(
         self, columns: FloatArray, pulled: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return columns (N, q), and `pulled` (7 B, q) in the prior, without what the unknowns explain.
+        """Return columns (N, c), and `pulled` (7 B + q, c) in the priors, without what is explained.
 
-        The third array (7 B, q) is the beams' part of the unknowns that explain the rest. Columns are
-        projected twice, which removes what rounding leaves of the first projection.
+        All unknowns explain: beams, planes and the q freed errors. The third array (7 B + 3 P, c) has
+        the beams and planes that explain the rest.
+        """
+        own = self.pull.size
+        if pulled is None:
+            pulled = np.zeros((own + len(self.freed.size), columns.shape[1]))
+        rest, of_beams, moved = self._beside(columns, pulled[:own])
+        if not len(self.freed.size):
+            return rest, of_beams, moved
+        sigma = self.how.sigma
+        products = self.freed_heavy.T @ rest + self.freed_pulled.T @ of_beams
+        freed = self.freed_inverse @ (products + sigma * pulled[own:])
+        of_priors = of_beams - self.freed_pulled @ freed, pulled[own:] - sigma * freed
+        return (
+            rest - self.freed_rest @ freed,
+            np.concatenate(of_priors),
+            moved - self.freed_moved @ freed,
+        )
+
+    def _beside(
+        self, columns: FloatArray, pulled: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Do as `rest`, but for what freed errors explain.
+
+        Columns are projected twice, which removes what rounding leaves of the first projection.
         """
         rest = columns.copy()
         pulled = np.zeros((self.pull.size, columns.shape[1])) if pulled is None else pulled.copy()
-        moved = np.zeros_like(pulled)
+        moved = np.zeros((self.J.shape[1], columns.shape[1]))
         pull, response = self.pull.reshape(-1, 1), self.response.reshape(-1, self.pull.size)
         for _ in range(2):
             gradient = self.J.T @ self.how.weighed(rest)
@@ -123,9 +192,10 @@ class Projection:
             beams = beams + pull * pulled - response.T @ planes.reshape(len(response), -1)
             x = self.beam_inverse @ beams
             y = (self.plane_inverse @ planes).reshape(len(response), -1) - response @ x
-            rest -= self.J @ np.concatenate((x, y))
+            step = np.concatenate((x, y))
+            rest -= self.J @ step
             pulled -= pull * x
-            moved += x
+            moved += step
         return rest, pulled, moved
 
     def perpendicular(
@@ -146,14 +216,15 @@ class Projection:
         rest, pulled, moved = self.rest(columns, pulled)
         heavy = self.how.weighed(rest)
         squares = (rest * heavy).sum(axis=0) + (pulled**2).sum(axis=0)
-        return rest, heavy, squares, moved
+        return rest, heavy, squares, moved[: self.pull.size]
 
     def members(
-        self, products: FloatArray, squares: FloatArray, plane: IntArray
+        self, products: FloatArray, squares: FloatArray, plane: IntArray, freed: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return how beams follow the members of a family (m, 7 B), and their adjusted squares (m,).
 
-        `products` (m, B, 10), `squares` (m,) and `plane` (m,) are attributes of `PlaneErrors`.
+        `products` (m, B, 10), `squares` (m,) and `plane` (m,) are attributes of `PlaneErrors`; `freed`
+        (m, q) are its products with the weighed columns of the freed errors.
         """
         planes = products[:, :, BEAM.dim :].sum(axis=1)
         beams = products[:, :, : BEAM.dim].reshape(len(products), self.pull.size)
@@ -161,4 +232,6 @@ class Projection:
         moved = beams @ self.beam_inverse
         left = squares - np.einsum("mi,mij,mj->m", planes, self.plane_inverse[plane], planes)
         left -= (beams * moved).sum(axis=1)
-        return moved, left
+        following = freed @ self.freed_inverse
+        left -= (following * freed).sum(axis=1)
+        return moved - following @ self.freed_moved[: self.pull.size].T, left

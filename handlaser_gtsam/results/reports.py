@@ -10,6 +10,8 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.value import Value
 from ..model.distributions import chi2_sf
+from ..model.effects import EFFECTS
+from ..model.effects.effect import size_in_words
 from ..model.joint import JointCovariance
 from ..model.losses import LossName
 from ..model.sensor import BY_LIMITS, Rejected
@@ -232,6 +234,50 @@ class RangeErrorScales(Value):
     k1: float
     k2_per_m: float
     linearity: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FreedEffect(Value):
+    """A systematic error that was an unknown, or one of its unknowns.
+
+    Attributes
+    ----------
+    code : str
+    subject : str
+        Whom or what it concerns; empty for everything.
+    unit : str
+        Of sizes: "m", or "1" for relative ones.
+    size, sigma : float
+        Estimated, with its standard deviation.
+    prior_sigma : float
+        Standard deviation of the zero-mean prior.
+    determined : bool
+        Whether the readings say more of it than the prior.
+    """
+
+    code: str
+    subject: str
+    unit: str
+    size: float
+    sigma: float
+    prior_sigma: float
+    determined: bool
+
+    @property
+    def words(self) -> str:
+        """What was found, in words."""
+        effect = EFFECTS[self.code]
+        whose = self.subject if "{subject}" in effect.phrase else ""
+        part = f" ({self.subject})" if self.subject and not whose else ""
+        if not self.determined:
+            what = effect.without_size(self.subject or None)
+            counted = size_in_words(self.prior_sigma, self.unit)
+            return (
+                f"the readings do not determine {what}{part}: what is plausible of it, +- {counted}, "
+                f"is counted in all standard deviations. To determine it: {effect.reveal}"
+            )
+        sigma = size_in_words(self.sigma, self.unit)
+        return f"{effect.with_size(self.size, whose)}{part} (+- {sigma})"
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -75,6 +75,7 @@ class PlaneErrors:
     """
 
     def __init__(self, rows: LinearRows, code: str, kind: OnPlanes) -> None:
+        self.rows, self.kind = rows, kind
         self.plane, self.beam, self.position = kind.plane, kind.beam, kind.since
         plane, position = self.plane, self.position
         self.codes, self.column = np.full(len(plane), code), kind.column
@@ -101,16 +102,12 @@ class PlaneErrors:
 
     def column_of(self, member: int) -> FloatArray:
         """Return the column (N,) of one member."""
-        column = np.zeros_like(self.column)
-        beams = range(self.first.shape[1]) if self.beam[member] < 0 else [int(self.beam[member])]
-        for beam in beams:
-            rows = self.order[self.first[member, beam] : self.last[member, beam]]
-            column[rows] = self.column[rows]
-        return column
+        return self.kind.column_of(member, self.rows)
 
     def adjusted_by(self, projection: Projection) -> tuple[FloatArray, FloatArray]:
         """Return how beams follow the members (m, 7 B), and the adjusted squares (m,)."""
-        return projection.members(self.products, self.squares, self.plane)
+        freed = self.dot(projection.freed_heavy)
+        return projection.members(self.products, self.squares, self.plane, freed)
 
     def _sum(self, rows: LinearRows) -> None:
         """Fill in the products and the squares."""
@@ -135,11 +132,11 @@ class PlaneErrors:
 
 
 def score_members(rows: LinearRows) -> list[CommonErrors | PlaneErrors]:
-    """Return all effects of the registry: one of all readings each, and a family of each other one."""
+    """Return all effects that are no unknowns: one of all readings each, or a family."""
     everywhere: list[tuple[str, Everywhere]] = []
     families: list[CommonErrors | PlaneErrors] = []
     for code, effect in EFFECTS.items():
-        members = effect.at(rows)
+        members = None if code in rows.freed.codes else effect.at(rows)
         if isinstance(members, Everywhere):
             everywhere.append((code, members))
         elif members is not None:

@@ -14,7 +14,7 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..model.distributions import gaussian_cdf, gaussian_sf, needed, two_sided
 from ..model.effects import EFFECTS
-from ..model.families import BEAM
+from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..quantities import NEGLIGIBLE
 from .projection import SQUARE_ROUNDING, LinearRows, Projection
 from .score_members import score_members
@@ -125,10 +125,8 @@ class ScoreTests:
     def _adjusted(self, projection: Projection) -> AdjustedMembers:
         """Take out of all members, and of the residuals, what the unknowns explain."""
         moved, left = zip(*(kind.adjusted_by(projection) for kind in self.kinds), strict=True)
-        pulled = projection.pull.copy()
-        pulled[:, 5:] *= self.rows.at.range_errors
-        residual, pull = self.rows.residual[:, None], pulled.reshape(-1, 1)
-        _, heavy, squares, _ = projection.perpendicular(residual, pull)
+        residual, priors = self.rows.residual[:, None], projection.prior_residuals(self.rows.at)
+        _, heavy, squares, _ = projection.perpendicular(residual, priors)
         score = self.products(heavy)[:, 0]
         return AdjustedMembers(
             projection, np.concatenate(left), np.concatenate(moved), score, float(squares[0])
@@ -190,11 +188,11 @@ class ScoreTests:
         at, sizes = self.rows.at, np.where(np.isfinite(sizes), sizes, np.nan)
         k, v = at.range_errors[:, :, None], at.directions
         x = -self.moved[members].reshape(len(members), len(v), BEAM.dim) * sizes[:, None, None]
-        turn = np.einsum("bij,mbj->mbi", model.tangent_basis(v), x[:, :, 3:5])
+        turn = np.einsum("bij,mbj->mbi", model.tangent_basis(v), x[:, :, DIRECTION])
         parts = (
-            x[:, :, :3],
-            (1.0 + k[:, 0]) * turn + x[:, :, 5:6] * v,
-            k[:, 1] * turn + x[:, :, 6:7] * v,
+            x[:, :, LOCATION],
+            (1.0 + k[:, 0]) * turn + x[:, :, MOUNT_DIM, None] * v,
+            k[:, 1] * turn + x[:, :, MOUNT_DIM + 1, None] * v,
             np.zeros_like(turn),
         )
         spots = np.stack(parts, axis=2)
@@ -203,7 +201,7 @@ class ScoreTests:
             if power is not None:
                 largest = self.rows.readings.level.max() ** power
                 spots[number, :, power] += sizes[number] / largest * v
-        return x[:, :, :3], turn, spots
+        return x[:, :, LOCATION], turn, spots
 
     def representatives(self) -> IntArray:
         """Return the clearest determined member of every family, in the order of their clearness."""

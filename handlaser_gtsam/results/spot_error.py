@@ -40,7 +40,7 @@ from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
 from ..model.distributions import chi2_quantile, f_quantile
 from ..model.families import BEAM, MOUNT_DIM, PLANE, modelled
-from ..model.joint import beams_lift
+from ..model.joint import beam_units, beams_lift
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, SINGULAR
 from ..solvers.beam_problem import linearized
@@ -149,7 +149,7 @@ def variance_shares(
         return VarianceShares(0.0, 0.0, 0.0)
     k = np.flatnonzero(np.arange(len(S)) % 8 >= 6)
     known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=SINGULAR, hermitian=True) @ S[k]
-    unit = np.tile([reading] * 3 + [1.0] * 3 + [1.0, 1.0 / reading], len(S) // 8)
+    unit = np.tile(beam_units(reading), len(calibration.beams))
     values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
     along = J @ (unit * axes[:, -1])
     parts = np.split(axes[:, -1].reshape(-1, 8) ** 2, [3, 6], axis=1)

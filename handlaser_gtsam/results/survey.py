@@ -15,7 +15,7 @@ from ..estimation.estimate import kept_blocks, tested_columns
 from ..estimation.survey import RelationTest, SurveyEstimate
 from ..estimation.survey_rows import Rows
 from ..model.distributions import gaussian_sf
-from ..model.families import BEAM, FAMILIES, PLANE
+from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR
@@ -360,7 +360,7 @@ def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
 def _beam(found: SurveyEstimate, member: int) -> BeamMount:
     x, C = found.estimate.values[BEAM.name][member], found.estimate.marginal(BEAM.name, member)
     rows = found.rows
-    turn = C[3:5, 3:5]
+    turn = C[DIRECTION, DIRECTION]
     known = bool(np.isfinite(turn).all())
     return BeamMount(
         rows.survey.beam_names[member],
@@ -368,7 +368,7 @@ def _beam(found: SurveyEstimate, member: int) -> BeamMount:
         x[3:6],
         (float(x[6]), float(x[7])),
         C,
-        np.sqrt(np.diagonal(C)[:3]),
+        np.sqrt(np.diagonal(C)[LOCATION]),
         math.sqrt(float(np.linalg.eigvalsh(turn)[-1])) if known else math.inf,
         *_taken(found, BEAM.name, member),
     )

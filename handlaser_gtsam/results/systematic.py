@@ -166,14 +166,15 @@ def systematic_errors(
         for number, member in enumerate(first.tolist()):
             codes = dict.fromkeys(tests.codes[same[number]].tolist())
             others = tuple(code for code in codes if code != tests.codes[member])
-            subject = _subject(tests, member, names, stations)
+            concerns = tests.plane[member], tests.beam[member], tests.position[member]
+            subject = subject_in_words(str(tests.codes[member]), *concerns, names, stations)
             most = plausible.get(str(tests.codes[member]), np.inf)
             reports.append(_report(tests, member, subject, explained[number], others, names, most))
     tested = {report.code for report in reports}
     confounded = [
         code
         for code, effect in EFFECTS.items()
-        if code not in tested and rows.readings.beams >= effect.least_beams
+        if code not in (*tested, *rows.freed.codes) and rows.readings.beams >= effect.least_beams
     ]
     return (
         *reports,
@@ -290,17 +291,20 @@ def _effect(shift: FloatArray, twist: FloatArray, beams: Sequence[str], verb: st
     )
 
 
-def _subject(
-    tests: ScoreTests, member: int, names: BeamAndPlaneNames, stations: Sequence[str]
+def subject_in_words(
+    code: str,
+    plane: int,
+    beam: int,
+    position: int,
+    names: BeamAndPlaneNames,
+    stations: Sequence[str],
 ) -> str:
-    """Return in words which plane, beam or station a member concerns."""
-    number, beam = int(tests.plane[member]), int(tests.beam[member])
-    if number < 0:
-        if "{subject}" not in EFFECTS[str(tests.codes[member])].phrase:
+    """Return in words which plane, beam or first station a member concerns; -1 stands for all."""
+    if plane < 0:
+        if "{subject}" not in EFFECTS[code].phrase:
             return ""
-        first = int(tests.position[member])
-        return "little by little" if first < 0 else f"from station {stations[first]} on"
-    plane = f"plane {names.sorted_planes()[number]}"
+        return "little by little" if position < 0 else f"from station {stations[position]} on"
+    words = f"plane {names.sorted_planes()[plane]}"
     if beam >= 0:
-        return f"beam {names.sorted_beams()[beam]} on {plane}"
-    return f"{plane} from station {stations[tests.position[member]]} on"
+        return f"beam {names.sorted_beams()[beam]} on {words}"
+    return f"{words} from station {stations[position]} on"

@@ -14,34 +14,43 @@ from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances
 from .calibration import Calibration
 from .fit import unit_sigma
+from .freed import Freed
 from .problem import Problem
 from .reports import BeamMixture, Fit, NoiseComponent, RangeErrorScales, ScaledSolution
 
 
-def joint_covariance(problem: Problem, solution: Solution, fit: Fit) -> JointCovariance:
-    """Return the covariance of what is determined, in the order of the recording, world frame."""
+def joint_covariance(
+    problem: Problem, solution: Solution, fit: Fit, freed: Freed | None = None
+) -> JointCovariance:
+    """Return the covariance of what is determined, in the order of the recording, world frame.
+
+    Freed errors add theirs.
+    """
     at, origins = solution.at, problem.origins
     sigma = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
     if solution.posterior is not None and solution.observability.full:
         joint = solution.posterior.joint
-        joint = replace(joint, origins=joint.origins + origins)
     elif solution.joint is not None:
         joint = solution.joint.scaled((sigma / at.sigma) ** 2)
-        joint = replace(joint, origins=joint.origins + origins)
     else:
         if at.loss != GAUSSIAN:
             standardized = at.white / at.sigma
             sigma *= np.sqrt(at.loss.variance_factor(standardized, solution.observability.rank))
         if solution.whitening is not None:  # the diagnosis eliminates poses beforehand
             sigma *= solution.whitening.sigma / at.sigma
-        joint = covariance_of_determined(
-            solution.observability, solution.parameters, sigma, origins
-        )
+        none = np.zeros_like(origins)
+        joint = covariance_of_determined(solution.observability, solution.parameters, sigma, none)
+    joint = joint if freed is None else freed.grown(joint)
+    joint = replace(joint, origins=joint.origins + origins)
     return joint.arranged(problem.names.beams, problem.names.planes)
 
 
 def with_scales(
-    result: Calibration, problem: Problem, solution: Solution, growth: float | None
+    result: Calibration,
+    problem: Problem,
+    solution: Solution,
+    growth: float | None,
+    freed: Freed | None = None,
 ) -> Calibration:
     """Return a result with the scales of noise and range errors, and what follows from them.
 
@@ -53,6 +62,8 @@ def with_scales(
     growth : float or None
         By how much the standard deviations of the beams are larger than with independent noise; None
         where they mean nothing.
+    freed : Freed, optional
+        Systematic errors that were unknowns.
     """
     fit, found, at, prior = result.fit, solution.posterior, solution.at, solution.prior
     beams = np.argsort(problem.order.beams)
@@ -79,12 +90,15 @@ def with_scales(
         return result
     at_scales = ScaledSolution(
         problem.in_world(solution.parameters),
-        joint_covariance(problem, replace(solution, posterior=None), fit),
+        joint_covariance(problem, replace(solution, posterior=None), fit, freed),
         solution.prior,
     )
+    spread = found.sigmas
+    if freed is not None:
+        spread = np.hypot(spread, freed.beam_sigmas(solution.parameters.directions).ravel())
     means, sigmas = (
         growth * array.reshape(len(found.weight), -1, 8)[:, beams]
-        for array in (found.means, found.sigmas)
+        for array in (found.means, spread)
     )
     mixture = BeamMixture(found.weight, means, sigmas, found.members)
     return replace(result, mixture=mixture, at_scales=at_scales)

@@ -16,6 +16,7 @@ from ..estimation.learned import LearnedScales
 from ..estimation.options import CalibrationOptions
 from ..factors import beam_drift
 from ..factors.keys import BeamKeys, beam_keys
+from ..model.joint import beam_units
 from ..model.weighting import Variances
 from ..quantities import KNOWN
 from ..results.calibration import Calibration
@@ -167,8 +168,7 @@ class SessionConfig:
 
     def determines(self, state: BeamState) -> bool:
         """Tell whether the beams are known to a part of their natural units."""
-        unit = np.array([self.length] * 3 + [1.0] * 3 + [1.0, 1.0 / self.length])
-        return bool((state.sigmas() < KNOWN * unit).all())
+        return bool((state.sigmas() < KNOWN * beam_units(self.length)).all())
 
     def apart(self, beams: Beams, other: Beams) -> float:
         """Return how far two estimates of the beams are apart, in natural units."""

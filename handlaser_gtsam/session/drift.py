@@ -24,7 +24,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams
 from ..estimation.information import Information
 from ..model.distributions import chi2_sf, f_sf
-from ..model.families import BEAM, MOUNT_DIM, modelled
+from ..model.families import BEAM, DIRECTION, MOUNT_DIM, modelled
 from ..quantities import KNOWN
 from .config import ProcessNoise, SessionConfig
 from .reports import Moved
@@ -72,7 +72,7 @@ class DriftHistory:
         other = [active.index(BEAM.dim * b + i) for i in range(MOUNT_DIM + self.config.terms[b])]
         J = np.zeros((len(rows), size))
         J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
-        J[3:5, other[3:5]] = basis[a].T @ basis[b]
+        J[DIRECTION, other[DIRECTION]] = basis[a].T @ basis[b]
         shift, turn, stretch = (array[b] - array[a] for array in self.beams)
         error = np.concatenate((shift, basis[a].T @ turn, stretch[: self.config.terms[a]]))
         location, direction = [link.location_sigma] * 3, [link.direction_sigma] * 2
@@ -208,7 +208,7 @@ def turns(directions: FloatArray, history: DriftHistory) -> FloatArray:
     """Return the matrix from unknowns in the bases of a history to unknowns in the bases here."""
     here, there = model.tangent_basis(directions), model.tangent_basis(history.beams[1])
     turns = np.tile(np.eye(BEAM.dim), (len(directions), 1, 1))
-    turns[:, 3:5, 3:5] = np.swapaxes(here, 1, 2) @ there
+    turns[:, DIRECTION, DIRECTION] = np.swapaxes(here, 1, 2) @ there
     whole = np.zeros((len(directions), BEAM.dim, len(directions), BEAM.dim))
     each = np.arange(len(directions))
     whole[each, :, each, :] = turns

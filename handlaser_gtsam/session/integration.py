@@ -15,6 +15,7 @@ from scipy.linalg import block_diag
 from .. import model
 from ..estimation.information import Information, LinearReadings
 from ..estimation.mixture import BeamPosterior
+from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beams_lift
 from ..solvers.beam_state import BeamState
 from .config import SessionConfig
@@ -75,8 +76,8 @@ def integrated(
     bases = model.tangent_basis(history.beams[1])
     lift = beams_lift(bases, [learned.terms] * len(bases))
     k = state.range_errors.copy()
-    k[:, : learned.terms] += step[:, 5:]
-    turned = np.einsum("bij,bj->bi", bases, step[:, 3:5])
+    k[:, : learned.terms] += step[:, RANGE_ERROR]
+    turned = np.einsum("bij,bj->bi", bases, step[:, DIRECTION])
     # The history has other tangents than the state, which has the tangents of a batch solution:
     # project along every beam out of the coordinates (8,).
     across = np.tile(np.eye(8), (len(state.directions), 1, 1))
@@ -84,7 +85,7 @@ def integrated(
     project = block_diag(*across)
     return replace(
         state,
-        locations=state.locations + step[:, :3],
+        locations=state.locations + step[:, LOCATION],
         directions=model.normalized(state.directions + turned),
         range_errors=k,
         covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,

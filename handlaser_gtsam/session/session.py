@@ -68,6 +68,9 @@ class Session:
             if getattr(self.options, name):
                 expected = "sigmas that are given: estimate them with calibrate"
                 raise ArgumentError(name, "while planes are added", expected)
+        if self.options.free:
+            expected = "no errors that are unknowns: estimate them with calibrate"
+            raise ArgumentError("free", "while planes are added", expected)
         if self.options.loss != "gaussian":
             loss = f"{self.options.loss} while planes are added"
             raise ArgumentError("loss", loss, "the gaussian loss")

@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
-from ..model.search import GOOD_GAIN, POOR_GAIN, LevenbergOptions
+from ..model.search import LevenbergOptions
 from ..progress import Trial
 from ..text import count
 from .graph import CalibrationGraph
@@ -202,7 +202,9 @@ class _LevenbergSearch:
             reason = self.stopping.arrived(decrement, self.damping, self.point.cost)
             if reason is not None:
                 return "converged", f"{reason} after {count(self.accepted, 'step')}"
-            if not self._adapt_damping(gain):
+            damping = self.options.adapted(np.array(self.damping), np.array(gain))
+            self.damping = float(damping)
+            if self.damping > self.options.most_damping:
                 return "stalled", f"no step lowers the cost after {count(self.accepted, 'step')}"
             if accepted:
                 linear = self.point.linearized()
@@ -237,14 +239,3 @@ class _LevenbergSearch:
         self.history.append(entry)
         if self.progress is not None:
             self.progress(entry)
-
-    def _adapt_damping(self, gain: float) -> bool:
-        """Change lambda by how well the linear model did; False when there is no more to try."""
-        options = self.options
-        if gain < POOR_GAIN:
-            self.damping = max(self.damping * options.damping_factor, options.first_damping)
-        elif gain > GOOD_GAIN:
-            lower = self.damping / options.damping_factor
-            keep = lower >= options.first_damping
-            self.damping = max(lower if keep else 0.0, options.least_damping)
-        return self.damping <= options.most_damping

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
+from ..model.families import POSE
 from ..quantities import NEGLIGIBLE
 
 
@@ -54,7 +55,7 @@ def pose_priors(
     """
     stations, first = np.unique(readings.station, return_index=True)
     length = readings.typical_range()
-    unit = np.array([1.0 / length] * 3 + [1.0] * 3)
+    unit = POSE.natural_units(length) / length
     values, axes = np.linalg.eigh(covariance[stations] / np.outer(unit, unit))
     values = np.maximum(values, NEGLIGIBLE * values[:, -1:])
     whole = (axes * values[:, None, :]) @ np.swapaxes(axes, 1, 2) * np.outer(unit, unit)

@@ -12,8 +12,12 @@ Covariances follow from Gauss-Markov, sigma^2 inv(J'J).
 Weights, where readings differ in them or share the errors of a pose, are held while SciPy runs and then
 updated at its solution, as is the noise of the readings that the residuals show: it is kept out of
 what multiplies the range errors. How a pose moves a range is found by moving the pose.
+
+Systematic errors can be unknowns: sizes a, each with a row a / p of its prior. They move the poses, or
+they make the readings longer; what an error of size 1 does is held and updated as weights are.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -37,6 +41,16 @@ REWEIGHTINGS = 4
 """Updates of the weights; each leaves about a thousandth of the error that the one before left."""
 NOISE_LIMIT = 4.0
 """Standard deviations of a reading that count as noise; stated again, for nothing is shared."""
+ERRORS = (
+    "incidence",
+    "cubic",
+    "sag",
+    "lag",
+    "turn-scale",
+    "translation-scale",
+    "carry-over",
+)
+"""Systematic errors that can be unknowns here, by the codes of the package."""
 POSE_STEP = 1e-6
 """Step of the differences by a hand pose [rad, m]: about the cube root of the rounding of doubles."""
 
@@ -58,6 +72,8 @@ class ReferenceSolution:
         Jacobian evaluations.
     message : str
         SciPy's.
+    sizes, size_sigmas : mapping of str to float
+        Of systematic errors that are unknowns, by code, with their standard deviations.
     """
 
     parameters: Parameters
@@ -66,6 +82,8 @@ class ReferenceSolution:
     squares: float
     iterations: int
     message: str
+    sizes: Mapping[str, float]
+    size_sigmas: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +117,8 @@ class ReferenceProblem:
         Range-error terms.
     prior : RangeErrorPrior, optional
         Of the range errors, beside weighted residuals.
+    errors : mapping of str to float, optional
+        Systematic errors that are unknowns, of `ERRORS`, with the sigmas of their priors.
     """
 
     def __init__(
@@ -107,6 +127,7 @@ class ReferenceProblem:
         start: Parameters,
         terms: int | tuple[int, ...],
         prior: RangeErrorPrior | None = None,
+        errors: Mapping[str, float] | None = None,
     ) -> None:
         self.beams, self.planes = len(recording.beam_names), len(recording.plane_names)
         self.terms = (terms,) * self.beams if isinstance(terms, int) else terms
@@ -124,8 +145,15 @@ class ReferenceProblem:
         self.active = np.array([[True] * 5 + [n > 0, n > 1] for n in self.terms])
         beam = (start.locations, self.directions.pack(start.directions), start.range_errors)
         plane_part = np.column_stack((self.normals.pack(start.normals), start.offsets))
-        self.x0 = np.concatenate((np.hstack(beam)[self.active], plane_part.ravel()))
+        self.errors = dict(errors or {})
+        none = np.zeros(len(self.errors))
+        self.x0 = np.concatenate((np.hstack(beam)[self.active], plane_part.ravel(), none))
         self.split = int(self.active.sum())
+        self.last = self.split + 3 * self.planes
+        self.seen = np.unique(self.station)
+        self.hands = recording.world_R_hand, recording.world_t_hand
+        self.plane_of_station = recording.plane_of_station
+        self.per_size = np.zeros((len(self.d), len(self.errors)))
         self.whiten: csr_array | None = None
         self.base = self.level = self.d
         # One more row for every range error of which something is known: k / its sigma.
@@ -141,9 +169,12 @@ class ReferenceProblem:
         full[self.active] = x[: self.split]
         return full
 
+    def _planes(self, x: FloatArray) -> FloatArray:
+        return x[self.split : self.last].reshape(self.planes, 3)
+
     def unpack(self, x: FloatArray) -> Parameters:
         """Return the parameter vector as beams and planes."""
-        beam, plane = self._beams(x), x[self.split :].reshape(self.planes, 3)
+        beam, plane = self._beams(x), self._planes(x)
         directions = self.directions.unpack(beam[:, 3:5])
         return Parameters(
             beam[:, :3],
@@ -156,17 +187,70 @@ class ReferenceProblem:
     def residuals(self, x: FloatArray) -> FloatArray:
         """Return predicted less corrected ranges (N,): [m], or in sigmas once there are weights."""
         beam = self._beams(x)[self.beam]
-        residual = self._ranges(x, self.R, self.t)[0] - (
-            self.base + self.level * (beam[:, 5] + beam[:, 6] * self.level)
-        )
+        R, t = self._poses(x)
+        s = self._ranges(x, R, t)[0]
+        longer = self.per_size @ x[self.last :]
+        level = self.level - longer
+        residual = s - (self.base - longer + level * (beam[:, 5] + beam[:, 6] * level))
         if self.whiten is None:
             return residual
-        return np.concatenate((self.whiten @ residual, x[self.prior_at] / self.prior_sigma))
+        of_errors = x[self.last :] / np.array([*self.errors.values()])
+        known = x[self.prior_at] / self.prior_sigma
+        return np.concatenate((self.whiten @ residual, known, of_errors))
+
+    def _poses(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the true hand poses of all readings, at the sizes of errors that move the hand."""
+        size = dict(zip(self.errors, x[self.last :].tolist(), strict=True))
+        if not size.keys() & {"lag", "turn-scale", "translation-scale"}:
+            return self.R, self.t
+        R, t = self.hands
+        turn, shift = np.zeros_like(t), np.zeros_like(t)
+        if "turn-scale" in size:
+            U, _, V = np.linalg.svd(R[self.seen].sum(axis=0))
+            mean = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
+            turn += size["turn-scale"] * Rotation.from_matrix(mean.T @ R).as_rotvec()
+        if "translation-scale" in size:
+            shift += size["translation-scale"] * t
+        for p in range(self.planes if "lag" in size else 0):
+            own = self.seen[self.plane_of_station[self.seen] == p]
+            for place, station in enumerate(own):
+                first, last = own[max(place - 1, 0)], own[min(place + 1, len(own) - 1)]
+                part = size["lag"] / max(min(place, 1) + min(len(own) - 1 - place, 1), 1)
+                turn[station] += part * Rotation.from_matrix(R[first].T @ R[last]).as_rotvec()
+                shift[station] += part * (t[last] - t[first])
+        R = (Rotation.from_matrix(R) * Rotation.from_rotvec(turn)).as_matrix()
+        return R[self.station], (t + shift)[self.station]
+
+    def _per_size(
+        self, x: FloatArray, R: FloatArray, t: FloatArray, s: FloatArray, cosine: FloatArray
+    ) -> FloatArray:
+        """Return by how much errors of size 1 make readings longer (N, q), given ranges and cosines."""
+        beam = self._beams(x)[self.beam]
+        slope = 1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d
+        longer = np.zeros((len(self.d), len(self.errors)))
+        for number, code in enumerate(self.errors):
+            if code == "incidence":
+                longer[:, number] = (1.0 - cosine**2) / cosine**2
+            elif code == "cubic":
+                longer[:, number] = (self.d / self.d.max()) ** 3
+            elif code == "sag":
+                v = self.directions.unpack(self._beams(x)[:, 3:5])[self.beam]
+                spot = np.matmul(R, (beam[:, :3] + s[:, None] * v)[:, :, None])[..., 0] + t
+                for p in range(self.planes):
+                    spot[self.plane == p] -= spot[self.plane == p].mean(axis=0)
+                square = (spot**2).sum(axis=1)
+                longer[:, number] = square / square.max() / np.abs(cosine) / slope
+            elif code == "carry-over":
+                true = self.d * (1.0 + beam[:, 5] + beam[:, 6] * self.d)
+                table = np.full((len(self.hands[0]), self.beams), np.nan)
+                table[self.station, self.beam] = self.d + (s - true) / slope
+                change = np.roll(table, 1, axis=1) - table
+                longer[:, number] = np.nan_to_num(change[self.station, self.beam])
+        return longer
 
     def _ranges(self, x: FloatArray, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ranges [m] and cosines of incidence from given hand poses."""
-        beam = self._beams(x)
-        plane = x[self.split :].reshape(self.planes, 3)
+        beam, plane = self._beams(x), self._planes(x)
         n = self.normals.unpack(plane[:, :2])[self.plane]
         v = self.directions.unpack(beam[:, 3:5])[self.beam]
         origin = np.matmul(R, beam[self.beam, :3, None])[..., 0] + t
@@ -177,22 +261,27 @@ class ReferenceProblem:
     def weigh(self, x: FloatArray, noise: ReferenceNoise) -> None:
         """Weigh the readings of each station together, at `x`."""
         beam = self._beams(x)[self.beam]
-        slope = (1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d) / np.sqrt(self.samples)
-        tangent = np.sqrt(np.maximum(self._ranges(x, self.R, self.t)[1] ** -2 - 1.0, 0.0))
+        R, t = self._poses(x)
+        s, cosine = self._ranges(x, R, t)
+        self.per_size = self._per_size(x, R, t, s, cosine)
+        longer = self.per_size @ x[self.last :]
+        d = self.d - longer
+        slope = (1.0 + beam[:, 5] + 2.0 * beam[:, 6] * d) / np.sqrt(self.samples)
+        tangent = np.sqrt(np.maximum(cosine**-2 - 1.0, 0.0))
         of_reading = slope * noise.range_sigma[self.beam] ** 2 / np.sqrt(self.samples)
         variance = (slope * noise.range_sigma[self.beam]) ** 2
         variance += (noise.incidence_sigma * tangent) ** 2
-        true = self.d * (1.0 + beam[:, 5] + beam[:, 6] * self.d)
-        residual = self._ranges(x, self.R, self.t)[0] - true
-        self.level = self.d.copy()
+        true = d * (1.0 + beam[:, 5] + beam[:, 6] * d)
+        residual = s - true
+        level = d.copy()
         J = np.zeros((len(self.d), 6))
         for axis in range(6 if noise.pose is not None else 0):
             step = np.eye(6)[axis] * POSE_STEP
             sides = []
             for sign in (1.0, -1.0):
                 turn = Rotation.from_rotvec(sign * step[:3]).as_matrix()
-                moved = self.t + sign * np.matmul(self.R, step[3:])
-                sides.append(self._ranges(x, self.R @ turn, moved)[0])
+                moved = t + sign * np.matmul(R, step[3:])
+                sides.append(self._ranges(x, R @ turn, moved)[0])
             J[:, axis] = (sides[0] - sides[1]) / (2.0 * POSE_STEP)
         blocks, order = [], []
         for station in np.unique(self.station):
@@ -204,29 +293,30 @@ class ReferenceProblem:
             order.append(rows)
             noise_of = of_reading[rows] * np.linalg.solve(C, residual[rows])
             most = NOISE_LIMIT * noise.range_sigma[self.beam[rows]]
-            self.level[rows] += np.clip(noise_of, -most, most)
-        self.base = true - self.level * (beam[:, 5] + beam[:, 6] * self.level)
+            level[rows] += np.clip(noise_of, -most, most)
+        self.base = true - level * (beam[:, 5] + beam[:, 6] * level) + longer
+        self.level = level + longer
         inverse = np.argsort(np.concatenate(order))
         self.whiten = csr_array(block_diag(blocks, format="csr")[:, inverse])
 
     def sparsity(self) -> csr_array:
         """Return which unknowns each residual depends on."""
         of_plane = self.split + self.plane[:, None] * 3 + np.arange(3)
-        columns = np.hstack((self.number[self.beam], of_plane))
+        of_errors = np.tile(self.last + np.arange(len(self.errors)), (len(self.d), 1))
+        columns = np.hstack((self.number[self.beam], of_plane, of_errors))
         rows = np.repeat(np.arange(len(self.d)), columns.shape[1])
         seen = columns.ravel() >= 0
         shape = (len(self.d), len(self.x0))
         depends = csr_array((np.ones(seen.sum()), (rows[seen], columns.ravel()[seen])), shape=shape)
         if self.whiten is None:
             return depends
-        more = np.arange(len(self.prior_at))
-        prior = csr_array(
-            (np.ones(len(more)), (more, self.prior_at)), shape=(len(more), len(self.x0))
-        )
+        known = np.concatenate((self.prior_at, self.last + np.arange(len(self.errors))))
+        more = np.arange(len(known))
+        prior = csr_array((np.ones(len(more)), (more, known)), shape=(len(more), len(self.x0)))
         return csr_array(vstack((abs(self.whiten) @ depends, prior)))
 
-    def covariances(self, solution: OptimizeResult) -> tuple[FloatArray, FloatArray]:
-        """Return ambient covariances of beams (B, 8, 8) and planes (P, 4, 4).
+    def covariances(self, solution: OptimizeResult) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return ambient covariances of beams (B, 8, 8) and planes (P, 4, 4), and of errors (q, q).
 
         For a sigma of 1 m, or of the weights where there are any.
         """
@@ -250,7 +340,7 @@ class ReferenceProblem:
             lift[:3, :2], lift[3, 2] = Dn[p], 1.0
             block = slice(self.split + 3 * p, self.split + 3 * p + 3)
             planes[p] = lift @ inverse[block, block] @ lift.T
-        return beams, planes
+        return beams, planes, inverse[self.last :, self.last :]
 
 
 def minimize(
@@ -278,30 +368,38 @@ def solve_reference(
     terms: int | tuple[int, ...],
     noise: ReferenceNoise | None = None,
     prior: RangeErrorPrior | None = None,
+    errors: Mapping[str, float] | None = None,
 ) -> ReferenceSolution:
     """Solve `recording` from `start` with `terms` range-error terms, and its covariances.
 
     Central differences cost twice as much as forward ones and agree with exact derivatives to a
     millionth of a standard deviation and better. With `noise`, covariances and squares are in its
-    units, without it for a range sigma of 1 m. A `prior` of the range errors needs `noise`.
+    units, without it for a range sigma of 1 m. A `prior` of the range errors, or systematic `errors`
+    that are unknowns (of `ERRORS`, with the sigmas of their priors), need `noise`.
     """
-    problem = ReferenceProblem(recording, start, terms, prior)
+    problem = ReferenceProblem(recording, start, terms, prior, errors)
+    if errors and noise is not None:
+        problem.weigh(problem.x0, noise)
     solution = minimize(problem, "3-point")
     if noise is not None:
         for _ in range(REWEIGHTINGS):
             problem.weigh(solution.x, noise)
             problem.x0 = solution.x
             solution = minimize(problem, "3-point")
-    beams, planes = problem.covariances(solution)
+    beams, planes, of_errors = problem.covariances(solution)
     J = np.asarray(solution.jac @ np.eye(len(solution.x)))
     scale = np.linalg.norm(J, axis=0)
     # SciPy stops where the cost shows no change: a last Gauss-Newton step goes beyond its digits.
     last = np.linalg.lstsq(J / scale, solution.fun, rcond=1e-12)[0] / scale
+    best = solution.x - last
+    sigmas = np.sqrt(np.diagonal(of_errors))
     return ReferenceSolution(
-        problem.unpack(solution.x - last),
+        problem.unpack(best),
         beams,
         planes,
         2.0 * float(solution.cost),
         int(solution.njev),
         str(solution.message),
+        dict(zip(problem.errors, best[problem.last :].tolist(), strict=True)),
+        dict(zip(problem.errors, sigmas.tolist(), strict=True)),
     )

@@ -12,7 +12,7 @@ from ..data.value import Value
 from ..errors import InputError
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
-from ..solvers.reference import ReferenceNoise, solve_reference
+from ..solvers.reference import ERRORS, ReferenceNoise, solve_reference
 from ..starts import find_start
 
 
@@ -49,7 +49,8 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     Raises
     ------
     InputError
-        The calibration did not converge, or its loss is robust: SciPy solves least squares.
+        The calibration did not converge, its loss is robust (SciPy solves least squares), or a
+        systematic error was freed for which the reference has no formula.
     """
     of_surveys = "a Calibration; hl.validation.cross_check_survey takes the result of a Survey"
     require_kind("calibration", calibration, Calibration, of_surveys)
@@ -60,18 +61,28 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
     used = calibration.used_in(recording)
     start = find_start(used.readings()).parameters
+    errors = {effect.code: effect.prior_sigma for effect in calibration.effects}
+    without = [code for code in errors if code not in ERRORS]
+    if without:
+        raise InputError(
+            f"a freed {without[0]}", f"free of these, to be checked: {', '.join(ERRORS)}"
+        )
     terms = tuple(beam.terms for beam in calibration.beams.values())
     variances, noise = calibration.variances, None
     if variances is not None:
         noise = ReferenceNoise(variances.range_sigma, variances.incidence_sigma, variances.pose)
+    if calibration.recorded is not None:  # with the errors in it; their priors have units
+        used = calibration.recorded.without(np.isnan(calibration.fit.residuals))
+        if noise is None:
+            noise = ReferenceNoise(np.full(len(calibration.beams), calibration.fit.range_sigma))
     scaled = calibration.at_scales
     prior = None if scaled is None else scaled.range_error_prior
-    reference = solve_reference(used, start, terms, noise=noise, prior=prior)
+    reference = solve_reference(used, start, terms, noise=noise, prior=prior, errors=errors)
     own = calibration.parameters() if scaled is None else scaled.parameters
     joint = calibration.covariance if scaled is None else scaled.covariance
     if joint is None:
         raise InputError("a calibration without covariance", "a converged one")
-    variance = calibration.fit.range_sigma**2 if variances is None else 1.0
+    variance = calibration.fit.range_sigma**2 if noise is None else 1.0
     found = reference.parameters
     off = [ours - theirs for ours, theirs in zip(own.beams, found.beams, strict=True)]
     of_planes = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
@@ -85,6 +96,12 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         for kind, all_of_kind, parts in (("beam", beams, of_beam), ("plane", planes, of_plane))
         for name, e, mine, other in all_of_kind
     ]
+    for effect in calibration.effects:
+        off_size = np.array([effect.size - reference.sizes[effect.code]])
+        mine, other = (
+            np.array([[sigma**2]]) for sigma in (effect.sigma, reference.size_sigmas[effect.code])
+        )
+        rows.append((effect.code, off_size, mine, other, {"size": slice(0, 1)}))
     return compared(rows, reference.iterations)
 
 

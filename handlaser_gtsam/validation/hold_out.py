@@ -24,7 +24,7 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
 from ..model.distributions import chi2_sf, f_sf
-from ..model.families import BEAM, PLANE, modelled
+from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, covariance_roots, whitening
 from ..progress import tell
@@ -235,7 +235,9 @@ def _tested(
         fall, x = least(root, np.eye(n)[:, mine])
         statistic, dx = max(fall - held, 0.0), (x * unit)[mine]
         p = p_value(statistic, min(int(mine.sum()), rank))
-        beams.append(BeamDrift(name, statistic, p, dx[:3], float(np.linalg.norm(dx[3:5]))))
+        beams.append(
+            BeamDrift(name, statistic, p, dx[LOCATION], float(np.linalg.norm(dx[DIRECTION])))
+        )
     return HoldOut(
         len(e),
         float(np.sqrt(np.mean(e**2))),

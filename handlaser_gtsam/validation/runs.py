@@ -18,6 +18,7 @@ from ..data.value import Value
 from ..errors import HandlaserError
 from ..estimation.many_recordings import solve_many
 from ..estimation.options import CalibrationOptions
+from ..model.families import MOUNT_DIM, RANGE_ERROR
 from ..model.joint import beam_lifts
 from ..pipeline import calibrate
 from ..quantities import IN_DEG, IN_MM
@@ -144,13 +145,14 @@ def run_row(estimate: Estimated | HandlaserError, truth: Parameters) -> dict[str
     # The eight coordinates of a beam have seven freedoms: three of r, two of v, and k1 and k2.
     lift = beam_lifts(model.tangent_basis(v))
     x, C = np.einsum("bij,bi->bj", lift, e), np.swapaxes(lift, 1, 2) @ S @ lift
-    terms = int((np.einsum("bii->bi", C)[:, 5:] > 0.0).all(axis=0).sum())
+    terms = int((np.einsum("bii->bi", C)[:, RANGE_ERROR] > 0.0).all(axis=0).sum())
+    modelled = MOUNT_DIM + terms
     return row | {
         "beams": len(r),
         "location_squares": float((e[:, :3] ** 2).sum()),
         "direction_squares": float((np.cross(v, truth.directions) ** 2).sum()),
-        "nees": _nees(x[:, :5], C[:, :5, :5]),
-        "nees_with_k": _nees(x[:, : 5 + terms], C[:, : 5 + terms, : 5 + terms]),
+        "nees": _nees(x[:, :MOUNT_DIM], C[:, :MOUNT_DIM, :MOUNT_DIM]),
+        "nees_with_k": _nees(x[:, :modelled], C[:, :modelled, :modelled]),
         "covered": int((z <= WITHIN).sum()),
         "coordinates": len(z),
         "worst": float(z.max()),

@@ -22,6 +22,7 @@ from ..estimation.survey import SurveyEstimate, estimate_survey
 from ..estimation.survey_rows import Item
 from ..model.distributions import chi2_sf, f_sf
 from ..model.families import BEAM, PLANE, POSE, bases
+from ..model.joint import beam_lifts, plane_lift
 from ..model.known import BODY
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -251,16 +252,14 @@ def _differences(
             own = np.append(np.zeros(6), list(sensor.range_error.values()))
         elif kind == BEAM.name:
             name = f"beam {rows.survey.beam_names[i]}"
-            lift = np.zeros((8, 7))
-            lift[:3, :3], lift[3:6, 3:5], lift[6:, 5:] = np.eye(3), bases(own[3:6]), np.eye(2)
+            (lift,) = beam_lifts(bases(own[None, 3:6]))
             mine = lift @ mine @ lift.T
         else:
             name = rows.label((kind, i))
         if kind == PLANE.name:
             n, c = own[:3], own[4:]
             own = np.append(n, own[3] - n @ c)
-            lift = np.zeros((4, 3))
-            lift[:3, :2], lift[3, :2], lift[3, 2] = bases(n), -c @ bases(n), 1.0
+            lift = plane_lift(bases(n), c)
             mine = lift @ mine @ lift.T
         yield name, own - other, mine, theirs.covariances[kind, i], COMPARED_PARTS[kind]
 

@@ -12,7 +12,7 @@ def members(stations: SeenStations) -> Everywhere:
     """Return the derivatives (N, 2) by a steady drift, and by the drift of a sensor that warms up."""
     steady = stations.longer * (stations.time - 0.5)
     warming = -stations.longer * np.exp(-WARMING * stations.time)
-    return Everywhere(np.stack((steady, warming), axis=1))
+    return Everywhere(np.stack((steady, warming), axis=1), parts=("steady", "warming up"))
 
 
 DRIFT = Effect(

@@ -7,6 +7,10 @@ beside the recorded one by -J xi.
 
 An effect of all readings has one column or several. An effect of single planes has one column, as if
 it were everywhere, and for every member the rows in which it counts.
+
+An effect can be an unknown of the calibration as well (`results.freed`). Errors of the hand poses then
+move the poses themselves; all others make the readings longer, by their column over the column of
+readings that are too long.
 """
 
 from collections.abc import Callable, Mapping
@@ -80,9 +84,9 @@ class SeenStations:
         d = self.readings.distance
         return np.asarray(d - residuals(self.scene, d) / self.longer)
 
-    def by_pose(self, error: FloatArray) -> FloatArray:
-        """Return derivatives (N,) by hands that are (omega, u) (S, 6) beside their recorded poses."""
-        return -np.asarray(np.einsum("ni,ni->n", self.linear.pose, error[self.first[1]]))
+    def by_poses(self, twists: FloatArray) -> FloatArray:
+        """Return derivatives (N, c) by hands that are (omega, u) (S, 6, c) beside their poses."""
+        return -np.asarray(np.einsum("ni,nic->nc", self.linear.pose, twists[self.first[1]]))
 
 
 class Everywhere:
@@ -96,12 +100,18 @@ class Everywhere:
     since : (m,), optional
         Position in the recording from which on each member counts; -1 for the whole of it, as where it
         is not given.
+    parts : tuple of str, optional
+        What each column is of, where there are several.
     """
 
     def __init__(
-        self, columns: FloatArray, mix: FloatArray | None = None, since: IntArray | None = None
+        self,
+        columns: FloatArray,
+        mix: FloatArray | None = None,
+        since: IntArray | None = None,
+        parts: tuple[str, ...] = ("",),
     ) -> None:
-        self.columns = columns
+        self.columns, self.parts = columns, parts
         self.mix = np.eye(columns.shape[1]) if mix is None else mix
         self.since = np.full(self.mix.shape[1], -1) if since is None else since
 
@@ -123,6 +133,14 @@ class OnPlanes:
     plane: IntArray
     beam: IntArray
     since: IntArray
+
+    def column_of(self, member: int, stations: SeenStations) -> FloatArray:
+        """Return the column (N,) of one member."""
+        readings, beam = stations.readings, self.beam[member]
+        counts = (readings.plane == self.plane[member]) & (stations.position >= self.since[member])
+        if beam >= 0:
+            counts &= readings.beam == beam
+        return np.where(counts, self.column, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -152,6 +170,9 @@ class Effect:
     of_readings : callable, optional
         Instead of `members`, for an error that a reading has by itself, whenever it is taken: returns
         its column (N,) for the stations and the reading [m] at which its size is meant.
+    twists : callable, optional
+        Of an error of the hand poses: returns what moves the hands (omega, u) (S, 6, c) from their
+        recorded poses, one a unit of size; its columns follow where there are no `members`.
     power : int, optional
         Power of the reading by which it moves the laser spots along their beams; they stay where not
         given, because spots are judged at right angles, amid the recording, all channels alike.
@@ -174,6 +195,7 @@ class Effect:
     of_cell: float | None = None
     members: Callable[[SeenStations], Everywhere | OnPlanes] | None = None
     of_readings: Callable[[SeenStations, float], FloatArray] | None = None
+    twists: Callable[[SeenStations], FloatArray] | None = None
     power: int | None = None
     least_beams: int = 1
     is_k1: bool = False
@@ -184,17 +206,24 @@ class Effect:
         if self.of_readings is not None:
             column = self.of_readings(stations, float(stations.readings.level.max()))
             return Everywhere(column[:, None])
+        if self.members is None and self.twists is not None:
+            return Everywhere(stations.by_poses(self.twists(stations)))
         return None if self.members is None else self.members(stations)
+
+    @property
+    def can_show(self) -> bool:
+        """Whether a recording can show it at all."""
+        return any(one is not None for one in (self.members, self.of_readings, self.twists))
 
     def with_size(self, size: float, subject: str | None = None) -> str:
         """Return the phrase with a size, and a subject: any one where none is meant."""
         whose = self.anywhere if subject is None else subject
         return self.phrase.format(size=size_in_words(size, self.unit), subject=whose)
 
-    def without_size(self) -> str:
-        """Return the phrase for an error of unknown size."""
+    def without_size(self, subject: str | None = None) -> str:
+        """Return the phrase for an error of unknown size, of a subject or of any one."""
         phrase = self.phrase.replace(" by {size}", "").replace(" of {size}", "")
-        return phrase.format(subject=self.anywhere)
+        return phrase.format(subject=self.anywhere if subject is None else subject)
 
     def plausible(self, kind: str, measuring_range: float) -> float | None:
         """Return its largest plausible size [unit] for a kind of sensor; None where none is known."""

@@ -4,16 +4,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
-from .effect import Effect, Everywhere, SeenStations
+from .effect import Effect, SeenStations
 
 
-def members(stations: SeenStations) -> Everywhere:
-    """Return the derivatives (N, 1) by a lag of one step."""
-    return Everywhere(stations.by_pose(steps(stations))[:, None])
-
-
-def steps(stations: SeenStations) -> FloatArray:
-    """Return the step (omega, u) (S, 6) of the hand at every station.
+def twists(stations: SeenStations) -> FloatArray:
+    """Return the step (omega, u) (S, 6, 1) of the hand at every station.
 
     It is half the way from the previous station of the plane to the next, or the whole way to or from
     the neighbour at the ends.
@@ -30,7 +25,7 @@ def steps(stations: SeenStations) -> FloatArray:
     turn = Rotation.from_matrix(np.swapaxes(R[before], 1, 2) @ R[after]).as_rotvec()
     step[order, :3] = turn / count
     step[order, 3:] = np.einsum("mij,mi->mj", R[order], (t[after] - t[before]) / count)
-    return step
+    return step[..., None]
 
 
 LAG = Effect(
@@ -39,7 +34,7 @@ LAG = Effect(
     remedy="let the hand come to rest before reading, and synchronise the clocks of robot and sensor",
     reveal="reach some stations again from another side",
     unit="1",
-    members=members,
+    twists=twists,
     of_cell=0.1,
 )
 """A reading is taken up to a tenth of a step before or after its pose."""

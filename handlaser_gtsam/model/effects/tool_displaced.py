@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 
+from ...arrays import FloatArray, IntArray
 from .displaced import LEAST_STATIONS
 from .effect import Effect, Everywhere, SeenStations
 
@@ -25,21 +26,38 @@ TOOL_STEPS = 7
 them correlates by 0.88 or more with one of the two."""
 
 
-def members(stations: SeenStations) -> Everywhere:
-    """Return the derivatives (N, 3) by a metre along x, y and z for every time at which it may happen.
-
-    The first displacement is steady, and its position -1; the others begin at a station.
-    """
-    position = stations.position
-    times = np.unique(position)
+def _since(stations: SeenStations) -> IntArray:
+    """Return the positions of the stations at which a displacement may begin; -1 for a steady one."""
+    times = np.unique(stations.position)
     splits = np.linspace(0, len(times), TOOL_STEPS + 2)[1:-1].round().astype(np.intp)
     splits = np.unique(splits[(splits >= LEAST_STATIONS) & (splits <= len(times) - LEAST_STATIONS)])
-    since = np.concatenate(([-1], times[splits]))
-    shares = [stations.time, *((position >= first).astype(float) for first in since[1:])]
-    along = -stations.linear.location
-    columns = [along * (share - share.mean())[:, None] for share in shares]
+    return np.concatenate(([-1], times[splits]))
+
+
+def twists(stations: SeenStations) -> FloatArray:
+    """Return displacements (S, 6, 3 T) by a metre along x, y and z, for each time they may begin.
+
+    The first of the T is steady; the others begin at a station.
+    """
+    row, position = stations.first[0], stations.position
+    shares = [
+        stations.time if first < 0 else (position >= first).astype(float)
+        for first in _since(stations).tolist()
+    ]
+    moved = np.zeros((len(row), 6, len(shares), 3))
+    for number, share in enumerate(shares):
+        moved[:, 3:, number] = (share - share.mean())[row, None, None] * np.eye(3)
+    return moved.reshape(len(row), 6, -1)
+
+
+def members(stations: SeenStations) -> Everywhere:
+    """Return a member for every direction, and for every time at which it may happen."""
+    since = _since(stations)
     each_time = np.kron(np.eye(len(since)), DIRECTIONS.T)
-    return Everywhere(np.hstack(columns), each_time, np.repeat(since, len(DIRECTIONS)))
+    columns = stations.by_poses(twists(stations))
+    times = ["steadily" if n < 0 else f"from station number {n + 1} on" for n in since.tolist()]
+    parts = tuple(f"along {axis} {time}" for time in times for axis in "xyz")
+    return Everywhere(columns, each_time, np.repeat(since, len(DIRECTIONS)), parts)
 
 
 TOOL_DISPLACED = Effect(
@@ -49,6 +67,7 @@ TOOL_DISPLACED = Effect(
     reveal="repeat the first stations at the end, before the same planes",
     anywhere="while recording",
     members=members,
+    twists=twists,
     of_cell=2.5e-4,
 )
 """A tool frame steps or creeps by half a millimetre while recording: half of that from its middle."""

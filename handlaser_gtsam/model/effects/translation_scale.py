@@ -5,14 +5,15 @@ They count from the origin of the plane's frame, in which the plane shifts.
 
 import numpy as np
 
-from .effect import Effect, Everywhere, SeenStations
+from ...arrays import FloatArray
+from .effect import Effect, SeenStations
 
 
-def members(stations: SeenStations) -> Everywhere:
-    """Return the derivatives (N, 1) by translations twice as large."""
+def twists(stations: SeenStations) -> FloatArray:
+    """Return the translations (S, 6, 1) from the origin of the plane's frame."""
     readings, row = stations.readings, stations.first[0]
     shift = np.einsum("mij,mi->mj", readings.world_R_hand[row], readings.world_t_hand[row])
-    return Everywhere(stations.by_pose(np.hstack((np.zeros_like(shift), shift)))[:, None])
+    return np.hstack((np.zeros_like(shift), shift))[..., None]
 
 
 TRANSLATION_SCALE = Effect(
@@ -24,7 +25,7 @@ TRANSLATION_SCALE = Effect(
     unit="1",
     confounded="k1 of all beams, because every length scales together",
     is_k1=True,
-    members=members,
+    twists=twists,
     of_cell=1e-3,
 )
 """Lengths of a six-axis arm are wrong by up to 0.65 mm over a metre (Slamani, Nubiola and Bonev,

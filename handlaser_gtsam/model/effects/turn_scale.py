@@ -3,14 +3,15 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .effect import Effect, Everywhere, SeenStations
+from ...arrays import FloatArray
+from .effect import Effect, SeenStations
 
 
-def members(stations: SeenStations) -> Everywhere:
-    """Return the derivatives (N, 1) by turns twice as large."""
+def twists(stations: SeenStations) -> FloatArray:
+    """Return the turns (S, 6, 1) from the mean orientation."""
     R = stations.readings.world_R_hand[stations.first[0]]
     turn = Rotation.from_matrix(Rotation.from_matrix(R).mean().as_matrix().T @ R).as_rotvec()
-    return Everywhere(stations.by_pose(np.hstack((turn, np.zeros_like(turn))))[:, None])
+    return np.hstack((turn, np.zeros_like(turn)))[..., None]
 
 
 TURN_SCALE = Effect(
@@ -19,7 +20,7 @@ TURN_SCALE = Effect(
     remedy="have the robot's joints calibrated, and check the unit and the convention of its angles",
     reveal="turn the hand further, and about other axes",
     unit="1",
-    members=members,
+    twists=twists,
     of_cell=1e-3,
 )
 """As the lengths: see `translation_scale`."""

@@ -67,6 +67,8 @@ def fit_facts(described: "Description") -> Facts:
     facts.append(("noise", noise_words(calibration)))
     if described.solved:
         facts.append(("range errors", range_error_words(calibration)))
+        if calibration.effects:
+            facts.append(("freed errors", effect_words(calibration)))
     facts.append(("hand poses", fit.poses))
     if fit.loss != "gaussian":
         facts.append(("loss", fit.loss))
@@ -312,6 +314,19 @@ def range_error_words(result: CalibrationData) -> str:
     if learned is not None:
         form = f"learned scales k1 {learned.k1:.2g}, k2 {learned.k2_per_m:.2g}/m"
     return f"{form}: {words}"
+
+
+def effect_words(result: CalibrationData) -> str:
+    """Return the systematic errors that were unknowns, with their estimates."""
+    determined = [effect.words for effect in result.effects if effect.determined]
+    others = [
+        f"{effect.code} {effect.subject}".strip()
+        for effect in result.effects
+        if not effect.determined
+    ]
+    words = [some(determined, NAMES_IN_LINE)] if determined else []
+    words += [f"undetermined: {some(others, NAMES_IN_LINE)}"] if others else []
+    return "; ".join(words)
 
 
 def _beams(names: list[str], beams: int) -> str:

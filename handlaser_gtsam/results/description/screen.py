@@ -34,7 +34,7 @@ def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH
         lines += text_table(described.beams, width, ROWS_ON_SCREEN)
     fit = dict(described.fit)
     if any(beam.sigma is not None for beam in calibration.beams.values()):
-        for name in ("range errors", "noise"):
+        for name in ("range errors", "freed errors", "noise"):
             if name in fit:
                 add(name, fit[name])
     add("fit", ", ".join(f"{name} {fit[name]}" for name in BRIEF if name in fit))

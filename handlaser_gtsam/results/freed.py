@@ -1,0 +1,362 @@
+r"""Systematic errors as unknowns: sizes that are estimated beside beams and planes.
+
+A freed error of size a has a Gaussian prior of mean zero and standard deviation p: the plausible size,
+a half width, over the root of three, as in limits and plans. Errors of the hand poses move the
+recorded poses, R exp(a omega) and t + a R u; all others shorten the readings by a f. A corrected
+recording is calibrated as any other: rejected readings, scales of the noise and of range errors belong
+to it. With its residuals e of noise sigma, their derivatives A by the sizes, and what the other
+unknowns leave of A (`projection`), the sizes are estimated by steps
+
+    a <- a - inv(I) (A_perp' e / sigma^2 + a / p^2),    I = A_perp' A_perp / sigma^2 + 1 / p^2.
+
+Both are repeated until the sizes stay (variable projection: Kaufman, BIT 1975). The covariance of the
+sizes is inv(I). Beams and planes have C + M inv(I) M', where C is their covariance for known sizes, and
+M = -inv(J' J) J' A is how they follow the sizes.
+
+Where f depends on beams and planes, as for the incidence, it is taken at the solution, and its own
+derivatives are neglected: they are a part a / range of the others. For an incidence error of 1 mm at
+350 mm this moved beams by 0.02 standard deviations, and changed standard deviations by 2 %.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.noise import LEAST_SIGMA, Noise
+from ..errors import CalibrationWarning, InputError
+from ..estimation.options import CalibrationOptions
+from ..estimation.selection import Selection, select
+from ..estimation.task import WEIGHTS_SETTLED
+from ..model.effects import EFFECTS
+from ..model.effects.effect import OnPlanes, SeenStations
+from ..model.equation import residuals_or_infinite
+from ..model.families import BEAM, PLANE, modelled
+from ..model.geometry import skew, tangent_basis
+from ..model.joint import JointCovariance, beam_lifts
+from ..model.sensor import Sensor
+from ..quantities import MOST_ROUNDS
+from ..text import count
+from .fit import linear_rows
+from .problem import Problem
+from .projection import FreedColumns, Projection
+from .reports import FreedEffect
+from .systematic import subject_in_words
+
+MOST_FREED = 200
+"""Unknown sizes at most: every one has a column of all readings, and all are known together."""
+DETERMINED = 0.5
+"""A size is determined where the readings lower the variance of its prior to below this part: then they
+say more of it than the prior."""
+
+Member = tuple[str, int, int, int, int]
+"""Code, number among the unknowns of the error, plane, beam and first station; -1 for all."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Freed:
+    """The freed errors at a solution, in units of their priors' sigmas.
+
+    Attributes
+    ----------
+    columns : FreedColumns
+        At the readings that were used.
+    subjects : tuple of str
+        Whom or what each concerns; empty for everything.
+    prior : (q,)
+        Sigmas of the priors [m, or a part].
+    covariance : (q, q)
+        Of the sizes.
+    beams : (B, 7, q), planes : (P, 4, q)
+        How beams, tangent, and planes (n, b) follow the sizes; in the order of the readings.
+    settled : bool
+        Whether the sizes came to rest.
+    """
+
+    columns: FreedColumns
+    subjects: tuple[str, ...]
+    prior: FloatArray
+    covariance: FloatArray
+    beams: FloatArray
+    planes: FloatArray
+    settled: bool
+
+    @property
+    def determined(self) -> BoolArray:
+        """Which sizes (q,) the readings determine."""
+        return np.asarray(np.diagonal(self.covariance) < DETERMINED)
+
+    @property
+    def rank(self) -> int:
+        """How many sizes the readings determine: the trace of their resolution matrix."""
+        return round(len(self.covariance) - float(np.trace(self.covariance)))
+
+    def grown(self, joint: JointCovariance) -> JointCovariance:
+        """Return a covariance for known sizes with what these add, in the order of the readings."""
+        return joint.following(self.beams[modelled(joint.terms)], self.planes, self.covariance)
+
+    def beam_sigmas(self, directions: FloatArray) -> FloatArray:
+        """Return what they add to the standard deviations (B, 8) of beams with directions (B, 3)."""
+        moved = beam_lifts(tangent_basis(directions)) @ self.beams
+        return np.asarray(np.sqrt(np.einsum("bcq,qr,bcr->bc", moved, self.covariance, moved)))
+
+    def reports(self, growth: float) -> tuple[FreedEffect, ...]:
+        """Return the sizes with their standard deviations, `growth` times as large."""
+        sigma = growth * self.prior * np.sqrt(np.diagonal(self.covariance))
+        parts = self.prior * self.columns.size, sigma, self.prior, self.determined
+        rows = zip(self.columns.codes, self.subjects, *parts, strict=True)
+        return tuple(
+            FreedEffect(
+                code, subject, EFFECTS[code].unit, float(a), float(s), float(p), bool(known)
+            )
+            for code, subject, a, s, p, known in rows
+        )
+
+    def warnings(self, effects: tuple[FreedEffect, ...]) -> tuple[CalibrationWarning, ...]:
+        """Return what there is to warn of: sizes that are undetermined, or did not come to rest."""
+        undetermined = [effect for effect in effects if not effect.determined]
+        found = []
+        for code in dict.fromkeys(effect.code for effect in undetermined):
+            first, *others = [effect for effect in undetermined if effect.code == code]
+            words = first.words + (
+                f"; and {count(len(others), 'more size')} of it" if others else ""
+            )
+            found.append(CalibrationWarning("effect-undetermined", words, {"code": code}))
+        if not self.settled:
+            words = "the sizes of the freed errors did not come to rest: free fewer of them"
+            found.append(CalibrationWarning("effects-unsettled", words))
+        return tuple(found)
+
+
+def prior_sizes(free: tuple[str, ...], sensor: Sensor, largest: float) -> dict[str, float]:
+    """Return the sigma of the prior [m, or a part] of each freed error, from its plausible size.
+
+    That is a half width; a uniform error has a third of its square as its variance. What is plausible
+    of cells does not depend on the kind of the sensor, which need not be stated then.
+
+    Raises
+    ------
+    InputError
+        An error of which no plausible size is known, or of which none above zero is plausible.
+    """
+    plausible, sizes = sensor.plausible_sizes(largest), {}
+    for code in free:
+        size = plausible.get(code, EFFECTS[code].of_cell)
+        if not size:
+            known = "no plausible size" if size is None else "a plausible size of zero"
+            expected = "[sensor] kind, or its plausible size in [plausible]"
+            raise InputError(f"free {code}, of which there is {known}", expected)
+        sizes[code] = size / math.sqrt(3.0)
+    return sizes
+
+
+def with_freed(
+    problem: Problem, selection: Selection, noise: Noise, options: CalibrationOptions
+) -> tuple[Problem, Selection, Freed | None]:
+    """Return the corrected problem, its solution, and the freed errors of the options.
+
+    They are as given, without freed errors, where none are freed, or where the solution has no minimum
+    at which everything else is determined.
+
+    Parameters
+    ----------
+    problem : Problem
+        As it was recorded.
+    selection : Selection
+        Its solution, as if there were no such errors.
+    noise : Noise
+        In the order of the readings.
+    options : CalibrationOptions
+
+    Raises
+    ------
+    InputError
+        More unknown sizes than `MOST_FREED`, or none at all.
+    """
+    if not options.free:
+        return problem, selection, None
+    largest = float(problem.readings.distance[selection.used].max())
+    prior = prior_sizes(options.free, options.sensor, largest)
+    recorded, first = problem, selection
+    size: dict[Member, float] = {}
+    rank = 0
+    for _ in range(MOST_ROUNDS):
+        at = selection.solution.at
+        if at.status != "converged" or not selection.solution.observability.full:
+            return problem, selection, None
+        errors = _Errors(recorded, problem, selection, prior)
+        freed, step = errors.estimated(size, rank)
+        if not np.isfinite(step).all():
+            return problem, selection, None
+        known, rank = np.sqrt(np.diagonal(freed.covariance)), freed.rank
+        settled = bool((np.abs(step) < WEIGHTS_SETTLED * known).all())
+        if settled:
+            break
+        size = dict(zip(errors.members, (freed.columns.size + step).tolist(), strict=True))
+        try:
+            corrected = errors.corrected(size)
+            readings = corrected.readings.seen_from(problem.origins)
+            start, used = selection.solution.parameters, selection.used
+            again = select(corrected.recording, readings, noise, options, start, used)
+        except InputError:  # sizes beyond sense leave readings that no sensor gives
+            break
+        problem = corrected
+        selection = replace(again, method=first.method, tried=first.tried)
+    return problem, selection, replace(freed, settled=settled)
+
+
+class _Errors:
+    """The freed errors at a solution: their columns, and what corrects the readings.
+
+    Parameters
+    ----------
+    recorded, problem : Problem
+        As recorded, and as solved.
+    selection : Selection
+    prior : mapping
+        Sigmas by code.
+
+    Attributes
+    ----------
+    members : list of Member
+    """
+
+    def __init__(
+        self, recorded: Problem, problem: Problem, selection: Selection, prior: Mapping[str, float]
+    ) -> None:
+        self.recorded, self.problem, self.selection = recorded, problem, selection
+        readings, solution = recorded.readings, selection.solution
+        local = problem.readings.seen_from(problem.origins)
+        # Rejected readings are corrected, too, so that they can be taken back; but an error
+        # that is scaled by the largest reading must not be scaled by a wrong one.
+        used = readings.distance[selection.used]
+        inside = (readings.distance >= used.min()) & (readings.distance <= used.max())
+        possible = np.isfinite(residuals_or_infinite(solution.parameters, local))
+        self.rows: IntArray = np.flatnonzero(selection.used | (inside & possible))
+        still = readings.subset(self.rows)
+        moved = replace(local.subset(self.rows), distance=still.distance)
+        position = problem.order.stations[still.station]
+        channel = problem.order.beams
+        seen = SeenStations(solution.parameters, moved, position, channel)
+        before = SeenStations(solution.parameters, still, position, channel)
+        columns, longer, twists = [], [], []
+        self.members: list[Member] = []
+        self.subjects: list[str] = []
+        for code, sigma in prior.items():
+            effect, numbers = EFFECTS[code], len(before.first[0])
+            kind = effect.at(seen)
+            if isinstance(kind, OnPlanes):
+                of_members = zip(kind.plane, kind.beam, kind.since, strict=True)
+                members = [(code, 0, int(p), int(b), int(s)) for p, b, s in of_members]
+                own = [kind.column_of(member, seen) for member in range(len(members))]
+                column = np.array(own).reshape(len(own), len(self.rows)).T
+                parts = [self._words(member) for member in members]
+            elif kind is not None:
+                column, parts = kind.columns, list(kind.parts)
+                members = [(code, number, -1, -1, -1) for number in range(column.shape[1])]
+            if effect.twists is not None:
+                twist, reading = effect.twists(before), np.zeros_like(column)
+                by_poses = -seen.by_poses(_carried(twist, before, seen))
+            else:
+                twist, by_poses = np.zeros((numbers, 6, len(members))), np.zeros_like(column)
+                reading = column / seen.longer[:, None]
+            self.members += members
+            self.subjects += parts
+            columns.append(sigma * by_poses)
+            longer.append(sigma * reading)
+            twists.append(sigma * twist)
+        if not 0 < len(self.members) <= MOST_FREED:
+            codes = ", ".join(prior)
+            raise InputError(
+                f"{len(self.members)} unknown sizes of {codes}",
+                f"1 to {MOST_FREED}: free what the recording has, or less",
+            )
+        self.prior = np.array([prior[member[0]] for member in self.members])
+        self.by_poses = np.hstack(columns)
+        self.longer, self.twists = np.hstack(longer), np.concatenate(twists, axis=2)
+        self.stations = still.station[before.first[0]]
+
+    def estimated(self, size: Mapping[Member, float], rank: int) -> tuple[Freed, FloatArray]:
+        """Return the errors at sizes, and the step (q,) to the sizes that the residuals show.
+
+        The readings determined `rank` of the sizes.
+        """
+        solution, problem = self.selection.solution, self.problem
+        used = self.selection.used[self.rows]
+        at = np.array([size.get(member, 0.0) for member in self.members])
+        codes = tuple(member[0] for member in self.members)
+        rows = linear_rows(problem, self.selection, rank)
+        # The slope of the range error is free of the noise of the readings, as everywhere.
+        k = rows.at.range_errors[rows.readings.beam]
+        slope = 1.0 + k[:, 0] + 2.0 * k[:, 1] * rows.readings.level
+        by_sizes = self.by_poses[used] + slope[:, None] * self.longer[used]
+        columns = FreedColumns(codes, by_sizes, at)
+        projection = Projection(rows, rows.prior)
+        rest, pulled, moved = projection.rest(columns.columns)
+        sigma = max(rows.how.sigma, LEAST_SIGMA)
+        heavy = rows.how.weighed(rest)
+        information = (rest.T @ heavy + pulled.T @ pulled) / sigma**2
+        score = heavy.T @ rows.residual + pulled.T @ projection.prior_residuals(rows.at)[:, 0]
+        covariance = np.asarray(np.linalg.inv(information + np.eye(len(at))), dtype=np.float64)
+        step = -covariance @ (score / sigma**2 + at)
+        beams, planes = np.split(-moved, [BEAM.dim * rows.readings.beams])
+        planes = planes.reshape(-1, PLANE.dim, len(at))
+        normals = tangent_basis(solution.parameters.normals) @ planes[:, :2]
+        offsets = planes[:, 2] - np.einsum("pi,piq->pq", rows.centres, normals)
+        return Freed(
+            columns,
+            tuple(self.subjects),
+            self.prior,
+            covariance,
+            beams.reshape(-1, BEAM.dim, len(at)),
+            np.concatenate((normals, offsets[:, None]), axis=1),
+            False,
+        ), step
+
+    def corrected(self, size: Mapping[Member, float]) -> Problem:
+        """Return the recorded problem without errors of these sizes."""
+        recorded = self.recorded
+        readings, order, recording = recorded.readings, recorded.order, recorded.recording
+        at = np.array([size[member] for member in self.members])
+        distance = readings.distance.copy()
+        distance[self.rows] -= self.longer @ at
+        twist = np.zeros((int(readings.station.max()) + 1, 6))
+        twist[self.stations] = self.twists @ at
+        turn = Rotation.from_rotvec(twist[readings.station, :3]).as_matrix()
+        R, u = readings.world_R_hand, twist[readings.station, 3:]
+        new = replace(
+            readings,
+            distance=distance,
+            world_R_hand=R @ turn,
+            world_t_hand=readings.world_t_hand + np.einsum("nij,nj->ni", R, u),
+        )
+        ranges, R, t = (
+            array.copy()
+            for array in (recording.ranges, recording.world_R_hand, recording.world_t_hand)
+        )
+        station = order.stations[readings.station]
+        ranges[station, order.beams[readings.beam]] = distance
+        R[station], t[station] = new.world_R_hand, new.world_t_hand
+        corrected = replace(recording, ranges=ranges, world_R_hand=R, world_t_hand=t)
+        return replace(recorded, recording=corrected, readings=new)
+
+    def _words(self, member: Member) -> str:
+        """Return whom a member of single planes concerns."""
+        names, stations = self.problem.names, self.problem.recording.station_names
+        return subject_in_words(member[0], *member[2:], names, stations)
+
+
+def _carried(twists: FloatArray, before: SeenStations, after: SeenStations) -> FloatArray:
+    """Return twists (S, 6, c) from the recorded poses as derivatives at poses moved by such twists.
+
+    The right Jacobian of the turn is taken to second order: turns are some hundredths at most.
+    """
+    R, moved = (one.readings.world_R_hand[one.first[0]] for one in (before, after))
+    turned = np.swapaxes(R, 1, 2) @ moved
+    phi = skew(Rotation.from_matrix(turned).as_rotvec())
+    jacobian = np.eye(3) - phi / 2.0 + phi @ phi / 6.0
+    turns = jacobian @ twists[:, :3]
+    return np.concatenate((turns, np.swapaxes(turned, 1, 2) @ twists[:, 3:]), axis=1)
