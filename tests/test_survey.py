@@ -423,3 +423,15 @@ def test_what_is_no_survey_is_refused_in_one_line(case):
     with pytest.raises(hl.InputError, match=words) as caught:
         make()
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", [7, 71])
+def test_spots_that_are_aimed_exactly_leave_the_noise_of_readings_as_it_is(seed):
+    """Where rows of one kind fit exactly, the likelihood of their size has no bound."""
+    rig = rigs_by_rays.beams(seed, targets="point", stations=15)
+    survey = survey_of(rig)
+    found = hl.calibrate(survey, EXACT)
+    assert found.usable
+    assert far(rig, found) > 1e-4
+    *_, beams, _ = estimate_survey(survey, EXACT).noise.sigma
+    assert beams == pytest.approx(1e-4, rel=0.3)

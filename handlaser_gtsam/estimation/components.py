@@ -27,6 +27,9 @@ GRID = 9
 """Sizes of each pose error that the mean runs over."""
 WIDEST = 12.0
 """Sizes of pose errors are looked for up to this many times the larger of prior and mode."""
+WIDEST_STEP = 3.0
+"""Logarithm of the factor by which a standard deviation changes at most in a round: a first step of the
+search ends at a bound, and from a far one it does not come back."""
 LARGEST_SIZE = 1e4
 """No pose error is more than this many times what its prior expects."""
 
@@ -109,6 +112,7 @@ def components(
     now: Components,
     stated: Components,
     prior: tuple[float, float],
+    finest: FloatArray,
 ) -> Components:
     """Return the sizes of all parts of the noise that are not stated.
 
@@ -123,6 +127,8 @@ def components(
         NaN in `stated` is what is not.
     prior : (rotation, translation)
         Scales of half-Cauchy priors [rad], [m].
+    finest : (n,)
+        No `sigma` is below it [m]: where rows of one kind fit exactly, the likelihood has no bound.
     """
     inside = Inside(inside.squares / now.sigma**2, inside.dof)
     likelihood = _Likelihood(rows, source, inside)
@@ -147,7 +153,8 @@ def components(
     start = np.concatenate(
         (np.zeros(len(open_)), [max(now.pose[i] / prior[i], 0.1) for i in wanted])
     )
-    bounds = [(-8.0, 8.0)] * len(open_) + [(0.0, LARGEST_SIZE)] * len(wanted)
+    least = np.clip(np.log(finest / now.sigma)[open_], -WIDEST_STEP, 0.0)
+    bounds = [(float(x), WIDEST_STEP) for x in least] + [(0.0, LARGEST_SIZE)] * len(wanted)
     best = minimize(value, start, method="L-BFGS-B", bounds=bounds).x
     factor, pose = unpacked(best)
     if wanted:

@@ -65,6 +65,9 @@ BODY_HELD = 0.01
 """A body may go this part of the range, or turn so far [rad], along what its faces leave open."""
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
+FINEST_AIMING = 1e-6
+"""No spot is aimed better than this [m]. Far below it, beside readings a hundred thousand times as rough,
+rounding counts what is left of the aiming as left of the readings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -410,8 +413,9 @@ def _learned(
         if state.noise.pose_covariance is not None:  # in standard deviations of what is stated
             station = np.repeat([item.station for item in some], shape[1])
             by_pose[part] = np.einsum("ri,rij->rj", by_pose[part], root[station])
-    new = components(rows, source, inside, state.sizes, stated, prior)
-    new = Components(np.maximum(new.sigma, FINEST), new.pose)
+    finest = np.full(len(state.sizes.sigma), FINEST)
+    finest[-1] = FINEST_AIMING
+    new = components(rows, source, inside, state.sizes, stated, prior, finest)
     before = np.array([*state.sizes.sigma, *state.sizes.pose])
     after = np.array([*new.sigma, *new.pose])
     state.sizes = new
