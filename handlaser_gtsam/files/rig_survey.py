@@ -186,14 +186,19 @@ def _shots(
         return _require_lengths(scans)
     if table.kind == "points":
         return _require_lengths(Shots.points(table.name, station, numbers * length, **noise))
-    directions = _directions(folder / str(table.zones), numbers[:, 0])
+    directions = directions_of(folder / str(table.zones), numbers[:, 0])
     reading = numbers[:, 1] * length
     shots = Shots.array(table.name, station, directions, reading, table.convention, **noise)
     return _require_lengths(shots)
 
 
-def _directions(path: Path, zone: FloatArray) -> FloatArray:
-    """Return the direction (N, 3) of the zone of each reading."""
+def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
+    """Return the direction (N, 3) of the zone of each reading; without readings, of all zones.
+
+    Raises
+    ------
+    InputError
+    """
     expected = "zone, x, y, z or zone, x_deg, y_deg"
     table = read_frame(path, f"CSV with {expected}")
     numbers = {name: frame_numbers(table, name, path) for name in table.columns}
@@ -205,6 +210,8 @@ def _directions(path: Path, zone: FloatArray) -> FloatArray:
     else:
         found = f"columns {', '.join(table.columns)}"
         raise InputError(found, expected, path, 1)
+    if zone is None:
+        return np.asarray(u)
     place = {float(name): i for i, name in enumerate(numbers["zone"])}
     lacking = sorted({float(one) for one in np.unique(zone)} - place.keys())
     if lacking:
