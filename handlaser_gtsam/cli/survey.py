@@ -1,4 +1,4 @@
-"""What `calibrate`, `validate` and `plan` do with a survey: other sensors, targets, and relations."""
+"""What verbs do with a survey: other sensors, targets, and relations."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 from ..quantities import IN_MM
 from .answer import Answer, print_wrapped, text_width, wrote
-from .stopping import NOT_USABLE, UNDETERMINED
+from .stopping import NOT_USABLE, UNDETERMINED, left_open
 
 if TYPE_CHECKING:
     import numpy as np
@@ -79,6 +79,24 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
     warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
     show = partial(_show, result, checks, output)
     return Answer(text, show, warnings, _failure(result, checks))
+
+
+def survey_check(survey: "Survey", rig: "Rig") -> Answer:
+    """Say what a survey holds, and what its motion leaves undetermined.
+
+    Raises
+    ------
+    InputError
+    """
+    from ..files.survey_json import survey_check_text
+    from ..results.survey_check import check_lines, check_survey
+
+    found = check_survey(survey, rig.noise)
+    failure = left_open(found.undetermined, found.advice)
+    if failure is not None and not found.exactly:
+        failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
+    show = partial(print_wrapped, check_lines(found))
+    return Answer(survey_check_text(found), show, failure=failure)
 
 
 def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:

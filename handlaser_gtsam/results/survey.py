@@ -19,6 +19,7 @@ from ..model.families import BEAM, FAMILIES, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR
+from ..observability.wording import vector_words
 from ..quantities import IN_MM
 from ..text import count, some
 from .limits import LimitCheck, Limits, sigmas_checked
@@ -29,6 +30,8 @@ from .warnings import MANY_OUTLIERS
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 ON_ONE_CIRCLE = 0.02
 """Normals are on one circle about a direction if their spread along it is below this."""
+CURE_OF_A_CIRCLE = "tilt it by another angle, or add a second plane"
+"""What determines a sensor whose normals lie on one circle."""
 ANGLES = {"rx": "turn about x", "ry": "turn about y", "rz": "turn about z"}
 """Coordinates of a sensor that are turns, in words."""
 
@@ -498,7 +501,8 @@ def _undetermined(found: SurveyEstimate) -> Iterator[str]:
         words = [_coordinate(found.rows, name) for name in direction.split(", ")]
         together = ", moving together" if len(words) > 1 else ""
         yield f"undetermined{together}: {some(words, NAMES_IN_LINE)}"
-    yield from _circles(found)
+    circles = on_one_circle(found.rows, found.estimate.values)
+    yield from (f"{words}; {CURE_OF_A_CIRCLE}" for words in circles)
 
 
 def _coordinate(rows: Rows, name: str) -> str:
@@ -513,10 +517,9 @@ def _coordinate(rows: Rows, name: str) -> str:
     return f"{words} of {rows.targets[family][int(member)]}"
 
 
-def _circles(found: SurveyEstimate) -> Iterator[str]:
+def on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str]:
     """Yield sensors that saw one plane whose normals, in their frame, lie on one circle."""
-    rows, stations = found.rows, found.rows.survey.stations
-    values = found.estimate.values
+    stations = rows.survey.stations
     for member, shots in enumerate(rows.survey.shots):
         own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
         planes = {i.target for i in own}
@@ -528,9 +531,9 @@ def _circles(found: SurveyEstimate) -> Iterator[str]:
         m = np.einsum("sij,i->sj", stations.world_R_hand[station], n) @ X
         spread, axes = np.linalg.svd(m - m.mean(axis=0), full_matrices=False)[1:]
         if spread[-1] < ON_ONE_CIRCLE * np.sqrt(len(m)):
-            axis = ", ".join(f"{x:.2f}" for x in axes[-1])
             yield (
-                f"{shots.name} saw its plane at one angle to the direction ({axis}) of its own frame "
+                f"{shots.name} saw its plane at one angle to the direction "
+                f"{vector_words(axes[-1])} of its own frame "
                 "throughout, as on a cone or in turns about one axis: its shift along it and the "
-                "offset of the plane are one number; tilt it by another angle, or add a second plane"
+                "offset of the plane are one number"
             )
