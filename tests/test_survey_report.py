@@ -18,8 +18,8 @@ from handlaser_gtsam.files.report.survey_figures import (
     in_hand,
     on_targets,
     profiles,
-    seen_by_all,
 )
+from handlaser_gtsam.files.report.survey_seen import seen_by_all
 
 FOLDER = ROOT / "examples" / "profiler"
 WRONG = 4
@@ -54,7 +54,7 @@ def test_a_rejected_shot_is_drawn_at_the_edge_and_does_not_set_the_scale(result,
         assert max(map(abs, used["y"])) <= high == -low
         assert high < 2.0  # mm; the shot is some 40 mm away
         assert np.abs(out["y"]) == pytest.approx([high], rel=1e-3)  # numbers have four digits
-        assert re.search(r"P5: -?\d+\.?\d* mm, left out", out["text"][0])
+        assert re.search(r"P5: -?\d+\.?\d* mm, rejected", out["text"][0])
         assert abs(float(out["text"][0].split()[1])) > 20.0
         assert used["name"] == "sensor scanner"
     assert by_station(survey, seen).data[1]["x"] == [WRONG + 1.0]

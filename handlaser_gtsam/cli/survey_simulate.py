@@ -39,7 +39,7 @@ def simulated_survey(
     from ..files.rig_survey import directions_of
     from ..files.rig_toml import read_rig
     from ..files.survey_writing import table_names, write_simulated
-    from ..validation.survey_scenes import ERRORS, WORKING, fan_of, survey_scene
+    from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene
     from ..validation.survey_simulate import simulate_survey
 
     known = read_rig(rig)
@@ -52,7 +52,7 @@ def simulated_survey(
             raise InputError(f"{name}, which is not simulated", "a rig file without it", rig)
     names = ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma")
     given = {name: getattr(known.noise, name) for name in names}
-    usual = replace(ERRORS, **{name: x for name, x in given.items() if x is not None})
+    usual = replace(SURVEY_ERRORS, **{name: x for name, x in given.items() if x is not None})
     errors = table.errors(usual)
     sensor = known.sensor
     bounded = math.isfinite(sensor.range_max)

@@ -22,7 +22,7 @@ from .rig_survey import SensorTable
 from .rig_toml import write_rig
 from .writing import write_text
 
-STATIONS, RIG, TRUTH = "stations.csv", "rig.toml", "truth.json"
+STATIONS_WRITTEN, RIG_WRITTEN, TRUTH_WRITTEN = "stations.csv", "rig.toml", "truth.json"
 DIGITS = 5
 """Decimals of millimetres and degrees in tables of points: below the noise of any sensor."""
 
@@ -30,7 +30,7 @@ DIGITS = 5
 def table_names(tables: Sequence[SensorTable]) -> list[str]:
     """Return the names of all files that a survey of these sensors is written to."""
     zones = [_zones(table) for table in tables if table.kind == "array"]
-    return [STATIONS, *map(_points, tables), *zones, RIG, TRUTH]
+    return [STATIONS_WRITTEN, *map(_points, tables), *zones, RIG_WRITTEN, TRUTH_WRITTEN]
 
 
 def write_simulated(
@@ -68,7 +68,7 @@ def write_simulated(
         names = [PREFIX + beam for beam in survey.beam_names]
         ranges = pl.DataFrame(survey.ranges, schema=names, orient="row").fill_nan(None)
         stations = stations.hstack(ranges)
-    write_text(folder / STATIONS, stations.write_csv())
+    write_text(folder / STATIONS_WRITTEN, stations.write_csv())
     for table, shots in zip(tables, survey.shots, strict=True):
         stops = survey.stations.station_names
         columns = _columns(table, shots, zones.get(table.name)).round(DIGITS)
@@ -82,8 +82,8 @@ def write_simulated(
             u = pl.DataFrame(zones[table.name], schema=["x", "y", "z"], orient="row")
             content = u.with_row_index("zone")
             write_text(folder / _zones(table), content.write_csv())
-    write_rig(folder / RIG, noise, sensor, "".join(map(_sensor_text, tables)))
-    write_text(folder / TRUTH, json_text("survey-truth", _truth(truth)))
+    write_rig(folder / RIG_WRITTEN, noise, sensor, "".join(map(_sensor_text, tables)))
+    write_text(folder / TRUTH_WRITTEN, json_text("survey-truth", _truth(truth)))
 
 
 def _points(table: SensorTable) -> str:

@@ -1,7 +1,7 @@
 """What a survey holds, and what its motion can determine, before sizes of noise are learned.
 
 Readings only say where the targets are, up to what most shots agree on: whether stations lie on a cone
-depends on that. Rank and directions are those of the rows there, with noise as stated, else as shots
+depends on that. Rank and directions follow from the rows there, with noise as stated, else as shots
 show it inside, and with errors of the hand as are usual.
 """
 
@@ -10,32 +10,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..data.noise import Noise
-from ..data.readings import Readings
 from ..data.survey import Known, Survey, normal_label
 from ..data.value import Value
 from ..errors import InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
-from ..estimation.survey import GROSS, SurveyState, first_state, misfits
+from ..estimation.survey import GROSS, first_state, misfits
 from ..estimation.survey_rows import Rows, rows_of
-from ..model.families import BEAM, FAMILIES, PLANE, bases
-from ..model.known import BODY
+from ..model.families import BEAM
 from ..model.sensors.mounted import ERRORS, SENSOR
-from ..model.targets.sphere import SPHERE
 from ..observability.motion import PlaneMotion, motion_before
-from ..observability.poor_motion import COUNTED_TURN, SIGNIFICANT, PoorMotion, named, poor_motion
-from ..observability.wording import WORTH_A_WORD, Kind, OpenPart
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
-from .survey import CURE_OF_A_CIRCLE, on_one_circle
+from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
-RANGE_ERRORS = frozenset((*ERRORS, "k1", "k2"))
+NOT_OF_MOTION = frozenset((*ERRORS, "k1", "k2"))
 """Coordinates that do not count among the unknowns that a motion has to determine."""
-
-
 NEAR_THE_HAND = 10.0
-"""Mounts are held to the hand by so many typical ranges (1 sigma), which hides nothing undetermined."""
+"""Mounts are held to the hand to this many typical ranges (1 sigma), which hides nothing."""
 ANY_TURN = 1e3
 """Standard deviation [rad] of turns that says nothing of them."""
 
@@ -115,7 +107,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     numbers = sum(1 if item.shot is None else len(item.shot.reading) for item in rows.items)
     numbers += 2 * sum(item.target[0] == "point" for item in rows.items)
     names = rows.places().names
-    unknowns = sum(name.rpartition(".")[2] not in RANGE_ERRORS for name in names)
+    unknowns = sum(name.rpartition(".")[2] not in NOT_OF_MOTION for name in names)
     # A search wanders along what is undetermined by metres, at no cost, and derivatives with it.
     whose = [f"sensor:{one.name}" for one in survey.shots]
     whose += [f"beam:{name}" for name in survey.beam_names]
@@ -136,7 +128,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     exact = information < NEGLIGIBLE**2 * information.max()
     weak = ~exact & (information < least_information(information))
     found = judged(problem, problem.blocks, dict(state.values))
-    undetermined, advice = _words(state, found, axes[:, exact | weak])
+    undetermined, advice = open_words(state.rows, found, axes[:, exact | weak])
     if numbers < unknowns:
         advice = (*advice, "measure at more stations")
     return SurveyCheck(
@@ -191,103 +183,6 @@ def _targets(rows: Rows) -> Iterator[PlaneMotion]:
         yield motion_before(
             label, of.world_R_hand[at], of.world_t_hand[at], names, np.array(counts)
         )
-
-
-def _words(
-    state: SurveyState, found: Estimate, null: FloatArray
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Say what moves along directions (N, q) that are undetermined, and what determines them."""
-    if not null.shape[1]:
-        return (), ()
-    rows, parts = state.rows, tuple(_parts(state, null))
-    motion = poor_motion(_readings(rows))
-    at = {name: x[0] for name, x in state.values.items()}
-    circles = tuple(on_one_circle(rows, at)) if motion is None else ()
-    if len(circles) == null.shape[1]:
-        return circles, (CURE_OF_A_CIRCLE,)
-    errors = any(part.quantity == "range error" for part in parts)
-    leans = motion is None or _leans(state, found, motion)
-    return named(motion, parts, leans=leans, k1_free=errors, mount=SENSOR.name)
-
-
-def _leans(state: SurveyState, found: Estimate, motion: PoorMotion) -> bool:
-    """Tell whether a target is known to look different at other heights: a leaning plane, a ball."""
-    for target, number in _numbers(state.rows).items():
-        if target[0] != PLANE.name:
-            return True
-        n, up = state.values[PLANE.name][0, target[1], :3], motion.upright[number]
-        slope = up @ bases(n)
-        sigma = np.sqrt(slope @ found.marginal(*target)[:2, :2] @ slope)
-        # It is NaN where the lean is undetermined.
-        if abs(n @ up) > np.sin(COUNTED_TURN) and abs(n @ up) > SIGNIFICANT * sigma:
-            return True
-    return False
-
-
-def _numbers(rows: Rows) -> dict[tuple[str, int], int]:
-    """Return numbers of the targets, in the order in which they are seen."""
-    return {x: n for n, x in enumerate(dict.fromkeys(item.target for item in rows.items))}
-
-
-def _readings(rows: Rows) -> Readings:
-    """Return a reading for each target and station, which only says where the hand was before it."""
-    numbers = _numbers(rows)
-    seen = sorted({(numbers[item.target], item.station) for item in rows.items})
-    plane, station = np.array(seen).T
-    of = rows.survey.stations
-    return Readings(
-        station,
-        np.zeros_like(station),
-        plane,
-        np.full(len(seen), rows.length),
-        of.world_R_hand[station],
-        of.world_t_hand[station],
-        1,
-        len(numbers),
-    )
-
-
-def _parts(state: SurveyState, null: FloatArray) -> Iterator[OpenPart]:
-    """Yield what directions (N, q), orthonormal in natural units, move of every mount and target."""
-    rows, of = state.rows, state.rows.places()
-    for family, place in of.place.items():
-        for member, first in enumerate(place.tolist()):
-            x = state.values[family][0, member]
-            moved = np.zeros((FAMILIES[family].dim, null.shape[1]))
-            moved[of.free[family]] = null[first + np.arange(len(of.free[family]))]
-            kind, name, quantities = _quantities(rows, family, member, x, moved)
-            for quantity, columns in quantities.items():
-                axes, size, _ = np.linalg.svd(columns, full_matrices=False)
-                axes = axes[:, size > WORTH_A_WORD]
-                if axes.shape[1]:
-                    yield OpenPart(kind, name, quantity, axes)
-
-
-def _quantities(
-    rows: Rows, family: str, member: int, x: FloatArray, moved: FloatArray
-) -> tuple[Kind, str, dict[str, FloatArray]]:
-    """Return kind and name of a variable, and what steps (dim, q) of it are, by quantity."""
-    if family == SENSOR.name:
-        R = x[:9].reshape(3, 3)
-        parts = {"location": R @ moved[3:6], "turn": R @ moved[:3], "range error": moved[6:]}
-        return "sensor", rows.survey.shots[member].name, parts
-    if family == BEAM.name:
-        direction = bases(x[3:6]) @ moved[3:5]
-        parts = {"location": moved[:3], "direction": direction, "range error": moved[5:]}
-        return "beam", rows.survey.beam_names[member], parts
-    if family == PLANE.name:
-        parts = {"normal": bases(x[:3]) @ moved[:2], "offset": moved[2:]}
-        return "plane", _name_of(rows, family, member), parts
-    if family == BODY.name:
-        return "body", f"of {rows.bodies[member].of[0]}", {"place": moved}
-    kind: Kind = "sphere" if family == SPHERE.name else "point"
-    parts = {"place": moved[:3], "radius": moved[3:]}
-    return kind, _name_of(rows, family, member), parts
-
-
-def _name_of(rows: Rows, family: str, member: int) -> str:
-    """Return the name of a target without its kind."""
-    return rows.label((family, member)).partition(":")[2]
 
 
 def check_lines(check: SurveyCheck) -> Iterator[str]:

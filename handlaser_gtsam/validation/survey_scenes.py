@@ -22,7 +22,7 @@ from ..model.targets.sphere import SPHERE
 from .simulate import Errors
 from .survey_simulate import SurveyTruth
 
-STEEPEST = np.radians(40.0)
+STEEPEST_LOOK = np.radians(40.0)
 """Hands look at planes at angles of incidence up to that."""
 SPREAD = np.radians(30.0)
 """Planes lean up to that from the vertical of the scene, and hands look at spheres and points from
@@ -31,10 +31,10 @@ SPINS = np.radians(90.0)
 """Hands turn up to that about their line of sight, to either side."""
 BASE = np.array([0.6, 0.1, 0.4])
 """About where targets stand [m], world frame: before a robot, and not at the origin."""
-ERRORS = Errors(5e-5, 5e-5, np.radians(0.01))
+SURVEY_ERRORS = Errors(5e-5, 5e-5, np.radians(0.01))
 """What a survey errs by where nothing else is said: a triangulation sensor on an industrial arm."""
 WORKING = 0.2
-"""Working distance where the rig file states no range of the sensor [m]: that of many profilers."""
+"""Working distance where the rig file states no range of the sensor [m]: as many profilers have."""
 PROFILE = 0.15
 """A profile reaches so far to either side, in parts of the working distance."""
 FAN, CONE = np.radians(15.0), np.radians(12.0)
@@ -202,7 +202,7 @@ def _looking(
 ) -> tuple[FloatArray, FloatArray]:
     """Return a hand pose whose sensor looks at a target with its middle ray."""
     if kind_of(label) == PLANE.name:
-        w = _square(x[:3]) @ _tilted(STEEPEST, rng)
+        w = _square(x[:3]) @ _tilted(STEEPEST_LOOK, rng)
         at = BASE + working * rng.uniform(-0.5, 0.5, 3)
         at = at - (at @ x[:3] + x[3]) * x[:3]
     else:

@@ -24,7 +24,7 @@ from ..model.shots import OF_MANY
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from .simulate import Errors, Stations, disturbed, read_back
 
-NEAREST, FARTHEST = 0.4, 2.0
+LEAST_READ, MOST_READ = 0.4, 2.0
 """Readings beyond these parts of the working distance are none: they are past the target."""
 AIMED_PAST = 5.0
 """A spot farther than this many standard deviations of the aiming from a point is not on it."""
@@ -135,7 +135,7 @@ def _read(
         zero = np.zeros(1)
         columns, missed = rays_on(before, member, family, seen, rays, zero, zero)
         s[at] = np.where(missed, np.nan, columns[-1, 0])
-    s[~((s > NEAREST * working) & (s < FARTHEST * working))] = np.nan
+    s[~((s > LEAST_READ * working) & (s < MOST_READ * working))] = np.nan
     s[np.isfinite(s).mean(axis=1) < OF_MANY] = np.nan
     station, ray = np.nonzero(np.isfinite(s))
     if not len(station):

@@ -94,7 +94,7 @@ def is_log(path: Path, given: LogFormat, *, readings: bool = True) -> bool:
 
     A file without the columns that are stated, but with the header of a recording, is a recording all
     the same: what `convert` has written is calibrated with the rig file of the log. Without `readings`
-    it has poses only, as that of a survey.
+    it has poses only, as of a survey.
     """
     foreign = is_bag(path) or path.suffix.lower() in FOREIGN
     readings = readings and given.readings is None

@@ -24,16 +24,14 @@ from .figure import GREY, MOST_POINTS, Figure, evenly, label, numbers
 from .page import page_of, script_of, sections_of
 from .scene import AXIS_SIZE, Geometry, plate, scene_figure
 from .survey_figures import (
-    Seen,
     along_the_rays,
     by_station,
     by_target,
     in_hand,
-    labels_of,
     on_targets,
     profiles,
-    seen_by_all,
 )
+from .survey_seen import Seen, labels_of, seen_by_all
 
 SECTIONS = {
     "verdict": "",
@@ -161,8 +159,8 @@ def _scene(result: SurveyCalibration, survey: Survey, seen: Sequence[Seen]) -> F
         Geometry("world", tuple(planes), tuple(beams), hands * IN_MM, names, mount="")
     )
     caption = (
-        "Each sensor at its stations, with a line to the middle of what it saw there; shots that were "
-        "left out are not drawn."
+        "Each sensor at its stations, with a line to the middle of what it saw there; rejected shots "
+        "are not drawn."
     )
     return replace(drawn, caption=caption, data=[*balls, *drawn.data])
 
