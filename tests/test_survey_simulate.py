@@ -115,8 +115,9 @@ BAD = {
     "no sensors": ("", (), "no table [[sensors]]"),
     "relations": ('[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\nvalue_mm = 3.0\n'
                   "sigma_mm = 0.1\n", (), "[[known]], which is not simulated"),
-    "a log": ('[log]\npose_format = "kuka"\n', (), "[log], which is not simulated"),
     "a scene": ("", ("--scene", "arm"), "--scene or --planes with --rig"),
+    "a name that is no file": ("", (), "a sensor called"),
+    "a point alone": ("", ("--targets", "point:tip", "--beams", "1"), "no reading of p"),
     "a point without a beam": ("", ("--targets", "point:tip"), "the target point:tip"),
     "a kind that is none": ("", ("--targets", "cube:C"), "the label 'cube:C'"),
     "no zones": ("", (), "no readable file"),
@@ -128,6 +129,9 @@ def test_what_cannot_be_simulated_is_refused_and_nothing_written(handlaser, tmp_
     head, more, words = BAD[case]
     kinds = {"no sensors": (), "no zones": ("array",)}.get(case, ("profiler",))
     rig = rig_of(tmp_path, *kinds, head=head)
+    if case == "a name that is no file":
+        path = tmp_path / "given.toml"
+        path.write_text(path.read_text().replace('name = "p"', 'name = "a/p"'))
     if case == "no zones":
         (tmp_path / "zones.csv").unlink()
     code, out, err = handlaser("simulate", tmp_path / "new", "--rig", rig, *more)
@@ -135,6 +139,21 @@ def test_what_cannot_be_simulated_is_refused_and_nothing_written(handlaser, tmp_
     assert words in err
     assert len(err.splitlines()) == 1
     assert not (tmp_path / "new").exists()
+
+
+def test_how_logs_are_written_does_not_matter(handlaser, tmp_path):
+    """The rig file of a real log serves as it is; what is written is no log."""
+    rig = rig_of(tmp_path, "profiler", head='[log]\npose_format = "kuka"\n')
+    assert handlaser("simulate", tmp_path / "out", "--rig", rig)[0] == 0
+    assert "[log]" not in (tmp_path / "out" / "rig.toml").read_text()
+    survey = hl.read_survey(tmp_path / "out" / "stations.csv", tmp_path / "out" / "rig.toml")
+    assert len(survey.stations) == 22
+
+
+def test_targets_without_sensors_are_refused(handlaser, tmp_path):
+    code, _, err = handlaser("simulate", tmp_path / "new", "--targets", "plane:A")
+    assert code == 2
+    assert "--targets without --rig" in err
 
 
 def test_files_that_are_there_are_kept_unless_forced(handlaser, tmp_path):

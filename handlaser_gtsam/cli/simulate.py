@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 FILES = ("recording.csv", "rig.toml", "truth.json")
 
 
+USUAL_TARGETS = "plane:A,sphere:ball"
+"""Targets of a survey where none are stated: together they determine every sensor."""
 SceneName = StrEnum("SceneName", "paper unplanned arm")
 PoseAxes = StrEnum("PoseAxes", "x y z xyz")
 SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
@@ -36,8 +38,13 @@ def simulate(
         ),
     ] = None,
     targets: Annotated[
-        str, typer.Option(help="With --rig: targets of the survey; points need --beams.")
-    ] = "plane:A,sphere:ball",
+        str | None,
+        typer.Option(
+            help="With --rig: targets of the survey, points for --beams; default: "
+            "plane:A,sphere:ball.",
+            show_default=False,
+        ),
+    ] = None,
     beams: Annotated[
         int | None, typer.Option(min=1, help="Default: 4; with --rig none.", show_default=False)
     ] = None,
@@ -63,7 +70,7 @@ def simulate(
 
     from ..errors import InputError
     from ..files.study_toml import SceneTable
-    from ..text import printable
+    from ..text import count, printable
 
     with Working():
         table = SceneTable.model_construct(  # is checked by what it makes
@@ -84,10 +91,16 @@ def simulate(
 
             if (scene, planes) != (SceneName.paper, 4):
                 raise InputError("--scene or --planes with --rig", "--targets plane:A,plane:B")
-            labels = [label.strip() for label in targets.split(",")]
+            labels = list(
+                dict.fromkeys(one.strip() for one in (targets or USUAL_TARGETS).split(","))
+            )
             files, write = simulated_survey(rig, labels, beams or 0, table, rng)
-            each = f"{len(labels)} targets, {stations} stations"
+            each = f"{count(len(labels), 'target')}, {count(stations, 'station')}"
         else:
+            if targets is not None:
+                raise InputError(
+                    "--targets without --rig", "a rig file that names sensors of many rays"
+                )
             files, write = _of_scene(table, rng)
             each = f"{planes} planes, {stations} stations"
         _written(folder, files, write, force=force)

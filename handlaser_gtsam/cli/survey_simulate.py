@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..quantities import MM
+from ..text import shown
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +35,7 @@ def simulated_survey(
     Raises
     ------
     InputError
-        A rig file without sensors, with a log or relations, or names of files that are not different.
+        A rig file without sensors, or with relations; or names of files that are not different.
     """
     from ..files.rig_survey import directions_of
     from ..files.rig_toml import read_rig
@@ -45,7 +46,7 @@ def simulated_survey(
     known = read_rig(rig)
     if known.survey is None or not known.survey.sensors:
         raise InputError("no table [[sensors]]", "one for each sensor to simulate", rig)
-    unused = {"[[known]]": known.survey.known, "[log]": known.log.stated}
+    unused: dict[str, object] = {"[[known]]": known.survey.known}
     unused["pose_covariance"] = known.noise.pose_covariance is not None
     for name, stated in unused.items():
         if stated:
@@ -59,6 +60,9 @@ def simulated_survey(
     working = 0.5 * (max(sensor.range_min, 0.0) + sensor.range_max) if bounded else WORKING
     tables = known.survey.sensors
     files = table_names(tables)
+    for one in tables:
+        if Path(one.name).name != one.name:
+            raise InputError(f"a sensor called {shown(one.name)}", "the name of a file", rig)
     if len(set(files)) < len(files):
         raise InputError("sensors whose tables would be one file", "other names of sensors", rig)
     zones = {

@@ -16,9 +16,7 @@ from .rig_log import as_fields
 from .rig_toml import Rig
 
 NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
-BEAMS_BEFORE_PLANES = (
-    "beams before planes; `calibrate`, `check`, `validate`, `plan` and `export` take others"
-)
+BEAMS_BEFORE_PLANES = "beams before planes only"
 WRITES_IT = "; `handlaser convert LOG --write-log RIG` writes the table [log] of a rig file"
 
 

@@ -10,7 +10,8 @@ sigma_mm, sigma_deg; direction; position_mm; pose_mm_deg: x, y, z, A, B, C with
 R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -121,6 +122,16 @@ class SurveyTables:
         length, angle = MM if table.units == "mm" else 1.0, DEG if table.angles == "deg" else 1.0
         with in_file(path):
             return _shots(table, self.folder, station, numbers, length, angle)
+
+    def reading_from(self, copies: Mapping[Path, Path]) -> "SurveyTables":
+        """Return the same with tables of points read from copies of them, by the original."""
+        tables = [
+            table.model_copy(update={"points": str(copies.get(self.folder / table.points, ""))})
+            if table.points
+            else table
+            for table in self.sensors
+        ]
+        return replace(self, sensors=tuple(tables))
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -205,7 +205,7 @@ def check_lines(check: SurveyCheck) -> Iterator[str]:
         words = f"{count(target.orientations, 'orientation')}, turns about "
         words += "1 axis" if target.axes == 1 else f"{target.axes} axes"
         words += f"; not read by {', '.join(unread)}" if unread else ""
-        yield f"{target.name}, {target.stations} stations: {words}"
+        yield f"{target.name}, {count(target.stations, 'station')}: {words}"
     yield (
         f"{check.numbers} numbers that shots say for {check.unknowns} unknowns, without range errors"
     )

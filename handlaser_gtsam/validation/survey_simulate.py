@@ -139,7 +139,9 @@ def _read(
     s[np.isfinite(s).mean(axis=1) < OF_MANY] = np.nan
     station, ray = np.nonzero(np.isfinite(s))
     if not len(station):
-        raise InputError(f"no reading of {fan.name}", "a field of view as wide as its targets")
+        raise InputError(
+            f"no reading of {fan.name}", "a plane, or a sphere as wide as its field of view"
+        )
     k = np.broadcast_to(truth.range_error, (len(station), 2))
     sigma = errors.range_sigma if fan.sigma is None else fan.sigma
     reading = read_back(s[station, ray], k) + sigma * rng.standard_normal(len(station))

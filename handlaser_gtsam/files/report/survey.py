@@ -68,6 +68,19 @@ def survey_report(
     checks : tuple of LimitCheck
         Of its user's limits.
     """
+    opening, sections, figures = survey_content(result, survey, source, day, checks)
+    script = script_of("page.js")
+    return page_of(f"{opening} · {source}", sections, figures, script=script, labels=SECTIONS)
+
+
+def survey_content(
+    result: SurveyCalibration,
+    survey: Survey,
+    source: str,
+    day: str = "",
+    checks: tuple[LimitCheck, ...] = (),
+) -> tuple[str, dict[str, str], dict[str, Figure]]:
+    """Return the opening of the verdict, sections as HTML and figures by name; as `survey_report`."""
     seen = list(seen_by_all(result, survey))
     hand = replace(scene_figure(in_hand(seen)), caption=IN_HAND)
     some = [along_the_rays(result, seen), profiles(survey, seen)]
@@ -106,10 +119,7 @@ def survey_report(
         "figures": figures,
         "on_targets": [figure.name for figure in on],
     }
-    sections = sections_of("survey.html.j2", SECTIONS, values)
-    return page_of(
-        f"{opening} · {source}", sections, figures, script=script_of("page.js"), labels=SECTIONS
-    )
+    return opening, sections_of("survey.html.j2", SECTIONS, values), figures
 
 
 def _counts(result: SurveyCalibration, survey: Survey) -> tuple[tuple[str, int], ...]:
