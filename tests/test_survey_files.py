@@ -231,9 +231,9 @@ def test_what_is_undetermined_is_said_and_the_exit_code_is_3(folder, handlaser):
     assert "undetermined" in out
 
 
-def test_other_verbs_refuse_what_only_calibrate_takes(folder, handlaser):
+def test_a_verb_of_beams_before_planes_refuses_a_survey(folder, handlaser):
     poses, rig = str(folder / "poses.csv"), str(folder / "rig.toml")
-    code, _, err = handlaser("check", poses, "--rig", rig)
+    code, _, err = handlaser("plot", poses, "--rig", rig, "--out", str(folder / "pictures"))
     assert code == 2
     assert "sensors of many rays" in err
     assert err.count("\n") == 1
@@ -260,7 +260,10 @@ def test_labels_alone_make_a_survey_of_beams(folder, handlaser):
     beam = json.loads(out)["beams"][0]
     off = np.array(beam["location_m"]) - rig.truth["beam"]["location"]
     assert (np.abs(off) < 5.0 * np.array(beam["location_sigma_m"])).all()
-    code, _, err = handlaser("check", str(folder / "beam.csv"))
+    code, out, err = handlaser("check", str(folder / "beam.csv"))
+    assert (code, err) == (0, "")
+    assert "sphere:S1, 14 stations" in out
+    code, _, err = handlaser("plot", str(folder / "beam.csv"), "--out", str(folder / "pictures"))
     assert code == 2
     assert "sphere" in err
     with pytest.raises(hl.InputError, match="no plane"):

@@ -9,7 +9,7 @@ import typer
 from .answer import Answer, print_wrapped
 from .options import JsonOption, RecordingArgument
 from .progress_line import Working
-from .stopping import UNDETERMINED
+from .stopping import left_open
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -30,36 +30,48 @@ RigOption = Annotated[
 def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption = False) -> None:
     """Say which stations serve which unknown, and which motion is missing.
 
-    Exit codes: 0 the motion determines everything, for beams and planes in general position; 2 bad
-    input; 3 it leaves something open.
+    Of sensors of many rays, other targets or relations: what the recording holds, and how well mounts
+    would be known.
+
+    Exit codes: 0 the motion determines everything, for beams and planes in general position, and for
+    other targets where they stand; 2 bad input; 3 it leaves something open.
     """
-    from ..files.calibration_json import check_text
-    from ..files.rig_reading import read_with
+    from ..data.survey import Survey
+    from ..files.rig_reading import read_any_kind
     from ..files.rig_toml import known_rig
-    from ..observability.motion import check_motion, lemma_words
+    from .survey import refuse_of_beams, survey_check
 
     with Working():
-        report, known = read_with(known_rig(rig, {}), recording)
-        read = report.recording
-        found = check_motion(read)
-        lines = [f"{found.readings} readings for {found.unknowns} unknowns, without range errors"]
-        lines += lemma_words(found, read.beam_names)
-        failure = None
-        if found.undetermined:
-            words = f"the motion leaves open {'; '.join(found.undetermined)}. "
-            failure = UNDETERMINED, f"{words}To determine it: {'; '.join(found.advice)}"
+        known = known_rig(rig, {})
+        any_kind = read_any_kind(known, recording)
+        if isinstance(any_kind, Survey):
+            refuse_of_beams(known, [], recording, plain=True)
+            answer = survey_check(any_kind, known)
         else:
-            lines.append(
-                "the motion determines everything, for beams and planes in general position"
+            answer = _of_beams(
+                any_kind[0].recording, any_kind[1], advise=rig is not None and not json_
             )
-        if rig is not None and not json_:
-            from ..planning.advice import advice_lines
+    answer.give(json=json_)
 
-            plan = advised(read, known, _calibrated(read, known) if failure is None else None)
-            lines += [] if plan is None else advice_lines(plan)
+
+def _of_beams(read: "Recording", rig: "Rig", *, advise: bool) -> Answer:
+    """Check a recording of beams before planes; name the next stations where that is asked for."""
+    from ..files.calibration_json import check_text
+    from ..observability.motion import check_motion, lemma_words
+
+    found = check_motion(read)
+    lines = [f"{found.readings} readings for {found.unknowns} unknowns, without range errors"]
+    lines += lemma_words(found, read.beam_names)
+    failure = left_open(found.undetermined, found.advice)
+    if failure is None:
+        lines.append("the motion determines everything, for beams and planes in general position")
+    if advise:
+        from ..planning.advice import advice_lines
+
+        plan = advised(read, rig, _calibrated(read, rig) if failure is None else None)
+        lines += [] if plan is None else advice_lines(plan)
     warnings = [f"WARNING: {warning}" for warning in read.warnings]
-    show = partial(print_wrapped, lines)
-    Answer(check_text(found), show, warnings, failure).give(json=json_)
+    return Answer(check_text(found), partial(print_wrapped, lines), warnings, failure)
 
 
 def _calibrated(recording: "Recording", rig: "Rig") -> "Calibration":

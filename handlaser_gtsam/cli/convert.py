@@ -13,6 +13,7 @@ from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..files.logs.format import LogFormat
+    from ..files.rig_toml import Rig
     from ..model.sensor import Sensor
 
 LogArgument = Annotated[
@@ -50,6 +51,8 @@ def convert(
 ) -> None:
     """Turn the log of a robot controller, a spreadsheet or a bag into a recording.
 
+    With the [[sensors]] of a rig file, a log of poses becomes stations; tables of points stay.
+
     Exit codes: 0 good; 2 bad input, or a log that would fit far better if it were read another way.
     """
     from ..files.logs.reading import describe_log
@@ -58,7 +61,7 @@ def convert(
     from ..text import printable, some
 
     with Working():
-        given, sensor, sigma = _known(log, rig, range_mm)
+        given, sensor, sigma, known = _known(log, rig, range_mm)
         outputs = {"--out": out, "--write-log": write_log}
         require_outputs(outputs, (log_file, *given.files))
         require_outputs({"--out": out}, (rig,))
@@ -67,23 +70,29 @@ def convert(
             from ..files.rig_toml import with_log_table
 
             rig_text = with_log_table(write_log, given)
-        report = describe_log(log_file, given, sensor, sigma)
-        if out is not None:
-            write_recording(out, report.recording)
+        if known is not None and known.survey is not None:
+            from .survey import converted_survey
+
+            lines, found = converted_survey(log_file, known, out)
+        else:
+            report = describe_log(log_file, given, sensor, sigma)
+            if out is not None:
+                write_recording(out, report.recording)
+            ignored, found = report.recording.ignored_columns, report.recording.warnings
+            lines = list(report.lines)
+            lines += [f"not used: {some(ignored, 8)}"] if ignored else []
         if write_log is not None:
             write_text(write_log, rig_text)
-    lines, ignored = list(report.lines), report.recording.ignored_columns
-    lines += [f"not used: {some(ignored, 8)}"] if ignored else []
     lines += wrote(out, write_log)
-    warnings = [f"WARNING: {warning}" for warning in report.recording.warnings]
+    warnings = [f"WARNING: {warning}" for warning in found]
     show = partial(print_wrapped, [printable(line) for line in lines])
     Answer("", show, warnings).give(json=False, quiet=quiet)
 
 
 def _known(
     log: Log, rig: Path | None, range_mm: tuple[float, float] | None
-) -> "tuple[LogFormat, Sensor, float | None]":
-    """Return how the log is written, the sensor, and the standard deviation of a reading if known."""
+) -> "tuple[LogFormat, Sensor, float | None, Rig | None]":
+    """Return how the log is written, the sensor, a reading's sigma if known, and the rig if given."""
     from ..files.logs.format import LogFormat
     from ..files.rig_log import with_stated
     from ..model.sensor import Sensor
@@ -92,6 +101,6 @@ def _known(
         from ..files.rig_toml import known_rig  # loads GTSAM, which needs memory of its own
 
         known = known_rig(rig, {"range_mm": range_mm} | log.stated())
-        return known.log, known.sensor, known.noise.range_sigma
+        return known.log, known.sensor, known.noise.range_sigma, known
     sensor = Sensor() if range_mm is None else Sensor(1e-3 * range_mm[0], 1e-3 * range_mm[1])
-    return with_stated(LogFormat(), log.stated()), sensor, None
+    return with_stated(LogFormat(), log.stated()), sensor, None, None

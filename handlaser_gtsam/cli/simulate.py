@@ -1,17 +1,25 @@
 """handlaser simulate: a recording whose truth is known."""
 
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .answer import print_wrapped
 from .progress_line import Working
 
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..files.study_toml import SceneTable
+
 FILES = ("recording.csv", "rig.toml", "truth.json")
 
 
+USUAL_TARGETS = "plane:A,sphere:ball"
+"""Targets of a survey where none are stated: together they determine every sensor."""
 SceneName = StrEnum("SceneName", "paper unplanned arm")
 PoseAxes = StrEnum("PoseAxes", "x y z xyz")
 SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
@@ -23,9 +31,25 @@ def simulate(
         SceneName,
         typer.Option(help="paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m."),
     ] = SceneName.paper,
-    beams: Annotated[int, typer.Option(min=1)] = 4,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            help="Rig file, TOML, with [[sensors]] of many rays: a survey with them, no scene."
+        ),
+    ] = None,
+    targets: Annotated[
+        str | None,
+        typer.Option(
+            help="With --rig: targets of the survey, points for --beams; default: "
+            "plane:A,sphere:ball.",
+            show_default=False,
+        ),
+    ] = None,
+    beams: Annotated[
+        int | None, typer.Option(min=1, help="Default: 4; with --rig none.", show_default=False)
+    ] = None,
     planes: Annotated[int, typer.Option(min=1)] = 4,
-    stations: Annotated[int, typer.Option(min=1, help="Stations a plane.")] = 11,
+    stations: Annotated[int, typer.Option(min=1, help="Stations a plane, or target.")] = 11,
     k1: Annotated[float, typer.Option(help="Of every beam: true range d + k1 d + k2 d^2.")] = 0.0,
     k2_per_m: Annotated[float, typer.Option(help="Of every beam, in 1/m.")] = 0.0,
     range_sigma_mm: SigmaOption = None,
@@ -38,25 +62,20 @@ def simulate(
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
 ) -> None:
-    """Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER."""
+    """Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
+
+    With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
+    """
     import numpy as np
 
     from ..errors import InputError
-    from ..files.calibration_json import write_truth
-    from ..files.recording_csv import write_recording
-    from ..files.rig_toml import write_rig
     from ..files.study_toml import SceneTable
-    from ..text import printable
-    from ..validation.scenes import SCENES, SENSORS
-    from ..validation.simulate import simulate as simulated
+    from ..text import count, printable
 
     with Working():
-        there = [file for file in FILES if (folder / file).exists()]
-        if there and not force:
-            raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
         table = SceneTable.model_construct(  # is checked by what it makes
             scene=scene.value,
-            beams=beams,
+            beams=4 if beams is None else beams,
             planes=planes,
             stations=stations,
             k1=k1,
@@ -66,18 +85,63 @@ def simulate(
             pose_rotation_sigma_deg=pose_rotation_sigma_deg,
             pose_axes=None if pose_axes is None else pose_axes.value,
         )
-        errors, sensor = table.errors(), SENSORS[scene.value]
         rng = np.random.default_rng(seed)
-        truth, motion = SCENES[scene.value](table.layout(), rng)
-        recording = simulated(truth, motion, errors, rng, sensor)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            found = f"no folder ({error.strerror})"
-            raise InputError(found, "a folder to write to", folder) from error
+        if rig is not None:
+            from .survey_simulate import simulated_survey
+
+            if (scene, planes) != (SceneName.paper, 4):
+                raise InputError("--scene or --planes with --rig", "--targets plane:A,plane:B")
+            labels = list(
+                dict.fromkeys(one.strip() for one in (targets or USUAL_TARGETS).split(","))
+            )
+            files, write = simulated_survey(rig, labels, beams or 0, table, rng)
+            each = f"{count(len(labels), 'target')}, {count(stations, 'station')}"
+        else:
+            if targets is not None:
+                raise InputError(
+                    "--targets without --rig", "a rig file that names sensors of many rays"
+                )
+            files, write = _of_scene(table, rng)
+            each = f"{planes} planes, {stations} stations"
+        _written(folder, files, write, force=force)
+    if not quiet:
+        print_wrapped([f"wrote {', '.join(files)} to {printable(str(folder))}: {each} each"])
+
+
+def _of_scene(
+    table: "SceneTable", rng: "np.random.Generator"
+) -> tuple[tuple[str, ...], Callable[[Path], None]]:
+    """Return the files of a scene of beams before planes, and what writes them to a folder."""
+    from ..files.calibration_json import write_truth
+    from ..files.recording_csv import write_recording
+    from ..files.rig_toml import write_rig
+    from ..validation.scenes import SCENES, SENSORS
+    from ..validation.simulate import simulate as simulated
+
+    errors, sensor = table.errors(), SENSORS[table.scene]
+    truth, motion = SCENES[table.scene](table.layout(), rng)
+    recording = simulated(truth, motion, errors, rng, sensor)
+
+    def write(folder: Path) -> None:
         write_recording(folder / FILES[0], recording)
         write_rig(folder / FILES[1], errors.stated(), sensor)
         write_truth(folder / FILES[2], truth, recording)
-    if not quiet:
-        place, counts = printable(str(folder)), f"{planes} planes, {stations} stations"
-        print_wrapped([f"wrote {', '.join(FILES)} to {place}: {counts} each"])
+
+    return FILES, write
+
+
+def _written(
+    folder: Path, files: Sequence[str], write: Callable[[Path], None], *, force: bool
+) -> None:
+    """Write files to a folder, which is made; refuse where one is there already, unless forced."""
+    from ..errors import InputError
+
+    there = [file for file in files if (folder / file).exists()]
+    if there and not force:
+        raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        found = f"no folder ({error.strerror})"
+        raise InputError(found, "a folder to write to", folder) from error
+    write(folder)

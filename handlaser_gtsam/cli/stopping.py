@@ -10,6 +10,7 @@ import atexit
 import os
 import signal
 import threading
+from collections.abc import Sequence
 from types import FrameType
 
 BAD_INPUT = 2
@@ -24,6 +25,14 @@ WORDS = "stopped by Ctrl-C"
 CLEAR = "\r\x1b[K"
 """Clears the line of a terminal."""
 IMPORTING = "<frozen importlib._bootstrap>"
+
+
+def left_open(undetermined: Sequence[str], advice: Sequence[str]) -> tuple[int, str] | None:
+    """Return the exit code and the words of a motion that leaves something open; None of any other."""
+    if not undetermined:
+        return None
+    words = f"the motion leaves open {'; '.join(undetermined)}. "
+    return UNDETERMINED, f"{words}To determine it: {'; '.join(advice)}"
 
 
 class CtrlC:

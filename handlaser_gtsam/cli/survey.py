@@ -1,4 +1,4 @@
-"""What `calibrate`, `validate` and `plan` do with a survey: other sensors, targets, and relations."""
+"""What verbs do with a survey: other sensors, targets, and relations."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..quantities import IN_MM
+from ..text import count
 from .answer import Answer, print_wrapped, text_width, wrote
-from .stopping import NOT_USABLE, UNDETERMINED
+from .stopping import NOT_USABLE, UNDETERMINED, left_open
 
 if TYPE_CHECKING:
     import numpy as np
 
     from ..data.survey import Survey
+    from ..errors import CalibrationWarning
     from ..files.rig_toml import Rig
     from ..planning.survey import SurveyPlan
     from ..results.limits import LimitCheck
@@ -79,6 +81,60 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
     warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
     show = partial(_show, result, checks, output)
     return Answer(text, show, warnings, _failure(result, checks))
+
+
+def survey_check(survey: "Survey", rig: "Rig") -> Answer:
+    """Say what a survey holds, and what its motion leaves undetermined.
+
+    Raises
+    ------
+    InputError
+    """
+    from ..files.survey_json import survey_check_text
+    from ..results.survey_check import check_lines, check_survey
+
+    found = check_survey(survey, rig.noise)
+    failure = left_open(found.undetermined, found.advice)
+    if failure is not None and not found.exactly:
+        failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
+    show = partial(print_wrapped, check_lines(found))
+    return Answer(survey_check_text(found), show, failure=failure)
+
+
+def converted_survey(
+    path: Path, rig: "Rig", out: Path | None
+) -> tuple[list[str], "tuple[CalibrationWarning, ...]"]:
+    """Read a log of poses with the sensors of a rig file, and write its stations where asked to.
+
+    Returns lines of what was read, and warnings.
+
+    Raises
+    ------
+    InputError
+        Also a bag, which has no table of points that would stay as it is.
+    """
+    from ..files.logs.bags import is_bag
+    from ..files.stations_csv import write_stations
+    from ..files.survey_reading import describe_survey
+    from ..files.writing import require_outputs
+
+    if is_bag(path):
+        expected = "a log of poses beside tables of points; the other verbs take bags as they are"
+        raise InputError("a bag, with sensors of many rays", expected, path)
+    require_outputs({"--out": out}, () if rig.survey is None else rig.survey.files)
+    survey, words, warnings = describe_survey(path, rig)
+    if survey.beam_names:
+        found = "a recording with ranges of beams, which is no log of poses"
+        raise InputError(found, "it as it is: other verbs take it", path)
+    if out is not None:
+        write_stations(out, survey.stations)
+    counts = (
+        (len(survey.stations), "station"),
+        (len(survey.shots), "sensor"),
+        (len(set(survey.stations.plane_labels)), "target"),
+        (sum(len(shots.reading) for shots in survey.shots), "point"),
+    )
+    return [", ".join(count(n, what) for n, what in counts), *filter(None, words)], warnings
 
 
 def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:

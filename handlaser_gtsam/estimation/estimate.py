@@ -410,14 +410,12 @@ def judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Es
     )
 
 
-def _undetermined(
-    problem: BlockProblem, blocks: Sequence[Block], values: Values, names: Sequence[str]
-) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
-    """Return the directions (N, q) that the rows do not determine, and what moves along each.
+def information_axes(
+    problem: BlockProblem, blocks: Sequence[Block], values: Values
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the information (N,) of independent directions, these as columns (N, N), and units (N,).
 
-    The third result is the covariance (N, N) of all that does not move along them, NaN for the rest.
-    A direction is undetermined where its standard deviation in natural units exceeds
-    `ObservabilityOptions.most_sigma`, or where its information is rounding.
+    Directions are in natural units, and one of them is that of the last result in SI units.
     """
     J, _ = problem.rows(blocks, values).whitened()
     of = problem.places()
@@ -427,18 +425,37 @@ def _undetermined(
             for f, at in of.place.items()
         ]
     )
-    options = ObservabilityOptions()
     # By singular values, which keep twice the digits of the information, of the rows' triangle: those
     # of all rows would take the square of their number in memory.
     _, singular, axes = np.linalg.svd(np.linalg.qr(J * unit, mode="r"), full_matrices=True)
-    information = np.zeros(len(names))
+    information = np.zeros(len(of.names))
     information[: len(singular)] = singular**2
-    axes = axes.T
-    least = max(options.most_sigma**-2, SINGULAR**2 * float(information.max()))
+    return information, axes.T, unit
+
+
+def least_information(information: FloatArray) -> float:
+    """Return the information below which a direction is undetermined.
+
+    Its standard deviation in natural units exceeds `ObservabilityOptions.most_sigma` there, or its
+    information is rounding.
+    """
+    options = ObservabilityOptions()
+    return max(options.most_sigma**-2, SINGULAR**2 * float(information.max()))
+
+
+def _undetermined(
+    problem: BlockProblem, blocks: Sequence[Block], values: Values, names: Sequence[str]
+) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
+    """Return the directions (N, q) that the rows do not determine, and what moves along each.
+
+    The third result is the covariance (N, N) of all that does not move along them, NaN for the rest.
+    """
+    information, axes, unit = information_axes(problem, blocks, values)
+    least = least_information(information)
     null = axes[:, information < least]
     echelon = null.T.copy()
     for r in range(len(echelon)):  # each direction gets a coordinate that the others do not have
-        row, pivot = np.unravel_index(np.abs(echelon[r:]).argmax(), echelon[r:].shape)
+        row, pivot = divmod(int(np.abs(echelon[r:]).argmax()), echelon.shape[1])
         echelon[[r, r + row]] = echelon[[r + row, r]]
         echelon[r] /= echelon[r, pivot]
         others = np.arange(len(echelon)) != r

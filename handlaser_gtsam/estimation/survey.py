@@ -66,8 +66,7 @@ BODY_HELD = 0.01
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 FINEST_AIMING = 1e-6
-"""No spot is aimed better than this [m]. Far below it, beside readings a hundred thousand times as rough,
-rounding counts what is left of the aiming as left of the readings."""
+"""No spot is aimed better than this [m]: the likelihood has no bound where all are aimed exactly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -219,22 +218,7 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         No shot has enough points on a target; a sensor, or a beam, that nothing leads to a start of.
     """
     rows = rows_of(survey)
-    if not rows.items:
-        raise InputError("no shot with enough points on its target", "a few points a shot")
-    inside = _inside(rows)
-    stated = _stated(rows, noise)
-    sizes = _first_sizes(stated, inside, noise)
-    used = np.ones(len(rows.items), dtype=bool)
-    learning = bool(np.isnan([*stated.sigma, *stated.pose]).any())
-    state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), learning)
-    started = start_of(rows, state.sigmas())
-    if started.values is None:
-        names = ", ".join(_name(rows, *entity) for entity in started.without)
-        raise InputError(f"no start of {names}", "more stations, or other turns between them")
-    state.values = started.values
-    _leave_out_gross(state)
-    if np.median(_misfits(state)) > GROSS and _started_from_halves(state):
-        _leave_out_gross(state)
+    state, inside, stated = first_state(rows, noise)
     settled = _settle(state, inside, stated)
     problem, _ = state.problem()
     found = judged(problem, list(problem.blocks), dict(state.values))
@@ -250,6 +234,36 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     return SurveyEstimate(
         state.rows, noise, found, state.sizes, stated, state.used, _tested(state, problem)
     )
+
+
+def first_state(rows: Rows, noise: Noise) -> tuple[SurveyState, Inside, Components]:
+    """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
+
+    Sizes of the noise are as stated, else as shots show them inside, or as is usual. The other results
+    are what shots tell of the noise inside them, and what is stated, NaN for what is not.
+
+    Raises
+    ------
+    InputError
+        As `estimate_survey`.
+    """
+    if not rows.items:
+        raise InputError("no shot with enough points on its target", "a few points a shot")
+    inside = _inside(rows)
+    stated = _stated(rows, noise)
+    sizes = _first_sizes(stated, inside, noise)
+    used = np.ones(len(rows.items), dtype=bool)
+    learning = bool(np.isnan([*stated.sigma, *stated.pose]).any())
+    state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), learning)
+    started = start_of(rows, state.sigmas())
+    if started.values is None:
+        names = ", ".join(_name(rows, *entity) for entity in started.without)
+        raise InputError(f"no start of {names}", "more stations, or other turns between them")
+    state.values = started.values
+    _leave_out_gross(state)
+    if np.median(misfits(state)) > GROSS and _started_from_halves(state):
+        _leave_out_gross(state)
+    return state, inside, stated
 
 
 def _doubtful(state: SurveyState) -> list[str]:
@@ -318,7 +332,7 @@ def _leave_out_gross(state: SurveyState) -> None:
     for _ in range(ROBUST_ROUNDS):
         if not state.minimize():
             return
-        misfit = _misfits(state)
+        misfit = misfits(state)
         typical = float(np.median(misfit))
         kept = misfit <= GROSS * max(typical, 1.0)
         if kept.all() and typical > GROSS:
@@ -342,7 +356,7 @@ def _started_from_halves(state: SurveyState) -> bool:
     items, rng = state.rows.items, np.random.default_rng(len(state.rows.items))
     numbers = {one: n for n, one in enumerate(dict.fromkeys(item.target for item in items))}
     target = np.array([numbers[item.target] for item in items])
-    least, values = float(np.median(_misfits(state))), None
+    least, values = float(np.median(misfits(state))), None
     for _ in range(HALVES):
         some = np.zeros(len(items), dtype=bool)
         for one in np.unique(target):
@@ -355,7 +369,7 @@ def _started_from_halves(state: SurveyState) -> bool:
         trial = replace(state, values=started.values, used=some)
         if not trial.minimize():
             continue
-        misfit = float(np.median(_misfits(trial)))
+        misfit = float(np.median(misfits(trial)))
         if misfit < least:
             least, values = misfit, trial.values
         if misfit < 1.0:
@@ -363,11 +377,11 @@ def _started_from_halves(state: SurveyState) -> bool:
     if values is None:
         return False
     state.values = values
-    state.used = _misfits(state) <= GROSS * max(least, 1.0)
+    state.used = misfits(state) <= GROSS * max(least, 1.0)
     return True
 
 
-def _misfits(state: SurveyState) -> FloatArray:
+def misfits(state: SurveyState) -> FloatArray:
     """Return the root mean square misfit of every item, used or not, in standard deviations."""
     blocks, groups = blocks_of(state.rows.items, state.sigmas(), state.values)
     of = {id(item): i for i, item in enumerate(state.rows.items)}
@@ -442,7 +456,7 @@ def _worst_changed(state: SurveyState) -> bool:
     out = np.flatnonzero(~state.used)
     if not len(out):
         return False
-    misfit = _misfits(state)[out]
+    misfit = misfits(state)[out]
     best = int(misfit.argmin())
     shot = state.rows.items[out[best]].shot
     size = 1 if shot is None else len(shot.reading)

@@ -6,17 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import Known, Shots, Survey, kind_of, normal_label
 from ..model import known as relations
 from ..model.block import Block, Values, Weights
 from ..model.condensed import Mixed, Unexplained
-from ..model.families import BEAM, PLANE
+from ..model.families import BEAM, PLANE, POSE
 from ..model.lines import condensed_shots
 from ..model.priors import VectorPrior
 from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
 from ..model.sensors.beam import Beam
+from ..model.sensors.fans import Rayset
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
 from ..model.shots import MOST_SLANTED, Condensed, of_single_readings, some_of
@@ -346,6 +347,56 @@ def _on_points(
 def _weights(sigma: FloatArray, station: IntArray, rows: int) -> Weights:
     root = np.repeat(1.0 / sigma[:, None], rows, axis=1)[None]
     return Weights(root, None, np.repeat(station[:, None], rows, axis=1))
+
+
+def rays_on(
+    values: Values,
+    member: int,
+    target: str,
+    seen: IntArray,
+    rays: Rayset,
+    reading: FloatArray,
+    by_error: FloatArray,
+) -> tuple[FloatArray, BoolArray]:
+    """Return the columns (c, 1, N, n), residuals last, of all rays of a sensor at each of N poses.
+
+    The second result (N, n) says which rays miss their target. The residual of a reading of zero,
+    without range errors, is the range.
+
+    Parameters
+    ----------
+    values : mapping
+        Sensors, targets and N poses.
+    member : int
+        Number of the sensor.
+    target : str
+        Family of the targets.
+    seen : (N,)
+        Number of the target at each pose.
+    rays : Rayset
+        n rays.
+    reading : (N, n), or what becomes it
+        [m]
+    by_error : (4, 1, N, n), or what becomes it
+        By how much a range error of size 1 makes each true range longer.
+    """
+    n = values[POSE.name].shape[1]
+    shape = (n, len(rays.origin))
+    origin, direction = (
+        np.broadcast_to(x.T[:, None, None], (3, 1, *shape)) for x in (rays.origin, rays.direction)
+    )
+    errors = np.broadcast_to(by_error, (len(ERRORS), 1, *shape))
+    block = Ranges(
+        Mounted(np.full(n, member), origin, direction, errors),
+        TARGETS[target](seen),
+        PoseVariables(np.arange(n)),
+        np.broadcast_to(reading, (1, *shape)),
+    )
+    rows = block.evaluate(values)
+    missed = np.zeros(shape, dtype=bool)
+    if rows.impossible is not None:
+        missed = np.broadcast_to(rows.impossible, (1, *shape))[0]
+    return rows.columns, missed
 
 
 def relations_of(rows: Rows) -> list[tuple[Known, Relation]]:

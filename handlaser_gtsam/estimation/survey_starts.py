@@ -75,8 +75,13 @@ class Started:
     without: tuple[tuple[str, int], ...]
 
 
-def start_of(rows: Rows, sigmas: Mapping[tuple[str, int], float]) -> Started:
-    """Return the best start of all sensors, beams and targets of a survey."""
+def start_of(
+    rows: Rows, sigmas: Mapping[tuple[str, int], float], *, last_resort: bool = True
+) -> Started:
+    """Return the best start of all sensors, beams and targets of a survey.
+
+    Random mounts are the `last_resort` where nothing else leads to a good fit.
+    """
     entities = list(dict.fromkeys((item.family, item.member) for item in rows.items))
     from_planes = _from_planes(rows)
     best: dict[tuple[str, int], FloatArray] = {}
@@ -86,7 +91,8 @@ def start_of(rows: Rows, sigmas: Mapping[tuple[str, int], float]) -> Started:
         candidates = [from_planes[entity]] if entity in from_planes else []
         candidates += _others(rows, entity, own)
         found = _searched(rows, entity, own, candidates, sigmas)
-        if entity[0] == SENSOR.name and (found is None or found[1] > POOR):
+        poor = found is None or found[1] > POOR
+        if last_resort and entity[0] == SENSOR.name and poor:
             more = _searched(rows, entity, own, _random_mounts(), sigmas)
             if more is not None and (found is None or more[1] < found[1]):
                 found = more

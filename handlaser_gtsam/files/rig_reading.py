@@ -1,5 +1,7 @@
 """Recordings and logs read as a rig file says: what every verb that takes one does."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +16,7 @@ from .rig_log import as_fields
 from .rig_toml import Rig
 
 NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
-BEAMS_BEFORE_PLANES = (
-    "beams before planes; `calibrate`, `validate`, `plan` and `export` take others"
-)
+BEAMS_BEFORE_PLANES = "beams before planes only"
 WRITES_IT = "; `handlaser convert LOG --write-log RIG` writes the table [log] of a rig file"
 
 
@@ -50,7 +50,8 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     if rig.survey is not None:
         from .survey_reading import read_survey
 
-        return read_survey(path, rig)
+        with _naming_fields(rig):
+            return read_survey(path, rig)
     report, rig = _read_stated(rig, path)
     if not beyond_planes(report.recording.plane_names):
         return report, rig
@@ -60,14 +61,8 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
 
 
 def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
-    try:
+    with _naming_fields(rig):
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
-    except InputError as error:
-        found, expected = as_fields(error.found), as_fields(error.expected)
-        if (found, expected) == (error.found, error.expected):
-            raise
-        hint = "" if rig.log.stated else WRITES_IT
-        raise InputError(found, expected + hint, error.path, error.line, error.column) from error
     warnings = [replace(one, message=as_fields(one.message)) for one in report.recording.warnings]
     report = replace(
         report,
@@ -77,6 +72,19 @@ def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
         rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return report, rig
+
+
+@contextmanager
+def _naming_fields(rig: Rig) -> Iterator[None]:
+    """Let what is said of the options of `convert` name the fields of the table [log] instead."""
+    try:
+        yield
+    except InputError as error:
+        found, expected = as_fields(error.found), as_fields(error.expected)
+        if (found, expected) == (error.found, error.expected):
+            raise
+        hint = "" if rig.log.stated else WRITES_IT
+        raise InputError(found, expected + hint, error.path, error.line, error.column) from error
 
 
 def read_any(

@@ -10,7 +10,8 @@ sigma_mm, sigma_deg; direction; position_mm; pose_mm_deg: x, y, z, A, B, C with
 R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -122,6 +123,16 @@ class SurveyTables:
         with in_file(path):
             return _shots(table, self.folder, station, numbers, length, angle)
 
+    def reading_from(self, copies: Mapping[Path, Path]) -> "SurveyTables":
+        """Return the same with tables of points read from copies of them, by the original."""
+        tables = [
+            table.model_copy(update={"points": str(copies.get(self.folder / table.points, ""))})
+            if table.points
+            else table
+            for table in self.sensors
+        ]
+        return replace(self, sensors=tuple(tables))
+
     @property
     def files(self) -> tuple[Path, ...]:
         """The tables of points."""
@@ -186,14 +197,19 @@ def _shots(
         return _require_lengths(scans)
     if table.kind == "points":
         return _require_lengths(Shots.points(table.name, station, numbers * length, **noise))
-    directions = _directions(folder / str(table.zones), numbers[:, 0])
+    directions = directions_of(folder / str(table.zones), numbers[:, 0])
     reading = numbers[:, 1] * length
     shots = Shots.array(table.name, station, directions, reading, table.convention, **noise)
     return _require_lengths(shots)
 
 
-def _directions(path: Path, zone: FloatArray) -> FloatArray:
-    """Return the direction (N, 3) of the zone of each reading."""
+def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
+    """Return the direction (N, 3) of the zone of each reading; without readings, of all zones.
+
+    Raises
+    ------
+    InputError
+    """
     expected = "zone, x, y, z or zone, x_deg, y_deg"
     table = read_frame(path, f"CSV with {expected}")
     numbers = {name: frame_numbers(table, name, path) for name in table.columns}
@@ -205,6 +221,8 @@ def _directions(path: Path, zone: FloatArray) -> FloatArray:
     else:
         found = f"columns {', '.join(table.columns)}"
         raise InputError(found, expected, path, 1)
+    if zone is None:
+        return np.asarray(u)
     place = {float(name): i for i, name in enumerate(numbers["zone"])}
     lacking = sorted({float(one) for one in np.unique(zone)} - place.keys())
     if lacking:

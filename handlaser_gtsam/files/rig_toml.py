@@ -257,8 +257,8 @@ def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
         return Noise(**given)
 
 
-def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
-    """Write the noise and the sensor's range; unknown values are not written."""
+def write_rig(path: Path | str, noise: Noise, sensor: Sensor, more: str = "") -> None:
+    """Write the noise and the sensor's range, and more tables; unknown values are not written."""
     lines = ["[noise]"]
     for name, value, unit in (
         ("range_sigma_mm", noise.range_sigma, IN_MM),
@@ -273,7 +273,7 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor) -> None:
     if math.isfinite(sensor.range_max):
         least, most = sensor.range_min * IN_MM, sensor.range_max * IN_MM
         lines += ["", "[sensor]", f"range_mm = [{least:.12g}, {most:.12g}]"]
-    write_text(path_of(path), "\n".join(lines) + "\n")
+    write_text(path_of(path), "\n".join(lines) + "\n" + more)
 
 
 def with_log_table(path: Path | str, log: LogFormat) -> str:

@@ -60,13 +60,13 @@ class SceneTable(FileRecord):
     pose_axes: Literal["x", "y", "z", "xyz"] | None = None
     redraw: bool = True
 
-    def errors(self) -> Errors:
-        """Return the errors of readings and poses."""
+    def errors(self, usual: Errors | None = None) -> Errors:
+        """Return the errors of readings and poses: the usual ones where nothing is stated."""
         names = ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma")
         given = {name: value for name, value in self.in_si().items() if name in names}
         if self.pose_axes is not None:
             given["pose_axes"] = tuple(map("xyz".index, self.pose_axes))
-        return replace(ERRORS[self.scene], **given)
+        return replace(usual or ERRORS[self.scene], **given)
 
     def layout(self) -> Layout:
         """Return how many beams, planes and stations there are, and the range errors."""

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from ..checks import require_kind
 from ..results.survey import SurveyCalibration
+from ..results.survey_check import SurveyCheck
 from ..validation.survey import SurveyValidation
 from .calibration_file import Known, Many, Numbers, Vector, Version, WarningRecord
 from .checked_text import FileRecord, json_value, read_checked
@@ -115,6 +116,18 @@ def survey_validation_text(result: SurveyValidation) -> str:
         "contradicted": [one.name for one in result.contradicted],
     }
     return json_text("survey-validation", whole)
+
+
+def survey_check_text(check: SurveyCheck) -> str:
+    """Return the check of a survey as JSON text."""
+    of_sensor = "name kind shots points on_target lost location_sigma_m rotation_sigma_rad"
+    of_target = "name stations orientations translations translating axes readings"
+    whole: Record = {
+        "sensors": [record(one, of_sensor) for one in check.sensors],
+        "targets": [record(one, of_target) for one in check.targets],
+        **record(check, "numbers unknowns undetermined exactly advice misfit"),
+    }
+    return json_text("survey-check", whole)
 
 
 def write_survey(path: Path | str, result: SurveyCalibration) -> None:

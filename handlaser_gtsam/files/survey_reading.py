@@ -8,10 +8,17 @@ from ..arrays import FloatArray
 from ..data.recording import Recording
 from ..data.station_list import StationList
 from ..data.survey import Survey
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..model.sensor import Sensor
 from .logs.bags import is_bag
+from .logs.columns import columns_of
 from .logs.format import LogFormat
+from .logs.motion import Way
+from .logs.poses import hand_poses
+from .logs.reading import OF_READINGS, is_log, refuse_of_a_bag
+from .logs.rows import rows_of
+from .logs.survey_suspicion import refuse_wrong_poses
+from .logs.tables import read_log_table
 from .range_cells import range_numbers
 from .recording_csv import POSE, PREFIX, stations_of
 from .rig_toml import Rig, read_rig
@@ -34,20 +41,38 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     ------
     InputError
     """
+    return describe_survey(path, rig)[0]
+
+
+def describe_survey(
+    path: Path | str, rig: Rig | Path | str
+) -> tuple[Survey, tuple[str, ...], tuple[CalibrationWarning, ...]]:
+    """Read a survey as `read_survey` does, and say how its log is written, and what is odd about it.
+
+    Raises
+    ------
+    InputError
+        Also a log of poses that would fit far better if it were read another way.
+    """
     path = path_of(path)
     rig = rig if isinstance(rig, Rig) else read_rig(rig)
     if rig.survey is None:
         raise InputError("no table [[sensors]] or [[known]]", "one of them in the rig file", path)
     known = rig.survey.known
     if is_bag(path):
-        from .logs.reading import OF_READINGS, refuse_of_a_bag
-
         refuse_of_a_bag(rig.log, path, OF_READINGS)
         stations, shots = rig.survey.bag(path, rig.log)
-        return Survey(stations, shots, known=known, linearity=rig.sensor.linearity)
-    stations, ranges, beams = _stations(path, rig)
+        return Survey(stations, shots, known=known, linearity=rig.sensor.linearity), (), ()
+    if is_log(path, rig.log, readings=False):
+        stations, numbers, way, words = _of_log(path, rig.log)
+        shots = rig.survey.shots(stations.station_names)
+        survey = Survey(stations, shots, known=known, linearity=rig.sensor.linearity)
+        doubts = refuse_wrong_poses(survey, numbers, way, rig.log, path) if shots else ()
+        return survey, (words,), doubts
+    stations, ranges, beams = _of_recording(path, rig)
     shots = rig.survey.shots(stations.station_names)
-    return Survey(stations, shots, ranges, beams, known, linearity=rig.sensor.linearity)
+    survey = Survey(stations, shots, ranges, beams, known, linearity=rig.sensor.linearity)
+    return survey, (), ()
 
 
 def survey_of(recording: Recording, rig: Rig) -> Survey:
@@ -67,10 +92,8 @@ def _within(ranges: FloatArray, rig: Rig) -> FloatArray:
     return np.where(rig.sensor.can_read(ranges), ranges, np.nan)
 
 
-def _stations(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tuple[str, ...]]:
+def _of_recording(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tuple[str, ...]]:
     """Return stations, ranges (M, B) of beams, and the names of these."""
-    if rig.log.stated or path.suffix.lower() != ".csv":
-        return _of_log(path, rig.log), None, ()
     table = read_table(path, ("plane", *POSE))
     stations = stations_of(table)
     columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
@@ -80,20 +103,19 @@ def _stations(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tup
     return stations, _within(ranges, rig), tuple(name.removeprefix(PREFIX) for name in columns)
 
 
-def _of_log(path: Path, given: LogFormat) -> StationList:
-    """Return the stations of a log of poses that has labels, or one target for all."""
-    from .logs.columns import columns_of
-    from .logs.motion import Way
-    from .logs.poses import hand_poses
-    from .logs.rows import rows_of
-    from .logs.tables import read_log_table
+def _of_log(path: Path, given: LogFormat) -> tuple[StationList, FloatArray, Way, str]:
+    """Return the stations of a log of poses that has labels, or one target for all.
 
+    The other results are its numbers (M, k), how stations get their poses from these, and how they are
+    written, in words.
+    """
     table = read_log_table(path, given)
     rows = rows_of(table, columns_of(table, given, readings=False), given, Sensor())
     assert rows.poses is not None
-    R, t = hand_poses(rows.poses, Way.of_groups(np.arange(len(rows.poses))), given)
+    way = Way.of_groups(np.arange(len(rows.poses)))
+    R, t = hand_poses(rows.poses, way, given)
     labels = rows.planes if rows.planes is not None else [given.plane] * len(R)
     if not all(labels):
         expected = "a column plane, --plane-column NAME, or one label for all by --plane"
         raise InputError("no target of the stations", expected, path)
-    return StationList(R, t, tuple(labels), tuple(rows.names))
+    return StationList(R, t, tuple(labels), tuple(rows.names)), rows.poses, way, rows.words

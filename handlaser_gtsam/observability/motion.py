@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import model
+from ..arrays import FloatArray, IntArray
 from ..data.ordering import sorted_readings
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
@@ -31,7 +32,7 @@ LEAST_NOISE = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class PlaneMotion:
-    """The motion before one plane.
+    """The motion before one plane, or another target of a survey.
 
     Attributes
     ----------
@@ -44,7 +45,7 @@ class PlaneMotion:
     axes : int
         Independent axes of the turns between orientations; 2 or more satisfy Lemma 2.
     readings : tuple of int
-        Of every beam, in the order of the recording.
+        Of every beam, in the order of the recording; of a survey shots of every sensor, then beams.
     """
 
     name: str
@@ -86,7 +87,13 @@ def check_motion(recording: Recording) -> MotionCheck:
     What the beams read does not matter, only that they do, unless the hand turns about one axis only:
     then what is undetermined depends on the planes, which are estimated.
     """
-    planes = tuple(_plane_motion(recording, p) for p in range(len(recording.plane_names)))
+    planes = []
+    for p, name in enumerate(recording.plane_names):
+        rows = np.flatnonzero(recording.plane_of_station == p)
+        stations = [recording.station_names[j] for j in rows]
+        read = (~np.isnan(recording.ranges[rows])).sum(axis=0)
+        R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
+        planes.append(motion_before(name, R, t, stations, read))
     readings, order = sorted_readings(recording)
     beams, numbers = np.argsort(order.beams), np.argsort(order.planes)
     names = BeamAndPlaneNames(
@@ -102,29 +109,39 @@ def check_motion(recording: Recording) -> MotionCheck:
     moved = float(np.abs(readings.world_t_hand).max())
     if not parts and moved < LEAST_MOVE * readings.typical_range():
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
-    return MotionCheck(planes, unknowns, len(readings), parts, words, help_)
+    return MotionCheck(tuple(planes), unknowns, len(readings), parts, words, help_)
 
 
-def _plane_motion(recording: Recording, plane: int) -> PlaneMotion:
-    rows = np.flatnonzero(recording.plane_of_station == plane)
-    R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
+def motion_before(
+    name: str, R: FloatArray, t: FloatArray, stations: Sequence[str], readings: IntArray
+) -> PlaneMotion:
+    """Return the motion before a plane or another target.
+
+    Parameters
+    ----------
+    name : str
+    R, t : (M, 3, 3), (M, 3)
+        Poses of the hand before it [m].
+    stations : M strings
+    readings : (B,)
+        How many there are of every beam or sensor.
+    """
     group = np.unique(model.rotation_cells(R), axis=0, return_inverse=True)[1].ravel()
     local = [t[group == g] - t[group == g].mean(axis=0) for g in range(int(group.max()) + 1)]
     spread = np.linalg.svd(np.concatenate(local), compute_uv=False)
     least = np.sqrt(SPANNING) * max(spread[0], SINGULAR)  # as the closed form needs them
     rank = int((spread > least).sum()) if spread[0] > 0.0 else 0
-    translating = [rows[j] for j in range(len(rows)) if (group == group[j]).sum() > 1]
+    translating = [name for name, g in zip(stations, group, strict=True) if (group == g).sum() > 1]
     turns = Rotation.from_matrix(np.swapaxes(R[:1], 1, 2) @ R).as_rotvec()
-    turned = np.linalg.svd(turns - turns.mean(axis=0), compute_uv=False) / np.sqrt(len(rows))
-    read = ~np.isnan(recording.ranges[rows])
+    turned = np.linalg.svd(turns - turns.mean(axis=0), compute_uv=False) / np.sqrt(len(R))
     return PlaneMotion(
-        recording.plane_names[plane],
-        len(rows),
+        name,
+        len(R),
         int(group.max()) + 1,
         rank,
-        tuple(recording.station_names[j] for j in translating) if rank else (),
+        tuple(translating) if rank else (),
         int((turned > COUNTED_TURN).sum()),
-        tuple(int(count) for count in read.sum(axis=0)),
+        tuple(readings.tolist()),
     )
 
 

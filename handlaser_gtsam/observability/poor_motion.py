@@ -38,6 +38,9 @@ SIGNIFICANT = 3.0
 ALONG = 0.95
 """A location is undetermined along the axis of the turns where this part of the axis is."""
 
+SEEN = {"beam": "plane", "sensor": "target"}
+"""What is looked at, by what sits in the hand."""
+
 Kind = Literal["planar", "one axis", "in space", "in a plane", "on a line"]
 
 
@@ -134,7 +137,12 @@ def some_plane_leans(
 
 
 def named(
-    motion: PoorMotion | None, parts: Sequence[OpenPart], *, leans: bool, k1_free: bool | None
+    motion: PoorMotion | None,
+    parts: Sequence[OpenPart],
+    *,
+    leans: bool,
+    k1_free: bool | None,
+    mount: str = "beam",
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Say what is undetermined, and what would determine it.
 
@@ -147,6 +155,8 @@ def named(
         Whether some plane leans.
     k1_free : bool or None
         Whether range errors are estimated without a prior; None where that is not known yet.
+    mount : "beam" or "sensor"
+        What sits in the hand: beams see planes, sensors of a survey any targets.
 
     Returns
     -------
@@ -160,28 +170,33 @@ def named(
     if located and all(part in rest for part in located):
         return undetermined(parts), advice(parts)
     turning = motion.kind in ("planar", "one axis")
-    what, cures = _of_turns(motion, leans, k1_free) if turning else _of_moves(motion)
+    if turning:
+        what, cures = _of_turns(motion, leans, k1_free, mount)
+    else:
+        what, cures = _of_moves(motion, mount)
     return (what, *undetermined(rest)), (*cures, *advice(rest))
 
 
-def _of_turns(motion: PoorMotion, leans: bool, k1_free: bool | None) -> tuple[str, tuple[str, ...]]:
+def _of_turns(
+    motion: PoorMotion, leans: bool, k1_free: bool | None, mount: str
+) -> tuple[str, tuple[str, ...]]:
     """Return what turns about one axis leave undetermined, and what cures it."""
     planar, axis = motion.kind == "planar", vector_words(motion.axis)
     why = "the motion is planar" if planar else f"all turns are about {axis}"
     where = "" if k1_free else ", where k1 is free"
     turn = f"or turn the hand about an axis across {axis}"
     if not leans:
-        what, left = f"the height of every beam (location along {axis})", "one common height"
+        what, left = f"the height of every {mount} (location along {axis})", "one common height"
         if k1_free is not False:
             what += f" and its elevation against k1{where}"
             left += f" and a vertical stretch{where}" if planar else ""
         return f"{what}, because {why} and no plane is known to lean", (
             f"add a board that leans by 20 to 40 degrees, which leaves {left}",
-            "measure the height of every beam, or of one beside such a board",
+            f"measure the height of every {mount}, or of one beside such a board",
             turn,
         )
-    what = f"one common height of all beams and planes (location along {axis})"
-    cures = ["measure the height of one beam, or let one beam read a floor of known height"]
+    what = f"one common height of all {mount}s and {SEEN[mount]}s (location along {axis})"
+    cures = [f"measure the height of one {mount}, or let one {mount} read a floor of known height"]
     if planar and k1_free is not False:
         what += f" and the vertical stretch (elevations and leans against k1{where})"
         cures.append(
@@ -191,11 +206,11 @@ def _of_turns(motion: PoorMotion, leans: bool, k1_free: bool | None) -> tuple[st
     return f"{what}, because {why}", (*cures, turn)
 
 
-def _of_moves(motion: PoorMotion) -> tuple[str, tuple[str, ...]]:
+def _of_moves(motion: PoorMotion, mount: str) -> tuple[str, tuple[str, ...]]:
     """Return what a hand that never turns leaves undetermined, and what cures it."""
-    cure = "turn the hand about two different axes in front of each plane"
+    cure = f"turn the hand about two different axes in front of each {SEEN[mount]}"
     if motion.kind == "in space":
-        what = "a common shift of all beams and planes (location in three directions)"
+        what = f"a common shift of all {mount}s and {SEEN[mount]}s (location in three directions)"
         return f"{what}, because the hand never turns", (cure,)
     where = "along one line" if motion.kind == "on a line" else "in one plane"
     what = f"nearly everything, because the hand never turns and moves {where} only"
@@ -204,11 +219,12 @@ def _of_moves(motion: PoorMotion) -> tuple[str, tuple[str, ...]]:
 
 def _explained(part: OpenPart, motion: PoorMotion) -> bool:
     """Tell whether what is undetermined follows from the kind of motion."""
-    if motion.kind in ("on a line", "in a plane") or part.quantity in ("offset", "range error"):
+    follows = part.quantity in ("offset", "range error", "place", "radius")
+    if motion.kind in ("on a line", "in a plane") or follows:
         return True
     if motion.kind == "in space":
         return part.quantity == "location"
     axes: int = part.axes.shape[1]
     if part.quantity == "location":
         return axes < len(part.axes) and float(np.linalg.norm(motion.axis @ part.axes)) >= ALONG
-    return axes == 1
+    return part.quantity != "turn" and axes == 1

@@ -12,6 +12,7 @@ from ..data.parameters import Parameters
 from ..data.value import Value
 from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beam_lifts
+from ..model.sensors.mounted import ERRORS
 from ..text import some
 from .rank import NullSpace, Observability
 
@@ -22,9 +23,12 @@ MOST_NAMED = 8
 WEAK_SHARE = 0.4
 """Parts of the weakest direction that are shorter than this part of the longest are not named."""
 
-Kind = Literal["beam", "plane"]
+Kind = Literal["beam", "sensor", "plane", "sphere", "point", "body"]
+MOUNTED = "beam", "sensor"
+"""Kinds that sit in the hand; all others stand in the world."""
 OF_BEAMS = "location", "direction", "range error"
 OF_PLANES = "normal", "offset"
+OF_TARGETS = *OF_PLANES, "place", "radius"
 
 MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
@@ -52,14 +56,14 @@ class OpenPart(Value):
 
     Attributes
     ----------
-    kind : "beam" or "plane"
+    kind : "beam" or "plane"; in a survey also "sensor", "sphere", "point" or "body"
     name : str
-        Name of the beam or plane.
     quantity : str
-        `location`, `direction`, `range error`, `normal` or `offset`.
+        Of what sits in the hand `location`, `direction` of a beam, `turn` of a sensor, and
+        `range error`; `normal` and `offset` of a plane, `place` and `radius` of other targets.
     axes : (D, K)
-        Orthonormal columns: location and direction in the hand frame, normal in the world frame;
-        range error over (k1, k2), offset 1.
+        Orthonormal columns: location, direction and turn in the hand frame, normal and place in the
+        world frame; range error over its terms, offset and radius 1.
     """
 
     kind: Kind
@@ -76,28 +80,31 @@ def open_parts(
 
 
 def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
-    """Say what is undetermined, one sentence a beam or kind of plane; once for many beams alike."""
-    of_beams: dict[str, list[OpenPart]] = {}
+    """Say what is undetermined, one sentence a mount or kind of target; once for many mounts alike."""
+    of_mounts: dict[tuple[Kind, str], list[OpenPart]] = {}
     for part in parts:
-        if part.kind == "beam":
-            of_beams.setdefault(part.name, []).append(part)
-    alike: dict[tuple[str, ...], list[str]] = {}
-    for name, open_of_beam in of_beams.items():
-        alike.setdefault(tuple(part.quantity for part in open_of_beam), []).append(name)
+        if part.kind in MOUNTED:
+            of_mounts.setdefault((part.kind, part.name), []).append(part)
+    alike: dict[tuple[str, ...], list[tuple[Kind, str]]] = {}
+    for mount, open_of_mount in of_mounts.items():
+        quantities = tuple(part.quantity for part in open_of_mount)
+        alike.setdefault((mount[0], *quantities), []).append(mount)
     words = []
-    for names in alike.values():
-        shown = names if len(names) <= MOST_NAMED else names[:1]
-        described = (", ".join(_part_words(part) for part in of_beams[name]) for name in shown)
+    for mounts in alike.values():
+        shown = mounts if len(mounts) <= MOST_NAMED else mounts[:1]
         words += [
-            f"beam {name}: {open_of_beam}"
-            for name, open_of_beam in zip(shown, described, strict=True)
+            f"{mount[0]} {mount[1]}: {', '.join(map(_part_words, of_mounts[mount]))}"
+            for mount in shown
         ]
-        if len(shown) < len(names):
-            words.append(f"beams {some(names[1:], 3)}: the same, each along its own axes")
-    for quantity in ("normal", "offset"):
-        planes = [part.name for part in parts if part.quantity == quantity]
-        if planes:
-            words.append(f"{_planes(planes)}: {quantity}")
+        if len(shown) < len(mounts):
+            names = some([name for _, name in mounts[1:]], 3)
+            words.append(f"{mounts[0][0]}s {names}: the same, each along its own axes")
+    others = [part for part in parts if part.kind not in MOUNTED]
+    for quantity in OF_TARGETS:
+        mine = [part for part in others if part.quantity == quantity]
+        for seen in dict.fromkeys(part.kind for part in mine):
+            same = [part.name for part in mine if part.kind == seen]
+            words.append(f"{_targets(seen, same)}: {quantity}")
     return tuple(words)
 
 
@@ -111,7 +118,7 @@ def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
         _spans(np.concatenate(axes, axis=1)[None], WORTH_A_WORD)[0] if axes else np.empty((3, 0))
     )
     words = []
-    if "direction" in quantities:
+    if quantities & {"direction", "turn"}:
         words.append(
             "turn the hand about two different axes, neither along the plane's normal, and translate "
             "in three directions that are not coplanar; or add planes with other normals"
@@ -123,7 +130,11 @@ def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     if quantities >= {"range error"} and not words:
         words.append("measure over a wider span of ranges, or estimate fewer range-error terms")
     if not words:
-        listed = _planes(list(dict.fromkeys(part.name for part in parts)))
+        kinds = dict.fromkeys(part.kind for part in parts)
+        listed = " and ".join(
+            _targets(kind, list(dict.fromkeys(part.name for part in parts if part.kind == kind)))
+            for kind in kinds
+        )
         words.append(f"measure {listed} at three or more spots that are not on a line")
     return tuple(words)
 
@@ -209,10 +220,14 @@ def _part_words(part: OpenPart) -> str:
     if part.quantity == "location" and count < 3:
         across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
         return f"location {'across' if count == 2 else 'along'} {vector_words(across)}"
+    if part.quantity == "turn" and count < 3:
+        across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
+        return f"turns about {'axes across ' if count == 2 else ''}{vector_words(across)}"
     if part.quantity == "direction" and count == 1:
         return f"direction towards {vector_words(axes[:, 0])}"
     if part.quantity == "range error":
-        known = zip(("k1", "k2"), np.linalg.norm(axes, axis=1) <= WORTH_A_WORD, strict=False)
+        terms = ERRORS if part.kind == "sensor" else ("k1", "k2")
+        known = zip(terms, np.linalg.norm(axes, axis=1) <= WORTH_A_WORD, strict=False)
         return f"range error {' and '.join(name for name, enough in known if not enough)}"
     return part.quantity
 
@@ -230,5 +245,5 @@ def vector_words(axis: FloatArray) -> str:
     return "(" + ", ".join(f"{x:.2f}" for x in np.round(sign * axis, 2) + 0.0) + ")"
 
 
-def _planes(names: list[str]) -> str:
-    return f"plane{'s' if len(names) > 1 else ''} {some(names, 6)}"
+def _targets(kind: Kind, names: list[str]) -> str:
+    return f"{kind}{'s' if len(names) > 1 else ''} {some(names, 6)}"

@@ -18,13 +18,12 @@ from ..checks import require_count, require_kind
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
-from ..estimation.survey_rows import TARGETS, Item
+from ..estimation.survey_rows import Item, rays_on
 from ..model.families import FAMILIES, PLANE, POSE, bases
 from ..model.geometry import skew
-from ..model.ranges import PoseVariables, Ranges
 from ..model.sensors.fans import Rayset
 from ..model.sensors.kinds import KINDS
-from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
+from ..model.sensors.mounted import SENSOR
 from ..model.weighting import covariance_roots
 from ..results.spot_error import radius
 from ..results.survey import SurveyCalibration
@@ -266,36 +265,10 @@ def _ranges(
     values: dict[str, FloatArray], member: int, target: tuple[str, int], rays: Rayset
 ) -> tuple[FloatArray, BoolArray]:
     """Return the ranges (N, S) of rays at each candidate, and which meet the target."""
-    columns, impossible = _evaluated(values, member, target, rays, np.zeros(1), np.zeros(1))
+    seen = np.full(values[POSE.name].shape[1], target[1])
+    columns, impossible = rays_on(values, member, target[0], seen, rays, np.zeros(1), np.zeros(1))
     s = columns[-1, 0]
     return s, np.isfinite(s) & ~impossible
-
-
-def _evaluated(
-    values: dict[str, FloatArray],
-    member: int,
-    target: tuple[str, int],
-    rays: Rayset,
-    reading: FloatArray,
-    by_error: FloatArray,
-) -> tuple[FloatArray, BoolArray]:
-    n = values[POSE.name].shape[1]
-    shape = (n, len(rays.origin))
-    origin, direction = (
-        np.broadcast_to(x.T[:, None, None], (3, 1, *shape)) for x in (rays.origin, rays.direction)
-    )
-    errors = np.broadcast_to(by_error, (len(ERRORS), 1, *shape))
-    block = Ranges(
-        Mounted(np.full(n, member), origin, direction, errors),
-        TARGETS[target[0]](np.full(n, target[1])),
-        PoseVariables(np.arange(n)),
-        np.broadcast_to(reading, (1, *shape)),
-    )
-    rows = block.evaluate(values)
-    missed = np.zeros(shape, dtype=bool)
-    if rows.impossible is not None:
-        missed = np.broadcast_to(rows.impossible, (1, *shape))[0]
-    return rows.columns, missed
 
 
 def _said(
@@ -320,7 +293,8 @@ def _said(
     by_scale = np.where(np.isfinite(by_scale), by_scale, 0.0)
     flat = np.where(np.isfinite(s), s, 0.0)
     by_error = np.stack((np.ones_like(flat), flat, flat**2, -by_scale))[:, None]
-    columns, _ = _evaluated(values, member, target, rays, flat, by_error)
+    seen_by = np.full(len(flat), target[1])
+    columns, _ = rays_on(values, member, target[0], seen_by, rays, flat, by_error)
     columns = np.where(root > 0.0, columns[:, 0] * root, 0.0)  # (c, N, S)
     sensor, seen = slice(0, SENSOR.dim), FAMILIES[target[0]].dim
     place, widths = found.rows.places(), found.rows.unknown()

@@ -11,7 +11,12 @@ from ..arrays import FloatArray
 from ..data.value import Value
 from ..errors import CalibrationWarning
 from ..estimation.dense import dense_rows, unknowns_of
-from ..estimation.estimate import kept_blocks, tested_columns
+from ..estimation.estimate import (
+    information_axes,
+    kept_blocks,
+    least_information,
+    tested_columns,
+)
 from ..estimation.survey import RelationTest, SurveyEstimate
 from ..estimation.survey_rows import Rows
 from ..model.distributions import gaussian_sf
@@ -25,11 +30,10 @@ from .array_conventions import better_convention
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .spot_error import radius
+from .survey_motion import CURE_OF_A_CIRCLE, motion_of, on_one_circle, open_words
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
-ON_ONE_CIRCLE = 0.02
-"""Normals are on one circle about a direction if their spread along it is below this."""
 CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
 ANGLES = {"rx": "turn about x", "ry": "turn about y", "rz": "turn about z"}
@@ -507,11 +511,20 @@ def _warnings(
 
 def _undetermined(found: SurveyEstimate) -> Iterator[str]:
     """Yield what is undetermined in words, and why where that is known."""
+    rows, estimate = found.rows, found.estimate
+    if motion_of(rows) is not None:
+        problem, values = found.problem(), {name: x[None] for name, x in estimate.values.items()}
+        information, axes, _ = information_axes(problem, kept_blocks(problem, estimate), values)
+        null = axes[:, information < least_information(information)]
+        what, cures = open_words(rows, estimate, null)
+        yield f"{'; '.join(what)}. To determine it: {'; '.join(cures)}"
+        return
     for direction in found.estimate.undetermined:
         words = [_coordinate(found.rows, name) for name in direction.split(", ")]
         together = ", moving together" if len(words) > 1 else ""
         yield f"undetermined{together}: {some(words, NAMES_IN_LINE)}"
-    yield from _circles(found)
+    circles = on_one_circle(found.rows, found.estimate.values)
+    yield from (f"{words}; {CURE_OF_A_CIRCLE}" for words in circles)
 
 
 def _coordinate(rows: Rows, name: str) -> str:
@@ -524,26 +537,3 @@ def _coordinate(rows: Rows, name: str) -> str:
         return f"{coordinate} of the body of {rows.bodies[int(member)].of[0]}"
     words = {"n1": "tilt", "n2": "tilt"}.get(coordinate, coordinate)
     return f"{words} of {rows.targets[family][int(member)]}"
-
-
-def _circles(found: SurveyEstimate) -> Iterator[str]:
-    """Yield sensors that saw one plane whose normals, in their frame, lie on one circle."""
-    rows, stations = found.rows, found.rows.survey.stations
-    values = found.estimate.values
-    for member, shots in enumerate(rows.survey.shots):
-        own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
-        planes = {i.target for i in own}
-        if len(planes) != 1 or next(iter(planes))[0] != PLANE.name:
-            continue
-        n = values[PLANE.name][next(iter(planes))[1], :3]
-        station = [i.station for i in own]
-        X = values[SENSOR.name][member, :9].reshape(3, 3)
-        m = np.einsum("sij,i->sj", stations.world_R_hand[station], n) @ X
-        spread, axes = np.linalg.svd(m - m.mean(axis=0), full_matrices=False)[1:]
-        if spread[-1] < ON_ONE_CIRCLE * np.sqrt(len(m)):
-            axis = ", ".join(f"{x:.2f}" for x in axes[-1])
-            yield (
-                f"{shots.name} saw its plane at one angle to the direction ({axis}) of its own frame "
-                "throughout, as on a cone or in turns about one axis: its shift along it and the "
-                "offset of the plane are one number; tilt it by another angle, or add a second plane"
-            )

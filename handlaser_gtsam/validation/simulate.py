@@ -100,7 +100,7 @@ def simulate(
     InputError
         A plane or beam is left without readings, or k1 and k2 leave no reading for a range.
     """
-    readings, x = predicted_readings(truth, _disturbed(stations, errors, rng))
+    readings, x = predicted_readings(truth, disturbed(stations, errors, rng))
     d = readings.distance + errors.range_sigma * rng.standard_normal(len(readings))
     sensor = sensor or Sensor()
     steep = np.abs(model.cosines(x)) >= np.cos(sensor.max_incidence)
@@ -162,7 +162,7 @@ def plane_name(index: int) -> str:
     return chr(ord("A") + letter) + (str(lap) if lap else "")
 
 
-def _disturbed(stations: Stations, errors: Errors, rng: np.random.Generator) -> Stations:
+def disturbed(stations: Stations, errors: Errors, rng: np.random.Generator) -> Stations:
     """Return where the hand really is."""
     count, R = len(stations), stations.world_R_hand
     turn, shift = np.zeros((count, 3)), np.zeros((count, 3))

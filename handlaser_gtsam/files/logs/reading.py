@@ -89,17 +89,19 @@ def describe_log(
         return assembled(stations, given, sensor, range_sigma)
 
 
-def is_log(path: Path, given: LogFormat) -> bool:
+def is_log(path: Path, given: LogFormat, *, readings: bool = True) -> bool:
     """Tell whether a file is read as a log: where anything is stated, or it is no CSV file.
 
     A file without the columns that are stated, but with the header of a recording, is a recording all
-    the same: what `convert` has written is calibrated with the rig file of the log.
+    the same: what `convert` has written is calibrated with the rig file of the log. Without `readings`
+    it has poses only, as of a survey.
     """
     foreign = is_bag(path) or path.suffix.lower() in FOREIGN
-    return foreign or (given.stated and not _is_recording(path, given))
+    readings = readings and given.readings is None
+    return foreign or (given.stated and not _is_recording(path, given, readings=readings))
 
 
-def _is_recording(path: Path, given: LogFormat) -> bool:
+def _is_recording(path: Path, given: LogFormat, *, readings: bool) -> bool:
     """Tell whether a file has the header of a recording, and not the columns that are stated."""
     if not path.is_file():  # a pipe can be read only once
         return False
@@ -111,7 +113,7 @@ def _is_recording(path: Path, given: LogFormat) -> bool:
     if not names.issuperset(("plane", *POSE)):
         return False
     try:
-        columns_of(table, given, readings=given.readings is None)
+        columns_of(table, given, readings=readings)
     except InputError:
         return True
     return False

@@ -143,13 +143,37 @@ def refuse_wrong_convention(
         return replace(recording, world_R_hand=R, world_t_hand=t)
 
     part = replace(under(convention, given.inverted, part), warnings=())
-    found = _better(part, list(_alternatives(numbers, under, given)))
+    found = _better(part, list(alternatives(numbers, under, given)))
     if found is None:
         return ()
-    ratio, words = found
+    return accused(*found, given, path, f", ranges in {given.range_units}")
+
+
+def accused(
+    ratio: float, words: str, given: LogFormat, path: Path, more: str = ""
+) -> tuple[CalibrationWarning, ...]:
+    """Refuse a log whose readings fit much better in another way; warn where it is less.
+
+    Parameters
+    ----------
+    ratio : float
+        How many times smaller squared residuals are.
+    words : str
+        The other way.
+    given : LogFormat
+        How it is read.
+    path : Path
+    more : str
+        What else is stated of it.
+
+    Raises
+    ------
+    InputError
+        It fits so, and is not to be read `as_stated` in any case.
+    """
+    convention = convention_of(given)
     times = float(min(np.sqrt(ratio), 1e6))
-    stated = f"{convention.words}{', inverted' if given.inverted else ''}, ranges in "
-    stated += given.range_units
+    stated = f"{convention.words}{', inverted' if given.inverted else ''}{more}"
     message = f"the readings fit {times:.3g} times better if {words}"
     if ratio >= MUCH_BETTER and not given.as_stated:
         found_so = f"poses that do not fit as {stated}; {message}"
@@ -204,7 +228,7 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
     return float(best**2) / max(readings.spread() ** 2, 1e-300)
 
 
-def _alternatives(
+def alternatives(
     numbers: FloatArray,
     under: Callable[[Convention, bool, Recording], Recording],
     given: LogFormat,

@@ -47,6 +47,9 @@ SECTIONS = {
     "made": "How it was made",
 }
 """The sections of the page in their order, each with its name in the list of links."""
+LIVE_SECTIONS = {"verdict": "", "next": "Next stations", "mounts": "Mounts", "targets": "Targets"}
+LIVE_SECTIONS |= SECTIONS
+"""Those of a live page, which shows surveys, too: what a report does not have stays empty there."""
 
 
 def write_report(
@@ -139,10 +142,10 @@ def live_page() -> tuple[str, str, str]:
     """
     from plotly.offline import get_plotlyjs
 
-    script, empty = script_of("page.js", "live.js"), dict.fromkeys(SECTIONS, "")
+    script, empty = script_of("page.js", "live.js"), dict.fromkeys(LIVE_SECTIONS, "")
 
     def page(name: str) -> str:
-        return page_of("handlaser watch", empty, {}, script=script, live=name)
+        return page_of("handlaser watch", empty, {}, script=script, live=name, labels=LIVE_SECTIONS)
 
     name = hashlib.sha256(page("-").encode()).hexdigest()[:16]
     policy = "; ".join(

@@ -62,6 +62,8 @@ class Geometry:
     hands : (M, 4, 3)
         Origin of the hand and the ends of its x, y and z axis [mm].
     hand_names : tuple of str
+    mount : str
+        What is said before the name of each beam; empty where names say it themselves.
     """
 
     frame: str
@@ -69,6 +71,11 @@ class Geometry:
     beams: tuple[Segments, ...]
     hands: FloatArray
     hand_names: tuple[str, ...]
+    mount: str = "beam"
+
+    def words(self, name: str) -> str:
+        """Return what a beam is called in a picture."""
+        return f"{self.mount} {label(name)}".lstrip()
 
     @property
     def points(self) -> FloatArray:
@@ -125,7 +132,7 @@ def of_hand(names: tuple[str, ...], beams: Beams, reach: FloatArray) -> Geometry
     length = 4.0 * AXIS_SIZE * max(float(extent.max()), 1.0)
     hand = np.concatenate((np.zeros((1, 3)), length * np.eye(3)))
     drawn = zip(names, ends[:, None], ((f"beam {short(name)}",) for name in names), strict=True)
-    return Geometry("hand", (), tuple(drawn), hand[None], ("the hand",))
+    return Geometry("hand", (), tuple(drawn), hand[None], ("hand",))
 
 
 def _beams(subject: Subject, rows: ReadingRows) -> tuple[Segments, ...]:
@@ -175,7 +182,8 @@ def scene_figure(geometry: Geometry) -> Figure:
     """Return a picture in space that can be turned."""
     traces: list[Record] = [_plane(name, corners) for name, corners in geometry.planes]
     for index, (name, segments, words) in enumerate(geometry.beams):
-        traces += _beam(name, segments, words, colour(index, len(geometry.beams)))
+        called, shade = geometry.words(name), colour(index, len(geometry.beams))
+        traces += _beam(name, called, segments, words, shade)
     traces += _hands(geometry)
     sides: Record = {}
     for name in "xyz":
@@ -238,9 +246,11 @@ def _plane(name: str, corners: FloatArray) -> Record:
     }
 
 
-def _beam(name: str, segments: FloatArray, words: tuple[str, ...], shade: str) -> Iterator[Record]:
+def _beam(
+    name: str, called: str, segments: FloatArray, words: tuple[str, ...], shade: str
+) -> Iterator[Record]:
     """Yield the lines of a beam and its spots."""
-    shared: Record = {"type": "scatter3d", "legendgroup": name, "name": f"beam {label(name)}"}
+    shared: Record = {"type": "scatter3d", "legendgroup": name, "name": called}
     yield shared | {
         "mode": "lines",
         **_lines(segments),
@@ -280,7 +290,7 @@ def _hands(geometry: Geometry) -> Iterator[Record]:
         "marker": {"color": INK, "size": 2},
         "hovertemplate": "hand at %{text}<extra></extra>"
         if geometry.frame == "world"
-        else "hand<extra></extra>",
+        else "%{text}<extra></extra>",
         "showlegend": False,
     }
 
@@ -351,7 +361,7 @@ def _key(geometry: Geometry) -> Iterable[str]:
     for index, (name, _, _) in enumerate(geometry.beams):
         y, shade = 18 + MARGIN * index, colour(index, len(geometry.beams))
         yield f'<circle cx="12" cy="{y}" r="6" fill="{shade}"/>'
-        words = f"beam {label(name)}"
+        words = geometry.words(name)
         yield f'<text x="26" y="{y + 6}" font-size="{2 * MARGIN // 3}" fill="{INK}">{words}</text>'
 
 

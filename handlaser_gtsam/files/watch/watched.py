@@ -9,12 +9,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ...data.survey import Survey
 from ...errors import InputError
 from ...estimation.options import CalibrationOptions
 from ..logs.bags import BAGS, METADATA
 from ..logs.report import LogReport
 from ..logs.tables import BOOKS
-from ..rig_reading import read_with
+from ..rig_reading import read_any_kind
 from ..rig_toml import Rig
 from ..writing import path_of
 
@@ -141,20 +142,20 @@ def file_content(path: Path) -> FileContent:
 
 def read_contents(
     parts: Sequence[FileContent], rests: Sequence[bytes], rig: Rig
-) -> tuple[LogReport, Rig]:
+) -> Survey | tuple[LogReport, Rig]:
     """Read what the lines of the files hold, and rests after them; faults name the files themselves.
 
     Parameters
     ----------
     parts : sequence of FileContent
-        The recording or log, and the files beside it that its format names.
+        The recording or log, and the files beside it: of its format, and tables of points.
     rests : sequence of bytes
     rig : Rig
 
     Raises
     ------
     InputError
-        As `read_with`.
+        As `read_any_kind`.
     """
     with tempfile.TemporaryDirectory(prefix="handlaser-") as folder:
         copies = {}
@@ -169,8 +170,9 @@ def read_contents(
             readings=there.get(rig.log.readings),  # type: ignore[arg-type]  # None is none
             plane_file=there.get(rig.log.plane_file),  # type: ignore[arg-type]
         )
+        survey = None if rig.survey is None else rig.survey.reading_from(there)
         try:
-            return read_with(replace(rig, log=log), next(iter(copies)))
+            return read_any_kind(replace(rig, log=log, survey=survey), next(iter(copies)))
         except InputError as error:
             place = None if error.path is None else copies.get(error.path, error.path)
             found = InputError(error.found, error.expected, place, error.line, error.column)

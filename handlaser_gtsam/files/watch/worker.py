@@ -12,14 +12,20 @@ from multiprocessing import connection, parent_process
 from multiprocessing.connection import Connection
 from pathlib import Path
 
+from ...data.survey import Survey
 from ...errors import HandlaserError, InputError
+from ...estimation.options import CalibrationOptions
 from ...pipeline import calibrate
+from ...results.survey import survey_limits
 from ...text import printable
 from ..logs.report import LogReport
+from ..report.figure import Figure
 from ..report.options import ReportOptions
-from ..report.page import content_of
-from ..report.subject import Subject, subject_of
+from ..report.page import LIVE_SECTIONS, content_of, safe_json
+from ..report.subject import subject_of
+from ..report.survey import survey_content
 from ..rig_toml import Rig, known_rig
+from ..survey_json import survey_text
 from .watched import FileContent, Watched, content, file_content, read_contents
 
 
@@ -72,6 +78,7 @@ class Calibrator:
             self._last = None
             return FileAnswer(error=str(error))
         beside = tuple(path for path in rig.log.files if path is not None)
+        beside += () if rig.survey is None else rig.survey.files
         return replace(self._of_files(rig, mark, beside, settled), beside=beside)
 
     def _rig(self) -> tuple[Rig, bytes]:
@@ -116,15 +123,17 @@ class Calibrator:
         try:
             try:
                 note = ""
-                report, rig = read_contents(parts, rests, rig)
+                read = read_contents(parts, rests, rig)
             except InputError as error:
                 if not any(rest.strip() for rest in rests) or first.rows() <= heads:
                     raise
-                (report, rig), note = (
+                read, note = (
                     read_contents(parts, [b""] * len(parts), rig),
                     f"not used: {error}",
                 )
-            return FileAnswer(self._messages(report, rig), note=note)
+            if isinstance(read, Survey):
+                return FileAnswer(self._of_survey(read, rig), note=note)
+            return FileAnswer(self._messages(*read), note=note)
         except HandlaserError as error:
             return FileAnswer(error=printable(str(error)))
         except Exception as error:  # the page goes on with the next station
@@ -136,16 +145,29 @@ class Calibrator:
         options = replace(self._watched.options, sensor=rig.sensor)
         calibration = calibrate(report.recording, rig.noise, options)
         subject = subject_of(calibration, ReportOptions(rig, self._watched.reading))
-        return messages_of(subject)
+        return messages_of(subject.opening, *content_of(subject))
+
+    def _of_survey(self, survey: Survey, rig: Rig) -> Mapping[str, str]:
+        plain = CalibrationOptions(sensor=self._watched.options.sensor)
+        if (self._watched.options, self._watched.reading) != (plain, None):
+            stated = "options of how beams before planes are calibrated, with a survey"
+            raise InputError(stated, "none of them")
+        found = calibrate(survey, rig.noise)
+        source, checks = self._watched.recording.name, survey_limits(found, rig.limits)
+        opening, sections, figures = survey_content(found, survey, source, checks=checks)
+        empty = dict.fromkeys(LIVE_SECTIONS, "")
+        result = safe_json(json.loads(survey_text(found)))
+        return messages_of(opening, empty | sections, figures, result)
 
 
-def messages_of(subject: Subject) -> dict[str, str]:
+def messages_of(
+    opening: str, sections: Mapping[str, str], figures: Mapping[str, Figure], result: str
+) -> dict[str, str]:
     """Return messages by topic, each one line: an event's name, and after a colon what it is about.
 
     Sections are HTML that the templates of the report have escaped; figures escape names as plotly.js
     wants it. What has not changed is the same text, and is sent to nobody again.
     """
-    sections, figures, result = content_of(subject)
     found = {
         f"figure:{name}": _line({"name": name, "figure": figure.json()})
         for name, figure in figures.items()
@@ -155,7 +177,7 @@ def messages_of(subject: Subject) -> dict[str, str]:
     }
     found["result"] = result or "null"
     digest = hashlib.sha256("\n".join(found.values()).encode()).hexdigest()
-    return found | {"state": _line({"opening": subject.opening, "digest": digest})}
+    return found | {"state": _line({"opening": opening, "digest": digest})}
 
 
 def _line(value: object) -> str:

@@ -1,0 +1,96 @@
+"""What `simulate` does with a rig file: a survey with its sensors."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import InputError
+from ..quantities import MM
+from ..text import shown
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..files.study_toml import SceneTable
+
+
+def simulated_survey(
+    rig: Path, labels: Sequence[str], beams: int, table: "SceneTable", rng: "np.random.Generator"
+) -> tuple[tuple[str, ...], Callable[[Path], None]]:
+    """Return the files of a survey with the sensors of a rig file, and what writes them to a folder.
+
+    Parameters
+    ----------
+    rig : Path
+    labels : sequence of str
+        Of the targets.
+    beams : int
+        Single beams beside the sensors.
+    table : SceneTable
+        Stations, range errors and noise; what it does not state of noise is as the rig file has it.
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    InputError
+        A rig file without sensors, or with relations; or names of files that are not different.
+    """
+    from ..files.rig_survey import directions_of
+    from ..files.rig_toml import read_rig
+    from ..files.survey_writing import table_names, write_simulated
+    from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene
+    from ..validation.survey_simulate import simulate_survey
+
+    known = read_rig(rig)
+    if known.survey is None or not known.survey.sensors:
+        raise InputError("no table [[sensors]]", "one for each sensor to simulate", rig)
+    unused: dict[str, object] = {"[[known]]": known.survey.known}
+    unused["pose_covariance"] = known.noise.pose_covariance is not None
+    for name, stated in unused.items():
+        if stated:
+            raise InputError(f"{name}, which is not simulated", "a rig file without it", rig)
+    names = ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma")
+    given = {name: getattr(known.noise, name) for name in names}
+    usual = replace(SURVEY_ERRORS, **{name: x for name, x in given.items() if x is not None})
+    errors = table.errors(usual)
+    sensor = known.sensor
+    bounded = math.isfinite(sensor.range_max)
+    working = 0.5 * (max(sensor.range_min, 0.0) + sensor.range_max) if bounded else WORKING
+    tables = known.survey.sensors
+    files = table_names(tables)
+    for one in tables:
+        if Path(one.name).name != one.name:
+            raise InputError(f"a sensor called {shown(one.name)}", "the name of a file", rig)
+    if len(set(files)) < len(files):
+        raise InputError("sensors whose tables would be one file", "other names of sensors", rig)
+    zones = {
+        one.name: directions_of(known.survey.folder / str(one.zones))
+        for one in tables
+        if one.kind == "array"
+    }
+    fans = [
+        fan_of(
+            one.name,
+            one.kind,
+            working,
+            zones.get(one.name),
+            sigma=None if one.sigma_mm is None else one.sigma_mm * MM,
+            sigma_across=one.sigma_across_mm * MM,
+            free=one.free,
+        )
+        for one in tables
+    ]
+    truth, stations = survey_scene(fans, beams, labels, table.stations, rng, working)
+    truth = replace(truth, range_error=(table.k1, table.k2_per_m))
+    survey = simulate_survey(truth, stations, fans, errors, rng)
+
+    noise = errors.stated()
+    if not beams:  # a range sigma is that of single beams
+        noise = replace(noise, range_sigma=None)
+
+    def write(folder: Path) -> None:
+        write_simulated(folder, survey, truth, tables, zones, noise, sensor)
+
+    return tuple(files), write

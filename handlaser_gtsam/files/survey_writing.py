@@ -1,0 +1,147 @@
+"""Simulated surveys as files: stations, tables of points, zones, a rig file, and what is true."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from ..arrays import FloatArray
+from ..data.noise import Noise
+from ..data.survey import Shots, Survey, kind_of
+from ..model.families import FAMILIES, PLANE
+from ..model.sensor import Sensor
+from ..model.sensors.kinds import KINDS
+from ..quantities import IN_DEG, IN_MM
+from ..validation.survey_simulate import SurveyTruth
+from .json_text import Record, json_text
+from .points_table import COLUMNS
+from .recording_csv import PREFIX, station_columns
+from .rig_survey import SensorTable
+from .rig_toml import write_rig
+from .writing import write_text
+
+STATIONS_WRITTEN, RIG_WRITTEN, TRUTH_WRITTEN = "stations.csv", "rig.toml", "truth.json"
+DIGITS = 5
+"""Decimals of millimetres and degrees in tables of points: below the noise of any sensor."""
+
+
+def table_names(tables: Sequence[SensorTable]) -> list[str]:
+    """Return the names of all files that a survey of these sensors is written to."""
+    zones = [_zones(table) for table in tables if table.kind == "array"]
+    return [STATIONS_WRITTEN, *map(_points, tables), *zones, RIG_WRITTEN, TRUTH_WRITTEN]
+
+
+def write_simulated(
+    folder: Path,
+    survey: Survey,
+    truth: SurveyTruth,
+    tables: Sequence[SensorTable],
+    zones: dict[str, FloatArray],
+    noise: Noise,
+    sensor: Sensor,
+) -> None:
+    """Write a simulated survey as `calibrate` reads it, and what is true beside it.
+
+    Parameters
+    ----------
+    folder : Path
+    survey : Survey
+    truth : SurveyTruth
+    tables : sequence of SensorTable
+        How its sensors are described in the rig file.
+    zones : mapping of name to (n, 3)
+        Directions of the zones of arrays.
+    noise : Noise
+        As the rig file states it.
+    sensor : Sensor
+        Of the beams.
+
+    Raises
+    ------
+    InputError
+        A file that cannot be written.
+    """
+    stations = station_columns(survey.stations)
+    if survey.ranges is not None:
+        names = [PREFIX + beam for beam in survey.beam_names]
+        ranges = pl.DataFrame(survey.ranges, schema=names, orient="row").fill_nan(None)
+        stations = stations.hstack(ranges)
+    write_text(folder / STATIONS_WRITTEN, stations.write_csv())
+    for table, shots in zip(tables, survey.shots, strict=True):
+        stops = survey.stations.station_names
+        columns = _columns(table, shots, zones.get(table.name)).round(DIGITS)
+        content = pl.DataFrame({"station": [stops[j] for j in shots.station.tolist()]}).hstack(
+            pl.DataFrame(columns, schema=list(COLUMNS[table.kind]), orient="row")
+        )
+        if table.kind == "array":
+            content = content.with_columns(pl.col("zone").cast(pl.Int64))
+        write_text(folder / _points(table), content.write_csv())
+        if table.kind == "array":
+            u = pl.DataFrame(zones[table.name], schema=["x", "y", "z"], orient="row")
+            content = u.with_row_index("zone")
+            write_text(folder / _zones(table), content.write_csv())
+    write_rig(folder / RIG_WRITTEN, noise, sensor, "".join(map(_sensor_text, tables)))
+    write_text(folder / TRUTH_WRITTEN, json_text("survey-truth", _truth(truth)))
+
+
+def _points(table: SensorTable) -> str:
+    return f"{table.name}.csv"
+
+
+def _zones(table: SensorTable) -> str:
+    return f"{table.name}-zones.csv"
+
+
+def _columns(table: SensorTable, shots: Shots, zones: FloatArray | None) -> FloatArray:
+    """Return the numbers (N, c) of a table of points, in millimetres and degrees."""
+    d = shots.reading[:, None] * IN_MM
+    if table.kind == "profiler":
+        return np.hstack((shots.across * IN_MM, d))
+    if table.kind == "scanner":
+        return np.hstack((shots.across * IN_DEG, d))
+    if table.kind == "points":
+        return np.asarray(d * KINDS[table.kind].rays(shots.across).direction)
+    assert zones is not None
+    u = zones / np.linalg.norm(zones, axis=1)[:, None]
+    zone = (shots.across @ u.T).argmax(axis=1)
+    along = shots.across[:, 2:] if table.convention == "perpendicular" else 1.0
+    return np.column_stack((zone, d * along))
+
+
+def _sensor_text(table: SensorTable) -> str:
+    """Return a row of [[sensors]]: what was stated, in millimetres and degrees, with its own files."""
+    fields: dict[str, object] = {"name": table.name, "kind": table.kind, "points": _points(table)}
+    if table.kind == "array":
+        fields |= {"zones": _zones(table), "convention": table.convention}
+    if table.sigma_mm is not None:
+        fields["sigma_mm"] = table.sigma_mm
+    if table.sigma_across_mm:
+        fields["sigma_across_mm"] = table.sigma_across_mm
+    if table.free:
+        fields["free"] = list(table.free)
+    lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
+    return "\n".join(["", "[[sensors]]", *lines, ""])
+
+
+def _truth(truth: SurveyTruth) -> Record:
+    k1, k2 = truth.range_error
+    targets = []
+    for label, x in truth.targets.items():
+        family = kind_of(label)
+        names = ("nx", "ny", "nz", "b") if family == PLANE.name else FAMILIES[family].coordinates
+        values = dict(zip(names, x.tolist(), strict=True))
+        targets.append({"label": label, "kind": family, "values": values})
+    return {
+        "sensors": [
+            {"name": name, "rotation": T[:3, :3], "location_m": T[:3, 3]}
+            for name, T in truth.mounts.items()
+        ],
+        "beams": [
+            {"name": name, "location_m": x[:3], "direction": x[3:]}
+            for name, x in truth.beams.items()
+        ],
+        "targets": targets,
+        "range_error": {"k1": k1, "k2": k2},
+    }

@@ -1,0 +1,218 @@
+"""What a survey holds, and what its motion can determine, before sizes of noise are learned.
+
+Readings only say where the targets are, up to what most shots agree on: whether stations lie on a cone
+depends on that. Rank and directions follow from the rows there, with noise as stated, else as shots
+show it inside, and with errors of the hand as are usual.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..data.noise import Noise
+from ..data.survey import Known, Survey, normal_label
+from ..data.value import Value
+from ..errors import InputError
+from ..estimation.estimate import Estimate, information_axes, judged, least_information
+from ..estimation.survey import GROSS, first_state, misfits
+from ..estimation.survey_rows import Rows, rows_of
+from ..model.families import BEAM
+from ..model.sensors.mounted import ERRORS, SENSOR
+from ..observability.motion import PlaneMotion, motion_before
+from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
+from ..text import count
+from .survey_motion import CURE_OF_A_CIRCLE, open_words
+
+NOT_OF_MOTION = frozenset((*ERRORS, "k1", "k2"))
+"""Coordinates that do not count among the unknowns that a motion has to determine."""
+NEAR_THE_HAND = 10.0
+"""Mounts are held to the hand to this many typical ranges (1 sigma), which hides nothing."""
+ANY_TURN = 1e3
+"""Standard deviation [rad] of turns that says nothing of them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SensorHeld(Value):
+    """What a survey holds of a sensor or a beam, and how well it would be known.
+
+    Attributes
+    ----------
+    name, kind : str
+        Kind of the sensor, or "beam".
+    shots, points, on_target : int
+        Readings of a beam count as shots; points that belong to the shape of their target.
+    lost : int
+        Shots with too few points on their target.
+    location_sigma, rotation_sigma : float
+        Largest standard deviations of a coordinate in the hand [m], and of a turn [rad]; infinite where
+        it is undetermined.
+    """
+
+    name: str
+    kind: str
+    shots: int
+    points: int
+    on_target: int
+    lost: int
+    location_sigma: float
+    rotation_sigma: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SurveyCheck(Value):
+    """What a survey holds and determines.
+
+    Attributes
+    ----------
+    sensors : tuple of SensorHeld
+    targets : tuple of PlaneMotion
+    numbers, unknowns : int
+        What all shots say, and what is to be found, without range errors.
+    undetermined : tuple of str
+        In words.
+    exactly : bool
+        Whether all of it is undetermined whatever the noise is; else some, or all, at this noise only.
+    advice : tuple of str
+        What would determine it.
+    misfit : float
+        Typical misfit of a shot in standard deviations; NaN where no start was found.
+    """
+
+    sensors: tuple[SensorHeld, ...]
+    targets: tuple[PlaneMotion, ...]
+    numbers: int
+    unknowns: int
+    undetermined: tuple[str, ...]
+    exactly: bool
+    advice: tuple[str, ...]
+    misfit: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether most shots fit where the motion was judged."""
+        return not self.misfit > GROSS
+
+
+def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
+    """Say what a survey holds, and what its motion leaves undetermined.
+
+    Raises
+    ------
+    InputError
+        No shot has enough points on its target.
+    """
+    rows = rows_of(survey)
+    targets = tuple(_targets(rows))
+    numbers = sum(1 if item.shot is None else len(item.shot.reading) for item in rows.items)
+    numbers += 2 * sum(item.target[0] == "point" for item in rows.items)
+    names = rows.places().names
+    unknowns = sum(name.rpartition(".")[2] not in NOT_OF_MOTION for name in names)
+    # A search wanders along what is undetermined by metres, at no cost, and derivatives with it.
+    whose = [f"sensor:{one.name}" for one in survey.shots]
+    whose += [f"beam:{name}" for name in survey.beam_names]
+    near = NEAR_THE_HAND * rows.length
+    holds = [
+        Known("mount", (one,), sigma=near, sigma_angle=ANY_TURN, pose=np.eye(4)) for one in whose
+    ]
+    try:
+        state, _, _ = first_state(replace(rows, known=(*rows.known, *holds)), noise or Noise())
+    except InputError as error:
+        if not rows.items:
+            raise
+        said = ((error.found,), True, (error.expected,), np.nan)
+        return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
+    state = replace(state, relations=[one for one in state.relations if one[0] not in holds])
+    problem, _ = state.problem()
+    information, axes, _ = information_axes(problem, problem.blocks, state.values)
+    exact = information < NEGLIGIBLE**2 * information.max()
+    weak = ~exact & (information < least_information(information))
+    found = judged(problem, problem.blocks, dict(state.values))
+    undetermined, advice = open_words(state.rows, found, axes[:, exact | weak])
+    if numbers < unknowns:
+        advice = (*advice, "measure at more stations")
+    return SurveyCheck(
+        tuple(_held(rows, found)),
+        targets,
+        numbers,
+        unknowns,
+        undetermined,
+        # On a cone, only the noise in the tilt of the target makes it look determined.
+        not weak.any() or CURE_OF_A_CIRCLE in advice,
+        advice,
+        float(np.median(misfits(state))),
+    )
+
+
+def _held(rows: Rows, found: Estimate | None) -> Iterator[SensorHeld]:
+    """Yield what there is of each sensor and beam."""
+    survey = rows.survey
+    entities = [(SENSOR.name, i, one.name, str(one.kind)) for i, one in enumerate(survey.shots)]
+    entities += [(BEAM.name, i, name, BEAM.name) for i, name in enumerate(survey.beam_names)]
+    for family, member, name, kind in entities:
+        own = [item for item in rows.items if (item.family, item.member) == (family, member)]
+        points = len(survey.shots[member].reading) if family == SENSOR.name else len(own)
+        on_target = sum(1 if item.points is None else len(item.points) for item in own)
+        lost = sum(family == SENSOR.name and i == member for i, _ in rows.lost)
+        shots = len({item.station for item in own}) + lost
+        shift = turn = np.inf
+        if found is not None and own:
+            C = found.marginal(family, member)
+            if family == SENSOR.name:
+                R = found.values[family][member, :9].reshape(3, 3)
+                C = C[:6, :6]
+                C = np.block(
+                    [[R @ C[3:, 3:] @ R.T, np.zeros((3, 3))], [np.zeros((3, 3)), C[:3, :3]]]
+                )
+            sigma = np.nan_to_num(np.sqrt(np.diagonal(C)[:6]), nan=np.inf)
+            shift, turn = float(sigma[:3].max()), float(sigma[3 : 6 if kind != "beam" else 5].max())
+        yield SensorHeld(name, kind, shots, points, on_target, lost, shift, turn)
+
+
+def _targets(rows: Rows) -> Iterator[PlaneMotion]:
+    """Yield the motion before each target that was read."""
+    survey, of = rows.survey, rows.survey.stations
+    labels = np.array([normal_label(label) for label in of.plane_labels])
+    entities = [(SENSOR.name, i) for i in range(len(survey.shots))]
+    entities += [(BEAM.name, i) for i in range(len(survey.beam_names))]
+    for label in dict.fromkeys(labels[sorted({item.station for item in rows.items})].tolist()):
+        at = np.flatnonzero(labels == label)
+        read = {(i.family, i.member, i.station) for i in rows.items if labels[i.station] == label}
+        counts = [sum(key[:2] == entity for key in read) for entity in entities]
+        names = [of.station_names[j] for j in at]
+        yield motion_before(
+            label, of.world_R_hand[at], of.world_t_hand[at], names, np.array(counts)
+        )
+
+
+def check_lines(check: SurveyCheck) -> Iterator[str]:
+    """Yield what a check says, a line a sensor and a target."""
+    for one in check.sensors:
+        words = f"{one.kind} {one.name}: {one.shots} "
+        words += "readings" if one.kind == BEAM.name else "shots"
+        if one.kind != BEAM.name:
+            words += f" of {one.points} points, {one.on_target} of them on their target"
+        words += f", {one.lost} with too few there" if one.lost else ""
+        if np.isfinite(one.location_sigma):
+            sigmas = (
+                f"{one.location_sigma * IN_MM:.2g} mm and {one.rotation_sigma * IN_DEG:.2g} deg"
+            )
+            words += f"; to be known to {sigmas} (1 sigma)"
+        yield words
+    names = [one.name for one in check.sensors]
+    for target in check.targets:
+        unread = [name for name, n in zip(names, target.readings, strict=True) if n == 0]
+        words = f"{count(target.orientations, 'orientation')}, turns about "
+        words += "1 axis" if target.axes == 1 else f"{target.axes} axes"
+        words += f"; not read by {', '.join(unread)}" if unread else ""
+        yield f"{target.name}, {count(target.stations, 'station')}: {words}"
+    yield (
+        f"{check.numbers} numbers that shots say for {check.unknowns} unknowns, without range errors"
+    )
+    if not check.fits:
+        yield (
+            f"most shots do not fit each other (by {check.misfit:.2g} standard deviations): is the "
+            "pose format right, and are labels? What follows is judged where they fit best"
+        )
+    if not check.undetermined:
+        yield "the motion determines everything before the targets that there are"

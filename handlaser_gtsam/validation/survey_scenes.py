@@ -1,0 +1,217 @@
+"""Scenes of surveys to simulate: where sensors sit, where targets stand, and from where hands look.
+
+Nothing is planned: hands look at each target in turns with all sensors and beams, from directions and
+with turns about their line of sight that are drawn. That determines everything.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..checks import require_count
+from ..data.station_list import StationList
+from ..data.survey import Shots, kind_of, normal_label
+from ..errors import InputError
+from ..estimation.survey_rows import AIMING_SIGMA
+from ..model.families import PLANE, bases
+from ..model.sensors.kinds import KINDS
+from ..model.targets.point import POINT
+from ..model.targets.sphere import SPHERE
+from .simulate import Errors
+from .survey_simulate import SurveyTruth
+
+STEEPEST_LOOK = np.radians(40.0)
+"""Hands look at planes at angles of incidence up to that."""
+SPREAD = np.radians(30.0)
+"""Planes lean up to that from the vertical of the scene, and hands look at spheres and points from
+directions up to twice that from it."""
+SPINS = np.radians(90.0)
+"""Hands turn up to that about their line of sight, to either side."""
+BASE = np.array([0.6, 0.1, 0.4])
+"""About where targets stand [m], world frame: before a robot, and not at the origin."""
+SURVEY_ERRORS = Errors(5e-5, 5e-5, np.radians(0.01))
+"""What a survey errs by where nothing else is said: a triangulation sensor on an industrial arm."""
+WORKING = 0.2
+"""Working distance where the rig file states no range of the sensor [m]: as many profilers have."""
+PROFILE = 0.15
+"""A profile reaches so far to either side, in parts of the working distance."""
+FAN, CONE = np.radians(15.0), np.radians(12.0)
+"""Half of the fields of view of a scan, and of the points of a camera."""
+POINTS_OF_LINE, POINTS_OF_SIDE = 121, 15
+"""Rays of a profile or a scan, and of each side of a camera: more say little more."""
+
+
+def fan_of(
+    name: str,
+    kind: str,
+    working: float,
+    zones: FloatArray | None = None,
+    **noise: Any,
+) -> Shots:
+    """Return the rays of a sensor as one shot at its working distance, for `simulate_survey`.
+
+    Parameters
+    ----------
+    name, kind : str
+    working : float
+        [m]
+    zones : (n, 3), optional
+        Directions of the zones of an array.
+    noise
+        `sigma`, `sigma_across` and `free` of `Shots`.
+    """
+    line = np.linspace(-1.0, 1.0, POINTS_OF_LINE)
+    if kind == "profiler":
+        x = PROFILE * working * line
+        return Shots.profiler(name, np.zeros(len(x), np.intp), x, np.full(len(x), working), **noise)
+    if kind == "scanner":
+        a = FAN * line
+        return Shots.scanner(name, np.zeros(len(a), np.intp), a, np.full(len(a), working), **noise)
+    u = zones
+    if u is None:
+        side = np.tan(CONE) * np.linspace(-1.0, 1.0, POINTS_OF_SIDE)
+        x, y = (one.ravel() for one in np.meshgrid(side, side))
+        u = np.column_stack((x, y, np.ones_like(x)))
+    u = u / np.linalg.norm(u, axis=1)[:, None]
+    station = np.zeros(len(u), np.intp)
+    if kind == "array":
+        return Shots.array(name, station, u, np.full(len(u), working), **noise)
+    return Shots.points(name, station, working * u, **noise)
+
+
+def survey_scene(
+    fans: Sequence[Shots],
+    beams: int,
+    labels: Sequence[str],
+    count: int,
+    rng: np.random.Generator,
+    working: float,
+) -> tuple[SurveyTruth, StationList]:
+    """Draw mounts, targets, and hand poses from which sensors and beams look at them in turns.
+
+    Parameters
+    ----------
+    fans : sequence of Shots
+        As of `simulate_survey`.
+    beams : int
+        Single beams.
+    labels : sequence of str
+        Targets with their kinds; points are for beams.
+    count : int
+        Stations before each target.
+    rng : numpy.random.Generator
+    working : float
+        Working distance [m].
+
+    Raises
+    ------
+    InputError
+        A point without a beam to aim at it, or a groove.
+    """
+    require_count("stations", count, 1, 1000)
+    labels = [normal_label(label) for label in dict.fromkeys(labels)]
+    for label in labels:
+        if kind_of(label) == "groove" or (kind_of(label) == "point" and not beams):
+            expected = "planes, spheres, and points with --beams to aim at them"
+            raise InputError(f"the target {label}", expected)
+    lines = [_middle(fan) for fan in fans] + [(np.zeros(3), np.array([0.0, 0.0, 1.0]))] * beams
+    mounts = [_mount(u, working, rng) for _, u in lines]
+    wide = [float(_width(fan).max()) * working for fan in fans]
+    radius = 0.8 * max(wide, default=0.3 * working)
+    targets = {label: _target(label, radius, working, rng) for label in labels}
+    R, t, names = [], [], []
+    for label in labels:
+        of_beams = kind_of(label) == "point"
+        viewers = range(len(fans) if of_beams else 0, len(lines))
+        for k in range(count):
+            i = viewers[k % len(viewers)]
+            pose = _looking(label, targets[label], lines[i], mounts[i], working, rng)
+            R.append(pose[0])
+            t.append(pose[1])
+            names.append(label)
+    truth = SurveyTruth(
+        {fan.name: T for fan, T in zip(fans, mounts, strict=False)},
+        {
+            str(i + 1): np.concatenate((T[:3, 3], T[:3, 2]))
+            for i, T in enumerate(mounts[len(fans) :])
+        },
+        targets,
+    )
+    return truth, StationList(np.array(R), np.array(t), tuple(names))
+
+
+def _middle(fan: Shots) -> tuple[FloatArray, FloatArray]:
+    """Return origin and direction of the ray in the middle of a sensor, in its frame."""
+    rays = KINDS[fan.kind].rays(fan.across)
+    u = rays.direction.mean(axis=0)
+    return rays.origin.mean(axis=0), u / np.linalg.norm(u)
+
+
+def _width(fan: Shots) -> FloatArray:
+    """Return how far rays are aside of the middle one at a distance of one, a fan at its distance."""
+    o, u = _middle(fan)
+    rays, d = KINDS[fan.kind].rays(fan.across), float(fan.reading[0])
+    at = (rays.origin - o) / d + rays.direction / (rays.direction @ u)[:, None]
+    return np.asarray(np.linalg.norm(at - (at @ u)[:, None] * u, axis=1))
+
+
+def _square(u: FloatArray) -> FloatArray:
+    """Return a rotation whose third column is a unit vector."""
+    side = bases(u)[:, 0]
+    return np.column_stack((side, np.cross(u, side), u))
+
+
+def _spun(angle: float) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _tilted(most: float, rng: np.random.Generator) -> FloatArray:
+    """Return a unit vector up to an angle from the z axis, in any direction."""
+    tilt, turn = most * np.sqrt(rng.random()), rng.uniform(0.0, 2.0 * np.pi)
+    return np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
+
+
+def _mount(u: FloatArray, working: float, rng: np.random.Generator) -> FloatArray:
+    """Return a mount (4, 4) whose middle ray looks along the hand's z axis, more or less."""
+    T = np.eye(4)
+    T[:3, :3] = _square(_tilted(0.3, rng)) @ _spun(rng.uniform(-np.pi, np.pi)) @ _square(u).T
+    T[:3, 3] = 0.3 * working * rng.uniform(-1.0, 1.0, 3)
+    return T
+
+
+def _target(label: str, radius: float, working: float, rng: np.random.Generator) -> FloatArray:
+    place = BASE + working * rng.uniform(-1.0, 1.0, 3)
+    if kind_of(label) == SPHERE.name:
+        return np.append(place, radius)
+    if kind_of(label) == POINT.name:
+        return place
+    n = _tilted(SPREAD, rng)
+    return np.append(n, -n @ place)
+
+
+def _looking(
+    label: str,
+    x: FloatArray,
+    line: tuple[FloatArray, FloatArray],
+    mount: FloatArray,
+    working: float,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Return a hand pose whose sensor looks at a target with its middle ray."""
+    if kind_of(label) == PLANE.name:
+        w = _square(x[:3]) @ _tilted(STEEPEST_LOOK, rng)
+        at = BASE + working * rng.uniform(-0.5, 0.5, 3)
+        at = at - (at @ x[:3] + x[3]) * x[:3]
+    else:
+        w, at = _tilted(2.0 * SPREAD, rng), x[:3]
+        if kind_of(label) == SPHERE.name:
+            at = at + x[3] * (bases(w) @ rng.uniform(-0.3, 0.3, 2) - w)
+        else:
+            at = at + AIMING_SIGMA * (bases(w) @ rng.standard_normal(2))
+    sensor = _square(w) @ _spun(rng.uniform(-SPINS, SPINS)) @ _square(line[1]).T
+    R = sensor @ mount[:3, :3].T
+    start = sensor @ line[0] + R @ mount[:3, 3]
+    return R, at - working * rng.uniform(0.8, 1.2) * w - start

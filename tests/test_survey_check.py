@@ -1,0 +1,169 @@
+"""What a survey holds and determines: words and ranks, before anything is calibrated.
+
+What vehicles leave undetermined before walls is reasoned, not computed here: whatever has only planes
+parallel to the axis of all turns before it is the same at all heights, and a hand that never turns may
+be shifted with all that it looks at.
+"""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from benchmarks import rigs_by_rays
+from benchmarks.rigs import survey_of
+from handlaser_gtsam.results.survey_check import check_lines, check_survey
+from handlaser_gtsam.validation.survey_scenes import fan_of
+from handlaser_gtsam.validation.survey_simulate import SurveyTruth, simulate_survey
+
+FOLDER = ROOT / "examples" / "profiler"
+WALLS = {
+    "vertical": [(0, 0), (60, 0), (-50, 0)],
+    "one leans": [(0, 0), (60, 0), (-50, 25)],
+    "a sphere": [],
+}
+"""Azimuth and lean of walls [degrees]."""
+AHEAD = {"scanner": np.eye(3)}
+"""Rotation of a sensor that looks along the hand's x axis; of all others their z axis does."""
+HEIGHT = "the height of every sensor (location along (0.00, 0.00, 1.00))"
+COMMON = "one common height of all sensors and targets (location along (0.00, 0.00, 1.00))"
+SHIFT = "a common shift of all sensors and targets (location in three directions)"
+
+
+def vehicle(kind, motion, walls, tilt=20.0):
+    """The survey of a sensor, tilted by so many degrees, on a hand that turns about z only."""
+    rng = np.random.default_rng(0)
+    noise = {"sigma": 1e-4}
+    if kind == "array":
+        a = np.tan(np.radians(np.linspace(-20.0, 20.0, 6)))
+        noise["zones"] = np.column_stack((np.tile(a, 6), np.repeat(a, 6), np.ones(36)))
+    fan = fan_of("eye", kind, 2.0, **noise)
+    ahead = AHEAD.get(kind, np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
+    mount = np.eye(4)
+    mount[:3, :3] = Rotation.from_euler("xy", [tilt, 0.4 * tilt], degrees=True).as_matrix() @ ahead
+    mount[:3, 3] = 0.1, -0.05, 0.3
+    targets = {"sphere:S": np.array([2.2, 0.05, 0.4, 0.5])}
+    if WALLS[walls]:
+        azimuth, lean = np.radians(WALLS[walls]).T
+        c = np.cos(lean)
+        n = np.column_stack((np.cos(azimuth) * c, np.sin(azimuth) * c, np.sin(lean)))
+        targets = {f"plane:{'ABC'[i]}": np.append(n[i], -2.0) for i in range(len(n))}
+    R, t, labels = [], [], []
+    for i, label in enumerate(targets):
+        yaw, reach = (np.radians(WALLS[walls][i][0]), 0.5) if WALLS[walls] else (0.0, 0.1)
+        for _ in range(12):
+            turn = 0.0 if motion == "never turning" else yaw + rng.uniform(-reach, reach)
+            R.append(Rotation.from_euler("z", turn).as_matrix())
+            up = 0.0 if motion == "planar" else rng.uniform(-0.2, 0.2)
+            t.append([*rng.uniform(-reach, reach, 2), up])
+            labels.append(label)
+    stations = hl.StationList(np.array(R), np.array(t), tuple(labels))
+    truth = SurveyTruth({"eye": mount}, {}, targets)
+    return simulate_survey(truth, stations, [fan], hl.simulate.Errors(1e-4), rng)
+
+
+VEHICLES = [
+    ("profiler", "planar", "vertical", HEIGHT),
+    ("profiler", "planar", "one leans", COMMON),
+    ("profiler", "planar", "a sphere", COMMON),
+    ("scanner", "SCARA", "vertical", HEIGHT),
+    ("scanner", "SCARA", "one leans", COMMON),
+    ("points", "planar", "vertical", HEIGHT),
+    ("points", "never turning", "vertical", SHIFT),
+    ("array", "planar", "one leans", COMMON),
+    ("array", "SCARA", "vertical", HEIGHT),
+]
+
+
+@pytest.mark.parametrize(("kind", "motion", "walls", "words"), VEHICLES)
+def test_vehicles_with_sensors_of_many_rays(kind, motion, walls, words):
+    check = check_survey(vehicle(kind, motion, walls))
+    assert len(check.undetermined) == 1
+    assert check.undetermined[0].startswith(words)
+    assert check.exactly
+    cures = {HEIGHT: "add a board that leans", COMMON: "measure the height of one sensor"}
+    assert check.advice[0].startswith(cures.get(words, "turn the hand about two different axes"))
+    assert check.sensors[0].location_sigma == np.inf
+    # Turns are determined: ten times better than what counts as undetermined, 0.1 rad.
+    assert check.sensors[0].rotation_sigma < 0.01
+
+
+def test_a_flat_scanner_on_a_flat_floor_sees_no_wall_lean():
+    """Walls that lean look the same to rays at right angles to the axis, so no lean is believed."""
+    check = check_survey(vehicle("scanner", "planar", "one leans", tilt=0.0))
+    assert check.undetermined[0].startswith(HEIGHT)
+    assert not check.exactly  # its own lean shows in second order
+
+
+def test_the_example_is_determined_and_says_what_it_holds(handlaser):
+    words = ["check", str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml")]
+    code, out, err = handlaser(*words)
+    assert (code, err) == (0, "")
+    assert "profiler scanner: 24 shots of 1152 points" in out
+    assert "plane:plate, 12 stations: 12 orientations, turns about 3 axes" in out
+    assert "60 numbers that shots say for 13 unknowns" in out  # 12 x 2 + 12 x 3; 6 + 3 + 4
+    code, out, _ = handlaser(*words, "--json")
+    found = json.loads(out)
+    assert code == 0
+    assert found["format"] == "handlaser-survey-check"
+    assert [one["name"] for one in found["targets"]] == ["plane:plate", "sphere:ball"]
+    # As well as calibrate knows it, up to the sizes of the noise, which are learned there.
+    survey = hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml")
+    known = float(hl.calibrate(survey).sensors["scanner"].location_sigma.max())
+    assert 0.3 * known < found["sensors"][0]["location_sigma_m"] < 5.0 * known
+
+
+def test_readings_that_only_shift_along_their_noise_change_no_word():
+    """The check asks the readings where the targets are, and nothing else."""
+    survey = vehicle("profiler", "planar", "one leans")
+    noisy = hl.Shots.profiler(
+        "eye",
+        survey.shots[0].station,
+        survey.shots[0].across[:, 0],
+        survey.shots[0].reading
+        + 3e-4 * np.random.default_rng(1).standard_normal(len(survey.shots[0].reading)),
+        sigma=3e-4,
+    )
+    again = check_survey(hl.Survey(survey.stations, (noisy,)))
+    assert again.undetermined == check_survey(survey).undetermined
+
+
+def test_a_cone_is_named_with_its_cure():
+    rig = rigs_by_rays.profiler(101, targets="planes", planes=1, motion="cone")
+    check = check_survey(survey_of(rig))
+    assert "saw its plane at one angle to the direction (0.00, 0.00, 1.00)" in check.undetermined[0]
+    assert check.advice == ("tilt it by another angle, or add a second plane",)
+    assert check.exactly
+
+
+def test_too_few_stations_are_said(tmp_path, handlaser):
+    folder = shutil.copytree(FOLDER, tmp_path / "profiler")
+    rows = (folder / "poses.csv").read_text().splitlines()
+    (folder / "poses.csv").write_text("\n".join(rows[:4]) + "\n")
+    points = (folder / "profiles.csv").read_text().splitlines()
+    kept = [row for row in points if row.split(",")[0] in ("station", "P1", "P2", "P3")]
+    (folder / "profiles.csv").write_text("\n".join(kept) + "\n")
+    words = ["check", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
+    code, out, err = handlaser(*words)
+    assert code == 3
+    assert "6 numbers that shots say for 9 unknowns" in out
+    assert "the motion leaves open sensor scanner: location" in err
+    assert "measure at more stations" in err
+    assert json.loads(handlaser(*words, "--json")[1])["undetermined"]
+
+
+def test_beams_beside_sensors_and_poses_that_do_not_fit_are_said():
+    rig = rigs_by_rays.mixed(101)
+    survey = survey_of(rig)
+    lines = list(check_lines(check_survey(survey)))
+    assert any(line.startswith("beam beam: ") for line in lines)
+    R = np.swapaxes(survey.stations.world_R_hand, 1, 2)
+    of = survey.stations
+    wrong = hl.StationList(R, of.world_t_hand, of.plane_labels, of.station_names)
+    check = check_survey(hl.Survey(wrong, survey.shots, survey.ranges, survey.beam_names))
+    assert not check.fits
+    assert any("most shots do not fit each other" in line for line in check_lines(check))

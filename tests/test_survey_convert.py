@@ -1,0 +1,113 @@
+"""Logs of poses beside tables of points: converted, and refused where they mean something else."""
+
+import shutil
+
+import numpy as np
+import pytest
+from helpers import ROOT
+
+import handlaser_gtsam as hl
+
+FOLDER = ROOT / "examples" / "profiler"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A copy of the example."""
+    return shutil.copytree(FOLDER, tmp_path / "profiler")
+
+
+def stated(folder, old, new):
+    """The rig file of the example with another line."""
+    text = (folder / "rig.toml").read_text()
+    assert old in text
+    (folder / "rig.toml").write_text(text.replace(old, new))
+
+
+def test_a_log_becomes_stations_that_its_own_rig_file_reads(handlaser, folder):
+    rig = str(folder / "rig.toml")
+    out = str(folder / "stations.csv")
+    code, said, err = handlaser("convert", str(folder / "poses.csv"), "--rig", rig, "--out", out)
+    assert (code, err) == (0, "")
+    assert said.startswith("24 stations, 1 sensor, 2 targets, 1152 points\nposes of kuka")
+    log, plain = (hl.read_survey(folder / name, rig) for name in ("poses.csv", "stations.csv"))
+    assert plain.stations.plane_labels == log.stations.plane_labels
+    assert plain.stations.station_names == log.stations.station_names
+    # Quaternions of sixteen digits.
+    assert np.abs(plain.stations.world_R_hand - log.stations.world_R_hand).max() < 1e-12
+    assert (plain.stations.world_t_hand == log.stations.world_t_hand).all()
+    assert plain.shots == log.shots
+    again = hl.read_stations(out)
+    assert again.plane_labels == log.stations.plane_labels
+
+
+def test_options_stand_in_for_the_table_and_become_one(handlaser, folder):
+    text = (folder / "rig.toml").read_text()
+    (folder / "rig.toml").write_text(text[text.index("[[sensors]]") :])
+    words = ["convert", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
+    options = ["--pose-format", "kuka", "--station-column", "Point", "--plane-column", "Target"]
+    code, _, err = handlaser(*words, *options, "--write-log", str(folder / "rig.toml"))
+    assert (code, err) == (0, "")
+    survey = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    assert hl.calibrate(survey).status == "converged"
+
+
+@pytest.mark.parametrize("command", ["convert", "calibrate"])
+def test_poses_in_another_convention_are_refused_with_the_one_that_fits(handlaser, folder, command):
+    stated(folder, 'pose_format = "kuka"', 'pose_format = "mitsubishi"')
+    words = [command, str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
+    code, out, err = handlaser(*words)
+    assert (code, out) == (2, "")
+    assert "the poses are mm, deg, angles ZYX" in err
+    assert ("--pose-format kuka" if command == "convert" else "log.pose_format kuka") in err
+    assert len(err.splitlines()) == 1
+
+
+def test_inverted_poses_are_named_and_who_insists_is_only_warned(handlaser, folder):
+    words = ["convert", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
+    code, _, err = handlaser(*words, "--inverted")
+    assert code == 2
+    assert "the poses are not inverted: without --inverted" in err
+    code, out, err = handlaser(*words, "--inverted", "--as-stated")
+    assert code == 0
+    assert out.startswith("24 stations")
+    assert "WARNING: the readings fit" in err
+
+
+def test_a_right_log_with_wrong_labels_is_not_accused(folder):
+    """Two stations of the ball are said to look at the plate, and one shot is of something else."""
+    text = (folder / "poses.csv").read_text()
+    rows = text.splitlines()
+    for i in (15, 20):
+        rows[i] = rows[i].replace("sphere:ball", "plane:plate")
+    (folder / "poses.csv").write_text("\n".join(rows) + "\n")
+    assert (folder / "poses.csv").read_text() != text
+    assert len(hl.read_survey(folder / "poses.csv", folder / "rig.toml").stations) == 24
+
+
+def test_few_stations_accuse_nobody(handlaser, folder):
+    """Four profiles of a plate say eight numbers: any convention may fit them."""
+    for name, kept in (("poses.csv", 5), ("profiles.csv", None)):
+        rows = (folder / name).read_text().splitlines()
+        if kept is None:
+            rows = [row for row in rows if row.split(",")[0] in ("station", "P1", "P2", "P3", "P4")]
+        (folder / name).write_text("\n".join(rows[:kept]) + "\n")
+    stated(folder, 'pose_format = "kuka"', 'pose_format = "mitsubishi"')
+    code, _, err = handlaser(
+        "convert", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")
+    )
+    assert (code, err) == (0, "")
+
+
+def test_what_is_no_log_of_poses_is_refused(handlaser, folder, tmp_path):
+    rig = str(folder / "rig.toml")
+    bag = tmp_path / "cell.bag"
+    bag.write_bytes(b"#ROSBAG V2.0\n")
+    code, _, err = handlaser("convert", str(bag), "--rig", rig)
+    assert code == 2
+    assert "a bag, with sensors of many rays" in err
+    code, _, err = handlaser(
+        "convert", str(folder / "poses.csv"), "--rig", rig, "--out", str(folder / "profiles.csv")
+    )
+    assert code == 2
+    assert "--out" in err
