@@ -7,6 +7,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam.arrays import FloatArray
@@ -22,6 +23,11 @@ ROOT = Path(__file__).parents[1]
 GRIPPER = ROOT / "examples" / "gripper"
 FULL = os.environ.get("STATISTICS") == "full"
 """Whether statistics are tested at full size, as the gate does: see `draws`."""
+
+
+def first_and_slow(*values: Any) -> list[Any]:
+    """Return parameters of a test, all but the first of them marked slow: more of the same."""
+    return [values[0], *(pytest.param(value, marks=pytest.mark.slow) for value in values[1:])]
 
 
 def draws(few: int, full: int) -> int:

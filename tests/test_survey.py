@@ -213,6 +213,7 @@ def test_noise_across_a_profile_pulls_no_slope():
     assert abs(np.mean(off)) < 4.0 * np.std(off) / np.sqrt(200)
 
 
+@pytest.mark.slow
 def test_more_points_bring_no_bias_with_errors_of_the_hand():
     """The mean error of mounts, in their standard deviations, with 50 and with 500 points a shot."""
     hand = 1e-4, 3e-4
