@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from helpers import draws
 
 import handlaser_gtsam as hl
 from benchmarks.studies import Studies
@@ -127,13 +126,13 @@ def test_honest_estimates_have_a_nees_of_one():
         Case("robot", "told", draw, partial(hl.validation.reduce_together, noise=errors.stated())),
         Case("robot", "taken as exact", draw, REDUCED),
     ]
-    runs = draws(60, 200)
+    runs = 200
     told, exact = hl.validation.summarize_runs(run_study(Study(cases, runs, 1), TWO)).rows(
         named=True
     )
     assert told["converged"] == exact["converged"] == 100.0
-    # The NEES of 60 runs has a standard error of 0.06: sigmas that are a quarter too small, which is
-    # a NEES of 1.8, would pass in one of 5000 studies, and those of the other treatment never do.
+    # The NEES of 200 runs has a standard error of 0.03: sigmas that are a quarter too small, which is
+    # a NEES of 1.8, never pass, nor do those of the other treatment.
     assert told["nees"] == pytest.approx(1.0, abs=4.0 * told["standard_error"])
     assert told["coverage"] == pytest.approx(95.0, abs=2.0 * np.sqrt(200 / runs))
     assert exact["nees"] > 2.0
