@@ -71,7 +71,7 @@ def test_the_converter_refuses_folders_that_do_not_match(tmp_path, monkeypatch):
 
 def test_the_benchmark_compares_four_solvers_on_one_optimum(tmp_path, monkeypatch):
     out = tmp_path / "rows.json"
-    arguments = "--planes 4 6 --repeat 1 --together 5 --out".split()
+    arguments = ["--planes", "4", "6", "--repeat", "1", "--together", "5", "--out"]
     monkeypatch.setattr(sys, "argv", ["", *arguments, str(out)])
     runpy.run_module("benchmarks.solve", run_name="__main__")
     rows = json.loads(out.read_text())
