@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from helpers import ROOT  # noqa: F401  # puts the benchmarks on the path
+from helpers import first_and_slow
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -44,7 +44,7 @@ def far(rig, result):
     )
 
 
-@pytest.mark.parametrize("generator", GENERATORS)
+@pytest.mark.parametrize("generator", first_and_slow(*GENERATORS))
 @pytest.mark.parametrize("case", CASES)
 def test_mounts_are_found_without_a_start_within_their_covariance(case, generator):
     kind, options = CASES[case]

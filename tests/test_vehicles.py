@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import ROOT, first_and_slow
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
@@ -241,6 +241,10 @@ HEIGHTS = "the height of every beam (location along (0.00, 0.00, 1.00))"
 COMMON = "one common height of all beams and planes (location along (0.00, 0.00, 1.00))"
 SHIFT = "a common shift of all beams and planes"
 SIGMA = 1e-3
+NOISE_AND_BEAMS = [
+    *((SIGMA, 1), (SIGMA, 2), (SIGMA, 4)),
+    *first_and_slow((0.0, 2), (0.0, 1), (0.0, 3), (0.0, 4), (SIGMA, 3)),
+]
 
 
 def calibrated(at, sigma, range_error="none", **noise):
@@ -251,8 +255,7 @@ def calibrated(at, sigma, range_error="none", **noise):
     return hl.calibrate(at.recording(sigma), given, hl.CalibrationOptions(range_error))
 
 
-@pytest.mark.parametrize("beams", [1, 2, pytest.param(3, marks=pytest.mark.slow), 4])
-@pytest.mark.parametrize("sigma", [0.0, SIGMA])
+@pytest.mark.parametrize(("sigma", "beams"), NOISE_AND_BEAMS)
 @pytest.mark.parametrize(
     ("motion", "walls", "words", "cure"),
     [
@@ -322,7 +325,7 @@ def test_a_linear_axis_is_named(motion):
         )
 
 
-@pytest.mark.parametrize("beams", [2, 3])
+@pytest.mark.parametrize("beams", first_and_slow(2, 3))
 @pytest.mark.parametrize(
     ("motion", "walls", "words"),
     [

@@ -248,7 +248,7 @@ def dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the cross products of vectors (3, ...), in a third of the time of `numpy.cross`."""
+    """Return the cross products of vectors (3, ...), in half of the time of `numpy.cross`."""
     return np.stack(
         (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
     )
