@@ -13,9 +13,6 @@ from pathlib import Path
 os.environ.pop("COLUMNS", None)
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
-# What collection makes stays: to look for garbage in it takes a quarter of its time.
-gc.disable()
-
 import pytest
 from hypothesis import settings
 
@@ -25,6 +22,8 @@ sys.path.append(str(Path(__file__).parents[1]))
 settings.register_profile("quick", max_examples=40, deadline=None, derandomize=True, database=None)
 settings.register_profile("gate", max_examples=400, deadline=None, database=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
+# What collection makes stays: to look for garbage in it takes a quarter of its time.
+gc.disable()
 
 
 def pytest_collection_finish():
