@@ -1,5 +1,7 @@
 """What goes wrong at a cell with a profiler, a plate and a ball; by formulas of this file."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from helpers import ROOT, first_and_slow
@@ -90,8 +92,7 @@ def test_a_wrong_label_is_left_out_and_nothing_else(seed):
     assert left_out(found) == {12}
 
 
-@pytest.mark.parametrize("pair", [(1, 2), (13, 14)])
-@pytest.mark.parametrize("seed", first_and_slow(1, 0, 2))
+@pytest.mark.parametrize(("seed", "pair"), first_and_slow(*product((1, 0, 2), ((1, 2), (13, 14)))))
 def test_two_exchanged_stations_are_left_out_and_nothing_else(seed, pair):
     found = hl.calibrate(cell(seed, exchanged=[pair]))
     require_right(found)
