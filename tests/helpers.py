@@ -1,12 +1,12 @@
 """Problems and comparisons that several tests share."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import gtsam
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam.arrays import FloatArray
@@ -20,13 +20,15 @@ from handlaser_gtsam.validation.simulate import Errors, Stations, simulate
 
 ROOT = Path(__file__).parents[1]
 GRIPPER = ROOT / "examples" / "gripper"
-FULL = os.environ.get("STATISTICS") == "full"
-"""Whether statistics are tested at full size, as the gate does: see `draws`."""
 
 
-def draws(few: int, full: int) -> int:
-    """Return how many draws a statistical test takes; its bound follows from the number."""
-    return full if FULL else few
+def first_and_slow(*values: Any) -> list[Any]:
+    """Return parameters of a test, all but the first of them marked slow: more of the same.
+
+    A tuple holds the values of several parameters.
+    """
+    more = (value if isinstance(value, tuple) else (value,) for value in values[1:])
+    return [values[0], *(pytest.param(*value, marks=pytest.mark.slow) for value in more)]
 
 
 def simulated(

@@ -14,7 +14,6 @@ from helpers import (
     bench,
     codes,
     degenerate,
-    draws,
     motion,
     recording_of,
     simulated,
@@ -136,7 +135,7 @@ def test_covariance_matches_the_scatter_of_runs():
     layout = Layout(k1=0.01, k2=1.0)
     truth, stations = hl.scenes.paper(layout, rng)
     nees = []
-    for _ in range(draws(20, 60)):
+    for _ in range(60):
         recording = hl.simulate.simulate(truth, stations, hl.simulate.Errors(SIGMA), rng)
         beam = hl.calibrate(recording, noise, options).beams["1"]
         error = np.concatenate(
@@ -189,12 +188,12 @@ def test_no_range_error_is_rarely_found():
     `benchmarks.defaults` studies the same at full size, at a = 0.
     """
     wrong, ratio = 0, []
-    for seed in range(draws(5, 12)):
+    for seed in range(12):
         recording, _ = with_range_errors((0.0, 0.0), 4, seed)
         calibration = hl.calibrate(recording)
         wrong += int(excluded(calibration).sum())
         ratio.append(calibration.range_error_scales.k1 / calibration.range_error_scales.linearity)
-    assert wrong <= draws(4, 10)  # 2 of 40 are expected, and 5 of 96
+    assert wrong <= 10  # 5 of 96 are expected
     assert np.median(ratio) < 0.5
 
 

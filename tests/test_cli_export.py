@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from exported import calibrated
-from helpers import GRIPPER
+from helpers import GRIPPER, first_and_slow
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.export import FormatChoice
@@ -174,16 +174,16 @@ def test_python_refuses_what_is_no_calibration():
         assert "\n" not in str(caught.value)
 
 
-def test_the_screen_of_any_encoding_shows_it(tmp_path):
+@pytest.mark.parametrize("to", first_and_slow("python", "kuka"))
+def test_the_screen_of_any_encoding_shows_it(tmp_path, to):
     names = ("β1", "壁", "3")
     hl.write_calibration(tmp_path / "foreign.json", calibrated(names=names))
     code = "from handlaser_gtsam.cli import main; main()"
-    for to in ("python", "kuka"):
-        run = subprocess.run(
-            [sys.executable, "-c", code, "export", tmp_path / "foreign.json", "--to", to],
-            capture_output=True,
-            env={"PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
-            check=False,
-        )
-        assert (run.returncode, run.stderr.decode("ascii")) == (0, WARNED)
-        assert run.stdout.decode("ascii") == hl.export_text(calibrated(names=names), to)
+    run = subprocess.run(
+        [sys.executable, "-c", code, "export", tmp_path / "foreign.json", "--to", to],
+        capture_output=True,
+        env={"PYTHONIOENCODING": "ascii", "LC_ALL": "C"},
+        check=False,
+    )
+    assert (run.returncode, run.stderr.decode("ascii")) == (0, WARNED)
+    assert run.stdout.decode("ascii") == hl.export_text(calibrated(names=names), to)

@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from helpers import simulated
+from helpers import first_and_slow, simulated
 
 from handlaser_gtsam.cli.progress_line import QUIET_S, Working
 from handlaser_gtsam.cli.stopping import CtrlC
@@ -88,7 +88,7 @@ def test_a_stop_at_any_moment_is_one_line_and_130(long, tmp_path, command, secon
     assert not result.exists() or result.read_text().endswith("}\n")
 
 
-@pytest.mark.parametrize("seconds", [0.0, 0.2])
+@pytest.mark.parametrize("seconds", first_and_slow(0.2, 0.0))
 @pytest.mark.parametrize("command", ["calibrate", "calibrate --incremental", "validate"])
 def test_a_stop_of_the_computation_is_one_line_and_130(long, tmp_path, command, seconds):
     code, out, err = stopped(COMPUTING, commands(long, tmp_path)[command], seconds)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import codes, draws
+from helpers import codes
 
 import handlaser_gtsam as hl
 from benchmarks import moving_robot, odd_readings, unflagged
@@ -54,7 +54,7 @@ def test_correlated_noise_is_named_and_counted(noise):
 def test_standard_deviations_cover_correlated_noise():
     """The mean squared error of r in its sigmas, over the draws: one would be right."""
     squares = []
-    for seed in range(draws(12, 40)):
+    for seed in range(40):
         found, truth = calibrated(0.8, seed, hl.Noise(None, 0.0, 0.0))
         for beam, r in zip(found.beams.values(), truth.locations, strict=True):
             squares.append(((beam.location - r) / beam.location_sigma) ** 2)
@@ -102,10 +102,10 @@ def test_a_drift_of_readings_is_a_drift_and_no_correlation():
 def test_independent_noise_raises_no_alarm():
     """At most one recording in a hundred: more than the bound have a chance of 1 to 3 %."""
     alarms = 0
-    for seed in range(draws(12, 60)):
+    for seed in range(60):
         noise = (EXACT, hl.Noise(SIGMA), hl.Noise())[seed % 3]
         alarms += "correlated-in-time" in codes(calibrated(0.0, seed, noise)[0])
-    assert alarms <= draws(1, 2)
+    assert alarms <= 2
 
 
 @pytest.mark.slow

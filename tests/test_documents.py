@@ -2,7 +2,7 @@
 
 import json
 import re
-import subprocess
+import runpy
 import sys
 
 import pytest
@@ -49,48 +49,31 @@ def test_links_of_the_documents_lead_somewhere():
 
 
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("0*.py")), ids=lambda p: p.name)
-def test_examples_run(example, pytestconfig):
-    """Under the warning filters of the tests themselves."""
-    filters = [
-        *pytestconfig.getini("filterwarnings"),
-        *(pytestconfig.getoption("pythonwarnings") or ()),
-    ]
-    command = [sys.executable, *(f"-W{rule}" for rule in filters), example]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stderr
-    assert run.stdout.strip()
+def test_examples_run(example, capsys):
+    """As programs, under the warning filters of the tests themselves."""
+    runpy.run_path(str(example), run_name="__main__")
+    assert capsys.readouterr().out.strip()
 
 
 def test_the_first_example_is_short():
     assert len((ROOT / "examples" / "01_calibrate.py").read_text().splitlines()) < 30
 
 
-def test_the_converter_refuses_folders_that_do_not_match(tmp_path):
+def test_the_converter_refuses_folders_that_do_not_match(tmp_path, monkeypatch):
     (tmp_path / "transforms.csv").write_text("1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1,\n")
     (tmp_path / "measurements.csv").write_text("t,300,301\nt,302\n")
     converter = ROOT / "examples" / "spd_to_recording.py"
-    run = subprocess.run(
-        [sys.executable, converter, tmp_path, tmp_path / "out.csv"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert run.returncode != 0
-    assert "1 poses and 2 readings" in run.stderr
+    monkeypatch.setattr(sys, "argv", ["", str(tmp_path), str(tmp_path / "out.csv")])
+    with pytest.raises(SystemExit, match="1 poses and 2 readings"):
+        runpy.run_path(str(converter), run_name="__main__")
     assert not (tmp_path / "out.csv").exists()
 
 
-def test_the_benchmark_compares_four_solvers_on_one_optimum(tmp_path):
+def test_the_benchmark_compares_four_solvers_on_one_optimum(tmp_path, monkeypatch):
     out = tmp_path / "rows.json"
-    subprocess.run(
-        [
-            *(sys.executable, "-m", "benchmarks.solve"),
-            *("--planes", "4", "6", "--repeat", "1", "--together", "5", "--out", str(out)),
-        ],
-        cwd=ROOT,
-        check=True,
-        capture_output=True,
-    )
+    arguments = ["--planes", "4", "6", "--repeat", "1", "--together", "5", "--out"]
+    monkeypatch.setattr(sys, "argv", ["", *arguments, str(out)])
+    runpy.run_module("benchmarks.solve", run_name="__main__")
     rows = json.loads(out.read_text())
     assert [(row["solver"], row["planes"]) for row in rows] == [
         (solver, planes)

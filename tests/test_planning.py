@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import draws
+from helpers import first_and_slow
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
@@ -211,12 +211,13 @@ def test_planned_stations_beat_random_ones(belief, pool):
 # --- margins -----------------------------------------------------------------------------------------
 
 
-def test_no_reading_leaves_the_limits_for_nearly_all_truths(belief, pool):
+@pytest.mark.parametrize("count", first_and_slow(40, 400))
+def test_no_reading_leaves_the_limits_for_nearly_all_truths(belief, pool, count):
     """Monte Carlo over the posterior and the noise of the robot, against the linear margins."""
     rng, sensor = np.random.default_rng(1), SENSOR
     assert safe(belief, pool, sensor).all()
     assert inside(WORKSPACE, pool).all()
-    unsafe, count = 0, draws(40, 400)
+    unsafe = 0
     for _ in range(count):
         truth = belief.draw(rng)
         read = simulate(truth, pool, ERR, rng, sensor)
@@ -225,13 +226,12 @@ def test_no_reading_leaves_the_limits_for_nearly_all_truths(belief, pool):
     assert unsafe <= max(2, 0.03 * count)
 
 
-def test_the_spread_of_readings_is_that_of_draws(belief, pool):
+@pytest.mark.parametrize("count", first_and_slow(400, 4000))
+def test_the_spread_of_readings_is_that_of_draws(belief, pool, count):
     rng = np.random.default_rng(2)
     few = Stations(pool.world_R_hand[::30], pool.world_t_hand[::30], pool.plane[::30])
     _, sigmas, _, _ = outlook(belief, few)
-    read = np.stack(
-        [simulate(belief.draw(rng), few, ERR, rng).ranges for _ in range(draws(400, 4000))]
-    )
+    read = np.stack([simulate(belief.draw(rng), few, ERR, rng).ranges for _ in range(count)])
     ratio = read.std(axis=0) / sigmas
     # The standard deviation of 400 draws is known to 3.5 %; 16 readings are compared.
     assert np.abs(ratio - 1.0).max() < 0.12
@@ -371,19 +371,20 @@ def test_long_steps_are_divided(pool):
 # --- the first motion --------------------------------------------------------------------------------
 
 
-def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
+@pytest.mark.parametrize(("count", "most_outside"), first_and_slow((10, 1), (100, 3)))
+def test_a_first_motion_satisfies_the_lemmas_and_is_safe(count, most_outside):
     here = cell(np.random.default_rng(4), 1)
     plan = hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
     assert plan.safe >= 0.99
     rng = np.random.default_rng(8)
     outside = 0
-    for _ in range(draws(10, 100)):
+    for _ in range(count):
         drawn = replace(here, truth=here.bounds.draw(rng))
         read = drawn.measured(plan, rng)
         outside += int(np.isnan(read.ranges).any())
         found = hl.calibrate(read, here.noise, hl.CalibrationOptions(sensor=SENSOR))
         assert found.status == "converged"
-    assert outside <= draws(1, 3)
+    assert outside <= most_outside
     check = check_motion(read)
     (plane,) = check.planes
     assert plane.translations == 3  # Lemma 1

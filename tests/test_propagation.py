@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.estimation.mixture import mixture_quantiles
 from handlaser_gtsam.results.correlations import Coordinate, Correlation, strong_correlations
 from handlaser_gtsam.results.measuring import measured_plane, spot
 
@@ -116,6 +118,24 @@ def test_intervals_of_a_mixture_hold_what_is_drawn(calibration, level):
     assert np.allclose((drawn > high - value).mean(axis=0), 0.5 * (1.0 - level), atol=0.005)
     # Components of small weight are left out of the mixture.
     assert np.allclose(drawn.std(axis=0), beam.sigma, rtol=0.02)
+
+
+@pytest.mark.parametrize("probability", [1e-6, 0.025, 0.5, 0.999])
+def test_below_a_quantile_lies_its_probability(probability):
+    """Of mixtures of components that are alike, far apart, and up to a million times as wide."""
+    rng = np.random.default_rng(1)
+    weight = rng.dirichlet(np.full(12, 0.3))
+    means = rng.standard_normal((12, 60)) * 10.0 ** rng.uniform(-3.0, 2.0, 60)
+    sigmas = 10.0 ** rng.uniform(-6.0, 0.0, (12, 60))
+    sigmas[:, :20] = 1.0
+    found = mixture_quantiles(weight, means, sigmas, probability)
+    # A rounding error of the quantile, where the distribution is as steep as the narrowest component.
+    steep = 1e-14 * np.abs(found) / sigmas.min(axis=0)
+    below = weight @ ndtr((found - means) / sigmas)
+    assert (np.abs(below - probability) < 1e-14 + steep).all()
+    # And a component that is a point holds the quantiles that its weight covers.
+    point = mixture_quantiles(np.array([0.3, 0.7]), np.zeros((2, 1)), np.array([[0.0], [1.0]]), 0.6)
+    assert abs(point[0]) < 1e-14
 
 
 def test_strong_correlations_are_named_with_advice(calibration):

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from helpers import draws
 
 import handlaser_gtsam as hl
 from benchmarks.studies import Studies
@@ -31,12 +30,6 @@ PAPER = partial(draw_scene, layout=Layout(2, 3, 11), errors=Errors(3e-5))
 REDUCED = partial(hl.validation.reduce_together, noise=EXACT)
 ONE, TWO = partial(ThreadPoolExecutor, 1), partial(ProcessPoolExecutor, 2)
 HAS_DASK, HAS_MATPLOTLIB = find_spec("distributed") is not None, find_spec("matplotlib") is not None
-
-
-def run_cli(*arguments):
-    """Run the command in a process of its own, with workers of its own."""
-    command = [sys.executable, "-m", "handlaser_gtsam.cli", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
 def reduced(runs, seed=3, draw=PAPER):
@@ -127,13 +120,13 @@ def test_honest_estimates_have_a_nees_of_one():
         Case("robot", "told", draw, partial(hl.validation.reduce_together, noise=errors.stated())),
         Case("robot", "taken as exact", draw, REDUCED),
     ]
-    runs = draws(60, 200)
+    runs = 200
     told, exact = hl.validation.summarize_runs(run_study(Study(cases, runs, 1), TWO)).rows(
         named=True
     )
     assert told["converged"] == exact["converged"] == 100.0
-    # The NEES of 60 runs has a standard error of 0.06: sigmas that are a quarter too small, which is
-    # a NEES of 1.8, would pass in one of 5000 studies, and those of the other treatment never do.
+    # The NEES of 200 runs has a standard error of 0.03: sigmas that are a quarter too small, which is
+    # a NEES of 1.8, never pass, nor do those of the other treatment.
     assert told["nees"] == pytest.approx(1.0, abs=4.0 * told["standard_error"])
     assert told["coverage"] == pytest.approx(95.0, abs=2.0 * np.sqrt(200 / runs))
     assert exact["nees"] > 2.0
@@ -285,29 +278,28 @@ def test_a_declaration_is_checked(tmp_path, old, new, words):
         hl.read_study(declared(tmp_path, STUDY.replace(old, new)))
 
 
-def test_the_command_prints_a_line_for_every_case(tmp_path):
+def test_the_command_prints_a_line_for_every_case(tmp_path, handlaser):
     path = declared(tmp_path, STUDY[: STUDY.index("[treatments.default]")])
     out, picture = tmp_path / "runs.parquet", tmp_path / "study.svg"
     arguments = ["study", str(path), "--out", str(out), "--jobs", "1", "--runs", "10"]
     if HAS_MATPLOTLIB:
         arguments += ["--picture", str(picture)]
-    found = run_cli(*arguments)
-    assert found.returncode == 0, found.stderr
-    assert "together" in found.stdout
+    code, shown, err = handlaser(*arguments)
+    assert (code, err) == (0, "")
+    assert "together" in shown
     assert hl.files.read_runs(out).height == 20
     assert picture.exists() == HAS_MATPLOTLIB
-    again = run_cli(*arguments, "--json")
-    summary = json.loads(again.stdout)["summary"]
+    summary = json.loads(handlaser(*arguments, "--json")[1])["summary"]
     assert [one["runs"] for one in summary] == [10, 10]
-    other = run_cli(*arguments, "--seed", "6")
-    assert other.returncode == 2
-    assert "another study" in other.stderr
-    refused = run_cli("study", str(path), "--out", str(tmp_path))
-    assert refused.returncode == 2
-    assert "no regular file" in refused.stderr
+    code, _, err = handlaser(*arguments, "--seed", "6")
+    assert code == 2
+    assert "another study" in err
+    code, _, err = handlaser("study", path, "--out", tmp_path)
+    assert code == 2
+    assert "no regular file" in err
 
 
-def test_ctrl_c_keeps_the_runs_and_the_same_command_goes_on(tmp_path):
+def test_ctrl_c_keeps_the_runs_and_the_same_command_goes_on(tmp_path, handlaser):
     path = declared(tmp_path, STUDY[: STUDY.index("[treatments.exact]")].replace("20", "4000"))
     out = tmp_path / "runs.parquet"
     command = [sys.executable, "-m", "handlaser_gtsam.cli", "study", str(path), "--jobs", "2"]
@@ -327,8 +319,8 @@ def test_ctrl_c_keeps_the_runs_and_the_same_command_goes_on(tmp_path):
     assert stderr.splitlines()[-1] == "handlaser: stopped by Ctrl-C"
     kept = hl.files.read_runs(out)
     assert 0 < kept.height < 4000
-    again = run_cli(*command[3:], "--out", str(out), "--runs", str(kept.height), "--json")
-    assert json.loads(again.stdout)["summary"][0]["runs"] == kept.height
+    again = handlaser(*command[3:], "--out", out, "--runs", kept.height, "--json")[1]
+    assert json.loads(again)["summary"][0]["runs"] == kept.height
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from helpers import ROOT  # noqa: F401  # puts the benchmarks on the path
+from helpers import first_and_slow
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -44,7 +44,7 @@ def far(rig, result):
     )
 
 
-@pytest.mark.parametrize("generator", GENERATORS)
+@pytest.mark.parametrize("generator", first_and_slow(*GENERATORS))
 @pytest.mark.parametrize("case", CASES)
 def test_mounts_are_found_without_a_start_within_their_covariance(case, generator):
     kind, options = CASES[case]
@@ -213,6 +213,7 @@ def test_noise_across_a_profile_pulls_no_slope():
     assert abs(np.mean(off)) < 4.0 * np.std(off) / np.sqrt(200)
 
 
+@pytest.mark.slow
 def test_more_points_bring_no_bias_with_errors_of_the_hand():
     """The mean error of mounts, in their standard deviations, with 50 and with 500 points a shot."""
     hand = 1e-4, 3e-4

@@ -5,7 +5,7 @@ import runpy
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, ROOT, draws, simulated
+from helpers import GRIPPER, ROOT, first_and_slow, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.validation.prediction import predict, reconstruction
@@ -98,10 +98,10 @@ def test_what_is_no_calibration_is_not_validated():
 
 
 @pytest.mark.parametrize("pose_sigmas", [(2e-5, 1e-4), (0.0, 0.0)])
-def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas):
+@pytest.mark.parametrize("count", first_and_slow(200, 1000))
+def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas, count):
     """GTSAM's marginals and SciPy's Gauss-Markov matrix agree to 1e-5 (test_cross_check)."""
     bootstrap = runpy.run_path(str(ROOT / "examples" / "07_bootstrap.py"))["bootstrap"]
-    count = draws(200, 1000)
     ratio = bootstrap(
         gripper, hl.validation.Errors(3e-5, *pose_sigmas), np.random.default_rng(0), count
     )

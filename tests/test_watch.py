@@ -117,10 +117,23 @@ def test_everybody_ends_at_the_same_state_after_a_thousand_stations(tmp_path, lo
 # --- who looks on ------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def server():
+@contextlib.contextmanager
+def serving():
     with PageServer("127.0.0.1", listening("127.0.0.1", 0)) as found:
         found.port = int(found.url.rstrip("/").rpartition(":")[2])
+        yield found
+
+
+@pytest.fixture
+def server():
+    with serving() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def asked():
+    """A server that publishes nothing and is only asked: ending one takes half a second."""
+    with serving() as found:
         yield found
 
 
@@ -269,9 +282,9 @@ def test_too_many_are_told_so(server, monkeypatch, look_on):
     ],
     ids=str,
 )
-def test_a_foreign_host_or_origin_is_refused(server, headers, path):
-    told = {name: value.format(port=server.port) for name, value in headers.items()}
-    status, answered, text = answer(server.port, path, **told)
+def test_a_foreign_host_or_origin_is_refused(asked, headers, path):
+    told = {name: value.format(port=asked.port) for name, value in headers.items()}
+    status, answered, text = answer(asked.port, path, **told)
     assert status == 403
     assert text.startswith("refused: ")
     assert text.count("\n") == 1
@@ -290,9 +303,9 @@ def test_a_foreign_host_or_origin_is_refused(server, headers, path):
     ],
     ids=str,
 )
-def test_the_page_itself_is_answered_and_nobody_else_may_read_it(server, headers):
-    told = {name: value.format(port=server.port) for name, value in headers.items()}
-    status, answered, text = answer(server.port, "/", **told)
+def test_the_page_itself_is_answered_and_nobody_else_may_read_it(asked, headers):
+    told = {name: value.format(port=asked.port) for name, value in headers.items()}
+    status, answered, text = answer(asked.port, "/", **told)
     assert status == 200
     assert text.startswith("<!doctype html>")
     assert "access-control-allow-origin" not in answered
@@ -304,20 +317,20 @@ def test_the_page_itself_is_answered_and_nobody_else_may_read_it(server, headers
     assert "http" not in answered["content-security-policy"]
 
 
-def test_a_host_that_stands_twice_or_not_at_all_is_refused(server):
-    right = f"Host: 127.0.0.1:{server.port}\r\n"
+def test_a_host_that_stands_twice_or_not_at_all_is_refused(asked):
+    right = f"Host: 127.0.0.1:{asked.port}\r\n"
     for version, hosts in (("1.1", right + "Host: evil.example\r\n"), ("1.1", ""), ("1.0", "")):
-        with socket.create_connection(("127.0.0.1", server.port)) as asking:
+        with socket.create_connection(("127.0.0.1", asked.port)) as asking:
             asking.sendall(f"GET / HTTP/{version}\r\n{hosts}\r\n".encode())
             assert re.match(rb"HTTP/1\.\d 40[03]", asking.recv(100))
 
 
-def test_there_is_nothing_else_to_ask_for(server):
-    assert answer(server.port, "/", "POST", Content_Length="0")[0] == 405
-    assert answer(server.port, "/events", "DELETE")[0] == 405
-    assert answer(server.port, "/../../etc/passwd")[0] == 404
-    assert answer(server.port, "/events", "HEAD")[0] == 200
-    until(lambda: server.clients == 0)
+def test_there_is_nothing_else_to_ask_for(asked):
+    assert answer(asked.port, "/", "POST", Content_Length="0")[0] == 405
+    assert answer(asked.port, "/events", "DELETE")[0] == 405
+    assert answer(asked.port, "/../../etc/passwd")[0] == 404
+    assert answer(asked.port, "/events", "HEAD")[0] == 200
+    until(lambda: asked.clients == 0)
 
 
 def test_names_of_a_server_for_others():

@@ -179,7 +179,7 @@ class Ranges:
         if self.robot.family:
             spot = rays.origin + s * rays.direction
             spot, covector = np.broadcast_arrays(spot, a)
-            turns = np.cross(spot, covector, axis=0)
+            turns = cross(spot, covector)
             columns.append(self.robot.pull(np.concatenate((turns, covector))))
         if slope is not None:
             columns = [c if c is by_error else c * slope for c in columns]
@@ -251,7 +251,7 @@ class PoseVariables:
 
 def members(values: Values, family: str, member: IntArray) -> FloatArray:
     """Return the numbers (size, K, G, 1) of the member that each group sees."""
-    numbers: FloatArray = np.moveaxis(values[family][:, member], 2, 0)[..., None]
+    numbers: FloatArray = values[family][:, member].transpose(2, 0, 1)[..., None]
     return numbers
 
 
@@ -259,6 +259,13 @@ def dot(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the products of vectors (3, ...)."""
     product: FloatArray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the cross products of vectors (3, ...), in half of the time of `numpy.cross`."""
+    return np.stack(
+        (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    )
 
 
 def turned(R: FloatArray, x: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ import hashlib
 import json
 import zlib
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -175,7 +176,7 @@ def page_of(
     labels: dict[str, str] = SECTIONS,
 ) -> str:
     """Return the whole page; `live` is the name of its version where a server sends its content."""
-    from plotly.offline import get_plotlyjs, get_plotlyjs_version
+    from plotly.offline import get_plotlyjs_version
 
     content = (
         templates()
@@ -186,7 +187,7 @@ def page_of(
             labels=labels,
             data=safe_json({name: figure.json() for name, figure in figures.items()}),
             result=result,
-            plotly=packed(get_plotlyjs()) if figures or live else "",
+            plotly=packed_plotly() if figures or live else "",
             plotly_version=get_plotlyjs_version(),
             script=script,
             live=live,
@@ -201,8 +202,9 @@ def script_of(*names: str) -> str:
     return "".join(environment.get_template(name).render() for name in ("library.js", *names))
 
 
+@lru_cache(maxsize=1)
 def templates() -> "Environment":
-    """Return the templates: all text is escaped, and no name is missing."""
+    """Return the templates, compiled once: all text is escaped, and no name is missing."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     return Environment(
@@ -221,6 +223,14 @@ def _hash(script: str) -> str:
 def packed(text: str) -> str:
     """Return text compressed (zlib) in base64, of which no letter means anything in HTML."""
     return base64.b64encode(zlib.compress(text.encode(), 6)).decode()
+
+
+@lru_cache(maxsize=1)
+def packed_plotly() -> str:
+    """Return plotly.js `packed`, which takes longer than all else of a page and is the same in all."""
+    from plotly.offline import get_plotlyjs
+
+    return packed(get_plotlyjs())
 
 
 def safe_json(value: object) -> str:

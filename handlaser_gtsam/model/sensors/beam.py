@@ -31,7 +31,7 @@ class Beam:
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
         """Return ds by location and direction."""
         del rays
-        basis = np.moveaxis(bases(values[self.family][..., 3:6])[:, self.member], (2, 3), (0, 1))
+        basis = bases(values[self.family][..., 3:6])[:, self.member].transpose(2, 3, 0, 1)
         turned = s * np.einsum("ijkg,ikgs->jkgs", basis, a)
         shape = np.broadcast_shapes(a.shape[1:], s.shape)
         return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in (a, turned)])

@@ -14,7 +14,7 @@ from ...arrays import FloatArray, IntArray
 from ...quantities import TINY
 from ..block import Values
 from ..families import Family, Motion, Vector, register
-from ..ranges import Rays, members, turned, turned_back
+from ..ranges import Rays, cross, members, turned, turned_back
 
 ERRORS = ("k0", "k1", "k2", "scale")
 """Coordinates of the range error of all rays: [m], [1], [1/m], [1]."""
@@ -76,4 +76,4 @@ class Mounted:
         x = members(values, self.family, self.member)
         a = turned_back(x[:9].reshape(3, 3, *x.shape[1:]), a)
         spot, a = np.broadcast_arrays(self.origin + s * self.direction, a)
-        return np.concatenate((np.cross(spot, a, axis=0), a))
+        return np.concatenate((cross(spot, a), a))

@@ -29,6 +29,6 @@ class Plane:
         grazing = ~(np.abs(cosine) >= GRAZING_LIMIT)
         f = -1.0 / np.where(grazing, GRAZING_LIMIT, cosine)
         s = (dot(n, origin - c) + h) * f
-        basis = np.moveaxis(bases(values[self.family][..., :3])[:, self.member], (2, 3), (0, 1))
+        basis = bases(values[self.family][..., :3])[:, self.member].transpose(2, 3, 0, 1)
         along = np.einsum("ijkg,ikgs->jkgs", basis, origin + s * direction - c)
         return Hits(s, n * f, np.concatenate((along * f, f[None])), grazing)
