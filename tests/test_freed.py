@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, codes, draws, simulated
+from helpers import GRIPPER, codes, simulated
 from test_systematic import Scene
 
 import handlaser_gtsam as hl
@@ -74,9 +74,10 @@ def test_several_errors_are_unknowns_at_once():
     assert abs(lag.size - 0.05) < 4.0 * lag.sigma < 2e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", ["lag", "incidence", "drift", "sag"])
 def test_a_simulated_error_is_recovered_with_honest_covariances(code):
-    runs, size = draws(20, 100), SIZES.get(code, 5e-4)
+    runs, size = 100, SIZES.get(code, 5e-4)
     squares, count, of_size = 0.0, 0, []
     for seed in range(runs):
         scene = Scene(seed)
