@@ -1,6 +1,7 @@
 """Sensors of many rays, spheres, points and relations: rows, starts, noise, and what is rejected."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -436,3 +437,14 @@ def test_spots_that_are_aimed_exactly_leave_the_noise_of_readings_as_it_is(seed)
     assert far(rig, found) > 1e-4
     *_, beams, _ = estimate_survey(survey, EXACT).noise.sigma
     assert beams == pytest.approx(1e-4, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("times", "code"), [(1.0, None), (0.6, "sigmas-too-small"), (2.5, "sigmas-too-large")]
+)
+def test_a_stated_sigma_that_shots_contradict_is_said(times, code):
+    survey = survey_of(rigs_by_rays.profiler(5))
+    shots = replace(survey.shots[0], sigma=times * 1e-4)
+    found = hl.calibrate(replace(survey, shots=(shots,)), EXACT)
+    assert found.usable
+    assert [one.code for one in found.warnings] == ([] if code is None else [code])

@@ -19,7 +19,7 @@ from ..estimation.estimate import (
 )
 from ..estimation.survey import RelationTest, SurveyEstimate
 from ..estimation.survey_rows import Rows
-from ..model.distributions import gaussian_sf
+from ..model.distributions import chi2_cdf, chi2_sf, gaussian_sf
 from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
@@ -29,6 +29,7 @@ from ..text import count, some
 from .array_conventions import better_convention
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
+from .significance import SINGLE_LEVEL
 from .spot_error import radius
 from .survey_motion import CURE_OF_A_CIRCLE, motion_of, on_one_circle, open_words
 from .warnings import MANY_OUTLIERS
@@ -36,6 +37,8 @@ from .warnings import MANY_OUTLIERS
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
+NOTABLE_SIGMA = 1.5
+"""Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
 ANGLES = {"rx": "turn about x", "ry": "turn about y", "rz": "turn about z"}
 """Coordinates of a sensor that are turns, in words."""
 
@@ -465,6 +468,7 @@ def _warnings(
                 f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
             )
             yield CalibrationWarning("relation-contradicted", words, {"p": tested.p_value})
+    yield from _sigmas(found)
     for shots in found.rows.survey.shots:
         better = better_convention(shots, found.rows.survey.stations.plane_labels)
         if better is not None:
@@ -507,6 +511,46 @@ def _warnings(
             f"{some([f'{one.sensor} at {one.station}' for one in lost], NAMES_IN_LINE)}"
         )
         yield CalibrationWarning("too-few-points", words, {"shots": len(found.rows.lost)})
+
+
+def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of stated sigmas that the scatter inside shots contradicts, or chi2 if none is learned."""
+    for member, shots in enumerate(found.rows.survey.shots):
+        own = [
+            one.shot
+            for one, used in zip(found.rows.items, found.used, strict=True)
+            if used and one.shot is not None and one.member == member and one.shot.dof
+        ]
+        many = sum(shot.dof for shot in own)
+        if not shots.sigma or not many:
+            continue
+        inside = math.sqrt(sum(shot.squares for shot in own) / many)
+        square = many * (inside / shots.sigma) ** 2
+        smaller = inside < shots.sigma
+        p = float((chi2_cdf if smaller else chi2_sf)(square, many))
+        if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > NOTABLE_SIGMA:
+            code = f"sigmas-too-{'large' if smaller else 'small'}"
+            message = (
+                f"readings of {shots.name} scatter by {inside * IN_MM:.2g} mm inside shots, where "
+                f"{shots.sigma * IN_MM:.2g} mm are stated; state none to have it estimated"
+            )
+            yield CalibrationWarning(code, message, {"sigma_mm": inside * IN_MM, "p": p})
+            return
+    chi2, dof = found.estimate.chi2, found.estimate.dof
+    learned = np.isnan([*found.stated.sigma, *found.stated.pose]).any()
+    if learned or dof < 1 or not math.isfinite(chi2):
+        return
+    times = math.sqrt(chi2 / dof)
+    for code, p, words in (
+        ("sigmas-too-small", float(chi2_sf(chi2, dof)), "too small, or the model does not hold"),
+        ("sigmas-too-large", float(chi2_cdf(chi2, dof)), "too large"),
+    ):
+        if p < SINGLE_LEVEL:
+            message = (
+                f"shots misfit by {times:.2f} times what the sigmas say (p = {p:.1g}): a sigma is "
+                f"{words}; state none to have them estimated"
+            )
+            yield CalibrationWarning(code, message, {"times": times, "p": p})
 
 
 def _undetermined(found: SurveyEstimate) -> Iterator[str]:
