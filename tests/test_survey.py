@@ -443,7 +443,7 @@ def test_spots_that_are_aimed_exactly_leave_the_noise_of_readings_as_it_is(seed)
     ("times", "code"), [(1.0, None), (0.6, "sigmas-too-small"), (2.5, "sigmas-too-large")]
 )
 def test_a_stated_sigma_that_shots_contradict_is_said(times, code):
-    survey = survey_of(rigs_by_rays.profiler(5))
+    survey = survey_of(rigs_by_rays.profiler(1))
     shots = replace(survey.shots[0], sigma=times * 1e-4)
     found = hl.calibrate(replace(survey, shots=(shots,)), EXACT)
     assert found.usable

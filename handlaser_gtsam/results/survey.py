@@ -37,6 +37,8 @@ from .warnings import MANY_OUTLIERS
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
+CAUSES = (CONVENTION, "sigmas-too-small")
+"""Codes of warnings that say why shots do not fit each other."""
 NOTABLE_SIGMA = 1.5
 """Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
 ANGLES = {"rx": "turn about x", "ry": "turn about y", "rz": "turn about z"}
@@ -249,7 +251,8 @@ class SurveyCalibration(Value):
         """What to do with it, in one sentence."""
         if self.status != "converged":
             why = self.undetermined[:2] if self.undetermined else (self.message,)
-            why = (*[one.message for one in self.warnings if one.code == CONVENTION], *why)
+            causes = [one.message for one in self.warnings if one.code in CAUSES]
+            why = (*causes, *why)
             return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
         parts = [
             f"{sensor.name} within {sensor.spot_error * IN_MM:.2g} mm (95 %, a spot at "
