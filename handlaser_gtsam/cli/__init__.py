@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+from contextlib import suppress
 
 from .stopping import BAD_INPUT, INTERRUPTED, UNDETERMINED, WORDS, CtrlC
 
@@ -18,7 +19,8 @@ def main() -> None:
         with CtrlC() as stopping:
             code, words = _stoppable(stopping)
             if words:
-                print(f"handlaser: {words}", file=sys.stderr)
+                with suppress(BrokenPipeError):  # whoever read it has gone; the exit code stays
+                    print(f"handlaser: {words}", file=sys.stderr, flush=True)
             sys.exit(code)
     except KeyboardInterrupt:  # in the first or the last line of the above
         print(f"handlaser: {WORDS}", file=sys.stderr)

@@ -7,6 +7,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,7 +52,8 @@ class Answer:
         if self.failure is not None:
             code, words = self.failure
             if code != INTERRUPTED:  # that is said where Ctrl-C ends up
-                print(f"handlaser: {words}", file=sys.stderr)
+                with suppress(BrokenPipeError):  # whoever read it has gone; the exit code stays
+                    print(f"handlaser: {words}", file=sys.stderr, flush=True)
             raise typer.Exit(code)
 
 

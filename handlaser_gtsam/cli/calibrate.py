@@ -86,6 +86,11 @@ class Manner(Model):
         """Return the options of a calibration with the sensor of `rig`."""
         plain = Model.options(self, rig)  # a dataclass with slots has no super() of its own
         free = () if self.free is None else tuple(code.strip() for code in self.free.split(","))
+        if not all(free):
+            from ..errors import InputError
+            from ..text import shown
+
+            raise InputError(f"--free {shown(self.free)}", "codes, with one comma between two")
         return replace(plain, outliers=self.outliers.value, loss=self.loss.value, free=free)
 
 

@@ -43,7 +43,8 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path, *, plain: boo
     found = [*stated, *how, *(name for name, given in fields.items() if given)]
     if found:
         words = f"{', '.join(found)}, with sensors of many rays, other targets or relations"
-        raise InputError(words, "it with beams before planes only", path)
+        expected = "it with beams before planes only (errors of a sensor are `free` in [[sensors]])"
+        raise InputError(words, expected, path)
 
 
 def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") -> Answer:

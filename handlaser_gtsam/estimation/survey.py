@@ -229,7 +229,9 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         found = replace(found, status="not_converged", message=message, covariance=unknown)
     elif doubtful and found.status == "converged":
         names = ", ".join(doubtful)
-        message = f"the rest contradicts more than {MOST_REJECTED:.0%} of the shots of {names}"
+        message = (
+            f"more than {100 * MOST_REJECTED:.0f} % of the shots of {names} contradict the others"
+        )
         found = replace(found, status="contradicted", message=message)
     return SurveyEstimate(
         state.rows, noise, found, state.sizes, stated, state.used, _tested(state, problem)

@@ -254,7 +254,8 @@ class _Errors:
                 own = [kind.column_of(member, seen) for member in range(len(members))]
                 column = np.array(own).reshape(len(own), len(self.rows)).T
                 parts = [self._words(member) for member in members]
-            elif kind is not None:
+            else:
+                assert kind is not None, f"{code} can show"
                 column, parts = kind.columns, list(kind.parts)
                 members = [(code, number, -1, -1, -1) for number in range(column.shape[1])]
             if effect.twists is not None:

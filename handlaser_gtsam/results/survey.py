@@ -37,7 +37,7 @@ from .warnings import MANY_OUTLIERS
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
-CAUSES = (CONVENTION, "sigmas-too-small")
+CAUSES = (CONVENTION, "sigmas-too-small", "range-error")
 """Codes of warnings that say why shots do not fit each other."""
 NOTABLE_SIGMA = 1.5
 """Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
@@ -481,16 +481,20 @@ def _warnings(
             )
             yield CalibrationWarning(CONVENTION, words, {"sensor": shots.name})
     for sensor in sensors.values():
-        for error in sensor.errors:
-            if error.found:
-                p = 2.0 * float(gaussian_sf(abs(error.size) / error.sigma))
-                words = (
-                    f"{sensor.name} reads with an error {error.code} of {error.size:.3g} +- "
-                    f'{error.sigma:.2g} (p = {p:.1g}); free = ["{error.code}"] estimates it'
-                )
-                yield CalibrationWarning(
-                    "range-error", words, {"sensor": sensor.name, "size": error.size}
-                )
+        found_errors = [error for error in sensor.errors if error.found]
+        if found_errors:
+            # One error shows in the tests of others that look like it: the most significant is named.
+            first, *others = sorted(found_errors, key=lambda e: -abs(e.size) / e.sigma)
+            p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
+            alike = " or ".join(error.code for error in others)
+            words = (
+                f"{sensor.name} reads with an error {first.code} of {first.size:.3g} +- "
+                f'{first.sigma:.2g} (p = {p:.1g}); free = ["{first.code}"] estimates it'
+            )
+            words += f"; an error {alike} would look much like it" if others else ""
+            yield CalibrationWarning(
+                "range-error", words, {"sensor": sensor.name, "size": first.size}
+            )
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
         names = some([f"{one.sensor} at {one.station}" for one in out], NAMES_IN_LINE)
@@ -564,10 +568,11 @@ def _undetermined(found: SurveyEstimate) -> Iterator[str]:
         information, axes, _ = information_axes(problem, kept_blocks(problem, estimate), values)
         null = axes[:, information < least_information(information)]
         what, cures = open_words(rows, estimate, null)
-        yield f"{'; '.join(what)}. To determine it: {'; '.join(cures)}"
+        yield f"the motion leaves open {'; '.join(what)}. To determine it: {'; '.join(cures)}"
         return
     for direction in found.estimate.undetermined:
-        words = [_coordinate(found.rows, name) for name in direction.split(", ")]
+        # Both tilts of a plane have one word.
+        words = list(dict.fromkeys(_coordinate(found.rows, name) for name in direction.split(", ")))
         together = ", moving together" if len(words) > 1 else ""
         yield f"undetermined{together}: {some(words, NAMES_IN_LINE)}"
     circles = on_one_circle(found.rows, found.estimate.values)

@@ -46,7 +46,8 @@ def open_words(
         return circles, (CURE_OF_A_CIRCLE,)
     errors = any(part.quantity == "range error" for part in parts)
     leans = motion is None or _leans(rows, found, motion)
-    return named(motion, parts, leans=leans, k1_free=errors, mount=SENSOR.name)
+    mount = SENSOR.name if rows.survey.shots else BEAM.name
+    return named(motion, parts, leans=leans, k1_free=errors, mount=mount)
 
 
 def _leans(rows: Rows, found: Estimate, motion: PoorMotion) -> bool:

@@ -69,7 +69,7 @@ class Session:
                 expected = "sigmas that are given: estimate them with calibrate"
                 raise ArgumentError(name, "while planes are added", expected)
         if self.options.free:
-            expected = "no errors that are unknowns: estimate them with calibrate"
+            expected = "no errors that are unknowns: estimate them with all planes at once"
             raise ArgumentError("free", "while planes are added", expected)
         if self.options.loss != "gaussian":
             loss = f"{self.options.loss} while planes are added"

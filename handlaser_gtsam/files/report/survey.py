@@ -97,7 +97,10 @@ def survey_content(
         "shown": {
             "mark": mark,
             "opening": opening,
-            "findings": [sentence(part) for part in words.split("; ")],
+            "findings": [
+                part if part.startswith(tuple(result.sensors)) else sentence(part)
+                for part in words.split("; ")
+            ],
             "counts": _counts(result, survey),
         },
         "warnings": [one.message for one in result.warnings],
