@@ -27,8 +27,7 @@ gc.disable()
 
 
 def pytest_collection_finish():
-    """Collect garbage of the tests alone."""
-    gc.freeze()
+    """Collect garbage again; frozen, objects would have no referrers for Hypothesis to find."""
     gc.enable()
 
 
