@@ -9,7 +9,7 @@ with n_H = R' n, c = n_H . v and the spot x = R (r + s v) + t.
 """
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.observability.poor_motion import poor_motion
+from handlaser_gtsam.results.survey_check import check_survey
 
 WALLS = {
     "vertical": [(0, 0), (60, 0), (-50, 0), (150, 0)],
@@ -382,3 +383,124 @@ def test_python_of_the_page_cures_what_a_vehicle_lacks(tmp_path, monkeypatch):
     for i, beam in enumerate(cured.beams.values()):
         error = np.abs(beam.location - at.r[i] + np.array([0.0, 0.0, shift]))
         assert (error < 4.0 * beam.location_sigma).all()
+
+
+IMAGE = "its mirror image in the plane of the motion fits as well"
+MOUNT = np.eye(4)
+MOUNT[:3, :3] = Rotation.from_euler("ZYX", [0.2, np.pi / 2 - 0.1, 0.25]).as_matrix()
+MOUNT[:3, 3] = 0.05, 0.02, 0.03
+"""Where sensors sit: hand_T_sensor."""
+UPRIGHT = {"plane:A": ([1.0, 0.0, 0.0], 2.0), "plane:B": ([0.3, 1.0, 0.0], 2.5)}
+LEANING = {**UPRIGHT, "plane:L": ([-0.5, 0.3, 0.35], 1.6)}
+"""Normals, and offsets [m] along them."""
+
+
+def stations_before(walls, seed, looks):
+    """Stations of a hand at a height of 0.5 m that turns about z only, 12 a wall."""
+    rng = np.random.default_rng(seed)
+    R, t, labels = [], [], []
+    for label, (normal, offset) in walls.items():
+        n = np.array(normal) / np.linalg.norm(normal)
+        for _ in range(12):
+            yaw = np.arctan2(n[1], n[0]) - np.arctan2(looks[1], looks[0]) + rng.uniform(-0.6, 0.6)
+            level = np.array([n[0], n[1], 0.0]) / np.hypot(n[0], n[1])
+            at = level * (offset - 0.5 * n[2]) / np.hypot(n[0], n[1])
+            at += np.cross([0, 0, 1], level) * rng.uniform(-0.3, 0.3) - level * rng.uniform(
+                0.3, 0.5
+            )
+            R.append(Rotation.from_euler("z", yaw).as_matrix())
+            t.append([at[0], at[1], 0.5])
+            labels.append(label)
+    return hl.StationList(np.array(R), np.array(t), tuple(labels)), rng
+
+
+def reads(walls, stations, origin, direction):
+    """Ranges (M,) of a ray in the hand: n . (t + R (origin + s direction)) = offset."""
+    n = np.array([np.array(walls[label][0]) for label in stations.plane_labels])
+    length = np.linalg.norm(n, axis=1)
+    offset = np.array([walls[label][1] for label in stations.plane_labels])
+    n_hand = np.einsum("mji,mj->mi", stations.world_R_hand, n / length[:, None])
+    height = (n / length[:, None] * stations.world_t_hand).sum(axis=1)
+    return (offset - height - n_hand @ origin) / (n_hand @ direction)
+
+
+def profiled(walls, seed, *known):
+    """The survey of a profiler of 61 points, each with 0.03 mm of noise."""
+    stations, rng = stations_before(walls, seed, MOUNT[:3, 2])
+    x = np.linspace(-0.03, 0.03, 61)
+    z = np.array(
+        [reads(walls, stations, MOUNT[:3] @ [u, 0, 0, 1], MOUNT[:3, 2]) for u in x]
+    ) + 3e-5 * rng.standard_normal((61, len(stations)))
+    station = np.repeat(np.arange(len(stations)), 61)
+    shots = hl.Shots.profiler("s", station, np.tile(x, len(stations)), z.T.ravel())
+    return hl.Survey(stations, (shots,), known=known)
+
+
+def mounted(sigma_deg):
+    """The drawing of the mount, right to 1 mm and so many degrees."""
+    return hl.Known(
+        "mount", ("sensor:s",), sigma=1e-3, sigma_angle=np.radians(sigma_deg), pose=MOUNT
+    )
+
+
+STATED = hl.Noise(pose_translation_sigma=2e-5, pose_rotation_sigma=np.radians(0.01))
+
+
+def off(result):
+    """By how much the rotation of the sensor is wrong [rad]."""
+    turn = Rotation.from_matrix(MOUNT[:3, :3].T @ result.sensors["s"].rotation)
+    return turn.magnitude()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
+def test_a_profiler_in_planar_motion_has_a_mirror_image(walls, seed):
+    result = hl.calibrate(profiled(walls, seed), STATED)
+    assert result.status == "undetermined"
+    assert f"which way up flat sensor s is: {IMAGE}" in result.undetermined[0]
+    assert ("one common height" if "plane:L" in walls else "no plane is known to lean") in (
+        result.undetermined[0]
+    )
+    assert np.isnan(result.sensors["s"].rotation_sigma).all()
+    assert np.isnan(result.sensors["s"].covariance[:3]).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
+def test_a_drawing_of_the_mount_says_which_way_up_it_is(walls, seed):
+    result = hl.calibrate(profiled(walls, seed, mounted(2.0)), STATED)
+    assert result.status == "converged"
+    assert result.usable
+    assert not any(one.contradicted for one in result.relations)
+    # Four standard deviations of a turn about each of three axes.
+    assert off(result) < 4.0 * np.linalg.norm(result.sensors["s"].rotation_sigma)
+    assert not check_survey(profiled(walls, seed, mounted(2.0)), STATED).undetermined
+    vague = hl.calibrate(profiled(walls, seed, mounted(180.0)), STATED)
+    assert vague.status == "undetermined"
+    assert f"which way up flat sensor s is: {IMAGE}" in vague.undetermined[0]
+    assert np.isfinite(vague.sensors["s"].location_sigma).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sigma_deg", [2.0, 180.0])
+@pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
+def test_a_beam_of_a_survey_has_a_mirror_image(walls, sigma_deg, seed):
+    v = MOUNT[:3, 2] + [0.0, 0.0, 0.3]
+    v /= np.linalg.norm(v)
+    stations, rng = stations_before(walls, seed, v)
+    ranges = reads(walls, stations, MOUNT[:3, 3], v) + 3e-5 * rng.standard_normal(len(stations))
+    drawn = MOUNT.copy()
+    drawn[:3, :3] = Rotation.align_vectors([v], [[0, 0, 1.0]])[0].as_matrix()
+    known = hl.Known(
+        "mount", ("beam:b",), sigma=1e-3, sigma_angle=np.radians(sigma_deg), pose=drawn
+    )
+    survey = hl.Survey(stations, (), ranges[:, None], ("b",), (known,))
+    result = hl.calibrate(survey, replace(STATED, range_sigma=3e-5))
+    beam = result.beams["b"]
+    if sigma_deg == 180.0:
+        assert result.status == "undetermined"
+        assert f"which way up beam b is: {IMAGE}" in result.undetermined[0]
+        assert beam.direction_sigma == np.inf
+    else:
+        assert result.status == "converged"
+        assert np.arccos(beam.direction @ v) < 4.0 * np.sqrt(2.0) * beam.direction_sigma

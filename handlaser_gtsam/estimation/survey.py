@@ -29,6 +29,7 @@ from ..quantities import MM, MOST_ROUNDS
 from .components import Components, Inside, components
 from .dense import dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
+from .survey_mirror import best_image, with_images
 from .survey_rows import (
     AIMING,
     AIMING_SIGMA,
@@ -102,6 +103,9 @@ class SurveyEstimate:
         NaN where it was learned.
     used : (items,) of bool
     tests : tuple of RelationTest
+    images : mapping
+        Turn [rad] of each (family, number) to its mirror image in the plane of the motion, where that
+        fits as well.
     """
 
     rows: Rows
@@ -111,6 +115,7 @@ class SurveyEstimate:
     stated: Components
     used: BoolArray
     tests: tuple[RelationTest, ...]
+    images: Mapping[tuple[str, int], float]
 
     def problem(self) -> BlockProblem:
         """Return the blocks of what was used, in standard deviations, errors of the hand counted.
@@ -220,6 +225,8 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     rows = rows_of(survey)
     state, inside, stated = first_state(rows, noise)
     settled = _settle(state, inside, stated)
+    again, others = best_image(state, lambda image: _settle(image, inside, stated))
+    settled = settled if again is None else again
     problem, _ = state.problem()
     found = judged(problem, list(problem.blocks), dict(state.values))
     doubtful = _doubtful(state)
@@ -233,9 +240,26 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
             f"more than {100 * MOST_REJECTED:.0f} % of the shots of {names} contradict the others"
         )
         found = replace(found, status="contradicted", message=message)
-    return SurveyEstimate(
-        state.rows, noise, found, state.sizes, stated, state.used, _tested(state, problem)
-    )
+    tests = _tested(state, problem)
+    found, images = with_images(found, others)
+    return SurveyEstimate(state.rows, noise, found, state.sizes, stated, state.used, tests, images)
+
+
+def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
+    """Go to the mirror image in the plane of the motion that fits a first state best.
+
+    Returns
+    -------
+    list of mapping
+        The values of other images that fit as well, as of `best_image`.
+    """
+
+    def settle(image: SurveyState) -> bool:
+        image.used = np.ones(len(image.rows.items), dtype=bool)
+        _leave_out_gross(image)
+        return True
+
+    return best_image(state, settle)[1]
 
 
 def first_state(rows: Rows, noise: Noise) -> tuple[SurveyState, Inside, Components]:

@@ -35,8 +35,8 @@ from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.families import BEAM
+from ..quantities import FAR_SIGMAS
 from .projection import LinearRows, Projection
-from .significance import FAR_SIGMAS
 
 LEAST_PAIRS = 20
 """A correlation estimated from fewer neighbours is unsure by more than a fifth."""

@@ -13,11 +13,10 @@ from ..model.families import MOUNT_DIM
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import EXACT
+from ..quantities import EXACT, FAR_SIGMAS
 from ..solvers.refine import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.search import LAST_STEPS, SAME_DIRECTION
-from .significance import FAR_SIGMAS
 
 WORTH_REFINING = 100.0
 """Another minimum of one beam, the planes fixed, is refined where its chi2 is larger by at most

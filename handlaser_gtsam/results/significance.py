@@ -14,8 +14,6 @@ SINGLE_LEVEL = 1e-3
 """One test with a p-value below this contradicts what it tests."""
 CONFIDENCE = 0.95
 """Probability of the intervals and radii that are stated: the usual one."""
-FAR_SIGMAS = 4.0
-"""A deviation by more standard deviations is no accident: good recordings have one in 16,000."""
 FEW_DEGREES = 10
 """With fewer degrees of freedom an estimated sigma is itself unsure by more than a fifth."""
 LEAST_P = 1e-9

@@ -18,6 +18,7 @@ from ..estimation.estimate import (
     tested_columns,
 )
 from ..estimation.survey import RelationTest, SurveyEstimate
+from ..estimation.survey_mirror import motion_of
 from ..estimation.survey_rows import Rows
 from ..model.distributions import chi2_cdf, chi2_sf, gaussian_sf
 from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
@@ -31,7 +32,7 @@ from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .significance import SINGLE_LEVEL
 from .spot_error import radius
-from .survey_motion import CURE_OF_A_CIRCLE, motion_of, on_one_circle, open_words
+from .survey_motion import CURE_OF_A_CIRCLE, on_one_circle, open_words
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
@@ -310,7 +311,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     turn, shift = found.noise.pose
     stated = bool((np.array(found.stated.pose) == 1.0).all())  # covariances of the poses
     relations = found.tests
-    undetermined = tuple(_undetermined(found)) if estimate.undetermined else ()
+    undetermined = tuple(_undetermined(found)) if estimate.undetermined or found.images else ()
     return SurveyCalibration(
         estimate.status,
         undetermined[0] if undetermined else estimate.message,
@@ -567,7 +568,7 @@ def _undetermined(found: SurveyEstimate) -> Iterator[str]:
         problem, values = found.problem(), {name: x[None] for name, x in estimate.values.items()}
         information, axes, _ = information_axes(problem, kept_blocks(problem, estimate), values)
         null = axes[:, information < least_information(information)]
-        what, cures = open_words(rows, estimate, null)
+        what, cures = open_words(rows, estimate, null, found.images)
         yield f"the motion leaves open {'; '.join(what)}. To determine it: {'; '.join(cures)}"
         return
     for direction in found.estimate.undetermined:

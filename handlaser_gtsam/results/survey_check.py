@@ -15,7 +15,8 @@ from ..data.survey import Known, Survey, normal_label
 from ..data.value import Value
 from ..errors import InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
-from ..estimation.survey import GROSS, first_state, misfits
+from ..estimation.survey import GROSS, first_image, first_state, misfits
+from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import Rows, rows_of
 from ..model.families import BEAM
 from ..model.sensors.mounted import ERRORS, SENSOR
@@ -122,13 +123,15 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
             raise
         said = ((error.found,), True, (error.expected,), np.nan)
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
+    others = first_image(state)
     state = replace(state, relations=[one for one in state.relations if one[0] not in holds])
     problem, _ = state.problem()
     information, axes, _ = information_axes(problem, problem.blocks, state.values)
     exact = information < NEGLIGIBLE**2 * information.max()
     weak = ~exact & (information < least_information(information))
     found = judged(problem, problem.blocks, dict(state.values))
-    undetermined, advice = open_words(state.rows, found, axes[:, exact | weak])
+    found, images = with_images(found, others)
+    undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
     if numbers < unknowns:
         advice = (*advice, "measure at more stations")
     return SurveyCheck(

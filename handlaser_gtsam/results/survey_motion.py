@@ -5,15 +5,17 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.readings import Readings
 from ..estimation.estimate import Estimate
+from ..estimation.survey_mirror import motion_of, numbers_of
 from ..estimation.survey_rows import Rows
 from ..model.families import BEAM, FAMILIES, PLANE, bases
 from ..model.known import BODY
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
-from ..observability.poor_motion import COUNTED_TURN, SIGNIFICANT, PoorMotion, named, poor_motion
+from ..observability.poor_motion import COUNTED_TURN, SIGNIFICANT, PoorMotion, named
 from ..observability.wording import WORTH_A_WORD, Kind, OpenPart, vector_words
+from ..quantities import FAR_SIGMAS, IN_DEG
+from ..text import some
 
 ON_ONE_CIRCLE = 0.02
 """Normals are on one circle about a direction if their spread along it is below this."""
@@ -22,7 +24,7 @@ CURE_OF_A_CIRCLE = "tilt it by another angle, or add a second plane"
 
 
 def open_words(
-    rows: Rows, found: Estimate, null: FloatArray
+    rows: Rows, found: Estimate, null: FloatArray, images: Mapping[tuple[str, int], float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Say what moves along directions that are undetermined, and what determines it.
 
@@ -32,28 +34,63 @@ def open_words(
     found : Estimate
     null : (N, q)
         Orthonormal, in natural units.
+    images : mapping
+        Turn [rad] of each (family, number) to its mirror image, where that fits as well.
 
     Returns
     -------
     undetermined, advice : tuples of str
     """
+    what, cures = _words_of_images(rows, images)
     if not null.shape[1]:
-        return (), ()
+        return what, cures
     parts = tuple(_parts(rows, found.values, null))
     motion = motion_of(rows)
     circles = tuple(on_one_circle(rows, found.values)) if motion is None else ()
     if len(circles) == null.shape[1]:
         return circles, (CURE_OF_A_CIRCLE,)
     errors = any(part.quantity == "range error" for part in parts)
-    leans = motion is None or _leans(rows, found, motion)
+    leans = motion is None or _leans(rows, found, motion, images)
     mount = SENSOR.name if rows.survey.shots else BEAM.name
-    return named(motion, parts, leans=leans, k1_free=errors, mount=mount)
+    moving, others = named(motion, parts, leans=leans, k1_free=errors, mount=mount)
+    return (*moving, *what), (*cures, *others)
 
 
-def _leans(rows: Rows, found: Estimate, motion: PoorMotion) -> bool:
+def _words_of_images(
+    rows: Rows, images: Mapping[tuple[str, int], float]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Say what has a mirror image in the plane of the motion, and what tells the two apart."""
+    names = {}
+    for family, member in images:
+        if family == SENSOR.name:
+            names[family, member] = f"flat sensor {rows.survey.shots[member].name}"
+        elif family == BEAM.name:
+            names[family, member] = f"beam {rows.survey.beam_names[member]}"
+    image = "its mirror image in the plane of the motion fits as well"
+    if not names and images:
+        planes = some([_name_of(rows, *target) for target in images], 6)
+        return (f"which way planes {planes} lean: {image}",), (
+            'state one of them in [[known]] (relation = "plane")',
+        )
+    # A relation tells the images apart where it makes chi2 of the false one far larger.
+    cures = [
+        f'state the mount of {name} in [[known]] (relation = "mount") with a sigma_deg below '
+        f"{images[mount] * IN_DEG / FAR_SIGMAS:.2g}"
+        for mount, name in names.items()
+    ]
+    return tuple(f"which way up {name} is: {image}" for name in names.values()), tuple(cures)
+
+
+def _leans(
+    rows: Rows,
+    found: Estimate,
+    motion: PoorMotion,
+    images: Mapping[tuple[str, int], float],
+) -> bool:
     """Tell whether a target is known to look different at other heights: a leaning plane, a ball."""
-    for target, number in _numbers(rows).items():
-        if target[0] != PLANE.name:
+    for target, number in numbers_of(rows).items():
+        # The mirror image of a plane that leans is another plane.
+        if target[0] != PLANE.name or target in images:
             return True
         n, up = found.values[PLANE.name][target[1], :3], motion.upright[number]
         slope = up @ bases(n)
@@ -62,31 +99,6 @@ def _leans(rows: Rows, found: Estimate, motion: PoorMotion) -> bool:
         if abs(n @ up) > np.sin(COUNTED_TURN) and abs(n @ up) > SIGNIFICANT * sigma:
             return True
     return False
-
-
-def _numbers(rows: Rows) -> dict[tuple[str, int], int]:
-    """Return numbers of the targets, in the order in which they are seen."""
-    return {x: n for n, x in enumerate(dict.fromkeys(item.target for item in rows.items))}
-
-
-def motion_of(rows: Rows) -> PoorMotion | None:
-    """Return the kind of a motion that is poor before any targets; None of any other."""
-    # A reading for each target and station only says where the hand was before it.
-    numbers = _numbers(rows)
-    seen = sorted({(numbers[item.target], item.station) for item in rows.items})
-    plane, station = np.array(seen).T
-    of = rows.survey.stations
-    readings = Readings(
-        station,
-        np.zeros_like(station),
-        plane,
-        np.full(len(seen), rows.length),
-        of.world_R_hand[station],
-        of.world_t_hand[station],
-        1,
-        len(numbers),
-    )
-    return poor_motion(readings)
 
 
 def _parts(rows: Rows, values: Mapping[str, FloatArray], null: FloatArray) -> Iterator[OpenPart]:

@@ -18,11 +18,11 @@ from ..model.distributions import chi2_cdf, chi2_sf
 from ..model.equation import cosines, plausible_range_errors, scene
 from ..model.sensor import BY_LIMITS
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import IN_DEG, IN_MM
+from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM
 from ..text import count
 from .dependence import Dependence
 from .reports import Fit
-from .significance import FAR_SIGMAS, FEW_DEGREES, SINGLE_LEVEL
+from .significance import FEW_DEGREES, SINGLE_LEVEL
 
 SUSPICIOUS_FIT = 0.06
 """An rms residual above this part of the readings' spread is suspicious: a file read wrongly has

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ...arrays import IntArray
-from ...quantities import IN_MM
+from ...quantities import FAR_SIGMAS, IN_MM
 from ...results.description.tables import (
     NONE,
     ROWS_ON_PAGE,
@@ -19,7 +19,7 @@ from ...results.description.tables import (
     of_words,
     significant,
 )
-from ...results.significance import FAMILY_LEVEL, FAR_SIGMAS, chance
+from ...results.significance import FAMILY_LEVEL, chance
 from ...text import count
 from ...validation.hold_out import HoldOut
 from ...validation.prediction import pooled

@@ -1,0 +1,218 @@
+r"""Mirror images of a survey in the plane of its motion.
+
+A hand that turns about one axis only, at one height, moves in a plane, and the reflection in that plane
+commutes with its motion. With the axis a_h in the hand and a_w in the world, H = I - 2 a_h a_h' and
+W = I - 2 a_w a_w' about the height of the hand, a beam (H r, H v) reads from a target that W reflects
+what (r, v) reads from the target itself. A sensor whose rays lie in one plane has a flip F of the axis
+across its rays that changes no reading, so that H X F is a rotation, too. Sensors that measure in three
+dimensions have no such image.
+
+Planes that contain a_w are their own images, and each mount before them may be reflected alone, even
+where the hand moves along a_w. Mounts that see a common target of another kind are reflected together.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..arrays import FloatArray
+from ..data.readings import Readings
+from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, bases
+from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import SENSOR
+from ..model.targets.point import POINT
+from ..model.targets.sphere import SPHERE
+from ..observability.poor_motion import COUNTED_TURN, PoorMotion, poor_motion
+from ..quantities import FAR_SIGMAS, MOST_ROUNDS
+from .estimate import Estimate
+from .survey_rows import Rows
+
+if TYPE_CHECKING:
+    from .survey import SurveyState
+
+Entity = tuple[str, int]
+"""A family, and the number of a member."""
+
+
+TURNS = {SENSOR.name: slice(0, 3), BEAM.name: DIRECTION, PLANE.name: slice(0, 2)}
+"""Tangent coordinates of rotations, directions and normals, by family."""
+
+
+def numbers_of(rows: Rows) -> dict[Entity, int]:
+    """Return numbers of the targets, in the order in which they are seen."""
+    return {x: n for n, x in enumerate(dict.fromkeys(item.target for item in rows.items))}
+
+
+def motion_of(rows: Rows) -> PoorMotion | None:
+    """Return the kind of a motion that is poor before any targets; None of any other."""
+    # A reading for each target and station only says where the hand was before it.
+    numbers = numbers_of(rows)
+    seen = sorted({(numbers[item.target], item.station) for item in rows.items})
+    plane, station = np.array(seen).T
+    of = rows.survey.stations
+    readings = Readings(
+        station,
+        np.zeros_like(station),
+        plane,
+        np.full(len(seen), rows.length),
+        of.world_R_hand[station],
+        of.world_t_hand[station],
+        1,
+        len(numbers),
+    )
+    return poor_motion(readings)
+
+
+def best_image(
+    state: "SurveyState", settle: Callable[["SurveyState"], bool]
+) -> tuple[bool | None, list[Mapping[str, FloatArray]]]:
+    """Go to the mirror image that fits best, and return those that fit as well.
+
+    An image fits better, or worse, where chi2 of the same items and noise, relations included, differs
+    by more than the square of `FAR_SIGMAS`.
+
+    Parameters
+    ----------
+    state : SurveyState
+        At a minimum, or where the search for one ended: a relation that is true contradicts the false
+        image, which has then none.
+    settle : callable
+        Goes on from an image that fits better, and tells whether it came to rest.
+
+    Returns
+    -------
+    settled : bool or None
+        What `settle` told last; None where no other image fits better.
+    others : list of mapping
+        Members (n, size) of each family of every image that fits as well; none where the motion
+        determines one alone.
+    """
+    motion, settled = motion_of(state.rows), None
+    others: list[Mapping[str, FloatArray]] = []
+    if motion is None or motion.kind not in ("planar", "one axis"):
+        return settled, others
+    for _ in range(MOST_ROUNDS):
+        here, least, best, others = _chi2(state), -(FAR_SIGMAS**2), None, []
+        for values in _images(state.rows, state.values, motion):
+            trial = replace(state, values=values)
+            if not trial.minimize() or trial.rows is not state.rows:
+                continue
+            more = _chi2(trial) - here
+            if more < least:
+                least, best = more, trial.values
+            elif abs(more) <= FAR_SIGMAS**2:
+                others.append({name: x[0] for name, x in trial.values.items()})
+        if best is None:
+            return settled, others
+        state.values = best
+        settled = settle(state)
+    return False, others
+
+
+def with_images(
+    found: Estimate, others: Sequence[Mapping[str, FloatArray]]
+) -> tuple[Estimate, dict[Entity, float]]:
+    """Return an estimate without covariances of what differs in an image that fits as well.
+
+    The second result is by how much [rad] the rotation of a sensor, the direction of a beam or the
+    normal of a plane does.
+    What differs by less than `FAR_SIGMAS` standard deviations is the same.
+    """
+    C, turned = found.covariance.copy(), dict[Entity, float]()
+    for other in others:
+        for family, member, part, difference in _differences(found.values, other):
+            S = found.marginal(family, member)[part, part]
+            far = np.isfinite(S).all() and difference @ np.linalg.solve(S, difference)
+            if far > FAR_SIGMAS**2:
+                first = f"{family}[{member}]."
+                start = next(i for i, n in enumerate(found.names) if n.startswith(first))
+                index = np.arange(start + part.start, start + part.stop)
+                C[index], C[:, index] = np.nan, np.nan
+                if part == TURNS.get(family):
+                    turned[family, member] = float(np.linalg.norm(difference))
+    if not turned:
+        return found, turned
+    found = replace(found, covariance=C)
+    if found.status in ("not_converged", "undetermined"):
+        return found, turned
+    message = "the mirror image of a mount in the plane of the motion fits as well"
+    return replace(found, status="undetermined", message=message), turned
+
+
+def _chi2(state: "SurveyState") -> float:
+    problem, _ = state.problem()
+    _, e = problem.rows(problem.blocks, state.values).whitened()
+    return float(e @ e)
+
+
+def _images(
+    rows: Rows, values: Mapping[str, FloatArray], motion: PoorMotion
+) -> Iterator[dict[str, FloatArray]]:
+    """Yield the values with every group of mounts, and what they see, reflected."""
+    seen: dict[Entity, set[Entity]] = {}
+    stations: dict[Entity, list[int]] = {}
+    for item in rows.items:
+        seen.setdefault(item.target, set()).add((item.family, item.member))
+        stations.setdefault(item.target, []).append(item.station)
+    upright = {target: motion.upright[n] for target, n in numbers_of(rows).items()}
+    groups = [{mount} for mount in dict.fromkeys((i.family, i.member) for i in rows.items)]
+    for (family, member), mounts in seen.items():
+        n, a = values[family][0, member, :3], upright[family, member]
+        if family != PLANE.name or abs(n @ a) > np.sin(COUNTED_TURN):
+            tied = [group for group in groups if group & mounts]
+            groups = [group for group in groups if not group & mounts] + [set().union(*tied)]
+    if len(groups) > 1:
+        groups.append(set().union(*groups))
+    kinds = [KINDS[shots.kind] for shots in rows.survey.shots]
+    H = np.eye(3) - 2.0 * np.outer(motion.axis, motion.axis)
+    for group in groups:
+        if any(family == SENSOR.name and not kinds[i].flat for family, i in group):
+            continue
+        image = {name: x.copy() for name, x in values.items()}
+        for family, i in group:
+            x = image[family][0, i]
+            if family == BEAM.name:
+                x[:3], x[3:6] = H @ x[:3], H @ x[3:6]
+                continue
+            X = H @ x[:9].reshape(3, 3)
+            X[:, kinds[i].across] *= -1.0
+            x[:9], x[9:12] = X.ravel(), H @ x[9:12]
+        for target, mounts in seen.items():
+            if mounts & group:
+                x, a = image[target[0]][0, target[1]], upright[target]
+                height = a @ rows.survey.stations.world_t_hand[stations[target]].mean(axis=0)
+                place = slice(4, 7) if target[0] == PLANE.name else slice(0, 3)
+                x[place] -= 2.0 * (a @ x[place] - height) * a
+                if target[0] == PLANE.name:
+                    x[:3] -= 2.0 * (a @ x[:3]) * a
+        yield image
+
+
+def _differences(
+    here: Mapping[str, FloatArray], there: Mapping[str, FloatArray]
+) -> Iterator[tuple[str, int, slice, FloatArray]]:
+    """Yield family, member, tangent coordinates and their difference of what an image may change."""
+    for family, members in here.items():
+        for i, (x, y) in enumerate(zip(members, there[family], strict=True)):
+            if family == SENSOR.name:
+                R = x[:9].reshape(3, 3)
+                turn = Rotation.from_matrix(R.T @ y[:9].reshape(3, 3)).as_rotvec()
+                yield family, i, TURNS[family], turn
+                yield family, i, slice(3, 6), R.T @ (y[9:12] - x[9:12])
+            elif family == BEAM.name:
+                yield family, i, TURNS[family], _turned(x[3:6], y[3:6])
+                yield family, i, LOCATION, y[:3] - x[:3]
+            elif family == PLANE.name:
+                yield family, i, TURNS[family], _turned(x[:3], y[:3])
+            elif family in (SPHERE.name, POINT.name):
+                yield family, i, slice(0, 3), y[:3] - x[:3]
+
+
+def _turned(u: FloatArray, v: FloatArray) -> FloatArray:
+    """Return the tangent (2,) at u along which v lies, as long as their angle [rad]."""
+    across = bases(u).T @ v
+    length = float(np.linalg.norm(across))
+    return np.asarray(across * (np.arctan2(length, u @ v) / max(length, np.finfo(float).tiny)))
