@@ -343,7 +343,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
     spot = _spot_of(shots.kind, shots.across, reading)
     J = np.hstack((-skew(spot), np.eye(3)))
     located = R @ C[3:6, 3:6] @ R.T
-    if np.isnan(located).any():
+    if found.estimate.status == "undetermined" and np.isnan(located).any():
         # An undetermined direction of the hand has a part along each axis of the sensor.
         information, axes, unit = _information(found)
         shift = found.rows.places().place[SENSOR.name][member] + np.arange(3, 6)
