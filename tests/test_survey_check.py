@@ -16,6 +16,8 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
+from handlaser_gtsam.results.description.survey import sensors_table
+from handlaser_gtsam.results.description.tables import NONE
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
 from handlaser_gtsam.validation.survey_scenes import fan_of
 from handlaser_gtsam.validation.survey_simulate import SurveyTruth, simulate_survey
@@ -99,6 +101,29 @@ def test_vehicles_with_sensors_of_many_rays(kind, motion, walls, words):
     else:
         # Turns are determined: ten times better than what counts as undetermined, 0.1 rad.
         assert check.sensors[0].rotation_sigma < 0.01
+
+
+@pytest.mark.parametrize("tilt", [10.0, 20.0])
+def test_an_open_height_takes_no_sigma_from_the_other_coordinates(tilt):
+    """A height that is known to a decimetre closes what is open, and says nothing of x and y."""
+    survey = vehicle("profiler", "planar", "vertical", tilt)
+    noise = hl.Noise(pose_translation_sigma=1e-4, pose_rotation_sigma=1e-4)
+    left_open = hl.calibrate(survey, noise)
+    mount = left_open.sensors["eye"]
+    assert left_open.status == "undetermined"
+    assert np.isfinite(mount.location_sigma).tolist() == [True, True, False]
+    rough = hl.Known("mount", ("sensor:eye",), sigma=0.1, sigma_angle=10.0, pose=mount.matrix())
+    closed = hl.calibrate(hl.Survey(survey.stations, survey.shots, known=(rough,)), noise)
+    assert closed.status == "converged"
+    # The weight of a decimetre beside a millimetre is 1e-4 of that of the readings.
+    beside = closed.sensors["eye"].location_sigma
+    assert mount.location_sigma[:2] == pytest.approx(beside[:2], rel=1e-3)
+    assert beside[2] > 0.05
+    table = sensors_table(left_open)
+    row = dict(zip([column.title for column in table.columns], table.rows[0], strict=True))
+    assert row["z [mm]"].text == NONE
+    assert row["x [mm]"].value == pytest.approx(1e3 * mount.location[0])
+    assert row["sigma [mm]"].value == pytest.approx(1e3 * mount.location_sigma[:2].max())
 
 
 def test_a_flat_scanner_on_a_flat_floor_sees_no_wall_lean():

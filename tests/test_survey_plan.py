@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.rigs import EXACT
+from handlaser_gtsam.files.stations_csv import write_stations
 from handlaser_gtsam.planning.survey import plan_survey
 from handlaser_gtsam.planning.workspace import Workspace
 
@@ -80,6 +81,9 @@ def test_a_plan_determines_what_a_poor_motion_left_open():
     first = hl.calibrate(measured(poses, rng), EXACT)
     assert first.status == "undetermined"
     plan = plan_survey(first, 4)
+    assert plan.undetermined == first.undetermined
+    assert np.isnan(plan.spot_errors[0])
+    assert plan.determined
     added = zip(plan.stations.world_R_hand, plan.stations.world_t_hand, strict=True)
     after = hl.calibrate(measured([*poses, *added], rng), EXACT)
     assert after.status == "converged"
@@ -97,6 +101,46 @@ def test_a_plan_ends_where_its_goal_is_reached():
     for hard in (hl.planning.Goal(location_sigma=1e-9), hl.planning.Goal(direction_sigma=1e-9)):
         assert plan_survey(first, 6, goal=hard).reached is False
     assert whole.reached is None
+
+
+@pytest.mark.parametrize(("largest", "code"), [(30.0, 0), (1e-3, 3)])
+def test_the_command_says_what_is_open_and_whether_the_stations_mend_it(
+    largest, code, handlaser, tmp_path
+):
+    """A hand that is kept from turning leaves open what turns would determine."""
+    rng = np.random.default_rng(3)
+    R, t = map(np.array, zip(*looking([(0.1, 0.1)] * 8, rng), strict=True))
+    survey = measured(list(zip(R, t, strict=True)), rng)
+    stations = tmp_path / "stations.csv"
+    write_stations(stations, survey.stations)
+    shots = survey.shots[0]
+    rows = (
+        f"{survey.stations.station_names[s]},{1e3 * x:.9f},{1e3 * z:.9f}"
+        for s, x, z in zip(shots.station, shots.across[:, 0], shots.reading, strict=True)
+    )
+    (tmp_path / "points.csv").write_text("\n".join(["station,x,z", *rows]) + "\n")
+    box = [(1e3 * t.min(axis=0) - 300).tolist(), (1e3 * t.max(axis=0) + 300).tolist()]
+    home = Rotation.from_matrix(R[0]).as_quat().tolist()
+    rig = tmp_path / "rig.toml"
+    rig.write_text(
+        f"[noise]\npose_translation_sigma_mm = 0.02\npose_rotation_sigma_deg = 0.005\n"
+        f"[workspace]\nbox_mm = {box}\nhome_quaternion = {home}\nlargest_turn_deg = {largest}\n"
+        '[[sensors]]\nname = "profiler"\nkind = "profiler"\npoints = "points.csv"\n'
+    )
+    out = tmp_path / "next.csv"
+    words = ["plan", str(stations), "--rig", str(rig), "--stations", "8"]
+    ended, said, err = handlaser(*words, "--out", str(out))
+    assert ended == code
+    assert err.startswith("WARNING: the recording leaves open: ")
+    assert "an estimate that may be far off" in err
+    assert ("would still leave something open" in err) == (code == 3)
+    assert said.splitlines()[0].endswith("undetermined before")
+    assert len(hl.read_stations(out).station_names) == 8
+    answer = json.loads(handlaser(*words, "--json")[1])
+    assert answer["spot_error_m"] is None
+    assert answer["undetermined"]
+    assert answer["determined"] == (code == 0)
+    assert (answer["stations"][-1]["spot_error_m"] is None) == (code == 3)
 
 
 def test_the_command(handlaser, tmp_path):

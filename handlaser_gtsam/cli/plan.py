@@ -76,7 +76,8 @@ def plan(
     Without RECORDING and --calibration: a first motion for any mount within the bounds of the rig file.
 
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
-    the plan.
+    the plan. With sensors of many rays stations are chosen all the same, and 3 says that something
+    would still be undetermined after them.
     """
     from ..errors import InputError
     from ..files.plan_json import plan_text, survey_plan_text
@@ -85,17 +86,20 @@ def plan(
     from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan
     from .plan_tables import plan_lines, scene_lines
-    from .survey import survey_plan_lines
+    from .survey import survey_plan_gaps, survey_plan_lines
 
     with Working():
         rig = given.read()
         outputs = {"--out": out, "--picture": picture}
         require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
+        warnings: list[str] = []
+        failure = None
         if isinstance(planned, SurveyPlan):
             if picture is not None:
                 raise InputError("--picture with sensors of many rays", "it with beams only")
             lines, text = survey_plan_lines(planned), survey_plan_text(planned)
+            warnings, failure = survey_plan_gaps(planned)
         else:
             lines, text = list(plan_lines(planned, rig.goal)), plan_text(planned)
             if rig.workspace is not None and rig.workspace.robot is not None:
@@ -105,7 +109,7 @@ def plan(
         if picture is not None and not isinstance(planned, SurveyPlan):
             write_text(picture, forecast_svg(planned.forecast, rig.goal))
         lines += wrote(out, picture)
-        answer = Answer(text, partial(print_wrapped, lines))
+        answer = Answer(text, partial(print_wrapped, lines), warnings, failure)
     answer.give(json=json_, quiet=quiet)
 
 

@@ -183,19 +183,42 @@ def survey_plan(
 
 def survey_plan_lines(planned: "SurveyPlan") -> list[str]:
     """Return the lines of a plan."""
-    errors = planned.spot_errors * IN_MM
-    lines = [
-        f"{len(planned.sensors)} stations: spots within {errors[-1]:.2g} mm (95 %) after them, "
-        f"{errors[0]:.2g} mm before"
+    within = [
+        f"{error * IN_MM:.2g} mm" if math.isfinite(error) else "undetermined"
+        for error in planned.spot_errors.tolist()
     ]
+    after = f"within {within[-1]} (95 %)" if planned.determined else within[-1]
+    many = count(len(planned.sensors), "station")
+    lines = [f"{many}: spots {after} after them, {within[0]} before"]
     if planned.reached is not None:
         lines.append(f"the goal is {'' if planned.reached else 'not '}reached after them")
-    of = zip(planned.stations.plane_labels, planned.sensors, errors[1:].tolist(), strict=True)
+    of = zip(planned.stations.plane_labels, planned.sensors, within[1:], strict=True)
     lines += [
-        f"{number}. {sensor} before {label}: then {error:.2g} mm"
-        for number, (label, sensor, error) in enumerate(of, start=1)
+        f"{number}. {sensor} before {label}: then {size}"
+        for number, (label, sensor, size) in enumerate(of, start=1)
     ]
     return lines
+
+
+def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] | None]:
+    """Return a warning of what the survey leaves undetermined, and the failure of a plan that keeps it.
+
+    The failure is an exit code and words; None where everything is determined after the stations.
+    """
+    if not planned.undetermined:
+        return [], None
+    words = (
+        f"WARNING: the recording leaves open: {'; '.join(planned.undetermined)}. "
+        "Stations are chosen at an estimate that may be far off"
+    )
+    if planned.determined:
+        return [words], None
+    stations = count(len(planned.sensors), "station")
+    return [words], (
+        UNDETERMINED,
+        f"{stations} would still leave something open: ask for more with --stations, or allow more "
+        "room and larger turns in the table [workspace] of the rig file",
+    )
 
 
 def _validation_lines(result: "SurveyValidation") -> Iterator[str]:

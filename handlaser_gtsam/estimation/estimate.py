@@ -443,6 +443,33 @@ def least_information(information: FloatArray) -> float:
     return max(options.most_sigma**-2, SINGULAR**2 * float(information.max()))
 
 
+def covariance_along(
+    information: FloatArray, axes: FloatArray, functionals: FloatArray
+) -> FloatArray:
+    """Return the covariance (F, F) of linear functionals (F, N) of the unknowns in natural units.
+
+    Parameters
+    ----------
+    information, axes : (N,), (N, N)
+        Of independent directions, as `information_axes` returns them.
+    functionals : (F, N)
+        Derivatives of each by the unknowns in natural units.
+
+    Returns
+    -------
+    (F, F)
+        In the units of the functionals. Rows and columns are NaN where undetermined directions have
+        more than `NEGLIGIBLE` of the squared length of a functional.
+    """
+    known = information >= least_information(information)
+    parts = functionals @ axes
+    covariance = (parts[:, known] / information[known]) @ parts[:, known].T
+    length = (functionals**2).sum(axis=1)
+    moves = (parts[:, ~known] ** 2).sum(axis=1) > NEGLIGIBLE * length
+    covariance[moves], covariance[:, moves] = np.nan, np.nan
+    return np.asarray(covariance)
+
+
 def _undetermined(
     problem: BlockProblem, blocks: Sequence[Block], values: Values, names: Sequence[str]
 ) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
@@ -451,8 +478,7 @@ def _undetermined(
     The third result is the covariance (N, N) of all that does not move along them, NaN for the rest.
     """
     information, axes, unit = information_axes(problem, blocks, values)
-    least = least_information(information)
-    null = axes[:, information < least]
+    null = axes[:, information < least_information(information)]
     echelon = null.T.copy()
     for r in range(len(echelon)):  # each direction gets a coordinate that the others do not have
         row, pivot = divmod(int(np.abs(echelon[r:]).argmax()), echelon.shape[1])
@@ -465,11 +491,7 @@ def _undetermined(
         size = np.abs(direction)
         moving = [names[i] for i in np.argsort(-size) if size[i] > NAMED_SHARE * size.max()]
         words.append(", ".join(moving))
-    known = information >= least
-    covariance = (axes[:, known] / information[known]) @ axes[:, known].T * np.outer(unit, unit)
-    moves = (null**2).sum(axis=1) > SINGULAR**0.5
-    covariance[moves], covariance[:, moves] = np.nan, np.nan
-    return null, tuple(words), covariance
+    return null, tuple(words), covariance_along(information, axes, np.diag(unit))
 
 
 def _finished(

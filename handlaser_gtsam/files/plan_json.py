@@ -53,7 +53,12 @@ def survey_plan_text(plan: SurveyPlan) -> str:
         "quaternion_xyzw": Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True),
         "spot_error_m": plan.spot_errors[1:],
     }
-    content: Record = {"spot_error_m": plan.spot_errors[0], "stations": _rows(columns)}
+    content: Record = {
+        "spot_error_m": plan.spot_errors[0],
+        "stations": _rows(columns),
+        "undetermined": plan.undetermined,
+        "determined": plan.determined,
+    }
     return json_text("survey-plan", content)
 
 

@@ -4,7 +4,8 @@ Candidates look at the targets as they were found, from all sides, at ranges tha
 and within the workspace. A candidate says what all its rays say, J'(I + A A')^-1 J with the derivatives
 J by sensor and target, and A by the hand's errors, in standard deviations; `choose` takes those that
 shrink the laser spots at working distance most. What the survey leaves undetermined counts as known to
-a metre, or a radian: so the first stations go where the motion has been too poor.
+a metre, or a radian: so the first stations go where the motion has been too poor. That bound only
+guides the choice: spot errors are stated only where survey and stations determine everything.
 """
 
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ from ..checks import require_count, require_kind
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
+from ..estimation.estimate import information_axes, least_information
 from ..estimation.survey_rows import Item, rays_on
 from ..model.families import FAMILIES, PLANE, POSE, bases
 from ..model.geometry import skew
@@ -58,7 +60,10 @@ class SurveyPlan(Value):
     sensors : names
         The sensor that looks at the target, at each station.
     spot_errors : (M + 1,)
-        Largest radius of a sensor that holds its spot with 95 %, before the first and after each [m].
+        Largest radius of a sensor that holds its spot with 95 %, before the first and after each [m];
+        NaN as long as the survey, with the stations up to there, leaves anything undetermined.
+    undetermined : tuple of str
+        What the survey alone leaves undetermined, in sentences.
     reached : bool, optional
         Whether the goal is reached after them, where there is one: the plan ends there.
     """
@@ -66,7 +71,13 @@ class SurveyPlan(Value):
     stations: StationList
     sensors: tuple[str, ...]
     spot_errors: FloatArray
+    undetermined: tuple[str, ...]
     reached: bool | None = None
+
+    @property
+    def determined(self) -> bool:
+        """Whether everything is determined once the survey has its stations."""
+        return bool(np.isfinite(self.spot_errors[-1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,15 +156,20 @@ def plan_survey(
         [np.pad(v.rows, ((0, 0), (0, most - v.rows.shape[1]), (0, 0))) for v in views]
     )
     taken, _, _ = choose(rows[None], before, weight, min(count, len(rows)))
-    C, errors = before, [_spot_error(before, weight)]
-    reached = False
+    information, axes, unit = information_axes(problem, problem.blocks, values)
+    told = np.sqrt(information)[:, None] * axes.T
+    known, reached = not calibration.undetermined, False
+    C, errors = before, [_spot_error(before, weight) if known else np.nan]
     for A in rows[taken]:
         if reached:
             break
         gain = C @ A.T
         C = C - gain @ np.linalg.solve(np.eye(len(A)) + A @ gain, gain.T)
-        errors.append(_spot_error(C, weight))
-        reached = goal is not None and goal.stated and _reached(calibration, C, errors[-1], goal)
+        told = np.vstack((told, A * unit))
+        known = known or _determined(told)
+        errors.append(_spot_error(C, weight) if known else np.nan)
+        if known and goal is not None and goal.stated:
+            reached = _reached(calibration, C, errors[-1], goal)
     taken = taken[: len(errors) - 1]
     view_of = np.repeat(np.arange(len(views)), [len(view.R) for view in views])
     R, t = (np.concatenate([getattr(view, name) for view in views])[taken] for name in "Rt")
@@ -163,8 +179,15 @@ def plan_survey(
         StationList(R, t, tuple(found.rows.label(view.target) for view in chosen)),
         tuple(names[view.member] for view in chosen),
         np.array(errors),
+        calibration.undetermined,
         reached if goal is not None and goal.stated else None,
     )
+
+
+def _determined(rows: FloatArray) -> bool:
+    """Tell whether rows, of unit weight and in natural units, determine all unknowns."""
+    information = np.asarray(np.linalg.svd(rows, compute_uv=False) ** 2, dtype=np.float64)
+    return bool(information.min() >= least_information(information))
 
 
 def _seen(calibration: SurveyCalibration) -> Iterator[tuple[int, tuple[str, int]]]:

@@ -12,6 +12,7 @@ from ..data.value import Value
 from ..errors import CalibrationWarning
 from ..estimation.dense import dense_rows, unknowns_of
 from ..estimation.estimate import (
+    covariance_along,
     information_axes,
     kept_blocks,
     least_information,
@@ -87,7 +88,7 @@ class SensorMount(Value):
         Of a turn and a shift in the sensor's own frame [rad], [m], in the order of `gtsam.Pose3`, then
         of the range errors; NaN where undetermined.
     location_sigma : (3,)
-        Along the axes of the hand [m].
+        Along the axes of the hand [m]; NaN along those that an undetermined direction moves.
     rotation_sigma : (3,)
         About the axes of the sensor [rad].
     reading_sigma : float
@@ -342,7 +343,14 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
     reading = float(np.median(shots.reading))
     spot = _spot_of(shots.kind, shots.across, reading)
     J = np.hstack((-skew(spot), np.eye(3)))
-    S = C[3:6, 3:6]
+    located = R @ C[3:6, 3:6] @ R.T
+    if found.estimate.status == "undetermined" and np.isnan(located).any():
+        # An undetermined direction of the hand has a part along each axis of the sensor.
+        information, axes, unit = _information(found)
+        shift = found.rows.places().place[SENSOR.name][member] + np.arange(3, 6)
+        functionals = np.zeros((3, len(unit)))
+        functionals[:, shift] = R * unit[shift]
+        located = covariance_along(information, axes, functionals)
     return SensorMount(
         shots.name,
         shots.kind,
@@ -350,7 +358,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         x[9:12],
         {name: float(x[12 + ERRORS.index(name)]) for name in shots.free},
         C,
-        np.sqrt(np.diagonal(R @ S @ R.T)),
+        np.sqrt(np.diagonal(located)),
         np.sqrt(np.diagonal(C)[:3]),
         float(found.noise.sigma[member]),
         reading,
@@ -359,6 +367,13 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         *_taken(found, SENSOR.name, member),
         errors,
     )
+
+
+def _information(found: SurveyEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return `information_axes` of the rows that were used, at the estimate."""
+    problem, estimate = found.problem(), found.estimate
+    values = {name: x[None] for name, x in estimate.values.items()}
+    return information_axes(problem, kept_blocks(problem, estimate), values)
 
 
 def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
@@ -565,8 +580,7 @@ def _undetermined(found: SurveyEstimate) -> Iterator[str]:
     """Yield what is undetermined in words, and why where that is known."""
     rows, estimate = found.rows, found.estimate
     if motion_of(rows) is not None:
-        problem, values = found.problem(), {name: x[None] for name, x in estimate.values.items()}
-        information, axes, _ = information_axes(problem, kept_blocks(problem, estimate), values)
+        information, axes, _ = _information(found)
         null = axes[:, information < least_information(information)]
         what, cures = open_words(rows, estimate, null, found.images)
         yield f"the motion leaves open {'; '.join(what)}. To determine it: {'; '.join(cures)}"

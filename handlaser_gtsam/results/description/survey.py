@@ -6,18 +6,20 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...arrays import FloatArray
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
 from ..limits import LimitCheck, worst_of_each
 from ..lines import NAMES_IN_LINE, decimals
 from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
 from .tables import (
+    NONE,
     Cell,
     Facts,
     Table,
+    determined,
     listed,
     name_cell,
-    number,
     of_numbers,
     of_words,
     significant,
@@ -49,19 +51,28 @@ def sensors_table(result: SurveyCalibration) -> Table | None:
 
 
 def _sensor_row(sensor: SensorMount) -> tuple[Cell, ...]:
-    shift, turn = float(sensor.location_sigma.max()), float(sensor.rotation_sigma.max())
-    digits, turns = _digits(shift * IN_MM), _digits(turn * IN_DEG)
+    turn = float(sensor.rotation_sigma.max())
+    turns = _digits(turn * IN_DEG)
     angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
     return (
         name_cell(sensor.name),
-        *(number(x * IN_MM, digits) for x in sensor.location),
-        significant(shift * IN_MM, 2),
-        *(number(a, turns) for a in angles),
+        *_located(sensor.location, sensor.location_sigma),
+        # Each of them moves with any turn.
+        *(determined(a, turn, turns, NONE) for a in angles),
         significant(turn * IN_DEG, 2),
         significant(sensor.spot_error * IN_MM, 2),
         Cell(str(sensor.shots), sensor.shots),
         Cell(str(sensor.rejected), sensor.rejected, "care" if sensor.rejected else ""),
     )
+
+
+def _located(location: FloatArray, sigma: FloatArray) -> tuple[Cell, ...]:
+    """Return cells of a location, dashes for what is open, and the largest sigma of the rest."""
+    known = np.isfinite(sigma)
+    largest = float(sigma[known].max()) if known.any() else math.nan
+    digits = _digits(largest * IN_MM)
+    place = zip((location * IN_MM).tolist(), sigma.tolist(), strict=True)
+    return *(determined(x, s, digits, NONE) for x, s in place), significant(largest * IN_MM, 2)
 
 
 def _digits(sigma: float) -> int:
@@ -88,13 +99,10 @@ def beams_table(result: SurveyCalibration) -> Table | None:
 
 
 def _beam_row(beam: BeamMount) -> tuple[Cell, ...]:
-    shift = float(beam.location_sigma.max())
-    digits = _digits(shift * IN_MM)
     return (
         name_cell(beam.name),
-        *(number(x * IN_MM, digits) for x in beam.location),
-        significant(shift * IN_MM, 2),
-        *(number(x, 5) for x in beam.direction),
+        *_located(beam.location, beam.location_sigma),
+        *(determined(x, beam.direction_sigma, 5, NONE) for x in beam.direction.tolist()),
         significant(beam.direction_sigma * IN_DEG, 2),
         Cell(str(beam.readings), beam.readings),
     )
