@@ -98,8 +98,9 @@ def best_image(
         here, least, best, others = _chi2(state), -(FAR_SIGMAS**2), None, []
         for values in _images(state.rows, state.values, motion):
             trial = replace(state, values=values)
+            # A search may fail along undetermined heights: then the image counts where it is.
             if not trial.minimize() or trial.rows is not state.rows:
-                continue
+                trial = replace(state, values=values)
             more = _chi2(trial) - here
             if more < least:
                 least, best = more, trial.values
