@@ -204,6 +204,7 @@ def require_no_promise(check):
     assert not any("to be known to" in line or "determines" in line for line in lines)
 
 
+@pytest.mark.slow  # 15 s: starts are looked for in halves of shots that do not fit
 def test_an_array_that_reads_the_other_way_is_asked_for_its_convention():
     survey, _, _ = rough(3, stations=12, sigma=2e-4, stated="perpendicular")
     check = check_survey(survey)
@@ -211,6 +212,7 @@ def test_an_array_that_reads_the_other_way_is_asked_for_its_convention():
     assert check.doubt.endswith('set convention = "radial"')
 
 
+@pytest.mark.slow  # 15 s: starts are looked for in halves of shots that do not fit
 def test_poses_in_a_wrong_format_end_with_exit_code_3(tmp_path, handlaser):
     folder = shutil.copytree(FOLDER, tmp_path / "profiler")
     rig = folder / "rig.toml"
