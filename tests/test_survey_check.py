@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from helpers import ROOT
 from scipy.spatial.transform import Rotation
+from test_survey_arrays import rough
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
@@ -199,5 +200,54 @@ def test_beams_beside_sensors_and_poses_that_do_not_fit_are_said():
     of = survey.stations
     wrong = hl.StationList(R, of.world_t_hand, of.plane_labels, of.station_names)
     check = check_survey(hl.Survey(wrong, survey.shots, survey.ranges, survey.beam_names))
+    require_no_promise(check)
+    assert check.doubt.endswith("are the pose format and the labels right?")
+
+
+def require_no_promise(check):
+    """Where most shots do not fit each other, nothing is said of how well mounts would be known."""
     assert not check.fits
-    assert any("most shots do not fit each other" in line for line in check_lines(check))
+    assert all(np.isinf(one.location_sigma) for one in check.sensors)
+    lines = list(check_lines(check))
+    assert check.doubt in lines
+    assert not any("to be known to" in line or "determines" in line for line in lines)
+
+
+@pytest.mark.slow  # 15 s: starts are looked for in halves of shots that do not fit
+def test_an_array_that_reads_the_other_way_is_asked_for_its_convention():
+    survey, _, _ = rough(3, stations=12, sigma=2e-4, stated="perpendicular")
+    check = check_survey(survey)
+    require_no_promise(check)
+    assert check.doubt.endswith('set convention = "radial"')
+
+
+@pytest.mark.slow  # 15 s: starts are looked for in halves of shots that do not fit
+def test_poses_in_a_wrong_format_end_with_exit_code_3(tmp_path, handlaser):
+    folder = shutil.copytree(FOLDER, tmp_path / "profiler")
+    rig = folder / "rig.toml"
+    kuka = 'pose_format = "kuka"'
+    assert kuka in rig.read_text()
+    rig.write_text(rig.read_text().replace(kuka, 'pose_format = "mitsubishi"\nas_stated = true'))
+    code, out, err = handlaser("check", str(folder / "poses.csv"), "--rig", str(rig))
+    assert code == 3
+    assert "to be known to" not in out
+    assert "are the pose format and the labels right?" in err
+
+
+def test_what_was_not_read_is_counted_as_by_a_calibration():
+    """One station has no point, and those of another fit no ball."""
+    survey = hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml")
+    shots = survey.shots[0]
+    kept = shots.station != 3
+    z = shots.reading.copy()
+    nowhere = shots.station == 15  # before the ball
+    z[nowhere] = np.random.default_rng(1).uniform(0.1, 0.9, nowhere.sum())
+    few = hl.Shots.profiler("scanner", shots.station[kept], shots.across[kept, 0], z[kept])
+    few = hl.Survey(survey.stations, (few,))
+    check, found = check_survey(few), hl.calibrate(few)
+    assert check.sensors[0].shots == found.sensors["scanner"].shots == 22
+    assert check.sensors[0].lost == 1
+    codes = ["stations-left-out", "too-few-points"]
+    assert [one.code for one in check.warnings] == codes
+    assert check.warnings == tuple(one for one in found.warnings if one.code in codes)
+    assert "and 1 shot with too few there" in next(check_lines(check))

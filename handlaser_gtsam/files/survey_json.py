@@ -126,6 +126,7 @@ def survey_check_text(check: SurveyCheck) -> str:
         "sensors": [record(one, of_sensor) for one in check.sensors],
         "targets": [record(one, of_target) for one in check.targets],
         **record(check, "numbers unknowns undetermined exactly advice misfit"),
+        "warnings": [record(one, WarningRecord) for one in check.warnings],
     }
     return json_text("survey-check", whole)
 

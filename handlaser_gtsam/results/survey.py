@@ -488,14 +488,7 @@ def _warnings(
             )
             yield CalibrationWarning("relation-contradicted", words, {"p": tested.p_value})
     yield from _sigmas(found)
-    for shots in found.rows.survey.shots:
-        better = better_convention(shots, found.rows.survey.stations.plane_labels)
-        if better is not None:
-            words = (
-                f"the readings of {shots.name} fit better if they are {better}: set convention = "
-                f'"{better}"'
-            )
-            yield CalibrationWarning(CONVENTION, words, {"sensor": shots.name})
+    yield from misread_arrays(found.rows)
     for sensor in sensors.values():
         found_errors = [error for error in sensor.errors if error.found]
         if found_errors:
@@ -519,21 +512,39 @@ def _warnings(
             f"{names}; are their labels right?"
         )
         yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
-    stations = len(found.rows.survey.stations)
-    read = {item.station for item in found.rows.items} | {at for _, at in found.rows.lost}
+    yield from unread_stations(found.rows)
+
+
+def misread_arrays(rows: Rows) -> Iterator[CalibrationWarning]:
+    """Warn of arrays whose readings fit the other convention better."""
+    for shots in rows.survey.shots:
+        better = better_convention(shots, rows.survey.stations.plane_labels)
+        if better is not None:
+            words = (
+                f"the readings of {shots.name} fit better if they are {better}: set convention = "
+                f'"{better}"'
+            )
+            yield CalibrationWarning(CONVENTION, words, {"sensor": shots.name})
+
+
+def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
+    """Warn of stations without a reading, and of shots with too few points on their target."""
+    survey, stations = rows.survey, len(rows.survey.stations)
+    read = {item.station for item in rows.items} | {at for _, at in rows.lost}
     unread = stations - len(read)
     if unread:
         words = f"{unread} of {stations} stations have no reading, and were left out"
         sizes = {"stations": unread, "total": stations}
         yield CalibrationWarning("stations-left-out", words, sizes)
-    if found.rows.lost:
-        lost = [one for one in rejected if one.reason == "too-few-points"]
+    if rows.lost:
+        names = survey.stations.station_names
+        lost = [f"{survey.shots[member].name} at {names[at]}" for member, at in rows.lost]
         words = (
             f"{count(len(lost), 'shot')} with too few points on their target, or most of them on "
             "something else behind or beside it: "
-            f"{some([f'{one.sensor} at {one.station}' for one in lost], NAMES_IN_LINE)}"
+            f"{some(lost, NAMES_IN_LINE)}"
         )
-        yield CalibrationWarning("too-few-points", words, {"shots": len(found.rows.lost)})
+        yield CalibrationWarning("too-few-points", words, {"shots": len(lost)})
 
 
 def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

@@ -13,7 +13,7 @@ import numpy as np
 from ..data.noise import Noise
 from ..data.survey import Known, Survey, normal_label
 from ..data.value import Value
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
 from ..estimation.survey import GROSS, first_image, first_state, misfits
 from ..estimation.survey_mirror import with_images
@@ -23,6 +23,7 @@ from ..model.sensors.mounted import ERRORS, SENSOR
 from ..observability.motion import PlaneMotion, motion_before
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
+from .survey import CONVENTION, misread_arrays, unread_stations
 from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
 NOT_OF_MOTION = frozenset((*ERRORS, "k1", "k2"))
@@ -42,12 +43,13 @@ class SensorHeld(Value):
     name, kind : str
         Kind of the sensor, or "beam".
     shots, points, on_target : int
-        Readings of a beam count as shots; points that belong to the shape of their target.
+        Shots that count, as in a calibration; readings of a beam count as shots; points, and those that
+        belong to the shape of their target.
     lost : int
-        Shots with too few points on their target.
+        Other shots, with too few points on their target.
     location_sigma, rotation_sigma : float
         Largest standard deviations of a coordinate in the hand [m], and of a turn [rad]; infinite where
-        it is undetermined.
+        it is undetermined, or where most shots do not fit each other.
     """
 
     name: str
@@ -78,6 +80,8 @@ class SurveyCheck(Value):
         What would determine it.
     misfit : float
         Typical misfit of a shot in standard deviations; NaN where no start was found.
+    warnings : tuple of CalibrationWarning
+        Of arrays that read in the other convention, of stations without a reading, and of lost shots.
     """
 
     sensors: tuple[SensorHeld, ...]
@@ -88,11 +92,23 @@ class SurveyCheck(Value):
     exactly: bool
     advice: tuple[str, ...]
     misfit: float
+    warnings: tuple[CalibrationWarning, ...]
 
     @property
     def fits(self) -> bool:
         """Whether most shots fit where the motion was judged."""
         return not self.misfit > GROSS
+
+    @property
+    def doubt(self) -> str | None:
+        """What to ask where most shots do not fit each other; None where they do."""
+        if self.fits:
+            return None
+        misread = [one.message for one in self.warnings if one.code == CONVENTION]
+        return (
+            f"most shots do not fit each other (by {self.misfit:.2g} standard deviations): "
+            f"{'; '.join(misread) or 'are the pose format and the labels right?'}"
+        )
 
 
 def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
@@ -104,6 +120,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         No shot has enough points on its target.
     """
     rows = rows_of(survey)
+    warnings = (*misread_arrays(rows), *unread_stations(rows))
     targets = tuple(_targets(rows))
     numbers = sum(1 if item.shot is None else len(item.shot.reading) for item in rows.items)
     numbers += 2 * sum(item.target[0] == "point" for item in rows.items)
@@ -121,7 +138,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     except InputError as error:
         if not rows.items:
             raise
-        said = ((error.found,), True, (error.expected,), np.nan)
+        said = ((error.found,), True, (error.expected,), np.nan, warnings)
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
     others = first_image(state)
     state = replace(state, relations=[one for one in state.relations if one[0] not in holds])
@@ -134,8 +151,9 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
     if numbers < unknowns:
         advice = (*advice, "measure at more stations")
+    misfit = float(np.median(misfits(state)))
     return SurveyCheck(
-        tuple(_held(rows, found)),
+        tuple(_held(rows, None if misfit > GROSS else found)),
         targets,
         numbers,
         unknowns,
@@ -143,12 +161,13 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         # On a cone, only the noise in the tilt of the target makes it look determined.
         not weak.any() or CURE_OF_A_CIRCLE in advice,
         advice,
-        float(np.median(misfits(state))),
+        misfit,
+        warnings,
     )
 
 
 def _held(rows: Rows, found: Estimate | None) -> Iterator[SensorHeld]:
-    """Yield what there is of each sensor and beam."""
+    """Yield what there is of each sensor and beam; nothing of its mount without an estimate."""
     survey = rows.survey
     entities = [(SENSOR.name, i, one.name, str(one.kind)) for i, one in enumerate(survey.shots)]
     entities += [(BEAM.name, i, name, BEAM.name) for i, name in enumerate(survey.beam_names)]
@@ -157,7 +176,6 @@ def _held(rows: Rows, found: Estimate | None) -> Iterator[SensorHeld]:
         points = len(survey.shots[member].reading) if family == SENSOR.name else len(own)
         on_target = sum(1 if item.points is None else len(item.points) for item in own)
         lost = sum(family == SENSOR.name and i == member for i, _ in rows.lost)
-        shots = len({item.station for item in own}) + lost
         shift = turn = np.inf
         if found is not None and own:
             C = found.marginal(family, member)
@@ -169,7 +187,7 @@ def _held(rows: Rows, found: Estimate | None) -> Iterator[SensorHeld]:
                 )
             sigma = np.nan_to_num(np.sqrt(np.diagonal(C)[:6]), nan=np.inf)
             shift, turn = float(sigma[:3].max()), float(sigma[3 : 6 if kind != "beam" else 5].max())
-        yield SensorHeld(name, kind, shots, points, on_target, lost, shift, turn)
+        yield SensorHeld(name, kind, len(own), points, on_target, lost, shift, turn)
 
 
 def _targets(rows: Rows) -> Iterator[PlaneMotion]:
@@ -195,7 +213,7 @@ def check_lines(check: SurveyCheck) -> Iterator[str]:
         words += "readings" if one.kind == BEAM.name else "shots"
         if one.kind != BEAM.name:
             words += f" of {one.points} points, {one.on_target} of them on their target"
-        words += f", {one.lost} with too few there" if one.lost else ""
+        words += f", and {count(one.lost, 'shot')} with too few there" if one.lost else ""
         if np.isfinite(one.location_sigma):
             sigmas = (
                 f"{one.location_sigma * IN_MM:.2g} mm and {one.rotation_sigma * IN_DEG:.2g} deg"
@@ -212,10 +230,7 @@ def check_lines(check: SurveyCheck) -> Iterator[str]:
     yield (
         f"{check.numbers} numbers that shots say for {check.unknowns} unknowns, without range errors"
     )
-    if not check.fits:
-        yield (
-            f"most shots do not fit each other (by {check.misfit:.2g} standard deviations): is the "
-            "pose format right, and are labels? What follows is judged where they fit best"
-        )
-    if not check.undetermined:
+    if check.doubt is not None:
+        yield check.doubt
+    elif not check.undetermined:
         yield "the motion determines everything before the targets that there are"
