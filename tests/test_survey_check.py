@@ -106,14 +106,14 @@ def test_vehicles_with_sensors_of_many_rays(kind, motion, walls, words):
 
 @pytest.mark.parametrize("tilt", [10.0, 20.0])
 def test_an_open_height_takes_no_sigma_from_the_other_coordinates(tilt):
-    """A height that is known to a decimetre closes what is open, and says nothing of x and y."""
+    """A mount that is roughly known closes what is open, and says nothing of x and y."""
     survey = vehicle("profiler", "planar", "vertical", tilt)
     noise = hl.Noise(pose_translation_sigma=1e-4, pose_rotation_sigma=1e-4)
     left_open = hl.calibrate(survey, noise)
     mount = left_open.sensors["eye"]
     assert left_open.status == "undetermined"
     assert np.isfinite(mount.location_sigma).tolist() == [True, True, False]
-    rough = hl.Known("mount", ("sensor:eye",), sigma=0.1, sigma_angle=10.0, pose=mount.matrix())
+    rough = hl.Known("mount", ("sensor:eye",), sigma=0.1, sigma_angle=0.1, pose=mount.matrix())
     closed = hl.calibrate(hl.Survey(survey.stations, survey.shots, known=(rough,)), noise)
     assert closed.status == "converged"
     # The weight of a decimetre beside a millimetre is 1e-4 of that of the readings.
