@@ -59,6 +59,10 @@ def workers(jobs: int | None, scheduler: str | None) -> Iterator[Callable[[], Ex
         yield partial(client.get_executor, pure=False)
 
 
+def _is_good(future: "Future[Result]") -> bool:
+    return future.done() and not future.cancelled() and future.exception() is None
+
+
 def run_blocks(
     function: Callable[..., Result],
     blocks: Sequence[tuple[object, ...]],
@@ -89,10 +93,15 @@ def run_blocks(
             for number, block in left.items():
                 futures[pool.submit(function, *block)] = number
             for future in as_completed(futures):
-                result = future.result()
-                del left[futures[future]]
-                losses = 0
-                yield result
+                error = future.exception()
+                # They arrive in no order: what others have finished is not lost with one that failed.
+                good = [future] if error is None else [one for one in futures if _is_good(one)]
+                for one in good:
+                    if left.pop(futures[one], None) is not None:
+                        losses = 0
+                        yield one.result()
+                if error is not None:
+                    raise error
         except BaseException as error:
             if type(error).__name__ not in LOST:
                 raise
