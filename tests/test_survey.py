@@ -98,7 +98,7 @@ def test_a_cone_is_refused_with_what_is_undetermined():
     rig = rigs_by_rays.profiler(3, planes=1, motion="cone", stations=12)
     result = hl.calibrate(survey_of(rig), EXACT)
     assert result.status == "undetermined"
-    assert "z of sensor profiler" in result.message
+    assert "the shift of profiler along (0.00, 0.00, 1.00) of its own frame" in result.message
     assert "offset of plane:A" in result.message
     assert any("cone" in words for words in result.undetermined)
     sensor = result.sensors["profiler"]

@@ -31,8 +31,9 @@ def left_open(undetermined: Sequence[str], advice: Sequence[str]) -> tuple[int, 
     """Return the exit code and the words of a motion that leaves something open; None of any other."""
     if not undetermined:
         return None
-    words = f"the motion leaves open {'; '.join(undetermined)}. "
-    return UNDETERMINED, f"{words}To determine it: {'; '.join(advice)}"
+    from ..observability.wording import open_sentence
+
+    return UNDETERMINED, open_sentence(undetermined, advice)
 
 
 class CtrlC:

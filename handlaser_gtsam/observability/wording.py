@@ -139,6 +139,12 @@ def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     return tuple(words)
 
 
+def open_sentence(undetermined: Sequence[str], advice: Sequence[str]) -> str:
+    """Return what a motion leaves open, and what determines it, as one line."""
+    words = f"the motion leaves open {'; '.join(undetermined)}"
+    return f"{words}. To determine it: {'; '.join(advice)}" if advice else words
+
+
 def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlaneNames) -> str:
     """Name the least known direction of the solution; nothing where rank is short."""
     if not observed.full:

@@ -19,13 +19,13 @@ from ..estimation.estimate import (
     tested_columns,
 )
 from ..estimation.survey import RelationTest, SurveyEstimate
-from ..estimation.survey_mirror import motion_of
 from ..estimation.survey_rows import Rows
 from ..model.distributions import chi2_cdf, chi2_sf, gaussian_sf
 from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR
+from ..observability.wording import open_sentence
 from ..quantities import IN_MM
 from ..text import count, some
 from .array_conventions import better_convention
@@ -33,7 +33,7 @@ from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .significance import SINGLE_LEVEL
 from .spot_error import radius
-from .survey_motion import CURE_OF_A_CIRCLE, on_one_circle, open_words
+from .survey_motion import open_words
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
@@ -43,8 +43,6 @@ CAUSES = (CONVENTION, "sigmas-too-small", "range-error")
 """Codes of warnings that say why shots do not fit each other."""
 NOTABLE_SIGMA = 1.5
 """Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
-ANGLES = {"rx": "turn about x", "ry": "turn about y", "rz": "turn about z"}
-"""Coordinates of a sensor that are turns, in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -589,29 +587,6 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
 
 def _undetermined(found: SurveyEstimate) -> Iterator[str]:
     """Yield what is undetermined in words, and why where that is known."""
-    rows, estimate = found.rows, found.estimate
-    if motion_of(rows) is not None:
-        information, axes, _ = _information(found)
-        null = axes[:, information < least_information(information)]
-        what, cures = open_words(rows, estimate, null, found.images)
-        yield f"the motion leaves open {'; '.join(what)}. To determine it: {'; '.join(cures)}"
-        return
-    for direction in found.estimate.undetermined:
-        # Both tilts of a plane have one word.
-        words = list(dict.fromkeys(_coordinate(found.rows, name) for name in direction.split(", ")))
-        together = ", moving together" if len(words) > 1 else ""
-        yield f"undetermined{together}: {some(words, NAMES_IN_LINE)}"
-    circles = on_one_circle(found.rows, found.estimate.values)
-    yield from (f"{words}; {CURE_OF_A_CIRCLE}" for words in circles)
-
-
-def _coordinate(rows: Rows, name: str) -> str:
-    family, _, rest = name.partition("[")
-    member, _, coordinate = rest.partition("].")
-    if family in (SENSOR.name, BEAM.name):
-        whose = _source(rows, family, int(member))
-        return f"{ANGLES.get(coordinate, coordinate)} of {family} {whose}"
-    if family == "body":
-        return f"{coordinate} of the body of {rows.bodies[int(member)].of[0]}"
-    words = {"n1": "tilt", "n2": "tilt"}.get(coordinate, coordinate)
-    return f"{words} of {rows.targets[family][int(member)]}"
+    information, axes, _ = _information(found)
+    null = axes[:, information < least_information(information)]
+    yield open_sentence(*open_words(found.rows, found.estimate, null, found.images))

@@ -46,7 +46,7 @@ def open_words(
         return what, cures
     parts = tuple(_parts(rows, found.values, null))
     motion = motion_of(rows)
-    circles = tuple(on_one_circle(rows, found.values)) if motion is None else ()
+    circles = tuple(_on_one_circle(rows, found.values)) if motion is None else ()
     if len(circles) == null.shape[1]:
         return circles, (CURE_OF_A_CIRCLE,)
     errors = any(part.quantity == "range error" for part in parts)
@@ -144,8 +144,8 @@ def _name_of(rows: Rows, family: str, member: int) -> str:
     return rows.label((family, member)).partition(":")[2]
 
 
-def on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str]:
-    """Yield sensors that saw one plane whose normals, in their frame, lie on one circle."""
+def _on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str]:
+    """Yield the shifts of sensors that saw one plane whose normals lie on one circle for them."""
     stations = rows.survey.stations
     for member, shots in enumerate(rows.survey.shots):
         own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
@@ -158,9 +158,9 @@ def on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str]
         m = np.einsum("sij,i->sj", stations.world_R_hand[station], n) @ X
         spread, axes = np.linalg.svd(m - m.mean(axis=0), full_matrices=False)[1:]
         if spread[-1] < ON_ONE_CIRCLE * np.sqrt(len(m)):
+            direction = vector_words(axes[-1])
             yield (
-                f"{shots.name} saw its plane at one angle to the direction "
-                f"{vector_words(axes[-1])} of its own frame "
-                "throughout, as on a cone or in turns about one axis: its shift along it and the "
-                "offset of the plane are one number"
+                f"the shift of {shots.name} along {direction} of its own frame, which is one number "
+                f"with the offset of its plane: it saw its plane at one angle to the direction "
+                f"{direction} throughout, as on a cone or in turns about one axis"
             )
