@@ -159,8 +159,9 @@ def _on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str
         spread, axes = np.linalg.svd(m - m.mean(axis=0), full_matrices=False)[1:]
         if spread[-1] < ON_ONE_CIRCLE * np.sqrt(len(m)):
             direction = vector_words(axes[-1])
+            plane = rows.label(own[0].target)
             yield (
                 f"the shift of {shots.name} along {direction} of its own frame, which is one number "
-                f"with the offset of its plane: it saw its plane at one angle to the direction "
+                f"with the offset of {plane}: it saw its plane at one angle to the direction "
                 f"{direction} throughout, as on a cone or in turns about one axis"
             )
