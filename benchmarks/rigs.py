@@ -15,6 +15,7 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,24 @@ ROWS: dict[str, tuple[str, dict[str, Any], hl.Noise]] = {
     "profiler, 10 % wrong": ("profiler", {"wrong_shots": 0.1, "wrong_by": "station"}, EXACT),
     "array, 10 % wrong rays": ("array", {"wrong_shots": 0.1}, EXACT),
 }
+RELATIONS: dict[str, tuple[str, dict[str, Any]]] = {
+    "angle": ("profiler", {"planes": 4}),
+    "parallel": ("profiler", {"planes": 3, "parallel": True}),
+    "along": ("profiler", {"planes": 3}),
+    "upright": ("profiler", {"planes": 3}),
+    "plane": ("profiler", {"planes": 3}),
+    "radius": ("profiler", {"targets": "planes+sphere", "planes": 3}),
+    "position": ("profiler", {"targets": "planes+sphere", "planes": 3}),
+    "distance": ("profiler", {"targets": "spheres", "spheres": 2}),
+    "body": ("profiler", {"targets": "body", "planes": 4}),
+    "mount": ("profiler", {"planes": 3}),
+    "mounts": ("mixed", {"sensors": ("profiler", "array"), "planes": 3}),
+}
+"""What each relation is tried on."""
+LENGTH_STATED, ANGLE_STATED = 1e-5, 1e-4
+"""Standard deviations of the relations [m], [rad]."""
+SAME_SPREAD = 0.05
+"""A mount is less sure where its standard deviation grew by more: sizes of the noise are estimated."""
 FAR = 5.0
 """Standard deviations beyond which a coordinate is wrong."""
 BY_CHANCE = 1e-6
@@ -162,45 +181,121 @@ def row_of(name: str, generator: Any, rigs: int) -> str:
     )
 
 
-def relations_row(generator: Any, rigs: int) -> str:
-    """Return how relations that are true, and false, fare."""
-    worse = named = false = alarms = true = 0
-    for seed in range(rigs):
-        print(f"\rrelations: {seed + 1} of {rigs} ", end="", file=sys.stderr, flush=True)
-        rig = generator.profiler(seed, targets="planes+sphere", planes=3)
-        plain = hl.calibrate(survey_of(rig), EXACT)
-        before = max(s.location_sigma.max() for s in plain.sensors.values())
-        for known, by in _relations(rig, plain):
-            after = hl.calibrate(survey_of(rig, [known]), EXACT)
-            true += 1
+def relation_rows(generator: Any, rigs: int) -> Iterator[str]:
+    """Yield how relations of each kind fare that are true, and false."""
+    for relation, (kind, options) in RELATIONS.items():
+        alarms = worse = named = stated = 0
+        far: list[float] = []
+        for seed in range(rigs):
+            print(f"\r{relation}: {seed + 1} of {rigs} ", end="", file=sys.stderr, flush=True)
+            rig = getattr(generator, kind)(seed, **options)
+            plain = hl.calibrate(survey_of(rig), EXACT)
+            true, false = _stated(rig, plain, relation)
+            after = hl.calibrate(survey_of(rig, [true]), EXACT)
+            contradicted = hl.calibrate(survey_of(rig, [false]), EXACT).relations[0]
+            stated += 1
             alarms += after.relations[0].contradicted
-            sigma = max(s.location_sigma.max() for s in after.sensors.values())
-            worse += bool(sigma > 1.05 * before)
-            off = hl.Known(
-                known.relation, known.of, known.value + by, known.sigma, known.sigma_angle
-            )
-            false += 1
-            named += hl.calibrate(survey_of(rig, [off]), EXACT).relations[0].contradicted
-    print("\r" + " " * 60 + "\r", end="", file=sys.stderr)
-    return (
-        f"relations: of {true} true ones {alarms} called contradicted, {worse} made the mount worse; "
-        f"of {false} false ones {named} named"
-    )
+            worse += _spread(after) > (1.0 + SAME_SPREAD) * _spread(plain)
+            named += contradicted.contradicted
+            far += [float(np.abs(_shift(rig, name, after)).max()) for name in after.sensors]
+        print("\r" + " " * 60 + "\r", end="", file=sys.stderr)
+        yield (
+            f"{relation:10} {stated} true: {alarms} called contradicted, {worse} widened mounts, "
+            f"mounts off by at most {max(far):.1f} sigma; {stated} false: {named} named"
+        )
 
 
-def _relations(rig: Any, plain: SurveyCalibration) -> Iterator[tuple[hl.Known, float]]:
-    """Yield true relations, and by how much ten standard deviations make them false."""
-    ball = plain.targets["sphere:S1"]
-    value, sigma = rig.truth["targets"]["sphere:S1"]["radius"], 1e-5
-    both = float(np.hypot(sigma, ball.sigma["radius"]))
-    yield hl.Known("radius", ("sphere:S1",), value, sigma), 10.0 * both
-    for relation, first, second, angle in rig.known:
-        if relation == "angle" and 0.2 < angle < 2.9:
-            sigma = 1e-4
-            tilts = [plain.targets[label].sigma["tilt"] for label in (first, second)]
-            both = float(np.hypot(sigma, float(np.linalg.norm(tilts))))
-            yield hl.Known("angle", (first, second), angle, 0.0, sigma), 10.0 * both
-            return
+def _spread(result: SurveyCalibration) -> float:
+    """Return the largest standard deviation of a mount's location."""
+    return max(float(s.location_sigma.max()) for s in result.sensors.values())
+
+
+def _shift(rig: Any, name: str, result: SurveyCalibration) -> np.ndarray:
+    """Return the error of a mount's location in its standard deviations, along the axes of the hand."""
+    sensor = result.sensors[name]
+    return np.asarray((truth_of(rig, name)[:3, 3] - sensor.location) / sensor.location_sigma)
+
+
+def _stated(rig: Any, plain: SurveyCalibration, relation: str) -> tuple[hl.Known, hl.Known]:
+    """Return a relation that is true, and one that is false by ten standard deviations.
+
+    These are what the relation and the readings alone say together; where two variables are tied, as
+    if their errors were independent.
+    """
+    targets = rig.truth["targets"]
+    planes = [label for label in targets if label.startswith("plane:")]
+    spheres = [label for label in targets if label.startswith("sphere:")]
+    sensors = list(rig.tables)
+    sigma, sigma_angle = LENGTH_STATED, ANGLE_STATED
+    x_axis = np.array([1.0, 0.0, 0.0])
+
+    def off(stated: float, *others: float) -> float:
+        return 10.0 * float(np.linalg.norm([stated, *others]))
+
+    def spread(label: str, *names: str) -> float:
+        return float(max(plain.targets[label].sigma[name] for name in names))
+
+    if relation in ("radius", "position", "distance"):
+        centre = [targets[label]["centre"] for label in spheres]
+        sigmas = [spread(label, "x", "y", "z") for label in spheres]
+        if relation == "radius":
+            value = targets[spheres[0]]["radius"]
+            true = hl.Known("radius", (spheres[0],), value, sigma)
+            return true, replace(true, value=value + off(sigma, spread(spheres[0], "radius")))
+        if relation == "position":
+            true = hl.Known("position", (spheres[0],), 0.0, sigma, direction=centre[0])
+            return true, replace(true, direction=centre[0] + off(sigma, sigmas[0]) * x_axis)
+        value = float(np.linalg.norm(centre[0] - centre[1]))
+        true = hl.Known("distance", tuple(spheres[:2]), value, sigma)
+        return true, replace(true, value=value + off(sigma, *sigmas[:2]))
+    if relation == "body":
+        true = replace(body_of(rig)[0], sigma=sigma, sigma_angle=sigma_angle)
+        assert true.faces is not None
+        tilts = [spread(face, "tilt") for face in true.of]
+        normals = true.faces[:, :3].copy()
+        # Towards another face: no turn of the body as a whole does that.
+        normals[0] += off(sigma_angle, *tilts) * normals[1]
+        return true, replace(true, faces=np.column_stack((normals, true.faces[:, 3])))
+    if relation in ("mount", "mounts"):
+        poses = [truth_of(rig, name) for name in sensors]
+        pose = poses[0] if relation == "mount" else np.linalg.inv(poses[0]) @ poses[1]
+        of = tuple(f"sensor:{name}" for name in sensors[: 1 if relation == "mount" else 2])
+        mounts = [plain.sensors[name].location_sigma.max() for name in sensors[: len(of)]]
+        turns = [plain.sensors[name].rotation_sigma.max() for name in sensors[: len(of)]]
+        if relation == "mounts":
+            # Of a turn of the first sensor, the second is shifted by as much as it is far.
+            mounts.append(float(np.linalg.norm(pose[:3, 3])) * turns[0])
+        true = hl.Known(relation, of, 0.0, sigma, sigma_angle, pose=pose)
+        moved = pose.copy()
+        moved[0, 3] += off(sigma, *mounts)
+        return true, replace(true, pose=moved)
+    if relation in ("angle", "parallel"):
+        _, first, second, value = next(one for one in rig.known if _is_of(one, relation))
+        tilts = [spread(label, "tilt") for label in (first, second)]
+        if relation == "angle":
+            true = hl.Known("angle", (first, second), value, 0.0, sigma_angle)
+            step = off(sigma_angle, *tilts)
+            return true, replace(true, value=value + (step if value < np.pi / 2 else -step))
+        true = hl.Known("parallel", (first, second), value, sigma, sigma_angle)
+        return true, replace(
+            true, value=value + off(sigma, *[spread(label, "offset") for label in (first, second)])
+        )
+    label = planes[0]
+    normal, tilt = targets[label]["normal"], spread(label, "tilt")
+    aside = np.linalg.svd(normal[None])[2][1]
+    if relation == "plane":
+        value = targets[label]["offset"]
+        true = hl.Known("plane", (label,), value, sigma, sigma_angle, direction=normal)
+        return true, replace(true, value=value + off(sigma, spread(label, "offset")))
+    direction = normal if relation == "along" else aside
+    turned = direction + off(sigma_angle, tilt) * (aside if relation == "along" else normal)
+    true = hl.Known(relation, (label,), 0.0, 0.0, sigma_angle, direction=direction)
+    return true, replace(true, direction=turned)
+
+
+def _is_of(relation: tuple[Any, ...], kind: str) -> bool:
+    """Tell whether a true relation is of a kind; angles near 0 and 180 degrees tell little."""
+    return relation[0] == kind and (kind != "angle" or 0.2 < relation[3] < np.pi - 0.2)
 
 
 def main() -> None:
@@ -213,7 +308,8 @@ def main() -> None:
     for name, generator in GENERATORS.items():
         print(f"generator by {name}", flush=True)
         if given.relations:
-            print(relations_row(generator, given.rigs), flush=True)
+            for row in relation_rows(generator, given.rigs):
+                print(row, flush=True)
             continue
         for row in ROWS:
             if given.only in row:
