@@ -18,6 +18,8 @@ IN_DEG = 180.0 / math.pi
 """A radian in degrees."""
 KNOWN = 0.1
 """What is known worse than to this part of its natural unit, the range or 1, is not determined."""
+WIDEST_CONE = math.pi / 3.0
+"""No ultrasonic sensor hears farther from its axis [rad]."""
 MEDIAN_TO_SIGMA = 1.4826
 """Standard deviation of a Gaussian over the median of its absolute values."""
 MAJORITY = 0.6

@@ -44,9 +44,11 @@ def simulated_survey(
     from ..validation.survey_simulate import simulate_survey
 
     known = read_rig(rig)
-    if known.survey is None or not known.survey.sensors:
-        raise InputError("no table [[sensors]]", "one for each sensor to simulate", rig)
-    unused: dict[str, object] = {"[[known]]": known.survey.known}
+    tables = () if known.survey is None else known.survey.sensors
+    if not tables and not (known.half_angle and beams):
+        expected = "one for each sensor to simulate, or half_angle_deg in [sensor], with --beams"
+        raise InputError("no table [[sensors]]", expected, rig)
+    unused: dict[str, object] = {"[[known]]": known.survey is not None and known.survey.known}
     unused["pose_covariance"] = known.noise.pose_covariance is not None
     for name, stated in unused.items():
         if stated:
@@ -58,7 +60,6 @@ def simulated_survey(
     sensor = known.sensor
     bounded = math.isfinite(sensor.range_max)
     working = 0.5 * (max(sensor.range_min, 0.0) + sensor.range_max) if bounded else WORKING
-    tables = known.survey.sensors
     files = table_names(tables)
     for one in tables:
         if Path(one.name).name != one.name:
@@ -66,7 +67,7 @@ def simulated_survey(
     if len(set(files)) < len(files):
         raise InputError("sensors whose tables would be one file", "other names of sensors", rig)
     zones = {
-        one.name: directions_of(known.survey.folder / str(one.zones))
+        one.name: directions_of(rig.parent / str(one.zones))
         for one in tables
         if one.kind == "array"
     }
@@ -84,7 +85,7 @@ def simulated_survey(
     ]
     truth, stations = survey_scene(fans, beams, labels, table.stations, rng, working)
     truth = replace(truth, range_error=(table.k1, table.k2_per_m))
-    survey = simulate_survey(truth, stations, fans, errors, rng)
+    survey = simulate_survey(truth, stations, fans, errors, rng, known.half_angle)
 
     noise = errors.stated()
     if not beams:  # a range sigma is that of single beams

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from ..arrays import FloatArray, IntArray, frozen, frozen_indices
 from ..checks import number_array, require_kind, require_number, require_word
 from ..errors import InputError
-from ..quantities import LARGEST_LENGTH
+from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
 from .recording_checks import names_of, require_once
 from .station_list import StationList
@@ -278,6 +278,9 @@ class Survey(Value):
     aiming_sigma : float, optional
         Standard deviation of a spot across its ray where it is aimed at a point [m]; learned where not
         given.
+    half_angle : float
+        Of the cones in which the single beams read what is nearest [rad], as ultrasonic sensors do;
+        zero of beams.
     linearity : float
         Of the single beams: standard deviation of k1, and of k2 times the typical range, before any
         reading.
@@ -295,11 +298,13 @@ class Survey(Value):
     beam_names: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
     aiming_sigma: float | None = None
+    half_angle: float = 0.0
     linearity: float = 0.01
 
     def __post_init__(self) -> None:
         if self.aiming_sigma is not None:
             require_number("aiming_sigma", self.aiming_sigma, 0.0, LARGEST_LENGTH, above=True)
+        require_number("half_angle", self.half_angle, 0.0, WIDEST_CONE)
         require_number("linearity", self.linearity, 0.0, LARGEST_LENGTH, above=True)
         require_kind("stations", self.stations, StationList)
         for name, kind in (("shots", Shots), ("known", Known)):
@@ -328,8 +333,12 @@ class Survey(Value):
         self._check_labels()
 
     def _check_labels(self) -> None:
-        for label in dict.fromkeys(self.stations.plane_labels):
-            kind_of(label)
+        kinds = np.array([kind_of(label) for label in self.stations.plane_labels])
+        if self.half_angle and self.ranges is not None:
+            aimed = (kinds == "point") & ~np.isnan(self.ranges).all(axis=1)
+            if aimed.any():
+                found = f"a cone that reads {self.stations.plane_labels[int(aimed.argmax())]}"
+                raise InputError(found, "planes and spheres: only a beam is aimed at a point")
         targets = set(map(normal_label, self.stations.plane_labels))
         grooves = {label for label in targets if label.startswith("groove:")}
         for groove in grooves:

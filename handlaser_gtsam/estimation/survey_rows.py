@@ -17,6 +17,7 @@ from ..model.priors import VectorPrior
 from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
 from ..model.sensors.beam import Beam
+from ..model.sensors.cone import Cone
 from ..model.sensors.fans import Rayset
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
@@ -59,6 +60,8 @@ class Item:
         Rows of its table that count.
     reading : float
         Of a beam [m].
+    half_angle : float
+        Of the cone of a beam that has one [rad].
     """
 
     family: str
@@ -68,6 +71,7 @@ class Item:
     shot: Condensed | None = None
     points: IntArray | None = None
     reading: float = np.nan
+    half_angle: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +164,8 @@ def rows_of(survey: Survey) -> Rows:
     if survey.ranges is not None:
         for station, member in np.argwhere(~np.isnan(survey.ranges)).tolist():
             at, d = number(labels[station]), float(survey.ranges[station, member])
-            items.append(Item(BEAM.name, member, station, at, reading=d))
+            cone = survey.half_angle
+            items.append(Item(BEAM.name, member, station, at, reading=d, half_angle=cone))
     seen = {f"sensor:{shots.name}" for shots in survey.shots}
     seen |= {f"beam:{name}" for name in survey.beam_names}
     seen |= {label for names in targets.values() for label in names}
@@ -279,10 +284,11 @@ def blocks_of(
         robot = PoseVariables(station)
         if family == BEAM.name:
             reading = np.array([item.reading for item in some])[None, :, None]
-            sensor = Beam(member)
+            cone = some[0].half_angle
+            sensor = Cone(member, cone) if cone else Beam(member)
             if target == POINT.name:
                 across = sigmas[AIMING]
-                blocks.append(_on_points(sensor, robot, seen, reading, sigma, across, values))
+                blocks.append(_on_points(Beam(member), robot, seen, reading, sigma, across, values))
             else:
                 weights = _weights(sigma, station, 1)
                 blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights))

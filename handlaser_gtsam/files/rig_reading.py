@@ -28,10 +28,11 @@ def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     Raises
     ------
     InputError
-        Also where the rig file has sensors of many rays or relations, or where a target is no plane.
+        Also where the rig file has sensors of many rays, cones or relations, or where a target is no
+        plane.
     """
-    if rig.survey is not None:
-        found = "sensors of many rays, or relations, in the rig file"
+    if rig.survey is not None or rig.half_angle:
+        found = "sensors of many rays, cones or relations in the rig file"
         raise InputError(found, BEAMS_BEFORE_PLANES, path)
     report, rig = _read_stated(rig, path)
     other = beyond_planes(report.recording.plane_names)
@@ -53,7 +54,7 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
         with _naming_fields(rig):
             return read_survey(path, rig)
     report, rig = _read_stated(rig, path)
-    if not beyond_planes(report.recording.plane_names):
+    if not beyond_planes(report.recording.plane_names) and not rig.half_angle:
         return report, rig
     from .survey_reading import survey_of
 

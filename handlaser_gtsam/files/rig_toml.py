@@ -5,7 +5,7 @@
               pose_translation_prior_mm, pose_rotation_prior_deg: what pose sigmas that are not given
               are expected to be
     [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent, kind: triangulation,
-              time-of-flight, confocal, ultrasonic or other
+              time-of-flight, confocal, ultrasonic or other; half_angle_deg of cones
     [plausible]  largest plausible sizes of systematic errors, instead of the sizes of the kind:
               incidence_mm, tilt_mm, cubic_mm, drift_mm, carry_over_percent, beam_on_plane_mm, sag_mm,
               displaced_mm, tool_displaced_mm, lag_percent, turn_scale_percent,
@@ -27,11 +27,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
 from pydantic import Strict, create_model
 
+from ..checks import require_number
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import Plausible
 from ..model.sensor import Sensor
-from ..quantities import IN_DEG, IN_MM
+from ..quantities import IN_DEG, IN_MM, WIDEST_CONE
 from ..results.limits import Limits
 from .checked_text import FileRecord, in_file, in_table, read_checked, read_text, square_matrix
 from .logs.format import LogFormat
@@ -63,6 +64,7 @@ class NoiseTable(FileRecord):
 class _Sensor(FileRecord):
     range_mm: Annotated[tuple[float, ...], Strict(False)] | None = None
     max_incidence_deg: float | None = None
+    half_angle_deg: float | None = None
     linearity_percent: float | None = None
     kind: str | None = None
 
@@ -146,6 +148,9 @@ class Rig:
         What is said for plans: the properties below; None where nothing is.
     survey : SurveyTables or None
         Sensors of many rays, and relations; None where there are none.
+    half_angle : float
+        Half the opening angle of the cone in which each single sensor reads what is nearest [rad], as
+        ultrasonic ones do; zero of beams. Recordings of cones are surveys.
     """
 
     noise: Noise = field(default_factory=Noise)
@@ -154,6 +159,7 @@ class Rig:
     log: LogFormat = field(default_factory=LogFormat)
     plans: "Plans | None" = None
     survey: "SurveyTables | None" = None
+    half_angle: float = 0.0
 
     @property
     def workspace(self) -> "Workspace | None":
@@ -228,6 +234,7 @@ def toml_value(text: str) -> dict[str, Any]:
 def _to_si(rig: _Rig, folder: Path) -> Rig:
     given = rig.sensor.in_si()
     span = given.pop("range", (0.0, math.inf))
+    half_angle = given.pop("half_angle", 0.0)
     if len(span) != 2:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
     with in_table("limits", rig.limits):
@@ -237,6 +244,7 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
     with in_table("sensor", rig.sensor):
         least, most = map(float, span)
         sensor = Sensor(least, most, plausible=plausible, **given)
+        require_number("half_angle", half_angle, 0.0, WIDEST_CONE, unit="rad")
     return Rig(
         noise_of(rig.noise),
         sensor,
@@ -244,6 +252,7 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
         rig.log.to_format(folder),
         rig.plans(folder, sensor, limits),
         rig.survey(folder),
+        half_angle,
     )
 
 
@@ -257,8 +266,10 @@ def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
         return Noise(**given)
 
 
-def write_rig(path: Path | str, noise: Noise, sensor: Sensor, more: str = "") -> None:
-    """Write the noise and the sensor's range, and more tables; unknown values are not written."""
+def write_rig(
+    path: Path | str, noise: Noise, sensor: Sensor, more: str = "", half_angle: float = 0.0
+) -> None:
+    """Write the noise, the sensor's range and cone, and more tables; what is unknown is left out."""
     lines = ["[noise]"]
     for name, value, unit in (
         ("range_sigma_mm", noise.range_sigma, IN_MM),
@@ -270,9 +281,13 @@ def write_rig(path: Path | str, noise: Noise, sensor: Sensor, more: str = "") ->
             lines.append(f"{name} = {value * unit:.12g}")
     if noise.pose_covariance is not None and noise.pose_covariance.ndim == 2:
         lines.append(f"pose_covariance = {noise.pose_covariance.tolist()}")
+    if math.isfinite(sensor.range_max) or half_angle:
+        lines += ["", "[sensor]"]
     if math.isfinite(sensor.range_max):
         least, most = sensor.range_min * IN_MM, sensor.range_max * IN_MM
-        lines += ["", "[sensor]", f"range_mm = [{least:.12g}, {most:.12g}]"]
+        lines.append(f"range_mm = [{least:.12g}, {most:.12g}]")
+    if half_angle:
+        lines.append(f"half_angle_deg = {half_angle * IN_DEG:.12g}")
     write_text(path_of(path), "\n".join(lines) + "\n" + more)
 
 

@@ -1,6 +1,7 @@
 """Surveys read from files: stations with their targets, tables of points, and a rig file."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from .logs.rows import rows_of
 from .logs.survey_suspicion import refuse_wrong_poses
 from .logs.tables import read_log_table
 from .range_cells import range_numbers
-from .recording_csv import POSE, PREFIX, stations_of
+from .recording_csv import POSE, PREFIX, read_recording, stations_of
 from .rig_toml import Rig, read_rig
 from .table import read_table
 from .writing import path_of
@@ -57,21 +58,24 @@ def describe_survey(
     path = path_of(path)
     rig = rig if isinstance(rig, Rig) else read_rig(rig)
     if rig.survey is None:
-        raise InputError("no table [[sensors]] or [[known]]", "one of them in the rig file", path)
+        if rig.half_angle:
+            return survey_of(read_recording(path, rig.sensor), rig), (), ()
+        expected = "one of them in the rig file, or half_angle_deg in [sensor]"
+        raise InputError("no table [[sensors]] or [[known]]", expected, path)
     known = rig.survey.known
     if is_bag(path):
         refuse_of_a_bag(rig.log, path, OF_READINGS)
         stations, shots = rig.survey.bag(path, rig.log)
-        return Survey(stations, shots, known=known, linearity=rig.sensor.linearity), (), ()
+        return Survey(stations, shots, known=known, **_of_beams(rig)), (), ()
     if is_log(path, rig.log, readings=False):
         stations, numbers, way, words = _of_log(path, rig.log)
         shots = rig.survey.shots(stations.station_names)
-        survey = Survey(stations, shots, known=known, linearity=rig.sensor.linearity)
+        survey = Survey(stations, shots, known=known, **_of_beams(rig))
         doubts = refuse_wrong_poses(survey, numbers, way, rig.log, path) if shots else ()
         return survey, (words,), doubts
     stations, ranges, beams = _of_recording(path, rig)
     shots = rig.survey.shots(stations.station_names)
-    survey = Survey(stations, shots, ranges, beams, known, linearity=rig.sensor.linearity)
+    survey = Survey(stations, shots, ranges, beams, known, **_of_beams(rig))
     return survey, (), ()
 
 
@@ -84,7 +88,12 @@ def survey_of(recording: Recording, rig: Rig) -> Survey:
         recording.station_names,
     )
     ranges = _within(recording.ranges, rig)
-    return Survey(stations, (), ranges, recording.beam_names, linearity=rig.sensor.linearity)
+    return Survey(stations, (), ranges, recording.beam_names, **_of_beams(rig))
+
+
+def _of_beams(rig: Rig) -> dict[str, Any]:
+    """Return what a rig file says of single beams, as arguments of `Survey`."""
+    return {"half_angle": rig.half_angle, "linearity": rig.sensor.linearity}
 
 
 def _within(ranges: FloatArray, rig: Rig) -> FloatArray:

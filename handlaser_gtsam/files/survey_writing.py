@@ -82,7 +82,8 @@ def write_simulated(
             u = pl.DataFrame(zones[table.name], schema=["x", "y", "z"], orient="row")
             content = u.with_row_index("zone")
             write_text(folder / _zones(table), content.write_csv())
-    write_rig(folder / RIG_WRITTEN, noise, sensor, "".join(map(_sensor_text, tables)))
+    more = "".join(map(_sensor_text, tables))
+    write_rig(folder / RIG_WRITTEN, noise, sensor, more, survey.half_angle)
     write_text(folder / TRUTH_WRITTEN, json_text("survey-truth", _truth(truth)))
 
 

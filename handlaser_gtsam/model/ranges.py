@@ -45,6 +45,9 @@ class Rays:
         Takes ranges s and returns readings h(s), dh/ds, and dh by the range-error coordinates: the
         residual is h(s) - d then. With s - g(d) a range error multiplies the noise of d, and noise
         alone makes k1 tend to -1.
+    towards : callable, optional
+        Of sensors that choose their ray within a cone: takes their axes and the directions in which a
+        target is nearest, in the hand, and returns those of the rays. `direction` is the axis before.
     """
 
     origin: FloatArray
@@ -53,6 +56,7 @@ class Rays:
     true: FloatArray
     by_error: FloatArray | None = None
     read: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]] | None = None
+    towards: Callable[[FloatArray, FloatArray], FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +116,9 @@ class Target(Protocol):
     def hit(self, values: Values, origin: FloatArray, direction: FloatArray) -> Hits:
         """Return where rays (3, K, G, S), in the world, meet it."""
 
+    def nearest(self, values: Values, origin: FloatArray) -> FloatArray:
+        """Return the directions (3, K, G, S) in which it is nearest to points in the world."""
+
 
 class Robot(Protocol):
     """Where the hand is; `family` is empty where its poses are given."""
@@ -163,7 +170,11 @@ class Ranges:
         d = self.reading
         rays = self.sensor.rays(values, d)
         R, t = self.robot.pose(values)
-        hits = self.target.hit(values, turned(R, rays.origin) + t, turned(R, rays.direction))
+        origin = turned(R, rays.origin) + t
+        if rays.towards is not None:
+            nearest = turned_back(R, self.target.nearest(values, origin))
+            rays = replace(rays, direction=rays.towards(rays.direction, nearest))
+        hits = self.target.hit(values, origin, turned(R, rays.direction))
         a = turned_back(R, hits.covector)
         s = hits.range
         columns = [self.sensor.pull(values, a, rays, s)]

@@ -42,9 +42,18 @@ def open_words(
     undetermined, advice : tuples of str
     """
     what, cures = _words_of_images(rows, images)
-    if not null.shape[1]:
-        return what, cures
     parts = tuple(_parts(rows, found.values, null))
+    unheard = [p for p in parts if rows.survey.half_angle and p.quantity == "direction"]
+    if unheard:
+        names, degrees = some([part.name for part in unheard], 6), rows.survey.half_angle * IN_DEG
+        what += (f"direction of {names}: all readings are within the cone, where it tells nothing",)
+        cures += (
+            f"tilt its axis by more than {degrees:.3g} degrees from what is nearest, or state the "
+            'mount in [[known]] (relation = "mount")',
+        )
+        parts = tuple(part for part in parts if part not in unheard)
+    if not parts:
+        return what, cures
     motion = motion_of(rows)
     circles = tuple(_on_one_circle(rows, found.values)) if motion is None else ()
     if len(circles) == null.shape[1]:

@@ -54,6 +54,8 @@ class Observed:
         [m]
     across : (n, c), optional
         What tells the rays apart; nothing for beams.
+    half_angle : float
+        Of the cones in which beams read what is nearest [rad].
     """
 
     kind: str
@@ -63,6 +65,7 @@ class Observed:
     sigma: float
     reading: FloatArray
     across: FloatArray | None = None
+    half_angle: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -342,12 +345,24 @@ def _true(one: Observed, at: _At, level: FloatArray) -> FloatArray:
 
 
 def _range(at: _At, one: Observed, o: FloatArray, u: FloatArray) -> FloatArray:
-    """Return the ranges of rays in the world frame to planes or spheres."""
+    """Return the ranges of rays in the world frame to planes or spheres.
+
+    With a cone, the axis is at an angle to what is nearest: that to which the cone reaches is read at
+    the rest of it.
+    """
     if one.kind == "plane":
         n, b = at.plane[one.target, :3], at.plane[one.target, 3]
-        return np.asarray(-((o * n).sum(axis=1) + b) / (u * n).sum(axis=1))
+        height, cosine = (o * n).sum(axis=1) + b, (u * n).sum(axis=1)
+        if one.half_angle:
+            rest = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0)) - one.half_angle
+            return np.asarray(np.abs(height) / np.cos(np.maximum(rest, 0.0)))
+        return np.asarray(-height / cosine)
     w, q = o - at.sphere[one.target, :3], at.sphere[one.target, 3]
     half = (w * u).sum(axis=1)
+    if one.half_angle:
+        away = np.linalg.norm(w, axis=1)
+        rest = np.arccos(np.clip(-half / away, -1.0, 1.0)) - one.half_angle
+        half = -away * np.cos(np.maximum(rest, 0.0))
     return np.asarray(-half - np.sqrt(np.maximum(half**2 - (w * w).sum(axis=1) + q**2, 0.0)))
 
 

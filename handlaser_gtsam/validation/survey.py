@@ -222,7 +222,8 @@ def _observed(survey: Survey, kind: str, items: list[Item], sigma: float) -> Obs
     if not points:
         member = np.array([item.member for item in items])
         reading = np.array([item.reading for item in items])
-        return Observed(kind, member, station, target, sigma, reading)
+        cone = survey.half_angle
+        return Observed(kind, member, station, target, sigma, reading, half_angle=cone)
     shots, which = survey.shots[items[0].member], np.concatenate(points)
     each = [len(some) for some in points]
     return Observed(

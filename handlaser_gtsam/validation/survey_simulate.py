@@ -18,6 +18,7 @@ from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, rays_on
 from ..model.families import BEAM, FAMILIES, PLANE, POSE
 from ..model.ranges import PoseVariables, Ranges
 from ..model.sensors.beam import Beam
+from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import OF_MANY
@@ -58,6 +59,7 @@ def simulate_survey(
     fans: Sequence[Shots],
     errors: Errors,
     rng: np.random.Generator,
+    half_angle: float = 0.0,
 ) -> Survey:
     """Read every sensor and beam at every station; what does not look at the target reads nothing.
 
@@ -71,6 +73,8 @@ def simulate_survey(
         `errors.range_sigma` else.
     errors : Errors
     rng : numpy.random.Generator
+    half_angle : float
+        Of the cones of the beams [rad]; zero of beams.
 
     Raises
     ------
@@ -86,8 +90,8 @@ def simulate_survey(
     ]
     ranges = None
     if truth.beams:
-        ranges = _read_beams(values, labels, number, truth, errors, rng)
-    return Survey(stations, tuple(shots), ranges, tuple(truth.beams))
+        ranges = _read_beams(values, labels, number, truth, half_angle, errors, rng)
+    return Survey(stations, tuple(shots), ranges, tuple(truth.beams), half_angle=half_angle)
 
 
 def _values(
@@ -154,6 +158,7 @@ def _read_beams(
     labels: Sequence[str],
     number: Mapping[str, tuple[str, int]],
     truth: SurveyTruth,
+    half_angle: float,
     errors: Errors,
     rng: np.random.Generator,
 ) -> FloatArray:
@@ -166,11 +171,12 @@ def _read_beams(
             continue
         station, beam = np.repeat(at, beams), np.tile(np.arange(beams), len(at))
         seen = np.array([number[labels[j]][1] for j in station.tolist()])
-        sensor, robot, zero = Beam(beam), PoseVariables(station), np.zeros((1, len(beam), 1))
+        sensor = Cone(beam, half_angle) if half_angle else Beam(beam)
+        robot, zero = PoseVariables(station), np.zeros((1, len(beam), 1))
         if family == POINT.name:
             axes = axes_along(values[BEAM.name][0, beam, 3:6])
             # Of a reading of zero: minus the range with its sign turned, and how far the ray passes.
-            e = SpotsOnPoints(sensor, robot, seen, zero, axes).evaluate(values).columns[-1, 0]
+            e = SpotsOnPoints(Beam(beam), robot, seen, zero, axes).evaluate(values).columns[-1, 0]
             passed = np.hypot(e[:, 1], e[:, 2])
             s[station, beam] = np.where(passed < AIMED_PAST * AIMING_SIGMA, e[:, 0], np.nan)
             continue

@@ -32,3 +32,9 @@ class Plane:
         basis = bases(values[self.family][..., :3])[:, self.member].transpose(2, 3, 0, 1)
         along = np.einsum("ijkg,ikgs->jkgs", basis, origin + s * direction - c)
         return Hits(s, n * f, np.concatenate((along * f, f[None])), grazing)
+
+    def nearest(self, values: Values, origin: FloatArray) -> FloatArray:
+        """Return the directions (3, K, G, S) at right angles to it, from points in the world."""
+        x = members(values, self.family, self.member)
+        n, h, c = x[:3], x[3], x[4:7]
+        return np.asarray(np.where(dot(n, origin - c) + h < 0.0, 1.0, -1.0) * n)

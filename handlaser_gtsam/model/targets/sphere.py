@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
+from ...quantities import TINY
 from ..block import Values
 from ..families import Family, Vector, register
 from ..ranges import Hits, dot, members
@@ -39,3 +40,8 @@ class Sphere:
         by_centre = (w + s * direction) / q
         by_radius = np.broadcast_to(radius / q, by_centre.shape[1:])[None]
         return Hits(s, -by_centre, np.concatenate((by_centre, by_radius)), missed)
+
+    def nearest(self, values: Values, origin: FloatArray) -> FloatArray:
+        """Return the directions (3, K, G, S) to its centre, from points in the world."""
+        w = members(values, self.family, self.member)[:3] - origin
+        return np.asarray(w / np.maximum(np.sqrt(dot(w, w)), TINY))

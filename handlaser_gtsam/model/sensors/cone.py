@@ -1,0 +1,59 @@
+r"""An ultrasonic sensor: what it reads is the distance of the nearest thing within a cone.
+
+The cone of half angle alpha has its apex at r and its axis along v. Its ray is the one, of all within
+the cone, that is shortest. A plane at an angle theta between axis and normal, and at a distance D of
+the apex, is read at D where theta is below alpha, and at D / cos(theta - alpha) else: inside the cone
+nothing tells v.
+
+The shortest ray moves along the cone when v turns, but its range does not change by that, as it is the
+shortest: the derivatives are those of a ray that is fixed to the cone.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ...quantities import TINY
+from ..block import Values
+from ..families import BEAM, bases
+from ..ranges import Rays, dot, members
+from .beam import Beam
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cone:
+    """Sensors with a cone; `member` (G,) says of which of the beams each group of readings is.
+
+    Attributes
+    ----------
+    half_angle : float
+        Half the opening angle of all cones [rad].
+    """
+
+    member: IntArray
+    half_angle: float
+    family: str = BEAM.name
+
+    def rays(self, values: Values, reading: FloatArray) -> Rays:
+        """Return the axes of readings (K, G, S), and how to turn them to the nearest of a target."""
+        return replace(Beam(self.member).rays(values, reading), towards=self._within)
+
+    def _within(self, axis: FloatArray, nearest: FloatArray) -> FloatArray:
+        """Return the directions (3, ...) next to `nearest` that a cone about the axis has."""
+        cosine = dot(axis, nearest)
+        aside = nearest - cosine * axis
+        sine = np.sqrt(dot(aside, aside))
+        angle = np.minimum(np.arctan2(sine, cosine), self.half_angle)
+        return np.asarray(np.cos(angle) * axis + np.sin(angle) / np.maximum(sine, TINY) * aside)
+
+    def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
+        """Return ds by location and direction: a turn of v by w turns the ray u by w, too."""
+        axis = members(values, self.family, self.member)[3:6]
+        u = rays.direction
+        basis = bases(values[self.family][..., 3:6])[:, self.member].transpose(2, 3, 0, 1)
+        # (v x dv) x u = dv (v . u) - v (dv . u), for dv along both tangent vectors.
+        turning = dot(axis, u) * a - dot(axis, a) * u
+        turned = s * np.einsum("ijkg,ikgs->jkgs", basis, turning)
+        shape = np.broadcast_shapes(a.shape[1:], s.shape)
+        return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in (a, turned)])

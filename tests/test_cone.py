@@ -1,0 +1,181 @@
+"""Ultrasonic sensors: cones that read the nearest thing within them."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from handlaser_gtsam.errors import InputError
+from handlaser_gtsam.files.rig_reading import read_any_kind
+from handlaser_gtsam.files.rig_toml import read_rig
+from handlaser_gtsam.model.families import BEAM, FAMILIES, PLANE, POSE
+from handlaser_gtsam.model.ranges import PoseVariables, Ranges
+from handlaser_gtsam.model.sensors.cone import Cone
+from handlaser_gtsam.model.targets.plane import Plane
+from handlaser_gtsam.model.targets.sphere import SPHERE, Sphere
+
+HALF = math.radians(15.0)
+SIGMA = 1e-3
+STATED = hl.Noise(range_sigma=SIGMA, pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
+Array = NDArray[np.float64]
+
+
+def nearest_in_cone(r: Array, v: Array, distance_along: object) -> float:
+    """Return the shortest range of all rays within the cone, searched for, not derived."""
+    side = np.linalg.svd(v[None])[2][1:]
+
+    def along(angles: Array) -> float:
+        off, about = HALF * math.tanh(angles[0]), angles[1]
+        u = math.cos(off) * v + math.sin(off) * (
+            math.cos(about) * side[0] + math.sin(about) * side[1]
+        )
+        return float(distance_along(r, u))  # type: ignore[operator]
+
+    starts = [np.array([x, a]) for x in (0.1, 1.0) for a in (0.0, 1.5, 3.0, 4.5)]
+    options = {"xatol": 1e-10, "fatol": 1e-13, "maxiter": 4000}
+    return min(float(minimize(along, x, method="Nelder-Mead", options=options).fun) for x in starts)
+
+
+def survey(seed: int, tilt: float, stations: int = 20) -> tuple[hl.Survey, Array, Array]:
+    """Return a survey of one cone before two planes, with its location and direction."""
+    rng = np.random.default_rng(seed)
+    r, v = rng.normal(scale=0.05, size=3), rng.normal(size=3)
+    v /= np.linalg.norm(v)
+    R, t, d, labels = [], [], [], []
+    for label in ("A", "B"):
+        n, b = rng.normal(size=3), rng.uniform(-1.0, 1.0)
+        n /= np.linalg.norm(n)
+        x, y = np.linalg.svd(n[None])[2][1:]
+        for _ in range(stations):
+            theta, about, D = rng.uniform(0.0, tilt), rng.uniform(0.0, 6.28), rng.uniform(0.3, 0.8)
+            axis = -math.cos(theta) * n
+            axis += math.sin(theta) * (math.cos(about) * x + math.sin(about) * y)
+            to_axis = Rotation.align_vectors([axis], [v])[0]
+            hand = (Rotation.from_rotvec(rng.uniform(-3.0, 3.0) * axis) * to_axis).as_matrix()
+            o = (D - b) * n + rng.uniform(-0.5, 0.5) * x + rng.uniform(-0.5, 0.5) * y
+            R.append(hand)
+            t.append(o - hand @ r)
+            labels.append(label)
+            d.append(D / math.cos(max(theta - HALF, 0.0)) + SIGMA * rng.normal())
+    listed = hl.StationList(np.array(R), np.array(t), tuple(labels))
+    made = hl.Survey(listed, (), np.array(d)[:, None], ("sonar",), half_angle=HALF)
+    return made, r, v
+
+
+@pytest.mark.parametrize("kind", ["plane", "sphere"])
+def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
+    """The range is the least over all rays of the cone, and derivatives are those of differences."""
+    rng = np.random.default_rng(5)
+    n, c = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0]), np.array([0.0, 0.1, 1.0])
+    for trial in range(6):  # within the cone, and beyond it
+        lean = (0.3 if trial % 2 else 2.2) * HALF
+        if kind == "sphere":
+            lean = HALF + (-0.1 if trial % 2 else 0.12)
+        v = Rotation.from_rotvec(lean * np.array([1.0, 0.0, 0.0])).apply(n)
+        r = rng.normal(scale=0.05, size=3)
+        if kind == "plane":
+            target = np.concatenate((n, [0.0], c))
+            family: str = PLANE.name
+            seen: Plane | Sphere = Plane(np.array([0]))
+
+            def ahead(o: Array, u: Array) -> float:
+                return float(n @ (c - o) / (n @ u))
+        else:
+            centre = r + 0.9 * n
+            target, family = np.append(centre, 0.25), SPHERE.name
+            seen = Sphere(np.array([0]))
+
+            def ahead(o: Array, u: Array, centre: Array = centre) -> float:
+                w = o - centre
+                under = (w @ u) ** 2 - w @ w + 0.25**2
+                return float(-(w @ u) - math.sqrt(under)) if under > 0.0 else 9.0
+
+        values = {
+            BEAM.name: np.concatenate((r, v, [0.01, 0.02]))[None, None],
+            family: target[None, None],
+            POSE.name: np.concatenate((np.eye(3).ravel(), np.zeros(3)))[None, None],
+        }
+        zero = np.array([0])
+        block = Ranges(Cone(zero, HALF), seen, PoseVariables(zero), np.full((1, 1, 1), 0.7))
+        columns = block.evaluate(values).columns[:, 0, 0, 0]
+        g = 0.7 * (1.0 + 0.01 + 0.02 * 0.7)
+        assert columns[-1] + g == pytest.approx(nearest_in_cone(r, v, ahead), abs=1e-9)
+        first = 0
+        for name in (BEAM.name, family, POSE.name):
+            for j in range(FAMILIES[name].dim):
+                step, ends = np.zeros((1, 1, FAMILIES[name].dim)), []
+                for sign in (1e-6, -1e-6):
+                    step[..., j] = sign
+                    moved = {**values, name: FAMILIES[name].retract(values[name], step)}
+                    ends.append(block.evaluate(moved).columns[-1, 0, 0, 0])
+                slope = (ends[0] - ends[1]) / 2e-6
+                assert columns[first + j] == pytest.approx(slope, abs=2e-6)
+            first += FAMILIES[name].dim
+
+
+def test_a_cone_is_found_from_nothing() -> None:
+    """Twenty cones: errors are as large as their covariances say, and SciPy finds the same."""
+    squares = []
+    for seed in range(20):
+        made, r, v = survey(seed, 2.0 * HALF)
+        result = hl.calibrate(made, STATED)
+        assert result.status == "converged"
+        beam = result.beams["sonar"]
+        error = beam.location - r
+        squares.append(error @ np.linalg.solve(beam.covariance[:3, :3], error) / 3.0)
+        assert math.acos(min(1.0, float(v @ beam.direction))) < 5.0 * beam.direction_sigma
+        if seed < 3:
+            assert hl.validation.cross_check_survey(result).largest < 1e-4
+    assert 0.6 < np.mean(squares) < 1.5
+
+
+def test_within_the_cone_its_direction_is_open_and_its_location_is_not() -> None:
+    """What cures it is said; a stated mount does."""
+    made, r, v = survey(1, 0.95 * HALF, stations=40)
+    result = hl.calibrate(made, STATED)
+    assert result.status == "undetermined"
+    assert not result.usable
+    assert "direction of sonar: all readings are within the cone" in result.verdict
+    assert "more than 15 degrees" in result.verdict
+    beam = result.beams["sonar"]
+    assert np.isfinite(beam.location_sigma).all()
+    assert (np.abs(beam.location - r) < 4.0 * beam.location_sigma).all()
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.align_vectors([v], [[0.0, 0.0, 1.0]])[0].as_matrix()
+    pose[:3, 3] = r
+    known = hl.Known("mount", ("beam:sonar",), sigma=0.1, sigma_angle=0.02, pose=pose)
+    assert hl.calibrate(replace(made, known=(known,)), STATED).usable
+
+
+def test_cones_are_made_and_read_by_the_command(handlaser, tmp_path):
+    """From a rig file to a calibration; what is no cone is refused."""
+    rig, made, targets = tmp_path / "rig.toml", tmp_path / "made", "plane:A,plane:B,sphere:S"
+    rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 12\n")
+    words = ["simulate", made, "--rig", rig, "--targets", targets, "--seed", "3"]
+    code, _, err = handlaser(*words)
+    assert code == 2
+    assert "with --beams" in err
+    assert handlaser(*words, "--beams", "2")[0] == 0
+    assert "half_angle_deg = 12" in (made / "rig.toml").read_text()
+    survey = read_any_kind(read_rig(made / "rig.toml"), made / "stations.csv")
+    assert survey.half_angle == pytest.approx(math.radians(12.0))
+    code, out, _ = handlaser("calibrate", made / "stations.csv", "--rig", made / "rig.toml")
+    assert code == 0
+    assert "Usable: beam 1 located to" in out
+    rig.write_text("[sensor]\nhalf_angle_deg = 95\n")
+    code, _, err = handlaser("calibrate", made / "stations.csv", "--rig", rig)
+    assert code == 2
+    assert "half_angle" in err
+
+
+def test_a_cone_is_not_aimed_at_a_point() -> None:
+    """Only a beam is."""
+    made, *_ = survey(0, HALF)
+    labels = ("point:tip", *made.stations.plane_labels[1:])
+    with pytest.raises(InputError, match="a cone that reads point:tip"):
+        replace(made, stations=replace(made.stations, plane_labels=labels))
