@@ -254,7 +254,9 @@ def _stated(rig: Any, plain: SurveyCalibration, relation: str) -> tuple[hl.Known
         tilts = [spread(face, "tilt") for face in true.of]
         normals = true.faces[:, :3].copy()
         # Towards another face: no turn of the body as a whole does that.
-        normals[0] += off(sigma_angle, *tilts) * normals[1]
+        other = normals[np.argmin(np.abs(normals @ normals[0]))]
+        towards = other - (other @ normals[0]) * normals[0]
+        normals[0] += off(sigma_angle, *tilts) * towards / np.linalg.norm(towards)
         return true, replace(true, faces=np.column_stack((normals, true.faces[:, 3])))
     if relation in ("mount", "mounts"):
         poses = [truth_of(rig, name) for name in sensors]
