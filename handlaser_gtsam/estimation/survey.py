@@ -227,9 +227,11 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     settled = _settle(state, inside, stated)
     again, others = best_image(state, lambda image: _settle(image, inside, stated))
     settled = settled if again is None else again
+    doubtful = _doubtful(state)
+    if doubtful and state.relations and _blames_relations(state, inside, stated):
+        doubtful = _doubtful(state)
     problem, _ = state.problem()
     found = judged(problem, list(problem.blocks), dict(state.values))
-    doubtful = _doubtful(state)
     if not settled and found.status != "undetermined":
         message = "the search for the minimum, or for the sizes of the noise, did not come to rest"
         unknown = np.full_like(found.covariance, np.nan)
@@ -299,6 +301,25 @@ def _doubtful(state: SurveyState) -> list[str]:
         for name in (_name(state.rows, item.family, item.member), state.rows.label(item.target)):
             shares.setdefault(name, []).append(bool(used))
     return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
+
+
+def _blames_relations(state: SurveyState, inside: Inside, stated: Components) -> bool:
+    """Let shots count that only a relation contradicts, and sizes be as they are without relations.
+
+    Tell whether this changed the state: a relation must be contradicted by what is left.
+    """
+    free = replace(state, relations=[], used=np.ones(len(state.used), dtype=bool))
+    _leave_out_gross(free)
+    if not _settle(free, inside, stated) or free.used.sum() <= state.used.sum():
+        return False
+    tied = replace(state, values=dict(state.values), sizes=free.sizes, used=free.used)
+    if not tied.minimize():
+        return False
+    problem, _ = tied.problem()
+    if not any(test.contradicted for test in _tested(tied, problem)):
+        return False
+    state.values, state.sizes, state.used = tied.values, tied.sizes, tied.used
+    return True
 
 
 def _name(rows: Rows, family: str, member: int) -> str:
