@@ -190,7 +190,7 @@ def relation_rows(generator: Any, rigs: int) -> Iterator[str]:
             print(f"\r{relation}: {seed + 1} of {rigs} ", end="", file=sys.stderr, flush=True)
             rig = getattr(generator, kind)(seed, **options)
             plain = hl.calibrate(survey_of(rig), EXACT)
-            true, false = _stated(rig, plain, relation)
+            true, false = stated_relation(rig, plain, relation)
             after = hl.calibrate(survey_of(rig, [true]), EXACT)
             contradicted = hl.calibrate(survey_of(rig, [false]), EXACT).relations[0]
             stated += 1
@@ -216,7 +216,7 @@ def _shift(rig: Any, name: str, result: SurveyCalibration) -> np.ndarray:
     return np.asarray((truth_of(rig, name)[:3, 3] - sensor.location) / sensor.location_sigma)
 
 
-def _stated(rig: Any, plain: SurveyCalibration, relation: str) -> tuple[hl.Known, hl.Known]:
+def stated_relation(rig: Any, plain: SurveyCalibration, relation: str) -> tuple[hl.Known, hl.Known]:
     """Return a relation that is true, and one that is false by ten standard deviations.
 
     These are what the relation and the readings alone say together; where two variables are tied, as

@@ -11,7 +11,8 @@ from scipy.stats import chi2
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_distance, rigs_by_rays
-from benchmarks.rigs import body_of, errors_of, survey_of
+from benchmarks.rigs import RELATIONS as STATED_RELATIONS
+from benchmarks.rigs import body_of, errors_of, stated_relation, survey_of
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.model import known
 from handlaser_gtsam.model.families import FAMILIES
@@ -448,3 +449,16 @@ def test_a_stated_sigma_that_shots_contradict_is_said(times, code):
     found = hl.calibrate(replace(survey, shots=(shots,)), EXACT)
     assert found.usable
     assert [one.code for one in found.warnings] == ([] if code is None else [code])
+
+
+@pytest.mark.parametrize("seed", [45, 81])
+def test_a_false_face_is_named_and_not_the_shots_that_contradict_it(seed):
+    """It used to reject a third of the shots of its plane, and stayed."""
+    kind, options = STATED_RELATIONS["body"]
+    rig = getattr(rigs_by_rays, kind)(seed, **options)
+    true, false = stated_relation(rig, hl.calibrate(survey_of(rig), EXACT), "body")
+    assert hl.calibrate(survey_of(rig, [true]), EXACT).usable
+    result = hl.calibrate(survey_of(rig, [false]), EXACT)
+    assert result.relations[0].contradicted
+    assert "the readings contradict what is said to be known: body of" in result.verdict
+    assert not result.rejected

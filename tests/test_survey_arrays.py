@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_rays
-from handlaser_gtsam.results.array_conventions import better_convention
+from handlaser_gtsam.results.survey_misfit import better_convention
 
 LCSPC = Path(os.environ.get("HANDLASER_SHARED", ROOT.parent / "shared")) / "data" / "lcspc"
 TANGENTS = np.array([(x, y) for x in (-0.2, 0.0, 0.2) for y in (-0.2, 0.0, 0.2)])

@@ -201,15 +201,16 @@ def test_beams_beside_sensors_and_poses_that_do_not_fit_are_said():
     wrong = hl.StationList(R, of.world_t_hand, of.plane_labels, of.station_names)
     check = check_survey(hl.Survey(wrong, survey.shots, survey.ranges, survey.beam_names))
     require_no_promise(check)
-    assert check.doubt.endswith("are the pose format and the labels right?")
+    assert check.doubt.endswith("and the labels of the targets with their kinds")
 
 
 def require_no_promise(check):
     """Where most shots do not fit each other, nothing is said of how well mounts would be known."""
-    assert not check.fits
+    assert not check.undetermined
     assert all(np.isinf(one.location_sigma) for one in check.sensors)
     lines = list(check_lines(check))
     assert check.doubt in lines
+    assert check.doubt.startswith("most shots do not fit each other: a typical one misses")
     assert not any("to be known to" in line or "determines" in line for line in lines)
 
 
@@ -231,7 +232,10 @@ def test_poses_in_a_wrong_format_end_with_exit_code_3(tmp_path, handlaser):
     code, out, err = handlaser("check", str(folder / "poses.csv"), "--rig", str(rig))
     assert code == 3
     assert "to be known to" not in out
-    assert "are the pose format and the labels right?" in err
+    assert "scanner 0.04 mm from its shots, hand 0.1 mm and 0.02 deg assumed" in err
+    words = err.removeprefix("handlaser: ").strip()
+    code, _, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
+    assert (code, err.removeprefix("handlaser: ").strip()) == (3, words)
 
 
 def test_what_was_not_read_is_counted_as_by_a_calibration():

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.errors import SolverError
+from handlaser_gtsam.results.survey_check import check_survey
+from handlaser_gtsam.results.survey_misfit import better_kinds
 from handlaser_gtsam.validation.survey import validate_survey
 
 FAN = np.linspace(-0.2, 0.2, 400)
@@ -144,6 +146,59 @@ def test_stations_in_any_order_are_not_usable():
     assert not found.usable
     if found.status == "not_converged":
         assert np.isnan(found.sensors["profiler"].location_sigma).all()
+
+
+@pytest.mark.slow  # 40 s: starts are looked for in halves of shots that do not fit
+def test_poses_that_are_inverted_are_said_with_what_the_noise_explains():
+    survey = cell(0)
+    R = np.swapaxes(survey.stations.world_R_hand, 1, 2)
+    t = -np.einsum("nij,nj->ni", R, survey.stations.world_t_hand)
+    wrong = hl.StationList(R, t, survey.stations.plane_labels)
+    found = hl.calibrate(hl.Survey(wrong, survey.shots))
+    assert found.status == "not_converged"
+    assert found.warnings[0].code == "no-fit"
+    assert found.verdict == f"Not usable: {found.warnings[0].message}."
+    assert "check that poses are world_T_hand" in found.message
+    # Spots on a plate and a ball of this cell miss by millimetres, and readings have 0.02 mm.
+    assert found.warnings[0].values["distance_m"] > 1e-3
+    assert "profiler 0.02 mm from its shots" in found.message
+    assert not found.undetermined
+    assert np.isnan(found.sensors["profiler"].location_sigma).all()
+
+
+KINDS_EXCHANGED = {
+    "a ball as a plane": ("sphere:ball", "plane:ball", "fit a sphere, and no plane"),
+    "a plate as a sphere": ("plane:plate", "sphere:plate", "fit a plane, and no sphere"),
+}
+
+
+@pytest.mark.parametrize(("case", "seed"), first_and_slow(*product(KINDS_EXCHANGED, (0, 1, 2))))
+def test_a_target_of_the_other_kind_is_named(case, seed):
+    right, wrong, words = KINDS_EXCHANGED[case]
+    survey = cell(seed)
+    labels = tuple(wrong if one == right else one for one in survey.stations.plane_labels)
+    of = survey.stations
+    stations = hl.StationList(of.world_R_hand, of.world_t_hand, labels)
+    named = hl.Survey(stations, survey.shots)
+    found, check = hl.calibrate(named), check_survey(named)
+    message = f"the shots of {wrong} {words}: label it {right}"
+    for warnings in (found.warnings, check.warnings):
+        assert warnings[0].code == "target-kind"
+        assert warnings[0].message.startswith(message)
+    assert not found.usable
+    assert message in found.verdict
+    # Advice on the motion would be of what is not there.
+    assert not found.undetermined
+    assert not check.undetermined
+    assert check.doubt == check.warnings[0].message
+
+
+@pytest.mark.parametrize("background", [False, True])
+def test_no_right_label_is_doubted(background):
+    for seed in range(4):
+        survey = cell(seed, background=background)
+        assert not better_kinds(survey, hl.Noise())
+    assert not better_kinds(cell(0, labels=[(12, "plane:plate")]), hl.Noise())
 
 
 def test_stations_without_a_reading_are_said():

@@ -92,7 +92,6 @@ def survey_check(survey: "Survey", rig: "Rig") -> Answer:
     InputError
     """
     from ..files.survey_json import survey_check_text
-    from ..results.survey import CONVENTION
     from ..results.survey_check import check_lines, check_survey
 
     found = check_survey(survey, rig.noise)
@@ -100,12 +99,11 @@ def survey_check(survey: "Survey", rig: "Rig") -> Answer:
     if failure is not None and not found.exactly:
         failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
     if found.doubt is not None:
-        judged = "" if failure is None else f" Where they fit best, {failure[1]}"
-        failure = UNDETERMINED, f"{found.doubt}{judged}"
+        failure = UNDETERMINED, found.doubt
     warnings = [
         f"WARNING: {one.message}"
         for one in found.warnings
-        if found.fits or one.code != CONVENTION  # which the doubt says
+        if found.doubt is None or one.message not in found.doubt
     ]
     show = partial(print_wrapped, check_lines(found))
     return Answer(survey_check_text(found), show, warnings, failure)

@@ -17,6 +17,7 @@ from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block
+from ..model.condensed import Mixed, Unexplained
 from ..model.distributions import chi2_quantile, chi2_sf, f_sf
 from ..model.families import BEAM
 from ..model.known import BODY, held
@@ -87,6 +88,30 @@ class RelationTest(Value):
     contradicted: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FirstFit(Value):
+    """How shots fit each other where an estimate begins, before the noise is learned.
+
+    Attributes
+    ----------
+    misfit : float
+        Median of the root mean square misfits of the shots, in standard deviations.
+    distance : float
+        Median distance of a ray's reading from where the ray meets its target [m].
+    noise : Components
+        The noise that the standard deviations are of: as stated, from within shots, or as is usual.
+    """
+
+    misfit: float
+    distance: float
+    noise: Components
+
+    @property
+    def fits(self) -> bool:
+        """Whether most shots fit each other."""
+        return not self.misfit > GROSS
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SurveyEstimate:
     """What a survey says.
@@ -106,6 +131,7 @@ class SurveyEstimate:
     images : mapping
         Turn [rad] of each (family, number) to its mirror image in the plane of the motion, where that
         fits as well.
+    first : FirstFit
     """
 
     rows: Rows
@@ -116,6 +142,12 @@ class SurveyEstimate:
     used: BoolArray
     tests: tuple[RelationTest, ...]
     images: Mapping[tuple[str, int], float]
+    first: FirstFit
+
+    @property
+    def fits(self) -> bool:
+        """Whether most shots fit each other, at once or with noise that was learned."""
+        return self.first.fits or self.estimate.status == "converged"
 
     def problem(self) -> BlockProblem:
         """Return the blocks of what was used, in standard deviations, errors of the hand counted.
@@ -215,7 +247,8 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     """Estimate all mounts and targets of a survey.
 
     The status is `contradicted` where the others reject more than `MOST_REJECTED` of the shots of a
-    sensor, of a beam or of a target: what is left of it may be the wrong part.
+    sensor, of a beam or of a target: what is left of it may be the wrong part. It is `not_converged`
+    where most shots do not fit each other: what they leave undetermined means nothing then.
 
     Raises
     ------
@@ -224,6 +257,7 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     """
     rows = rows_of(survey)
     state, inside, stated = first_state(rows, noise)
+    first = first_fit(state)
     settled = _settle(state, inside, stated)
     again, others = best_image(state, lambda image: _settle(image, inside, stated))
     settled = settled if again is None else again
@@ -232,10 +266,23 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         doubtful = _doubtful(state)
     problem, _ = state.problem()
     found = judged(problem, list(problem.blocks), dict(state.values))
-    if not settled and found.status != "undetermined":
-        message = "the search for the minimum, or for the sizes of the noise, did not come to rest"
+    # A mirror image that fits better than the first state is none of its misfit.
+    misfit = not first.fits and (not settled or (again is None and found.status != "converged"))
+    if misfit or (not settled and found.status != "undetermined"):
+        message = (
+            "the search for the minimum, or for the sizes of the noise, did not come to rest: look for "
+            "wrong labels, or state the noise of the sensors and of the hand"
+        )
+        if misfit:
+            message, others = "most shots do not fit each other", []
         unknown = np.full_like(found.covariance, np.nan)
-        found = replace(found, status="not_converged", message=message, covariance=unknown)
+        found = replace(
+            found,
+            status="not_converged",
+            message=message,
+            covariance=unknown,
+            undetermined=() if misfit else found.undetermined,
+        )
     elif doubtful and found.status == "converged":
         names = ", ".join(doubtful)
         message = (
@@ -244,7 +291,9 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         found = replace(found, status="contradicted", message=message)
     tests = _tested(state, problem)
     found, images = with_images(found, others)
-    return SurveyEstimate(state.rows, noise, found, state.sizes, stated, state.used, tests, images)
+    return SurveyEstimate(
+        state.rows, noise, found, state.sizes, stated, state.used, tests, images, first
+    )
 
 
 def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
@@ -442,6 +491,19 @@ def misfits(state: SurveyState) -> FloatArray:
         np.add.at(squares, index, square.sum(axis=1))
         np.add.at(count, index, (square > 0.0).sum(axis=1))
     return np.sqrt(squares / np.maximum(count, 1.0))
+
+
+def first_fit(state: SurveyState) -> FirstFit:
+    """Return how the shots of a first state fit each other, those that it rejects included."""
+    blocks, _ = blocks_of(state.rows.items, state.sigmas(), state.values)
+    ranges = [block.ranges if isinstance(block, Mixed) else block for block in blocks]
+    each = [
+        np.abs(block.evaluate(state.values).columns[-1]).ravel()
+        for block in ranges
+        if not isinstance(block, Unexplained)
+    ]
+    distance = float(np.median(np.concatenate(each)))
+    return FirstFit(float(np.median(misfits(state))), distance, state.sizes)
 
 
 def _settle(state: SurveyState, inside: Inside, stated: Components) -> bool:

@@ -28,18 +28,16 @@ from ..model.sensors.mounted import ERRORS, SENSOR
 from ..observability.wording import open_sentence
 from ..quantities import IN_MM
 from ..text import count, some
-from .array_conventions import better_convention
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .significance import SINGLE_LEVEL
 from .spot_error import radius
+from .survey_misfit import MISREAD, NO_FIT, misread, no_fit
 from .survey_motion import open_words
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
-CONVENTION = "convention"
-"""Code of the warning that an array reads in the other way."""
-CAUSES = (CONVENTION, "sigmas-too-small", "range-error")
+CAUSES = (*MISREAD, "relation-contradicted", "sigmas-too-small", "range-error")
 """Codes of warnings that say why shots do not fit each other."""
 NOTABLE_SIGMA = 1.5
 """Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
@@ -234,8 +232,9 @@ class SurveyCalibration(Value):
     def usable(self) -> bool:
         """Whether it can be used.
 
-        It cannot where a relation is contradicted, where an array reads in the other convention, or
-        where a range error that was found moves a spot by more than what is stated of it.
+        It cannot where a relation is contradicted, where an array reads in the other convention, where
+        a target is of another kind than its label says, or where a range error that was found moves a
+        spot by more than what is stated of it.
         """
         contradicted = any(one.contradicted for one in self.relations)
         moved = any(
@@ -243,16 +242,17 @@ class SurveyCalibration(Value):
             for sensor in self.sensors.values()
             for error in sensor.errors
         )
-        misread = any(one.code == CONVENTION for one in self.warnings)
-        return self.status == "converged" and not contradicted and not misread and not moved
+        wrong = any(one.code in MISREAD for one in self.warnings)
+        return self.status == "converged" and not contradicted and not wrong and not moved
 
     @property
     def verdict(self) -> str:
         """What to do with it, in one sentence."""
         if self.status != "converged":
             why = self.undetermined[:2] if self.undetermined else (self.message,)
-            causes = [one.message for one in self.warnings if one.code in CAUSES]
-            why = (*causes, *why)
+            if not any(one.code == NO_FIT for one in self.warnings):  # which names its causes
+                causes = [one.message for one in self.warnings if one.code in CAUSES]
+                why = tuple(dict.fromkeys((*causes, *why)))
             return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
         parts = [
             f"{sensor.name} within {sensor.spot_error * IN_MM:.2g} mm (95 %, a spot at "
@@ -310,10 +310,18 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     turn, shift = found.noise.pose
     stated = bool((np.array(found.stated.pose) == 1.0).all())  # covariances of the poses
     relations = found.tests
-    undetermined = tuple(_undetermined(found)) if estimate.undetermined or found.images else ()
+    warnings = tuple(_warnings(found, sensors, relations, rejected))
+    wrong = next((one.message for one in warnings if one.code in (NO_FIT, *MISREAD)), None)
+    status, message, undetermined = estimate.status, estimate.message, tuple[str, ...]()
+    if status != "converged" and wrong is not None:
+        # What is undetermined means nothing where shots are read as what they are not.
+        status, message = "contradicted" if status == "undetermined" else status, wrong
+    elif estimate.undetermined or found.images:
+        undetermined = tuple(_undetermined(found))
+        message = undetermined[0]
     return SurveyCalibration(
-        estimate.status,
-        undetermined[0] if undetermined else estimate.message,
+        status,
+        message,
         sensors,
         beams,
         targets,
@@ -322,7 +330,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         undetermined,
         relations,
         rejected,
-        tuple(_warnings(found, sensors, relations, rejected)),
+        warnings,
         estimate.chi2,
         estimate.dof,
         found,
@@ -485,8 +493,11 @@ def _warnings(
                 f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
             )
             yield CalibrationWarning("relation-contradicted", words, {"p": tested.p_value})
+    causes = tuple(misread(found.rows, found.given))
+    if not found.fits:
+        yield no_fit(found.rows, found.first, causes, found.given)
+    yield from causes
     yield from _sigmas(found)
-    yield from misread_arrays(found.rows)
     for sensor in sensors.values():
         found_errors = [error for error in sensor.errors if error.found]
         if found_errors:
@@ -511,18 +522,6 @@ def _warnings(
         )
         yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
     yield from unread_stations(found.rows)
-
-
-def misread_arrays(rows: Rows) -> Iterator[CalibrationWarning]:
-    """Warn of arrays whose readings fit the other convention better."""
-    for shots in rows.survey.shots:
-        better = better_convention(shots, rows.survey.stations.plane_labels)
-        if better is not None:
-            words = (
-                f"the readings of {shots.name} fit better if they are {better}: set convention = "
-                f'"{better}"'
-            )
-            yield CalibrationWarning(CONVENTION, words, {"sensor": shots.name})
 
 
 def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:

@@ -15,7 +15,7 @@ from ..data.survey import Known, Survey, normal_label
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
-from ..estimation.survey import GROSS, first_image, first_state, misfits
+from ..estimation.survey import first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import Rows, rows_of
 from ..model.families import BEAM
@@ -23,7 +23,8 @@ from ..model.sensors.mounted import ERRORS, SENSOR
 from ..observability.motion import PlaneMotion, motion_before
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
-from .survey import CONVENTION, misread_arrays, unread_stations
+from .survey import unread_stations
+from .survey_misfit import KIND, NO_FIT, misread, no_fit
 from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
 NOT_OF_MOTION = frozenset((*ERRORS, "k1", "k2"))
@@ -81,7 +82,8 @@ class SurveyCheck(Value):
     misfit : float
         Typical misfit of a shot in standard deviations; NaN where no start was found.
     warnings : tuple of CalibrationWarning
-        Of arrays that read in the other convention, of stations without a reading, and of lost shots.
+        Of shots that do not fit each other, of arrays that read in the other convention and targets of
+        another kind, of stations without a reading, and of lost shots.
     """
 
     sensors: tuple[SensorHeld, ...]
@@ -95,20 +97,13 @@ class SurveyCheck(Value):
     warnings: tuple[CalibrationWarning, ...]
 
     @property
-    def fits(self) -> bool:
-        """Whether most shots fit where the motion was judged."""
-        return not self.misfit > GROSS
-
-    @property
     def doubt(self) -> str | None:
-        """What to ask where most shots do not fit each other; None where they do."""
-        if self.fits:
-            return None
-        misread = [one.message for one in self.warnings if one.code == CONVENTION]
-        return (
-            f"most shots do not fit each other (by {self.misfit:.2g} standard deviations): "
-            f"{'; '.join(misread) or 'are the pose format and the labels right?'}"
-        )
+        """What is wrong where shots do not fit each other, or not what is stated; None elsewhere."""
+        for code in (NO_FIT, KIND):
+            for one in self.warnings:
+                if one.code == code:
+                    return one.message
+        return None
 
 
 def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
@@ -119,8 +114,9 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     InputError
         No shot has enough points on its target.
     """
-    rows = rows_of(survey)
-    warnings = (*misread_arrays(rows), *unread_stations(rows))
+    rows, noise = rows_of(survey), noise or Noise()
+    causes = tuple(misread(rows, noise))
+    warnings = (*causes, *unread_stations(rows))
     targets = tuple(_targets(rows))
     numbers = sum(1 if item.shot is None else len(item.shot.reading) for item in rows.items)
     numbers += 2 * sum(item.target[0] == "point" for item in rows.items)
@@ -134,13 +130,14 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         Known("mount", (one,), sigma=near, sigma_angle=ANY_TURN, pose=np.eye(4)) for one in whose
     ]
     try:
-        state, _, _ = first_state(replace(rows, known=(*rows.known, *holds)), noise or Noise())
+        state, _, _ = first_state(replace(rows, known=(*rows.known, *holds)), noise)
     except InputError as error:
         if not rows.items:
             raise
         said = ((error.found,), True, (error.expected,), np.nan, warnings)
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
     others = first_image(state)
+    first = first_fit(state)
     state = replace(state, relations=[one for one in state.relations if one[0] not in holds])
     problem, _ = state.problem()
     information, axes, _ = information_axes(problem, problem.blocks, state.values)
@@ -151,9 +148,13 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
     if numbers < unknowns:
         advice = (*advice, "measure at more stations")
-    misfit = float(np.median(misfits(state)))
+    if not first.fits:
+        warnings = (no_fit(rows, first, causes, noise), *warnings)
+    doubtful = any(one.code in (NO_FIT, KIND) for one in warnings)
+    if doubtful:  # what a motion leaves undetermined means nothing then
+        undetermined, advice = (), ()
     return SurveyCheck(
-        tuple(_held(rows, None if misfit > GROSS else found)),
+        tuple(_held(rows, None if doubtful else found)),
         targets,
         numbers,
         unknowns,
@@ -161,7 +162,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         # On a cone, only the noise in the tilt of the target makes it look determined.
         not weak.any() or CURE_OF_A_CIRCLE in advice,
         advice,
-        misfit,
+        first.misfit,
         warnings,
     )
 

@@ -1,0 +1,246 @@
+"""Why the shots of a survey do not fit each other: sensors or targets that are not what is stated.
+
+Two mistakes show within shots, whatever the mount: zones of a ToF array that read along their rays or
+at right angles to the array, which differ by the cosine of each zone's angle, and a ball that is
+labelled a plane, or a plane that is labelled a sphere. Under the wrong reading a target loses its
+shape, so that shots alone decide: the sum of squares within them, with a fixed price for readings that
+no shape fits. The other way has to cost less than half, and to fit nearly all readings: where shots
+show more than their target, neither way says anything. The other kind of a target has to fit the whole
+survey, too.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..data.noise import Noise
+from ..data.survey import Shots, Survey, kind_of, normal_label
+from ..errors import CalibrationWarning, InputError
+from ..estimation.survey import GROSS, FirstFit, first_state, misfits
+from ..estimation.survey_rows import Rows, rows_of
+from ..model.lines import condensed_shots
+from ..model.sensors.kinds import KINDS
+from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL
+from ..model.targets.sphere import SPHERE
+from ..quantities import IN_DEG, IN_MM
+from ..text import some
+from .lines import NAMES_IN_LINE
+
+CONVENTION = "convention"
+"""Code of the warning that an array reads in the other way."""
+KIND = "target-kind"
+"""Code of the warning that a target is of another kind than its label says."""
+NO_FIT = "no-fit"
+"""Code of the warning that most shots do not fit each other."""
+MISREAD = (CONVENTION, KIND)
+"""Codes of mistakes with which no result is usable, and no advice on the motion means anything."""
+OTHER_KIND = {"plane": "sphere", "sphere": "plane"}
+"""What a target may be in place of what its label says: shots of grooves are split before."""
+SHOTS_TRIED = 60
+"""So many shots, spread over all, decide: an array of nine zones says it with ten."""
+MUCH_DEARER = 2.0
+"""Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
+noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
+OF_OTHERS = 0.15
+"""Under the right reading at most this part of the readings fits no shape: edges of a target, and rays
+on something else. Of real arrays before clutter it is up to a half."""
+CHECKS = (
+    "check that poses are world_T_hand in the format that is stated, the units and the columns of "
+    "poses and points, that both tables call each station by one name, and the labels of the targets "
+    "with their kinds"
+)
+"""What to do where no cause is known."""
+
+
+def misread(rows: Rows, noise: Noise) -> Iterator[CalibrationWarning]:
+    """Warn of arrays that fit the other convention better, and of targets that fit the other kind."""
+    labels = rows.survey.stations.plane_labels
+    for shots in rows.survey.shots:
+        better = better_convention(shots, labels)
+        if better is not None:
+            words = (
+                f"the readings of {shots.name} fit better if they are {better}: set convention = "
+                f'"{better}"'
+            )
+            yield CalibrationWarning(CONVENTION, words, {"sensor": shots.name})
+    for label, better in better_kinds(rows.survey, noise).items():
+        kind, _, name = label.partition(":")
+        words = (
+            f"the shots of {label} fit a {better}, and no {kind}: label it {better}:{name}, or look "
+            "whether its stations have the label of another target"
+        )
+        yield CalibrationWarning(KIND, words, {"target": label})
+
+
+def no_fit(
+    rows: Rows, fit: FirstFit, causes: Sequence[CalibrationWarning], given: Noise
+) -> CalibrationWarning:
+    """Say by how much shots miss their targets, in lengths and against the noise, and what to do."""
+    estimated = [one.sigma is None for one in rows.survey.shots]
+    sigma = fit.noise.sigma.tolist()
+    parts = [
+        f"{shots.name} {sigma[i] * IN_MM:.2g} mm {'from its shots' if own else 'as stated'}"
+        for i, (shots, own) in enumerate(zip(rows.survey.shots, estimated, strict=True))
+    ]
+    if rows.survey.beam_names:
+        how = "assumed" if given.range_sigma is None else "as stated"
+        parts.append(f"beams {sigma[-2] * IN_MM:.2g} mm {how}")
+    hand = "hand as its covariances state"
+    if given.pose_covariance is None:
+        turn, shift = fit.noise.pose
+        sizes = given.pose_translation_sigma, given.pose_rotation_sigma
+        how = "assumed" if None in sizes else "as stated"
+        hand = f"hand {shift * IN_MM:.2g} mm and {turn * IN_DEG:.2g} deg {how}"
+    what = "; ".join(one.message for one in causes if one.code in MISREAD) or CHECKS
+    if what is CHECKS and rows.known:
+        what += "; leave out [[known]] to see whether one of them is false"
+    words = (
+        f"most shots do not fit each other: a typical one misses its target by "
+        f"{fit.distance * IN_MM:.2g} mm, {fit.misfit:.0f} times what the noise says "
+        f"({some([*parts, hand], NAMES_IN_LINE)}); {what}"
+    )
+    return CalibrationWarning(NO_FIT, words, {"misfit": fit.misfit, "distance_m": fit.distance})
+
+
+def better_convention(shots: Shots, labels: tuple[str, ...]) -> str | None:
+    """Return the convention that readings of an array fit better; None where it is the one stated.
+
+    Parameters
+    ----------
+    shots : Shots
+        Of an array; what is no array has no convention.
+    labels : tuple of str
+        Targets of the stations.
+    """
+    if shots.kind != "array":
+        return None
+    cosine = shots.across[:, 2]
+    if shots.convention == "radial":
+        other, reading = "perpendicular", shots.reading / cosine
+    else:
+        other, reading = "radial", shots.reading * cosine
+    kinds = {s: kind_of(labels[s]) for s in np.unique(shots.station).tolist()}
+    variance = shots.sigma**2 if shots.sigma else 0.0
+    if not variance:
+        first = _squares(shots, shots.reading, kinds), _squares(shots, reading, kinds)
+        variance = min((total / dof for total, dof, _ in first if dof), default=0.0)
+    if variance <= 0.0:
+        return None
+    sigma = float(np.sqrt(variance))  # single shots of nine zones call too many readings far
+    ways = (_squares(shots, shots.reading, kinds, sigma), _squares(shots, reading, kinds, sigma))
+    return other if _much_better(ways[0], ways[1], variance) else None
+
+
+def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
+    """Return the labels of planes and spheres that fit the other kind better, with that kind.
+
+    The shots of a target decide by themselves, and the whole survey with the other labels has to agree:
+    a ball that is seen in small parts looks flat in each, but not in all together.
+    """
+    labels = [normal_label(label) for label in survey.stations.plane_labels]
+    suspects = {
+        label: OTHER_KIND[kind_of(label)]
+        for label in dict.fromkeys(labels)
+        if kind_of(label) in OTHER_KIND
+        and any(_looks_other(shots, labels, label) for shots in survey.shots)
+    }
+    if not suspects:
+        return {}
+    renamed = {label: f"{kind}:{label.partition(':')[2]}" for label, kind in suspects.items()}
+    # One name may stand for a plane and for a sphere: then both labels are one target.
+    changed = tuple(renamed.get(label, label) for label in labels)
+    known = tuple(one for one in survey.known if not suspects.keys() & map(normal_label, one.of))
+    stations = replace(survey.stations, plane_labels=changed)
+    rows = rows_of(replace(survey, stations=stations, known=known))
+    try:
+        state, _, _ = first_state(rows, noise)
+    except InputError:
+        return {}
+    misfit = misfits(state)
+    at = np.array([labels[item.station] for item in state.rows.items])
+    flat = {
+        label
+        for label, (*_, radius) in zip(
+            state.rows.targets.get(SPHERE.name, ()),
+            state.values.get(SPHERE.name, np.empty((1, 0, 4)))[0].tolist(),
+            strict=True,
+        )
+        if radius > LARGEST_BALL * state.rows.length
+    }
+    return {
+        label: kind
+        for label, kind in suspects.items()
+        if renamed[label] not in flat
+        and (at == label).any()
+        and np.median(misfit[at == label]) < GROSS
+    }
+
+
+def _looks_other(shots: Shots, labels: Sequence[str], label: str) -> bool:
+    """Tell whether the shots of a sensor before one target have the shape of the other kind.
+
+    Of few readings no sphere is known by its shot. Then planes that others are labelled tell whether
+    this one is as flat.
+    """
+    stations = np.unique(shots.station).tolist()
+    seen = [s for s in stations if labels[s] == label]
+    ways = {kind: _squares(shots, shots.reading, dict.fromkeys(seen, kind)) for kind in OTHER_KIND}
+    kind = kind_of(label)
+    stated, other = ways[kind], ways[OTHER_KIND[kind]]
+    if ways["sphere"][1] or ways["sphere"][2]:
+        variance = min((total / dof for total, dof, _ in ways.values() if dof), default=0.0)
+        return variance > 0.0 and other[1] > 0 and _much_better(stated, other, variance)
+    planes = [s for s in stations if kind_of(labels[s]) == "plane" and labels[s] != label]
+    total, dof, _ = _squares(shots, shots.reading, dict.fromkeys(planes, "plane"))
+    if shots.sigma:
+        total, dof = shots.sigma**2, 1
+    squares, own, lost = ways["plane"]
+    if not dof or not own or total == 0.0:
+        return False
+    bent = squares * dof / total + FAR_FROM_SHAPE**2 * lost > MUCH_DEARER * (own + lost)
+    return bent == (kind == "plane")
+
+
+def _much_better(
+    stated: tuple[float, int, int], other: tuple[float, int, int], variance: float
+) -> bool:
+    """Tell whether the other way costs far less, and fits nearly all readings."""
+    now, changed = (
+        total / variance + FAR_FROM_SHAPE**2 * lost for total, _, lost in (stated, other)
+    )
+    _, dof, lost = other
+    return lost <= OF_OTHERS * (dof + lost) and now > MUCH_DEARER * changed
+
+
+def _squares(
+    shots: Shots, reading: FloatArray, kinds: Mapping[int, str], sigma: float | None = None
+) -> tuple[float, int, int]:
+    """Return the squares within shots [m^2], their degrees of freedom, and how many fit nothing.
+
+    Parameters
+    ----------
+    shots : Shots
+    reading : (N,)
+        Its readings, or what they would be.
+    kinds : mapping
+        What is seen at each station that counts.
+    sigma : float, optional
+        Standard deviation of a reading [m], where it is known.
+    """
+    some_of_all = list(kinds)[:: max(len(kinds) // SHOTS_TRIED, 1)]
+    total, dof, lost = 0.0, 0, 0
+    for target in OTHER_KIND:
+        seen = [s for s in some_of_all if kinds[s] == target]
+        tables = [(shots.across[shots.station == s], reading[shots.station == s]) for s in seen]
+        for (_, d), shot in zip(
+            tables, condensed_shots(KINDS[shots.kind], target, tables, sigma=sigma), strict=True
+        ):
+            if shot is None:
+                lost += len(d)
+                continue
+            total += shot.squares + float(shot.rest @ shot.rest)
+            dof += shot.dof + len(shot.rest)
+            lost += int(len(d) - shot.kept.sum())
+    return total, dof, lost
