@@ -16,11 +16,11 @@ from ..arrays import FloatArray
 from ..errors import GrazingBeamError, InputError
 from ..factors import SharedEvaluation
 from ..model.search import LevenbergOptions
+from ..model.stopping import StoppingRule
 from ..progress import Trial
 from ..text import count
 from .graph import CalibrationGraph
-from .linear import Step
-from .objectives import GraphObjective, Objective, Point, SharedObjective
+from .objectives import Objective, Point, of_calibration, of_graph
 from .values import require_values
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
@@ -78,8 +78,7 @@ def levenberg_marquardt(
     GrazingBeamError
         A beam grazes its plane at the start already.
     """
-    options = options or LevenbergOptions()
-    return _LevenbergSearch(SharedObjective(problem), options, progress).result()
+    return _minimised(of_calibration(problem), options or LevenbergOptions(), progress)
 
 
 def optimize(
@@ -115,8 +114,7 @@ def optimize(
         An empty graph, a variable without a start, or numbers beyond sense.
     """
     _require_startable(graph, values)
-    objective = GraphObjective(graph, values)
-    return _LevenbergSearch(objective, options or LevenbergOptions(), progress).result()
+    return _minimised(of_graph(graph, values), options or LevenbergOptions(), progress)
 
 
 def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -137,7 +135,7 @@ def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
 
 def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
     """Return the start of `problem`, which somebody else has solved, as a result."""
-    point = SharedObjective(problem).evaluate(problem.values)
+    point = of_calibration(problem).evaluate(problem.values)
     return LevenbergResult(
         point.values, "converged", message, point.cost, 0, (), point.residual, point.white
     )
@@ -150,92 +148,71 @@ def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.Gaussian
         return problem.graph.linearize(values)
 
 
-class _LevenbergSearch:
-    """The state of one minimisation."""
-
-    def __init__(
-        self,
-        objective: Objective,
-        options: LevenbergOptions,
-        progress: Callable[[Trial], None] | None,
-    ) -> None:
-        self.objective, self.options, self.progress = objective, options, progress
-        self.history: list[Trial] = []
-        self.accepted = 0
-        self.damping = options.least_damping
-        self.point = objective.evaluate(gtsam.Values(objective.start))
-        self.stopping = objective.stopping(options.step_tolerance, options.least_damping)
-
-    def result(self) -> LevenbergResult:
-        """Run to the end; Ctrl-C ends it with the best values so far."""
-        try:
-            status, message = self.run()
-        except KeyboardInterrupt:
-            status, message = (
-                "interrupted",
-                f"stopped by Ctrl-C after {count(self.accepted, 'step')}",
-            )
-        point = self.point
-        return LevenbergResult(
-            point.values,
-            status,
-            message,
-            point.cost,
-            self.accepted,
-            tuple(self.history),
-            point.residual,
-            point.white,
-        )
-
-    def run(self) -> tuple[Status, str]:
-        linear = self.point.linearized()
-        while len(self.history) < self.options.max_iterations:
-            step = linear.solved(self.damping)
-            trial = self._try(step)
-            gain = self._gain(step, trial)
-            accepted = gain > 0.0 and trial is not None
-            self._record(step, trial, accepted)
-            if accepted and trial is not None:
-                self.point = trial
-                self.accepted += 1
-            decrement = None if step is None else step.decrement
-            reason = self.stopping.arrived(decrement, self.damping, self.point.cost)
+def _minimised(
+    objective: Objective,
+    options: LevenbergOptions,
+    progress: Callable[[Trial], None] | None,
+) -> LevenbergResult:
+    """Take steps to the end; Ctrl-C ends it with the best values so far."""
+    point = objective.evaluate(gtsam.Values(objective.start))
+    stopping = StoppingRule(
+        options.step_tolerance, options.least_damping, objective.rounding, objective.dof
+    )
+    history: list[Trial] = []
+    accepted, damping = 0, options.least_damping
+    status: Status = "max_iterations"
+    message = f"not converged within {count(options.max_iterations, 'trial step')}"
+    try:
+        solver = point.linearized()
+        while len(history) < options.max_iterations:
+            step = solver(damping)
+            decrement = None if step is None else step[1]
+            trial = None if step is None else _tried(objective, point.values.retract(step[0]))
+            # The share of the promised saving that the step achieved; -1 for a failed step.
+            gain = -1.0
+            if decrement is not None and trial is not None:
+                saved, resolution = point.cost - trial.cost, stopping.resolution(point.cost)
+                # A change too small to show in the cost counts as half: accept, and leave the damping.
+                level = decrement <= resolution and saved > -resolution
+                gain = 0.5 if level else saved / (0.5 * decrement)
+            better = trial is not None and gain > 0.0
+            cost = np.inf if trial is None else trial.cost
+            length = np.inf if decrement is None else float(np.sqrt(decrement))
+            history.append(Trial(len(history) + 1, cost, damping, length, better))
+            if progress is not None:
+                progress(history[-1])
+            if better and trial is not None:
+                point = trial
+                accepted += 1
+            reason = stopping.arrived(decrement, damping, point.cost)
             if reason is not None:
-                return "converged", f"{reason} after {count(self.accepted, 'step')}"
-            damping = self.options.adapted(np.array(self.damping), np.array(gain))
-            self.damping = float(damping)
-            if self.damping > self.options.most_damping:
-                return "stalled", f"no step lowers the cost after {count(self.accepted, 'step')}"
-            if accepted:
-                linear = self.point.linearized()
-        return "max_iterations", f"not converged within {count(len(self.history), 'trial step')}"
+                status, message = "converged", f"{reason} after {count(accepted, 'step')}"
+                break
+            damping = float(options.adapted(np.array(damping), np.array(gain)))
+            if damping > options.most_damping:
+                status = "stalled"
+                message = f"no step lowers the cost after {count(accepted, 'step')}"
+                break
+            if better:
+                solver = point.linearized()
+    except KeyboardInterrupt:
+        status, message = "interrupted", f"stopped by Ctrl-C after {count(accepted, 'step')}"
+    return LevenbergResult(
+        point.values,
+        status,
+        message,
+        point.cost,
+        accepted,
+        tuple(history),
+        point.residual,
+        point.white,
+    )
 
-    def _try(self, step: Step | None) -> Point | None:
-        if step is None:
-            return None
-        try:
-            trial = self.objective.evaluate(self.point.values.retract(step.delta))
-        except GrazingBeamError:
-            return None
-        return trial if np.isfinite(trial.cost) else None
 
-    def _gain(self, step: Step | None, trial: Point | None) -> float:
-        """Return the share of the promised saving that the step achieved; -1 for a failed step.
-
-        A change too small to show in the cost counts as half: accept, and leave the damping.
-        """
-        if step is None or trial is None:
-            return -1.0
-        resolution = self.stopping.resolution(self.point.cost)
-        saved = self.point.cost - trial.cost
-        if step.decrement <= resolution and saved > -resolution:
-            return 0.5
-        return saved / (0.5 * step.decrement)
-
-    def _record(self, step: Step | None, trial: Point | None, accepted: bool) -> None:
-        cost = trial.cost if trial is not None else float("inf")
-        length = float(np.sqrt(step.decrement)) if step is not None else float("inf")
-        entry = Trial(len(self.history) + 1, cost, self.damping, length, accepted)
-        self.history.append(entry)
-        if self.progress is not None:
-            self.progress(entry)
+def _tried(objective: Objective, values: gtsam.Values) -> Point | None:
+    """Return the point at values; None where a beam grazes its plane there."""
+    try:
+        trial = objective.evaluate(values)
+    except GrazingBeamError:
+        return None
+    return trial if np.isfinite(trial.cost) else None
