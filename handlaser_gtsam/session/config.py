@@ -20,7 +20,7 @@ from ..model.joint import beam_units
 from ..model.weighting import Variances
 from ..quantities import KNOWN
 from ..results.calibration import Calibration
-from ..solvers.beam_state import BeamStart, BeamState
+from ..solvers.beam_state import BeamState, GraphPart
 from ..solvers.graph import range_error_priors, start_values
 from ..solvers.isam import IncrementalOptions
 from .reports import Change
@@ -224,7 +224,7 @@ class SessionConfig:
         order = np.lexsort((readings.station, beam, readings.plane))
         return replace(readings, beam=beam, beams=len(self.names)).subset(order)
 
-    def start(self, start: Beams) -> BeamStart:
+    def start(self, start: Beams) -> GraphPart:
         """Return the beams as the start of a graph, with their links."""
         beams = Parameters(*start, np.empty((0, 3)), np.empty(0))
-        return BeamStart(start_values(beams, self.beams, (), self.terms), self.known)
+        return GraphPart((), self.known, start_values(beams, self.beams, (), self.terms))

@@ -21,7 +21,7 @@ from ..model.reduction import Normal
 from ..model.weighting import Whitening, whitening
 from ..quantities import KNOWN, NEGLIGIBLE
 from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, moved
-from ..solvers.beam_state import BeamState, PlaneFactors
+from ..solvers.beam_state import BeamState, GraphPart
 from ..solvers.graph import station_blocks
 from ..solvers.poses import pose_priors
 from ..starts.growing import PartialStart, grow
@@ -167,9 +167,7 @@ class FittedPlane:
         prior = np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
         return np.hstack((J.reshape(len(J), -1)[:, active], columns[BEAM.dim : -1].T)), prior
 
-    def factors(
-        self, number: int, stations: Mapping[str, int], recording: Recording
-    ) -> PlaneFactors:
+    def factors(self, number: int, stations: Mapping[str, int], recording: Recording) -> GraphPart:
         """Return the factors of plane `number` in a graph.
 
         Parameters
@@ -188,7 +186,7 @@ class FittedPlane:
         if self.config.poses != "estimated":
             keys = (self.config.beams, plane, None)
             blocks = station_blocks(readings, self.whitening, rows, readings.plane, keys)
-            return PlaneFactors(blocks, (), values)
+            return GraphPart(blocks, (), values)
         names = recording.station_names
         number_of = np.array([stations[name] for name in names])
         variances = self.config.variances(len(names))
@@ -203,7 +201,7 @@ class FittedPlane:
         graph = gtsam.NonlinearFactorGraph()
         priors.join(graph, values, tuple(pose_key(j) for j in priors.stations.tolist()))
         others = tuple(graph.at(i) for i in range(graph.size()))
-        return PlaneFactors(blocks, others, values)
+        return GraphPart(blocks, others, values)
 
 
 def fit_plane(

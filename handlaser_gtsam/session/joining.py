@@ -9,7 +9,7 @@ from ..data.recording import Recording
 from ..model.families import MOUNT_DIM
 from ..model.sensor import FLAT, Rejected, within_incidence
 from ..outliers.snooping import price
-from ..solvers.beam_state import BeamState, PlaneFactors
+from ..solvers.beam_state import BeamState, GraphPart
 from .config import SessionConfig
 from .contents import CONTRADICTED, Contents, named
 from .drift import DriftHistory
@@ -95,7 +95,7 @@ def fitted_planes(
     return determined
 
 
-def factors_of(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, PlaneFactors]:
+def factors_of(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, GraphPart]:
     """Return the factors of planes of the contents, by their number."""
     factors = {}
     for plane, fitted_plane in fitted.items():

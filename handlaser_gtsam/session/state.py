@@ -14,7 +14,7 @@ from ..estimation.information import Information
 from ..factors import RangeBlock
 from ..factors.keys import plane_key, pose_key
 from ..quantities import MOST_ROUNDS
-from ..solvers.beam_state import BeamState, PlaneFactors
+from ..solvers.beam_state import BeamState, GraphPart
 from ..solvers.graph import parameters_of
 from ..solvers.isam import IncrementalGraph
 from .batch import BatchProblem
@@ -45,7 +45,7 @@ class SessionState:
     contents : Contents
     config : SessionConfig
     graph : IncrementalGraph
-    factors : mapping of int to PlaneFactors
+    factors : mapping of int to GraphPart
         Factors of every plane in the graph, by its number.
     state : BeamState
         The beams of the graph.
@@ -66,7 +66,7 @@ class SessionState:
     contents: Contents
     config: SessionConfig
     graph: IncrementalGraph
-    factors: Mapping[int, PlaneFactors]
+    factors: Mapping[int, GraphPart]
     state: BeamState
     compared: BeamState
     changes: int
@@ -172,7 +172,7 @@ class SessionState:
             raise _undetermined()
         return new, tuple(joined), inconsistent
 
-    def _solved(self, factors: Mapping[int, PlaneFactors], gone: list[int]) -> "SessionState":
+    def _solved(self, factors: Mapping[int, GraphPart], gone: list[int]) -> "SessionState":
         """Return the same with planes added to the graph and others taken out."""
         try:
             graph, state = self.graph.changed(
@@ -269,7 +269,7 @@ def _restored(
         values.insert(plane_key(number), gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
         for key in poses_of(blocks):
             values.insert(key, poses[key])
-        factors[number] = PlaneFactors(blocks, others, values)
+        factors[number] = GraphPart(blocks, others, values)
     graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
     graph, _ = graph.changed(factors, (), config.start(parameters.beams), fine=fine)
     return SessionState(*first, graph, factors, *rest)

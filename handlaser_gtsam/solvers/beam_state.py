@@ -55,15 +55,15 @@ class BeamState:
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneFactors:
-    """What one plane brings into the graph.
+class GraphPart:
+    """What one plane brings into the graph, or what the beams bring that begin it.
 
     Attributes
     ----------
     blocks : RangeBlocks
-        Each with a whitening.
+        Each with a whitening; none of the beams.
     others : factors
-        Priors of its hand poses.
+        Priors of the hand poses of a plane; links of the beams.
     start : gtsam.Values
         Start of its variables; variables that are in the graph already keep their values.
     """
@@ -71,11 +71,3 @@ class PlaneFactors:
     blocks: tuple[RangeBlock, ...]
     others: tuple[gtsam.NonlinearFactor, ...]
     start: gtsam.Values
-
-
-@dataclass(frozen=True, slots=True)
-class BeamStart:
-    """Where the beams of a new graph start, and what is known of them without any plane."""
-
-    values: gtsam.Values
-    factors: tuple[gtsam.NonlinearFactor, ...] = ()

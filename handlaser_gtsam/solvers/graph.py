@@ -95,8 +95,19 @@ def build_graph(
     counts, planes = per_beam(terms, readings.beams), tuple(map(plane_key, range(readings.planes)))
     beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
     whitening, sigma = (None, noise) if isinstance(noise, float) else (noise, noise.sigma)
-    blocks, rows, whitening = _blocks(readings, whitening, beams, planes, priors)
-    graph = _graph(blocks, sigma, loss, range_error_priors(beams, counts, range_errors))
+    coupled = whitening is not None and whitening.is_coupled
+    if whitening is None or (priors is None and not coupled):
+        rows: IntArray = np.arange(len(readings))
+        blocks = _blocks_by_beam(readings, beams, planes, whitening)
+    else:
+        group = readings.plane if priors is None else readings.station
+        rows = np.lexsort((readings.beam, readings.station, group))
+        blocks = station_blocks(readings, whitening, rows, group, (beams, planes, priors))
+    graph, noise_model = gtsam.NonlinearFactorGraph(), cache(_noise_model)
+    for block in blocks:
+        graph.push_back(range_factor(block, noise_model(len(block.distance), sigma, loss)))
+    for factor in range_error_priors(beams, counts, range_errors):
+        graph.push_back(factor)
     prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
     values = start_values(start, beams, planes, counts)
     poses: tuple[int, ...] = ()
@@ -104,7 +115,6 @@ def build_graph(
         poses = tuple(pose_key(j) for j in priors.stations.tolist())
         priors.join(graph, values, poses)
         prior_rows += 6 * len(poses)
-    coupled = whitening is not None and whitening.is_coupled
     whitening = None if whitening is None else whitening.of_rows(rows)
     of_beams = [key for beam in beams for key in beam.variables]
     # Uncoupled beams are independent given the planes: they go first where there are far more.
@@ -129,41 +139,6 @@ def build_graph(
     )
 
 
-def _graph(
-    blocks: Sequence[RangeBlock],
-    sigma: float,
-    loss: Loss,
-    priors: Sequence[gtsam.NonlinearFactor],
-) -> gtsam.NonlinearFactorGraph:
-    graph = gtsam.NonlinearFactorGraph()
-    model = cache(_noise_model)
-    for block in blocks:
-        graph.push_back(range_factor(block, model(len(block.distance), sigma, loss)))
-    for factor in priors:
-        graph.push_back(factor)
-    return graph
-
-
-def _blocks(
-    readings: Readings,
-    whitening: Whitening | None,
-    beams: tuple[BeamKeys, ...],
-    planes: tuple[int, ...],
-    priors: PosePriors | None,
-) -> tuple[tuple[RangeBlock, ...], IntArray, Whitening | None]:
-    """Return the blocks, the row of the readings for each of theirs, and their whitening."""
-    if whitening is None or (priors is None and not whitening.is_coupled):
-        return (
-            _blocks_by_beam(readings, beams, planes, whitening),
-            np.arange(len(readings)),
-            whitening,
-        )
-    group = readings.plane if priors is None else readings.station
-    rows = np.lexsort((readings.beam, readings.station, group))
-    blocks = station_blocks(readings, whitening, rows, group, (beams, planes, priors))
-    return blocks, rows, whitening
-
-
 def range_error_priors(
     beams: Sequence[BeamKeys], terms: Sequence[int], prior: RangeErrorPrior | None
 ) -> list[gtsam.NonlinearFactor]:
@@ -182,15 +157,10 @@ def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.
     isotropic = gtsam.noiseModel.Isotropic.Sigma(rows, range_sigma)
     if loss.name == "gaussian":
         return isotropic
-    scheme = gtsam.noiseModel.mEstimator.Base.ReweightScheme.Scalar
     kinds = gtsam.noiseModel.mEstimator
-    if loss.name == "huber":
-        estimator: gtsam.noiseModel.mEstimator.Base = kinds.Huber.Create(loss.tuning, scheme)
-    elif loss.name == "cauchy":
-        estimator = kinds.Cauchy.Create(loss.tuning, scheme)
-    else:
-        estimator = kinds.Tukey.Create(loss.tuning, scheme)
-    return gtsam.noiseModel.Robust.Create(estimator, isotropic)
+    create = {"huber": kinds.Huber, "cauchy": kinds.Cauchy, "tukey": kinds.Tukey}[loss.name].Create
+    scheme = kinds.Base.ReweightScheme.Scalar
+    return gtsam.noiseModel.Robust.Create(create(loss.tuning, scheme), isotropic)
 
 
 def start_values(
@@ -218,33 +188,21 @@ def parameters_of(
     values: gtsam.Values, beams: Sequence[BeamKeys], planes: Sequence[int]
 ) -> Parameters:
     """Return the beams and planes under the given keys as arrays."""
-    return with_tangents(values, beams, planes)[0]
-
-
-def with_tangents(
-    values: gtsam.Values, beams: Sequence[BeamKeys], planes: Sequence[int]
-) -> tuple[Parameters, FloatArray]:
-    """Return the beams and planes under the given keys, and GTSAM's tangents (B + P, 3, 2).
-
-    These are of the directions, then of the normals.
-    """
     k = np.zeros((len(beams), 2))
     for i, beam in enumerate(beams):
         if beam.range_error is not None:
             range_error = values.atVector(beam.range_error)
             k[i, : range_error.size] = range_error
     variables = [values.atOrientedPlane3(key) for key in planes]
-    units = [values.atUnit3(beam.direction) for beam in beams]
-    units += [plane.normal() for plane in variables]
-    vectors = np.array([unit.point3() for unit in units]).reshape(-1, 3)
-    parameters = Parameters.unchecked(
+    directions = [values.atUnit3(beam.direction).point3() for beam in beams]
+    normals = [plane.normal().point3() for plane in variables]
+    return Parameters.unchecked(
         np.array([values.atPoint3(beam.location) for beam in beams]),
-        vectors[: len(beams)],
+        np.array(directions).reshape(-1, 3),
         k,
-        vectors[len(beams) :],
+        np.array(normals).reshape(-1, 3),
         np.array([plane.distance() for plane in variables]),
     )
-    return parameters, np.array([unit.basis() for unit in units]).reshape(-1, 3, 2)
 
 
 def _blocks_by_beam(

@@ -27,7 +27,7 @@ from ..factors import RangeBlock, gathered, range_factor
 from ..factors.keys import BeamKeys, plane_key
 from ..model.joint import beam_units, beams_lift
 from ..quantities import MOST_ROUNDS
-from .beam_state import BeamStart, BeamState, PlaneFactors
+from .beam_state import BeamState, GraphPart
 from .graph import parameters_of
 
 FINE_PART = 0.05
@@ -99,9 +99,9 @@ class IncrementalGraph:
 
     def changed(
         self,
-        added: Mapping[int, PlaneFactors],
+        added: Mapping[int, GraphPart],
         without: Iterable[int] = (),
-        beams: BeamStart | None = None,
+        beams: GraphPart | None = None,
         accept: Callable[[BeamState], bool] | None = None,
         *,
         fine: bool = False,
@@ -114,7 +114,7 @@ class IncrementalGraph:
             By the number of the plane. What a plane brought before is taken out first.
         without : numbers
             Planes that leave.
-        beams : BeamStart, optional
+        beams : GraphPart, optional
             Where the beams start, the first time.
         accept : callable, optional
             Asked before the change takes place.
@@ -145,7 +145,27 @@ class IncrementalGraph:
     def state(self) -> BeamState:
         """Return the beams as they are now."""
         with self._lock:
-            return self._state()
+            S = self._isam.jointMarginalCovariance(self._keys).fullMatrix()
+            # The beams alone: the estimate of all variables would cost time in their number.
+            values, delta = gtsam.Values(), self._isam.getDelta()
+            for beam in self.beams:
+                r, v, k = beam.location, beam.direction, beam.range_error
+                values.insert(r, self._view.atPoint3(r) + delta.at(r))
+                values.insert(v, self._view.atUnit3(v).retract(delta.at(v)))
+                if k is not None:
+                    values.insert(k, self._view.atVector(k) + delta.at(k))
+            bases = np.array([self._view.atUnit3(beam.direction).basis() for beam in self.beams])
+        scale = np.sqrt(np.diagonal(S))
+        sound = np.isfinite(scale).all() and scale.all()
+        sign, size = np.linalg.slogdet(S / np.outer(scale, scale)) if sound else (0.0, 0.0)
+        if sign <= 0:
+            raise RuntimeError("the beams are not determined")
+        lift = beams_lift(bases, self.terms)
+        return BeamState(
+            *parameters_of(values, self.beams, ()).beams,
+            lift @ S @ lift.T,
+            -float(size + 2.0 * np.log(scale).sum()),
+        )
 
     def parameters(self) -> Parameters:
         """Return beams, and planes in the order of `planes`, each in the frame of its blocks."""
@@ -172,7 +192,7 @@ class IncrementalGraph:
         new._view = new._isam.getLinearizationPoint()
         return new
 
-    def _exchange(self, added: Mapping[int, PlaneFactors], gone: set[int]) -> list[int]:
+    def _exchange(self, added: Mapping[int, GraphPart], gone: set[int]) -> list[int]:
         """Take over the blocks of planes, and return the factors of those that leave."""
         old = [index for number in gone for index in self._factors[number]]
         for number in gone:
@@ -183,9 +203,7 @@ class IncrementalGraph:
         self._limits = self._limits_of_all()
         return old
 
-    def _add(
-        self, added: Mapping[int, PlaneFactors], old: list[int], beams: BeamStart | None
-    ) -> None:
+    def _add(self, added: Mapping[int, GraphPart], old: list[int], beams: GraphPart | None) -> None:
         graph, start, sizes = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
         for plane in added.values():
             for block in plane.blocks:
@@ -194,10 +212,14 @@ class IncrementalGraph:
             for factor in plane.others:
                 graph.push_back(factor)
             sizes.append(len(plane.blocks) + len(plane.others))
-            start.insert(_new_variables(plane.start, self._isam))
+            new = gtsam.Values(plane.start)
+            for key in plane.start.keys():  # noqa: SIM118
+                if self._isam.valueExists(key):
+                    new.erase(key)
+            start.insert(new)
         if beams is not None:
-            start.insert(beams.values)
-            for factor in beams.factors:
+            start.insert(beams.start)
+            for factor in beams.others:
                 graph.push_back(factor)
         indices = list(self._update(graph, start, old).getNewFactorsIndices())
         ends = np.cumsum([0, *sizes]).tolist()
@@ -222,14 +244,10 @@ class IncrementalGraph:
     def _settle(self, part: float) -> None:
         """Relinearise until nothing has moved by a part of its threshold."""
         for _ in range(MOST_ROUNDS):
-            if not self._has_moved(part):
+            if (np.abs(self._isam.getDelta().vector()) <= part * self._limits).all():
                 return
             self._update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], relinearize=True)
         raise RuntimeError("the estimate does not settle")
-
-    def _has_moved(self, part: float) -> bool:
-        """Tell whether a variable has left its linearisation point by a part of its threshold."""
-        return bool((np.abs(self._isam.getDelta().vector()) > part * self._limits).any())
 
     def _limits_of_all(self) -> FloatArray:
         """Return the thresholds of all variables in GTSAM's order: by letter, then by number."""
@@ -241,44 +259,6 @@ class IncrementalGraph:
         return np.concatenate(
             [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
         )
-
-    def _beam_values(self) -> gtsam.Values:
-        """Return the beams alone: the estimate of all variables would cost time in their number."""
-        values, delta = gtsam.Values(), self._isam.getDelta()
-        for beam in self.beams:
-            r, v, k = beam.location, beam.direction, beam.range_error
-            values.insert(r, self._view.atPoint3(r) + delta.at(r))
-            values.insert(v, self._view.atUnit3(v).retract(delta.at(v)))
-            if k is not None:
-                values.insert(k, self._view.atVector(k) + delta.at(k))
-        return values
-
-    def _state(self) -> BeamState:
-        S = self._isam.jointMarginalCovariance(self._keys).fullMatrix()
-        scale = np.sqrt(np.diagonal(S))
-        if not (np.isfinite(scale).all() and scale.all()):
-            raise RuntimeError("the beams are not determined")
-        sign, size = np.linalg.slogdet(S / np.outer(scale, scale))
-        if sign <= 0:
-            raise RuntimeError("the beams are not determined")
-        bases = np.array([self._view.atUnit3(beam.direction).basis() for beam in self.beams])
-        lift = beams_lift(bases, self.terms)
-        return BeamState(
-            *parameters_of(self._beam_values(), self.beams, ()).beams,
-            lift @ S @ lift.T,
-            -float(size + 2.0 * np.log(scale).sum()),
-        )
-
-
-def _new_variables(start: gtsam.Values, isam: gtsam.ISAM2) -> gtsam.Values:
-    """Return the values of variables that are not in the graph."""
-    known = [key for key in start.keys() if isam.valueExists(key)]  # noqa: SIM118
-    if not known:
-        return start
-    new = gtsam.Values(start)
-    for key in known:
-        new.erase(key)
-    return new
 
 
 def _thresholds_of(

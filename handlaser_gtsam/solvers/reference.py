@@ -52,7 +52,8 @@ ERRORS = (
 )
 """Systematic errors that can be unknowns here, by the codes of the package."""
 POSE_STEP = 1e-6
-"""Step of the differences by a hand pose [rad, m]: about the cube root of the rounding of doubles."""
+"""Step of the differences by a hand pose [rad, m], or by a shift of a ray [m]: about the cube root of
+the rounding of doubles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -315,16 +316,15 @@ class ReferenceProblem:
         prior = csr_array((np.ones(len(more)), (more, known)), shape=(len(more), len(self.x0)))
         return csr_array(vstack((abs(self.whiten) @ depends, prior)))
 
-    def covariances(self, solution: OptimizeResult) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def covariances(
+        self, x: FloatArray, inverse: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ambient covariances of beams (B, 8, 8) and planes (P, 4, 4), and of errors (q, q).
 
-        For a sigma of 1 m, or of the weights where there are any.
+        At the unknowns x with their covariance `inverse`: for a sigma of 1 m, or of the weights where
+        there are any.
         """
-        J = np.asarray(solution.jac @ np.eye(len(solution.x)))  # sparse or not
-        scale = np.linalg.norm(J, axis=0)
-        inverse = np.linalg.pinv((J / scale).T @ (J / scale), hermitian=True, rcond=1e-15)
-        inverse /= np.outer(scale, scale)
-        optimum = self.unpack(solution.x)
+        optimum = self.unpack(x)
         beams, planes = np.zeros((self.beams, 8, 8)), np.zeros((self.planes, 4, 4))
         Dv = self.directions.derivative(optimum.directions)
         Dn = self.normals.derivative(optimum.normals)
@@ -362,6 +362,20 @@ def minimize(
     )
 
 
+def gauss_newton_end(solution: OptimizeResult) -> tuple[FloatArray, FloatArray]:
+    """Return the unknowns (n,) of SciPy's solution after a last step, and inv(J'J) (n, n).
+
+    SciPy stops where the cost shows no change: a last Gauss-Newton step goes beyond its digits.
+    """
+    J = np.asarray(solution.jac @ np.eye(len(solution.x)))  # sparse or not
+    scale = np.linalg.norm(J, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    J = J / scale
+    step = np.linalg.lstsq(J, np.asarray(solution.fun), rcond=1e-12)[0] / scale
+    inverse = np.linalg.pinv(J.T @ J, hermitian=True, rcond=1e-15) / np.outer(scale, scale)
+    return np.asarray(solution.x - step), inverse
+
+
 def solve_reference(
     recording: Recording,
     start: Parameters,
@@ -386,12 +400,8 @@ def solve_reference(
             problem.weigh(solution.x, noise)
             problem.x0 = solution.x
             solution = minimize(problem, "3-point")
-    beams, planes, of_errors = problem.covariances(solution)
-    J = np.asarray(solution.jac @ np.eye(len(solution.x)))
-    scale = np.linalg.norm(J, axis=0)
-    # SciPy stops where the cost shows no change: a last Gauss-Newton step goes beyond its digits.
-    last = np.linalg.lstsq(J / scale, solution.fun, rcond=1e-12)[0] / scale
-    best = solution.x - last
+    best, inverse = gauss_newton_end(solution)
+    beams, planes, of_errors = problem.covariances(solution.x, inverse)
     sigmas = np.sqrt(np.diagonal(of_errors))
     return ReferenceSolution(
         problem.unpack(best),

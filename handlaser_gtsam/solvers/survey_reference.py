@@ -22,11 +22,9 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 from ..data.survey import Known, Shots
-from .reference import POSE_STEP, REWEIGHTINGS
+from .reference import POSE_STEP, REWEIGHTINGS, gauss_newton_end
 from .unit_vectors import UnitVectors
 
-RAY_STEP = 1e-6
-"""Step of the differences by a shift of a ray [m]."""
 START_OFF = 0.005
 """All unknowns begin so far [m], [rad] from the start: far more than their standard deviations."""
 SETTLED = 1e-11
@@ -328,10 +326,10 @@ class _Residuals:
         if not noise:
             return np.ones(len(one.reading))
         sides = []
-        for shift in (RAY_STEP, -RAY_STEP):
+        for shift in (POSE_STEP, -POSE_STEP):
             o, u = self._rays(one, at, self.of.world_R_hand, self.of.world_t_hand, shift)
             sides.append(_range(at, one, o, u))
-        slope = (sides[0] - sides[1]) / (2.0 * RAY_STEP)
+        slope = (sides[0] - sides[1]) / (2.0 * POSE_STEP)
         return np.asarray(np.sqrt(1.0 + (slope * noise / one.sigma) ** 2))
 
 
@@ -459,14 +457,7 @@ def solve_survey(problem: SurveyProblem) -> SurveySolution:
         residuals.weigh(np.asarray(found.x))
         found = _minimum(residuals, np.asarray(found.x))
         evaluations += int(found.nfev)
-    x = np.asarray(found.x)
-    J: FloatArray = np.asarray(found.jac)
-    scale = np.linalg.norm(J, axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    J = J / scale
-    x = x - np.linalg.lstsq(J, np.asarray(found.fun), rcond=1e-12)[0] / scale
-    inverse = np.linalg.pinv(J.T @ J, hermitian=True, rcond=1e-15) / np.outer(scale, scale)
-    values, covariances = residuals.unknowns.solution(x, inverse)
+    values, covariances = residuals.unknowns.solution(*gauss_newton_end(found))
     return SurveySolution(values, covariances, 2.0 * float(found.cost), evaluations)
 
 
