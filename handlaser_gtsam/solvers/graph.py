@@ -7,7 +7,7 @@ from functools import cache
 import gtsam
 import numpy as np
 
-from ..arrays import FloatArray, IntArray, frozen_indices
+from ..arrays import IntArray, frozen_indices
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
