@@ -9,12 +9,10 @@ from ..arrays import FloatArray
 from ..errors import InputError
 from ..model.block import Block
 from ..model.families import FAMILIES, Direction, Motion
+from ..quantities import NEGLIGIBLE
 
 if TYPE_CHECKING:
     from .estimate import BlockProblem
-
-OFF_MANIFOLD = 1e-6
-"""A unit vector or rotation of a start that is farther off is none."""
 
 
 def require_start(problem: "BlockProblem") -> None:
@@ -62,7 +60,7 @@ def _require_on_manifold(family: str, x: FloatArray) -> None:
             off, what = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)), "rotation matrices"
         else:
             continue
-        if off.max(initial=0.0) > OFF_MANIFOLD:
+        if off.max(initial=0.0) > NEGLIGIBLE:
             raise InputError(f"a start of {family} that is off by {off.max():.2g}", what)
 
 

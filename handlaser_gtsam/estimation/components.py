@@ -15,6 +15,7 @@ and these priors leave possible, because the mode is often zero where there are 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.optimize import minimize
@@ -27,25 +28,16 @@ GRID = 9
 """Sizes of each pose error that the mean runs over."""
 WIDEST = 12.0
 """Sizes of pose errors are looked for up to this many times the larger of prior and mode."""
+LARGEST_SIZE = 1e4
+"""No pose error is more than this many times what its prior expects."""
 WIDEST_STEP = 3.0
 """Logarithm of the factor by which a standard deviation changes at most in a round: a first step of the
 search ends at a bound, and from a far one it does not come back."""
-LARGEST_SIZE = 1e4
-"""No pose error is more than this many times what its prior expects."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Inside:
-    """What shots tell of the noise inside them, by source of noise.
-
-    Attributes
-    ----------
-    squares, dof : (n,)
-        Sums of squares [m^2] and degrees of freedom.
-    """
-
-    squares: FloatArray
-    dof: FloatArray
+Inside = tuple[FloatArray, FloatArray]
+"""What shots tell of the noise inside them, by source of noise: sums of squares (n,) [m^2], and degrees
+of freedom (n,)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +93,8 @@ class _Likelihood:
         value += float(np.log(values[some]).sum())
         value += float(N[-1, -1] - ((axes.T @ g)[some] ** 2 / values[some]).sum())
         phi = np.maximum(factor, TINY)
-        value += float((self.inside.dof * np.log(phi) + self.inside.squares / phi).sum())
+        squares, dof = self.inside
+        value += float((dof * np.log(phi) + squares / phi).sum())
         return value
 
 
@@ -130,8 +123,8 @@ def components(
     finest : (n,)
         No `sigma` is below it [m]: where rows of one kind fit exactly, the likelihood has no bound.
     """
-    inside = Inside(inside.squares / now.sigma**2, inside.dof)
-    likelihood = _Likelihood(rows, source, inside)
+    squares, dof = inside
+    likelihood = _Likelihood(rows, source, (squares / now.sigma**2, dof))
     fixed = (stated.sigma / now.sigma) ** 2
     open_ = np.flatnonzero(np.isnan(fixed))
     wanted = [i for i in (0, 1) if np.isnan(stated.pose[i])]
@@ -171,13 +164,8 @@ def _mean_sizes(
     # Quadratic spacing: small sizes matter as much as large ones.
     steps = (np.arange(GRID) + 0.5) ** 2 / GRID**2
     axes = [_span(value, mode, i) * steps for i in range(len(wanted))]
-    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(wanted))
-    volume = np.prod(
-        np.stack(
-            np.meshgrid(*[np.gradient(axis) for axis in axes], indexing="ij"), axis=-1
-        ).reshape(-1, len(wanted)),
-        axis=1,
-    )
+    mesh = np.array(list(product(*axes)))
+    volume = np.array(list(product(*[np.gradient(axis) for axis in axes]))).prod(axis=1)
     logs = -0.5 * np.array([value(x) for x in mesh])
     weight = np.exp(logs - logs.max()) * volume
     return [float(np.sqrt(weight @ x**2 / weight.sum())) for x in mesh.T]

@@ -38,11 +38,22 @@ class Contrasts:
 
     @classmethod
     def of(cls, beams: IntArray, terms: int, width: int, widest: float) -> "Contrasts":
-        """Return the contrasts of `terms` range errors of some beams of `width` unknowns."""
-        places = (beams[:, None] * width + MOUNT_DIM + np.arange(terms)).ravel()
-        turn, is_mean = _contrasts(len(beams), terms)
-        wide = np.full(len(places), np.sqrt(1.0 + len(beams)) * widest)
-        return cls(places, np.repeat(np.arange(terms), len(beams)), turn, is_mean, wide)
+        """Return the contrasts of `terms` range errors of some beams of `width` unknowns.
+
+        Term after term, the mean over the beams, times the root of their number, first.
+        """
+        count, places = len(beams), beams[:, None] * width + MOUNT_DIM + np.arange(terms)
+        helmert = np.eye(count)
+        if count > 1:
+            helmert = np.linalg.qr(np.column_stack((np.ones(count), np.eye(count)[:, 1:])))[0].T
+        return cls(
+            places.ravel(),
+            np.repeat(np.arange(terms), count),
+            # Rows are terms, then means and contrasts; columns are beams, then terms.
+            np.einsum("ab,st->sabt", helmert, np.eye(terms)).reshape((places.size,) * 2),
+            np.tile(np.arange(count) == 0, terms),
+            np.full(places.size, np.sqrt(1.0 + count) * widest),
+        )
 
     def turned(self, angles: FloatArray) -> FloatArray:
         """Return the matrix (K, K) to the same along axes turned by the angles (B,) of the beams."""
@@ -80,19 +91,3 @@ def worst_known(V: FloatArray) -> FloatArray | None:
     off = np.where(long, (angles - mean + 0.5 * math.pi) % math.pi - 0.5 * math.pi, 0.0)
     turned: FloatArray = mean + off
     return turned
-
-
-def _contrasts(beams: int, terms: int) -> tuple[FloatArray, BoolArray]:
-    """Return an orthogonal matrix (K, K) from range errors, beam after beam, to means and contrasts.
-
-    Term after term, the mean over the beams, times the root of their number, first. Also return which
-    of them are means.
-    """
-    helmert = np.eye(beams)
-    if beams > 1:
-        helmert = np.linalg.qr(np.column_stack((np.ones(beams), np.eye(beams)[:, 1:])))[0].T
-    turn = np.zeros((terms, beams, beams, terms))
-    for term in range(terms):
-        turn[term, :, :, term] = helmert
-    is_mean = np.tile(np.arange(beams) == 0, terms)
-    return turn.reshape(terms * beams, beams * terms), is_mean

@@ -17,9 +17,8 @@ from ..data.parameters import Parameters
 from ..model.elimination import inverse_of
 from ..model.joint import JointCovariance
 from ..observability.rank import Observability
-from ..solvers.graph import CalibrationGraph
+from ..solvers.graph import CalibrationGraph, read_parameters
 from ..solvers.levenberg import linearize
-from ..solvers.sums import EliminatedSums
 
 
 def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovariance:
@@ -40,7 +39,13 @@ def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovarian
     """
     first = gtsam.Ordering([*problem.poses, *problem.planes])
     net, rest = linearize(problem, values).eliminatePartialSequential(first)
-    columns = _columns(problem)
+    # The rows of each variable of the beams in a stack of all.
+    columns: dict[int, IntArray] = {}
+    size = 0
+    for beam, terms in zip(problem.beams, problem.terms, strict=True):
+        for key, dim in zip(beam.variables, (3, 2, terms), strict=False):
+            columns[key] = np.arange(size, size + dim)
+            size += dim
     S = inverse_of(rest.hessian(gtsam.Ordering(list(columns)))[0])
     count = len(problem.planes)
     known_beams, response = np.zeros((count, 3, 3)), np.zeros((count, 3, len(S)))
@@ -52,44 +57,32 @@ def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovarian
             places = np.concatenate([columns[key] for key in parents])
             response[number[plane]][:, places] = root @ conditional.S()
             known_beams[number[plane]] = root @ root.T
-    planes = [values.atOrientedPlane3(key).normal() for key in problem.planes]
-    return JointCovariance(
-        tuple(map(str, range(len(problem.beams)))),
-        tuple(map(str, range(len(planes)))),
-        problem.terms,
-        S,
-        response,
-        known_beams,
-        np.array([values.atUnit3(beam.direction).basis() for beam in problem.beams]),
-        np.array([normal.basis() for normal in planes]),
-        np.zeros((len(planes), 3)),
-    )
+    at = read_parameters(problem, values)
+    return numbered(at, problem.terms, S, response, known_beams, np.zeros((count, 3)))
 
 
-def covariance_of_sums(
-    parameters: Parameters, terms: tuple[int, ...], sums: EliminatedSums, centres: FloatArray
+def numbered(
+    parameters: Parameters,
+    terms: tuple[int, ...],
+    beams: FloatArray,
+    response: FloatArray,
+    planes: FloatArray,
+    origins: FloatArray,
 ) -> JointCovariance:
-    """Return the covariance from sums that GTSAM has eliminated, beams being what stays.
+    """Return the covariance of beams and planes that have numbers for names, about `parameters`.
 
-    Parameters
-    ----------
-    parameters : Parameters
-    terms : tuple of int
-        Range-error terms of each beam.
-    sums : EliminatedSums
-    centres : (P, 3)
-        Where the offset of each plane is taken, in the frames of the readings [m].
+    The other arguments are fields of `JointCovariance`, in the order and the frames of the readings.
     """
     return JointCovariance(
         tuple(map(str, range(len(parameters.locations)))),
         tuple(map(str, range(len(parameters.offsets)))),
         terms,
-        sums.covariance,
-        sums.response,
-        sums.known,
+        beams,
+        response,
+        planes,
         model.tangent_basis(parameters.directions),
         model.tangent_basis(parameters.normals),
-        centres,
+        origins,
     )
 
 
@@ -119,25 +112,11 @@ def covariance_of_determined(
     found, variance = observability, sigma**2
     planes = found.information
     inverse = planes.local_inverse * np.outer(found.plane_unit, found.plane_unit)
-    return JointCovariance(
-        tuple(map(str, range(len(parameters.locations)))),
-        tuple(map(str, range(len(parameters.offsets)))),
+    return numbered(
+        parameters,
         found.terms,
         variance * found.covariance() * np.outer(found.beam_unit, found.beam_unit),
         found.plane_unit[:, None] * planes.local_response / found.beam_unit,
         variance * inverse,
-        model.tangent_basis(parameters.directions),
-        model.tangent_basis(parameters.normals),
         found.centres + origins,
     )
-
-
-def _columns(problem: CalibrationGraph) -> dict[int, IntArray]:
-    """Return the rows of each variable of the beams in a stack of all."""
-    columns: dict[int, IntArray] = {}
-    first = 0
-    for beam, terms in zip(problem.beams, problem.terms, strict=True):
-        for key, size in zip(beam.variables, (3, 2, terms), strict=False):
-            columns[key] = np.arange(first, first + size)
-            first += size
-    return columns

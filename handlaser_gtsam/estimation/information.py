@@ -147,16 +147,13 @@ class LinearReadings:
 
         The latter has the planes that were eliminated, and natural units.
         """
-        size = max(self._columns.size, POSE.dim * self._block.cells * self._unknowns)
+        unknowns = self._block.beams * int(np.sum(self._unknown[BEAM.name]))
+        size = max(self._columns.size, POSE.dim * self._block.cells * unknowns)
         chunk = max(NUMBERS_AT_ONCE // size, 1)
         parts = [self._for_some(sets[a : a + chunk]) for a in range(0, len(sets), chunk)]
         constant = np.concatenate([constant for constant, _ in parts])
         reduced = ReducedInformation.joined([reduced for _, reduced in parts])
         return Information(reduced.matrix, -reduced.gradient, constant), reduced
-
-    @property
-    def _unknowns(self) -> int:
-        return self._block.beams * int(np.sum(self._unknown[BEAM.name]))
 
     def _for_some(self, sets: Sequence[NoiseSet]) -> tuple[FloatArray, ReducedInformation]:
         """Return the constants c (J,), and what the readings say, for as many sets as memory holds."""

@@ -120,19 +120,8 @@ def widest_scale(linearity: float | None) -> float:
     return np.inf if linearity is None else float(linearity * np.exp(farthest(linearity)))
 
 
-@dataclass(frozen=True, slots=True)
-class _AtMode:
-    """What is asked for more than once at a mode (d,).
-
-    The scales of the range errors that are probable there with their weights (G,), and the beams and
-    planes.
-    """
-
-    mode: FloatArray
-    grid: RangeErrorGrid
-    weight: FloatArray
-    beams: BeamPosterior
-    planes: ReducedInformation
+_AtMode = tuple[RangeErrorGrid, FloatArray, BeamPosterior, ReducedInformation]
+"""Scales of the range errors that are probable at a mode, their weights (G,), beams and planes."""
 
 
 class ScaleProblem:
@@ -181,7 +170,7 @@ class ScaleProblem:
         self.k = parameters.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
         self.wide = self._widest(readings.beams)
         self.rows = LinearReadings(parameters, readings, terms, self.length, base)
-        self._last: _AtMode | None = None
+        self._last: tuple[FloatArray, _AtMode] | None = None
 
     @cached_property
     def _part(self) -> "ScaleProblem":
@@ -207,40 +196,39 @@ class ScaleProblem:
         many = self.readings.beams > REPRESENTATIVE_BEAMS
         if many and self._part.readings.beams < self.readings.beams:
             return self._part._weighed(mode)
-        here = self._at(mode)
-        return here.grid, here.weight
+        return self._at(mode)[:2]
 
     def learned(self, mode: FloatArray) -> LearnedScales:
         """Return the points at which the scales are integrated over, about their `mode`."""
-        least, grid = 0.0, self._at(mode).grid
+        least = 0.0
+        grid, _, beams, _ = self._at(mode)
         few, weight = self._weighed(mode)
         scale = np.exp(weight @ np.log(few.total()))
         if self.linearity is not None and self.readings.beams > REPRESENTATIVE_BEAMS:
-            grid = few.typical(weight, self._at(mode).beams.worst_known())
+            grid = few.typical(weight, beams.worst_known())
         if len(self.readings) > CERTAIN_READINGS:
             least = np.inf
         elif self.readings.beams > INTEGRATED_BEAMS:
             least = KNOWN_SCALE
-        around = design(self._log_posterior, mode, self.scales.bounds, least)
+        points, log_weight, left = design(self._log_posterior, mode, self.scales.bounds, least)
         return LearnedScales(
             self.scales,
             self.base,
             mode,
-            around.points,
-            around.log_weight + self.scales.log_prior(around.points),
+            points,
+            log_weight + self.scales.log_prior(points),
             self.terms,
             self.length,
             self.linearity,
             grid,
             scale,
-            around.left * np.sqrt(len(self._part.readings) / len(self.readings)),
+            left * np.sqrt(len(self._part.readings) / len(self.readings)),
         )
 
     def beams(self, points: FloatArray) -> tuple[BeamPosterior, ReducedInformation]:
         """Return what all readings say of the beams and planes for scales (J, d) of the noise."""
-        last = self._last
-        if len(points) == 1 and last is not None and np.array_equal(points[0], last.mode):
-            return last.beams, last.planes
+        if len(points) == 1 and self._last is not None and np.array_equal(points[0], self._last[0]):
+            return self._last[1][2:]
         return self._beams(points)
 
     def step(self, mode: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -296,7 +284,7 @@ class ScaleProblem:
         return beams.log_marginal(self._part.wide) + self.scales.log_prior(points)
 
     def _at(self, mode: FloatArray) -> _AtMode:
-        if self._last is None or not np.array_equal(self._last.mode, mode):
+        if self._last is None or not np.array_equal(self._last[0], mode):
             beams, planes = self._beams(mode[None])
             wide = self._widest(self.readings.beams, beams.worst_known())
             fine = refined_grid(wide, beams.log_evidence_of(wide)[0], self.linearity or 1.0)
@@ -304,8 +292,8 @@ class ScaleProblem:
             near = near_largest(value)
             weight = np.exp(value[near] - value.max())
             weight /= weight.sum()
-            self._last = _AtMode(mode, fine.part(near), weight, beams, planes)
-        return self._last
+            self._last = mode, (fine.part(near), weight, beams, planes)
+        return self._last[1]
 
 
 def part_of(readings: Readings) -> Readings:

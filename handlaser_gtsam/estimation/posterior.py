@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..data.parameters import Parameters
-from ..model.elimination import ReducedInformation
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance, beams_lift
 from ..solvers.beam_problem import moved
+from .covariance import numbered
 from .learned import LearnedScales, ScaleProblem
 from .mixture import Mixture
 from .scales import Scale
@@ -39,13 +39,8 @@ class Posterior:
         Means.
     joint : JointCovariance
         Within and between the scales; offsets are counted from the origins of the planes' frames.
-    weight : (C,)
-        Weights of the Gaussian components of the mixture.
-    means, sigmas : (C, 8 B)
-        Means, counted from the mean of the mixture, and standard deviations of the ambient coordinates
-        of the beams in every component.
-    members : (C, 2) of int
-        Points of `learned` behind each component.
+    mixture : Mixture
+        Of Gaussian components, with the ambient coordinates (8 B) of the beams as those asked for.
     scales : tuple of ScaleEstimate
         Of the noise.
     range_error_scales : (2,) or None
@@ -56,10 +51,7 @@ class Posterior:
 
     parameters: Parameters
     joint: JointCovariance
-    weight: FloatArray
-    means: FloatArray
-    sigmas: FloatArray
-    members: IntArray
+    mixture: Mixture
     scales: tuple[ScaleEstimate, ...]
     range_error_scales: FloatArray | None
     learned: LearnedScales
@@ -90,73 +82,42 @@ def posterior(
     bases = model.tangent_basis(problem.parameters.directions)
     lift = beams_lift(bases, [learned.terms] * len(bases)) * unit
     mixture = beams.mixture(learned.grid, learned.log_weight, lift)
-    return Posterior(
-        _moved(problem, mixture, planes, unit, problem.step(*known)),
-        _joint(problem, mixture, planes, unit),
-        mixture.weight,
-        mixture.means,
-        mixture.sigmas,
-        mixture.members,
-        _scale_estimates(mixture, learned),
-        _mean_scales(mixture, learned),
-        learned,
-    )
-
-
-def _moved(
-    problem: ScaleProblem,
-    mixture: Mixture,
-    planes: ReducedInformation,
-    unit: FloatArray,
-    away: tuple[FloatArray, FloatArray],
-) -> Parameters:
-    """Return the parameters at the mean of the mixture, counted from a solution `away` of its own."""
+    # The mean of the mixture, counted from a solution that is away from the optimum for its scales.
+    away = problem.step(*known)
+    plane_unit, sets = PLANE.natural_units(problem.length), mixture.sets
     steps = planes.local_step - np.einsum("jpan,n->jpa", planes.local_response, mixture.mean)
-    mean = np.einsum("j,jpa->pa", mixture.sets, steps) - away[1]
-    plane = mean * PLANE.natural_units(problem.length)
+    plane = (np.einsum("j,jpa->pa", sets, steps) - away[1]) * plane_unit
     beam = ((mixture.mean - away[0]) * unit).reshape(problem.readings.beams, -1)
-    return moved(problem.parameters, beam, plane, problem.rows.centres)
-
-
-def _joint(
-    problem: ScaleProblem, mixture: Mixture, planes: ReducedInformation, unit: FloatArray
-) -> JointCovariance:
-    """Return the joint covariance; planes for known beams averaged over the noise scales."""
-    plane_unit = PLANE.natural_units(problem.length)
-    response = np.einsum("j,jpan->pan", mixture.sets, planes.local_response)
-    inverse = np.einsum("j,jpab->pab", mixture.sets, planes.local_inverse)
-    off = planes.local_step - np.einsum("j,jpa->pa", mixture.sets, planes.local_step)
-    inverse += np.einsum("j,jpa,jpb->pab", mixture.sets, off, off)
-    beams, count = problem.readings.beams, problem.readings.planes
-    return JointCovariance(
-        tuple(map(str, range(beams))),
-        tuple(map(str, range(count))),
-        (problem.terms,) * beams,
+    # Planes for known beams are averaged over the noise scales.
+    response = np.einsum("j,jpan->pan", sets, planes.local_response)
+    inverse = np.einsum("j,jpab->pab", sets, planes.local_inverse)
+    off = planes.local_step - np.einsum("j,jpa->pa", sets, planes.local_step)
+    inverse += np.einsum("j,jpa,jpb->pab", sets, off, off)
+    joint = numbered(
+        problem.parameters,
+        (problem.terms,) * problem.readings.beams,
         mixture.covariance * np.outer(unit, unit),
         response * plane_unit[:, None] / unit,
         inverse * np.outer(plane_unit, plane_unit),
-        model.tangent_basis(problem.parameters.directions),
-        model.tangent_basis(problem.parameters.normals),
         problem.rows.centres,
     )
-
-
-def _scale_estimates(mixture: Mixture, learned: LearnedScales) -> tuple[ScaleEstimate, ...]:
     estimates = []
     for column, scale in enumerate(learned.scales.unknown):
         u = learned.points[:, column]
-        sigma = float(np.exp(mixture.sets @ u)) * scale.unit
-        mean = mixture.sets @ np.exp(u)
-        spread = float(np.sqrt(mixture.sets @ (np.exp(u) - mean) ** 2)) * scale.unit
+        sigma = float(np.exp(sets @ u)) * scale.unit
+        spread = float(np.sqrt(sets @ (np.exp(u) - sets @ np.exp(u)) ** 2)) * scale.unit
         spread = float(np.hypot(spread, sigma * learned.left[column]))
         estimates.append(ScaleEstimate(scale, sigma, spread))
-    return tuple(estimates)
-
-
-def _mean_scales(mixture: Mixture, learned: LearnedScales) -> FloatArray | None:
-    """Return the posterior means of the scales of k1 [1] and k2 [1/m]."""
-    if learned.linearity is None:
-        return None
-    mean = np.zeros(2)
-    mean[: learned.terms] = mixture.grid @ learned.grid.total()
-    return np.asarray(mean / np.array([1.0, learned.length]))
+    range_errors: FloatArray | None = None
+    if learned.linearity is not None:
+        range_errors = np.zeros(2)
+        range_errors[: learned.terms] = mixture.grid @ learned.grid.total()
+        range_errors = range_errors / np.array([1.0, learned.length])
+    return Posterior(
+        moved(problem.parameters, beam, plane, problem.rows.centres),
+        joint,
+        mixture,
+        tuple(estimates),
+        range_errors,
+        learned,
+    )

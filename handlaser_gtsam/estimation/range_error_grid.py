@@ -197,8 +197,8 @@ def _alike(sides: Sequence[FloatArray]) -> FloatArray:
     """Return the density of logarithms of scales that are drawn about one that they share."""
     shared = np.arange(-SHARED_SPAN, SHARED_SPAN + 0.5 * SHARED_STEP, SHARED_STEP)
     density = SHARED_STEP * _half_cauchy(shared)
-    for side in sides:  # what is shared stays the last axis
-        density = density[..., None, :] * _uniform_shrinkage(side[:, None] - shared)
+    for side in sides:  # what is shared stays the last axis; 1 / (1 + scale^2) is uniform
+        density = density[..., None, :] * 0.5 / np.cosh(side[:, None] - shared) ** 2
     total: FloatArray = density.sum(axis=-1)
     return total
 
@@ -206,22 +206,12 @@ def _alike(sides: Sequence[FloatArray]) -> FloatArray:
 def _least_and_best_known(worst: FloatArray, best: FloatArray) -> FloatArray:
     """Return the density of logarithms of the scales along the axes that are known least and best."""
     about = 0.5 * (np.logaddexp(0.0, 2.0 * best) - math.log(2.0))
-    return _strawderman(worst[:, None] - about) * _half_cauchy(best)
+    x = worst[:, None] - about
+    uniform = np.exp(2.0 * x - 1.5 * np.logaddexp(0.0, 2.0 * x))  # 1 / sqrt(1 + scale^2) is
+    return np.asarray(uniform * _half_cauchy(best))
 
 
 def _half_cauchy(x: FloatArray) -> FloatArray:
     """Return the density of the logarithm x of a half-Cauchy variable of scale 1: |x| below 700."""
     density: FloatArray = 1.0 / (np.pi * np.cosh(x))
-    return density
-
-
-def _uniform_shrinkage(x: FloatArray) -> FloatArray:
-    """Return the density of the logarithm x of a scale for which 1 / (1 + scale^2) is uniform."""
-    density: FloatArray = 0.5 / np.cosh(x) ** 2
-    return density
-
-
-def _strawderman(x: FloatArray) -> FloatArray:
-    """Return the density of the logarithm x of a scale for which 1 / sqrt(1 + scale^2) is uniform."""
-    density: FloatArray = np.exp(2.0 * x - 1.5 * np.logaddexp(0.0, 2.0 * x))
     return density

@@ -32,10 +32,9 @@ DIFFERENCE_STEP = 0.02
 """Step of differences in the logarithm of a scale: short beside any posterior, long beside rounding."""
 LONGEST_STEP = 0.75
 """Longest step in the logarithm of a scale: a longer one may end where rounding fits well."""
-SHORTER_STEPS = 5
-"""Trials of a step, each a quarter as long as the one before, before the search ends where it is."""
 LAST_STEP = 1e-2
-"""A Newton step shorter than this ends the search: it leaves an error of about its square."""
+"""A Newton step shorter than this ends the search: it leaves an error of about its square. So does one
+that had to be shortened to this without going upwards."""
 REACH = {RANGE: (1.5, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
 """Scales lie within these logarithms below and above their priors: rounding would decide far below."""
 MOST_POSE_ERROR = 30.0
@@ -140,25 +139,6 @@ def with_scales(scales: Scales, base: Variances, u: FloatArray) -> Variances:
     return Variances(noise.range_sigma, base.incidence_sigma, pose)
 
 
-@dataclass(frozen=True, slots=True)
-class Design:
-    """Points at which scales are integrated over.
-
-    Attributes
-    ----------
-    points : (J, d)
-        Logarithms of the scales.
-    log_weight : (J,)
-        To which the logarithm of the posterior is added.
-    left : (d,)
-        Standard deviations of the logarithms of the scales that are not integrated over.
-    """
-
-    points: FloatArray
-    log_weight: FloatArray
-    left: FloatArray
-
-
 LogPosterior = Callable[[FloatArray], FloatArray]
 """Of points (J, d): the logarithm of the posterior density (J,) of the logarithms of the scales."""
 
@@ -171,35 +151,28 @@ def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray
     if start.size == 0:
         return start
     here = np.clip(start, bounds[:, 0], bounds[:, 1])
-    expansion = _expansion(log_posterior, here, DIFFERENCE_STEP)
+    value, slope, curvature = _expansion(log_posterior, here, DIFFERENCE_STEP)
     for _ in range(MOST_ROUNDS):
         tell("scales")
-        step = _upwards(expansion, here, bounds)
+        step = _upwards(slope, curvature, here, bounds)
         if np.abs(step).max() < LAST_STEP:
             return np.clip(here + step, bounds[:, 0], bounds[:, 1])
-        for _ in range(SHORTER_STEPS):
+        while np.abs(step).max() >= LAST_STEP:
             there = np.clip(here + step, bounds[:, 0], bounds[:, 1])
-            ahead = _expansion(log_posterior, there, DIFFERENCE_STEP)
-            if ahead.value > expansion.value:
+            ahead, *expansion = _expansion(log_posterior, there, DIFFERENCE_STEP)
+            if ahead > value:
                 break
             step = 0.25 * step
         else:
             break
-        here, expansion = there, ahead
+        here, value, (slope, curvature) = there, ahead, expansion
     return here
 
 
-@dataclass(frozen=True, slots=True)
-class _Expansion:
-    """The second-order expansion of a log posterior: value, slope (d,) and curvature (d, d)."""
-
-    value: float
-    slope: FloatArray
-    curvature: FloatArray
-
-
-def _expansion(log_posterior: LogPosterior, centre: FloatArray, step: float) -> _Expansion:
-    """Return the expansion about a point (d,), by differences over `step`."""
+def _expansion(
+    log_posterior: LogPosterior, centre: FloatArray, step: float
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return value, slope (d,) and curvature (d, d) at a point (d,), by differences over `step`."""
     size = centre.size
     first, second = np.triu_indices(size, 1)
     unit = step * np.eye(size)
@@ -210,40 +183,50 @@ def _expansion(log_posterior: LogPosterior, centre: FloatArray, step: float) -> 
     # f(i + j) - f(i) - f(j) + f(0)
     H[first, second] = value[2 * size + 1 :] - plus[first] - plus[second] + value[0]
     H[second, first] = H[first, second]
-    return _Expansion(float(value[0]), (plus - minus) / (2.0 * step), H / step**2)
+    return float(value[0]), (plus - minus) / (2.0 * step), H / step**2
 
 
-def _upwards(expansion: _Expansion, here: FloatArray, bounds: FloatArray) -> FloatArray:
+def _upwards(
+    slope: FloatArray, curvature: FloatArray, here: FloatArray, bounds: FloatArray
+) -> FloatArray:
     """Return a step (d,) towards the maximum; zero along bounds that it would cross."""
-    out = (here <= bounds[:, 0]) & (expansion.slope < 0.0) | (here >= bounds[:, 1]) & (
-        expansion.slope > 0.0
-    )
+    out = (here <= bounds[:, 0]) & (slope < 0.0) | (here >= bounds[:, 1]) & (slope > 0.0)
     free = np.flatnonzero(~out)
     step = np.zeros_like(here)
     if free.size:
-        curvature, axes = np.linalg.eigh(-expansion.curvature[np.ix_(free, free)])
-        along = axes.T @ expansion.slope[free] / np.maximum(np.abs(curvature), LEAST_CURVATURE)
+        values, axes = np.linalg.eigh(-curvature[np.ix_(free, free)])
+        along = axes.T @ slope[free] / np.maximum(np.abs(values), LEAST_CURVATURE)
         step[free] = axes @ along
     return step * min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), TINY))
 
 
 def design(
     log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray, least: float = 0.0
-) -> Design:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the points about `mode` (d,), within `bounds` (d, 2), to integrate the scales over.
 
     Axes along which the logarithms have a standard deviation below `least` are not integrated over.
+
+    Returns
+    -------
+    points : (J, d)
+        Logarithms of the scales.
+    log_weight : (J,)
+        To which the logarithm of the posterior is added.
+    left : (d,)
+        Standard deviations of the logarithms of the scales that are not integrated over.
     """
     if mode.size == 0:
-        return Design(np.zeros((1, 0)), np.zeros(1), np.zeros(0))
+        return np.zeros((1, 0)), np.zeros(1), np.zeros(0)
     # Axes as columns, each a standard deviation of the posterior at its mode long.
-    values, axes = np.linalg.eigh(-_expansion(log_posterior, mode, 5.0 * DIFFERENCE_STEP).curvature)
+    curvature = _expansion(log_posterior, mode, 5.0 * DIFFERENCE_STEP)[2]
+    values, axes = np.linalg.eigh(-curvature)
     axes = axes / np.sqrt(np.maximum(values, LEAST_CURVATURE))
     wide = np.linalg.norm(axes, axis=0) >= least
     left = np.sqrt((axes[:, ~wide] ** 2).sum(axis=1))
     axes, size = axes[:, wide], int(wide.sum())
     if size == 0:
-        return Design(mode[None], np.zeros(1), left)
+        return mode[None], np.zeros(1), left
     top = float(log_posterior(mode[None])[0])
     radius = np.sqrt(2.0)
     ends = np.concatenate((mode + radius * axes.T, mode - radius * axes.T))
@@ -253,7 +236,7 @@ def design(
     log_weight = np.log(weight) + 0.5 * (z**2).sum(axis=1)
     side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
     points = np.clip(mode + (side * z) @ axes.T, bounds[:, 0], bounds[:, 1])
-    return Design(points, log_weight + np.log(side).sum(axis=1), left)
+    return points, log_weight + np.log(side).sum(axis=1), left
 
 
 def _points(size: int) -> tuple[FloatArray, FloatArray]:

@@ -88,17 +88,14 @@ def settle(
     return Solved(task, task.weighted(first, with_scales(scales, base, known)))
 
 
-@dataclass(frozen=True, slots=True)
-class _Point:
-    """Logarithms (d,) of the noise scales, and the scales (T,) of the range errors, natural units."""
+_Point = tuple[FloatArray, FloatArray]
+"""Logarithms (d,) of the noise scales, and the scales (T,) of the range errors, natural units."""
 
-    u: FloatArray
-    k: FloatArray
 
-    def near(self, other: "_Point") -> bool:
-        """Tell whether all scales are nearly the same."""
-        apart = np.concatenate((self.u - other.u, np.log(self.k / other.k)))
-        return bool(np.abs(apart).max(initial=0.0) < SCALES_SETTLED)
+def _near(one: _Point, other: _Point) -> bool:
+    """Tell whether all scales are nearly the same."""
+    apart = np.concatenate((one[0] - other[0], np.log(one[1] / other[1])))
+    return bool(np.abs(apart).max(initial=0.0) < SCALES_SETTLED)
 
 
 class _Learning:
@@ -118,7 +115,7 @@ class _Learning:
         self, task: SolutionTask, scales: Scales, base: Variances, start: FloatArray
     ) -> None:
         self.task, self.scales, self.base = task, scales, base
-        self.point = _Point(start, np.full(task.terms, task.options.linearity or 1.0))
+        self.point: _Point = start, np.full(task.terms, task.options.linearity or 1.0)
         self.used = self.point
         self.problem: ScaleProblem | None = None
 
@@ -139,7 +136,7 @@ class _Learning:
             if not solution.observability.full or solution.at.status == "max_iterations":
                 break
             self._learn(solution)
-            settled = self.point.near(self.used)
+            settled = _near(self.point, self.used)
             if settled and task.away(solution, self._use(self.point)) < WEIGHTS_SETTLED:
                 break
         variances = self._use(self.used)
@@ -147,20 +144,20 @@ class _Learning:
         solution = task.with_poses(solution, variances)
         if self.problem is None:
             return solution
-        sigmas = (np.exp(self.used.u) * [scale.unit for scale in self.scales.unknown]).tolist()
+        sigmas = (np.exp(self.used[0]) * [scale.unit for scale in self.scales.unknown]).tolist()
         pairs = zip(self.scales.unknown, sigmas, strict=True)
         return replace(solution, scales=tuple(ScaleEstimate(*pair, np.nan) for pair in pairs))
 
     def integrated(self, solution: Solution) -> Solution:
         """Integrate over the scales about the most probable ones, if everything is determined."""
-        problem, u, gaussian = self.problem, self.point.u, self.task.loss == GAUSSIAN
+        problem, u, gaussian = self.problem, self.point[0], self.task.loss == GAUSSIAN
         interrupted = solution.at.status == "interrupted"
         if problem is None or interrupted or not (gaussian and solution.observability.full):
             return solution
         if solution.at.estimates_poses:
             problem = self._scale_problem(solution)
             u = problem.mode(u)
-        integrated = posterior(problem, problem.learned(u), (self.used.u, self.used.k))
+        integrated = posterior(problem, problem.learned(u), self.used)
         return replace(solution, posterior=integrated, scales=integrated.scales)
 
     def _ahead(self, first: Solution) -> Parameters:
@@ -173,7 +170,7 @@ class _Learning:
                 self._learn(first)
                 return first.parameters
             parameters, away = ahead
-            if away < STEPS_SETTLED and before is not None and self.point.near(before):
+            if away < STEPS_SETTLED and before is not None and _near(self.point, before):
                 break
             before = self.point
         return parameters
@@ -181,22 +178,22 @@ class _Learning:
     def _learn(self, solution: Solution, parameters: Parameters | None = None) -> None:
         """Take the most probable scales at a solution, or at parameters beside it."""
         self.problem = self._scale_problem(solution, parameters)
-        u = self.problem.mode(self.point.u)
-        k = self.problem.range_error_scales(u) if self.task.learns else self.point.k
-        self.point = _Point(u, k)
+        u, k = self.point
+        u = self.problem.mode(u)
+        self.point = u, self.problem.range_error_scales(u) if self.task.learns else k
 
     def _use(self, point: _Point) -> Variances:
         """Let the prior of range errors have some scales, and return the variances of the readings."""
         if self.task.learns:
-            self.task.prior = self.task.prior_of(point.k)
-        return with_scales(self.scales, self.base, point.u)
+            self.task.prior = self.task.prior_of(point[1])
+        return with_scales(self.scales, self.base, point[0])
 
     def _scale_problem(
         self, solution: Solution, parameters: Parameters | None = None
     ) -> ScaleProblem:
         """Return the problem of the scales; a robust loss keeps readings out that it doubts."""
         task, here = self.task, solution.parameters if parameters is None else parameters
-        readings, _ = task.weighed(here, with_scales(self.scales, self.base, self.point.u))
+        readings, _ = task.weighed(here, with_scales(self.scales, self.base, self.point[0]))
         if task.loss != GAUSSIAN:
             weight = task.loss.weight(solution.at.white / solution.at.sigma)
             readings = readings.subset(np.flatnonzero(weight >= LEAST_WEIGHT))

@@ -30,7 +30,7 @@ from ..quantities import MM, MOST_ROUNDS
 from .components import Components, Inside, components
 from .dense import dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
-from .survey_mirror import best_image, with_images
+from .survey_mirror import best_image, numbers_of, with_images
 from .survey_rows import (
     AIMING,
     AIMING_SIGMA,
@@ -49,8 +49,6 @@ GROSS = 6.0
 HALVES = 12
 """Halves of the shots that starts are looked for from, where most shots do not fit. Of eighteen with
 two wrong ones a fifth of the halves has none, and one of twelve with 93 %."""
-ROBUST_ROUNDS = 8
-"""Rounds of leaving out gross shots; most settle within three."""
 SIZES_SETTLED = 0.01
 """Sizes of the noise that change by less than this part have settled."""
 MOST_LEFT_OUT = 0.4
@@ -159,15 +157,26 @@ class SurveyEstimate:
 
     def at(self, values: Mapping[str, FloatArray], sizes: Components) -> "SurveyState":
         """Return the same shots at other values and sizes of the noise, which are not learned."""
-        relations = relations_of(self.rows)
+        relations, nothing = relations_of(self.rows), np.zeros_like(sizes.sigma)
         return SurveyState(
-            self.rows, self.given, dict(values), sizes, self.used, relations, learning=False
+            self.rows,
+            self.given,
+            dict(values),
+            sizes,
+            self.used,
+            relations,
+            (nothing, nothing),
+            sizes,
         )
 
 
 @dataclass(slots=True)
 class SurveyState:
-    """The values and sizes so far, and which items count."""
+    """The values and sizes so far, and which items count.
+
+    `inside` is what shots tell of the noise inside them, and `stated` what is stated of it; what is not
+    is NaN.
+    """
 
     rows: Rows
     noise: Noise
@@ -175,7 +184,13 @@ class SurveyState:
     sizes: Components
     used: BoolArray
     relations: Sequence[tuple[Known, Relation]]
-    learning: bool
+    inside: Inside
+    stated: Components
+
+    @property
+    def learning(self) -> bool:
+        """Whether sizes of the noise are learned."""
+        return bool(np.isnan([*self.stated.sigma, *self.stated.pose]).any())
 
     def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, list[list[Item]]]:
         """Return the problem of the items that count, and the items of the groups of its blocks."""
@@ -256,13 +271,13 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         No shot has enough points on a target; a sensor, or a beam, that nothing leads to a start of.
     """
     rows = rows_of(survey)
-    state, inside, stated = first_state(rows, noise)
+    state = first_state(rows, noise)
     first = first_fit(state)
-    settled = _settle(state, inside, stated)
-    again, others = best_image(state, lambda image: _settle(image, inside, stated))
+    settled = _settle(state)
+    again, others = best_image(state, _settle)
     settled = settled if again is None else again
     doubtful = _doubtful(state)
-    if doubtful and state.relations and _blames_relations(state, inside, stated):
+    if doubtful and state.relations and _blames_relations(state):
         doubtful = _doubtful(state)
     problem, _ = state.problem()
     found = judged(problem, list(problem.blocks), dict(state.values))
@@ -292,7 +307,7 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     tests = _tested(state, problem)
     found, images = with_images(found, others)
     return SurveyEstimate(
-        state.rows, noise, found, state.sizes, stated, state.used, tests, images, first
+        state.rows, noise, found, state.sizes, state.stated, state.used, tests, images, first
     )
 
 
@@ -313,11 +328,10 @@ def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
     return best_image(state, settle)[1]
 
 
-def first_state(rows: Rows, noise: Noise) -> tuple[SurveyState, Inside, Components]:
+def first_state(rows: Rows, noise: Noise) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
-    Sizes of the noise are as stated, else as shots show them inside, or as is usual. The other results
-    are what shots tell of the noise inside them, and what is stated, NaN for what is not.
+    Sizes of the noise are as stated, else as shots show them inside, or as is usual.
 
     Raises
     ------
@@ -328,10 +342,16 @@ def first_state(rows: Rows, noise: Noise) -> tuple[SurveyState, Inside, Componen
         raise InputError("no shot with enough points on its target", "a few points a shot")
     inside = _inside(rows)
     stated = _stated(rows, noise)
-    sizes = _first_sizes(stated, inside, noise)
-    used = np.ones(len(rows.items), dtype=bool)
-    learning = bool(np.isnan([*stated.sigma, *stated.pose]).any())
-    state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), learning)
+    squares, dof = inside
+    own = np.where(
+        dof > 0.0, np.maximum(np.sqrt(squares / np.maximum(dof, 1.0)), FINEST), FIRST_SIGMA
+    )
+    own[-1] = AIMING_SIGMA
+    sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
+    prior = noise.pose_rotation_prior, noise.pose_translation_prior
+    turn, shift = (p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True))
+    sizes, used = Components(sigma, (turn, shift)), np.ones(len(rows.items), dtype=bool)
+    state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), inside, stated)
     started = start_of(rows, state.sigmas())
     if started.values is None:
         names = ", ".join(_name(rows, *entity) for entity in started.without)
@@ -340,7 +360,7 @@ def first_state(rows: Rows, noise: Noise) -> tuple[SurveyState, Inside, Componen
     _leave_out_gross(state)
     if np.median(misfits(state)) > GROSS and _started_from_halves(state):
         _leave_out_gross(state)
-    return state, inside, stated
+    return state
 
 
 def _doubtful(state: SurveyState) -> list[str]:
@@ -352,14 +372,14 @@ def _doubtful(state: SurveyState) -> list[str]:
     return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
 
 
-def _blames_relations(state: SurveyState, inside: Inside, stated: Components) -> bool:
+def _blames_relations(state: SurveyState) -> bool:
     """Let shots count that only a relation contradicts, and sizes be as they are without relations.
 
     Tell whether this changed the state: a relation must be contradicted by what is left.
     """
     free = replace(state, relations=[], used=np.ones(len(state.used), dtype=bool))
     _leave_out_gross(free)
-    if not _settle(free, inside, stated) or free.used.sum() <= state.used.sum():
+    if not _settle(free) or free.used.sum() <= state.used.sum():
         return False
     tied = replace(state, values=dict(state.values), sizes=free.sizes, used=free.used)
     if not tied.minimize():
@@ -389,7 +409,7 @@ def _inside(rows: Rows) -> Inside:
             level = np.median(each[:, 0] / each[:, 1])
             good = each[:, 0] <= GROSS * level * each[:, 1]
             squares[member], dof[member] = each[good].sum(axis=0)
-    return Inside(squares, dof)
+    return squares, dof
 
 
 def _stated(rows: Rows, noise: Noise) -> Components:
@@ -407,25 +427,15 @@ def _stated(rows: Rows, noise: Noise) -> Components:
     return Components(np.array(sigma), pose)
 
 
-def _first_sizes(stated: Components, inside: Inside, noise: Noise) -> Components:
-    own = np.sqrt(inside.squares / np.maximum(inside.dof, 1.0))
-    own = np.where(inside.dof > 0.0, np.maximum(own, FINEST), FIRST_SIGMA)
-    own[-1] = AIMING_SIGMA
-    sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
-    prior = noise.pose_rotation_prior, noise.pose_translation_prior
-    turn, shift = (p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True))
-    return Components(sigma, (turn, shift))
-
-
 def _leave_out_gross(state: SurveyState) -> None:
     """Leave out shots that are far from what most agree on, before sizes are learned.
 
     While most shots misfit, those that fit worst are rejected and the rest is solved again (the
     concentration steps of least trimmed squares: Rousseeuw and Van Driessen, 2006).
     """
-    different = {x: n for n, x in enumerate(dict.fromkeys(i.target for i in state.rows.items))}
+    different = numbers_of(state.rows)
     target = np.array([different[item.target] for item in state.rows.items])
-    for _ in range(ROBUST_ROUNDS):
+    for _ in range(MOST_ROUNDS):
         if not state.minimize():
             return
         misfit = misfits(state)
@@ -450,7 +460,7 @@ def _started_from_halves(state: SurveyState) -> bool:
     Tell whether one was found.
     """
     items, rng = state.rows.items, np.random.default_rng(len(state.rows.items))
-    numbers = {one: n for n, one in enumerate(dict.fromkeys(item.target for item in items))}
+    numbers = numbers_of(state.rows)
     target = np.array([numbers[item.target] for item in items])
     least, values = float(np.median(misfits(state))), None
     for _ in range(HALVES):
@@ -506,23 +516,20 @@ def first_fit(state: SurveyState) -> FirstFit:
     return FirstFit(float(np.median(misfits(state))), distance, state.sizes)
 
 
-def _settle(state: SurveyState, inside: Inside, stated: Components) -> bool:
+def _settle(state: SurveyState) -> bool:
     """Alternate the minimum, the sizes of the noise, and tests of shots, until nothing changes.
 
     Tell whether that was reached.
     """
-    prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
     for _ in range(MOST_ROUNDS * 4):
         if not state.minimize():
             return False
-        if not _learned(state, inside, stated, prior) and not _worst_changed(state):
+        if not _learned(state) and not _worst_changed(state):
             return True
     return False
 
 
-def _learned(
-    state: SurveyState, inside: Inside, stated: Components, prior: tuple[float, float]
-) -> bool:
+def _learned(state: SurveyState) -> bool:
     """Learn the sizes of the noise at the values; tell whether one has changed."""
     if not state.learning:
         return False
@@ -538,7 +545,8 @@ def _learned(
             by_pose[part] = np.einsum("ri,rij->rj", by_pose[part], root[station])
     finest = np.full(len(state.sizes.sigma), FINEST)
     finest[-1] = FINEST_AIMING
-    new = components(rows, source, inside, state.sizes, stated, prior, finest)
+    prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
+    new = components(rows, source, state.inside, state.sizes, state.stated, prior, finest)
     before = np.array([*state.sizes.sigma, *state.sizes.pose])
     after = np.array([*new.sigma, *new.pose])
     state.sizes = new

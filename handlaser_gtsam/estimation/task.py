@@ -27,7 +27,7 @@ from ..solvers.levenberg import Status, levenberg_marquardt
 from ..solvers.poses import PosePriors, pose_priors
 from ..solvers.sums import eliminated_sums
 from ..text import count
-from .covariance import covariance_by_gtsam, covariance_of_sums
+from .covariance import covariance_by_gtsam, numbered
 from .options import CalibrationOptions
 from .solution import Minimum, Solution
 
@@ -287,7 +287,14 @@ class SolutionTask:
             return solution
         there = problem.reduction.moved(values, sums.step[None], sums.local_step[None])
         parameters = parameters_of(there)[0]
-        joint = covariance_of_sums(parameters, at.terms, sums, there[PLANE.name][0, :, CENTRE])
+        joint = numbered(
+            parameters,
+            at.terms,
+            sums.covariance,
+            sums.response,
+            sums.known,
+            there[PLANE.name][0, :, CENTRE],
+        )
         e = residuals(scene(parameters, at.readings), at.readings.measured)
         white = e if isinstance(noise, float) else noise.apply(e)
         cost = at.cost - 0.5 * max(saved, 0.0) / at.sigma**2

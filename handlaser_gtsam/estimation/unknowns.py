@@ -7,7 +7,7 @@ from ..data.noise import LEAST_SIGMA, Noise
 from ..data.recording import Readings
 from ..model.weighting import Variances
 from .options import CalibrationOptions
-from .scales import MOST_POSE_ERROR, RANGE, RANGE_FLOOR, ROTATION, TRANSLATION, Scale, Scales
+from .scales import AXES, MOST_POSE_ERROR, RANGE, RANGE_FLOOR, ROTATION, TRANSLATION, Scale, Scales
 
 
 def unknown_scales(
@@ -23,23 +23,36 @@ def unknown_scales(
     rms : float
         Standard deviation of the residuals [m], for a range sigma that is not given.
     """
-    sigma = max(noise.range_sigma or rms, LEAST_SIGMA)
-    unknown = _range_scales(readings, noise, options, max(rms, LEAST_SIGMA))
+    sigma, length = max(noise.range_sigma or rms, LEAST_SIGMA), readings.typical_range()
+    floor, most = RANGE_FLOOR * max(rms, LEAST_SIGMA), MOST_POSE_ERROR * max(rms, LEAST_SIGMA)
+    unknown: list[Scale] = []
+    if options.range_sigma_by_beam:
+        unknown = [Scale(RANGE, beam, 1.0, floor) for beam in range(readings.beams)]
+    elif noise.range_sigma is None or options.estimate_noise:
+        unknown = [Scale(RANGE, None, 1.0, floor)]
     pose, factor = None, np.ones(6)
     if options.counts_poses(noise):
         stations = int(readings.station.max()) + 1
+        pose = np.broadcast_to(np.eye(6), (stations, 6, 6))
         if noise.pose_covariance is not None:
             pose = noise.pose_covariances(stations)
-            unknown += _given_covariance(pose, options)
-        else:
-            pose = np.broadcast_to(np.eye(6), (stations, 6, 6))
-            length = readings.typical_range()
-            factor, more = _pose_scales(
-                noise, options, MOST_POSE_ERROR * max(rms, LEAST_SIGMA), length
-            )
-            unknown += more
+        # No translation error is looked for above `most` [m], nor a rotation that moves spots so.
+        for name, given, prior, limit in (
+            (TRANSLATION, noise.pose_translation_sigma, noise.pose_translation_prior, most),
+            (ROTATION, noise.pose_rotation_sigma, noise.pose_rotation_prior, most / length),
+        ):
+            if noise.pose_covariance is not None:
+                # Given covariances get factors where they are only where the estimate starts.
+                own = pose[:, AXES[name], AXES[name]]
+                unit = float(np.sqrt(np.einsum("mii->m", own).mean() / 3.0))
+                if options.estimate_noise and unit > 0.0:
+                    unknown.append(Scale(name, None, unit, 1.0))
+            elif given is None or (options.estimate_noise and given > 0.0):
+                unknown.append(Scale(name, None, 1.0, given or prior, limit))
+            else:
+                factor[AXES[name]] = given
     ranges = np.full(readings.beams, sigma)
-    return Scales(unknown, ranges, factor), Variances(ranges, noise.incidence_sigma, pose)
+    return Scales(tuple(unknown), ranges, factor), Variances(ranges, noise.incidence_sigma, pose)
 
 
 def start_of(scales: Scales, sigma: float, length: float) -> FloatArray:
@@ -59,46 +72,3 @@ def start_of(scales: Scales, sigma: float, length: float) -> FloatArray:
         value = sigma if scale.name == RANGE else min(scale.prior, most[scale.name] / scale.unit)
         guess.append(np.log(value))
     return np.array(guess, dtype=np.float64)
-
-
-def _range_scales(
-    readings: Readings, noise: Noise, options: CalibrationOptions, rms: float
-) -> tuple[Scale, ...]:
-    floor = RANGE_FLOOR * rms
-    if options.range_sigma_by_beam:
-        return tuple(Scale(RANGE, beam, 1.0, floor) for beam in range(readings.beams))
-    if noise.range_sigma is None or options.estimate_noise:
-        return (Scale(RANGE, None, 1.0, floor),)
-    return ()
-
-
-def _given_covariance(pose: FloatArray, options: CalibrationOptions) -> tuple[Scale, ...]:
-    """Return factors of given covariances, where these are only where the estimate starts."""
-    if not options.estimate_noise:
-        return ()
-    factors = []
-    for name, axes in ((TRANSLATION, slice(3, 6)), (ROTATION, slice(0, 3))):
-        trace = float(np.einsum("mii->m", pose[:, axes, axes]).mean())
-        if trace > 0.0:
-            factors.append(Scale(name, None, float(np.sqrt(trace / 3.0)), 1.0))
-    return tuple(factors)
-
-
-def _pose_scales(
-    noise: Noise, options: CalibrationOptions, most: float, length: float
-) -> tuple[FloatArray, tuple[Scale, ...]]:
-    """Return the known factors (6,) of unit pose covariances, and the scales that are unknown.
-
-    No translation error is looked for above `most` [m], nor a rotation that moves spots at `length` so.
-    """
-    factor, unknown = np.ones(6), []
-    translation, rotation = noise.pose_translation_sigma, noise.pose_rotation_sigma
-    for name, axes, given, prior, limit in (
-        (TRANSLATION, slice(3, 6), translation, noise.pose_translation_prior, most),
-        (ROTATION, slice(0, 3), rotation, noise.pose_rotation_prior, most / length),
-    ):
-        if given is None or (options.estimate_noise and given > 0.0):
-            unknown.append(Scale(name, None, 1.0, given or prior, limit))
-        else:
-            factor[axes] = given
-    return factor, tuple(unknown)

@@ -22,7 +22,7 @@ from ..starts.beam_minima import with_better_beams
 from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms
 from ..starts.excerpt import Excerpt, excerpt_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
-from ..starts.search import LAST_STEPS, Candidate, Round, agreeing
+from ..starts.search import FINALISTS, LAST_STEPS, Candidate, Round, agreeing
 from .snooping import Screening, beyond_chance, enough, quick_evidence, screen
 
 SUSPICIOUS = 0.35
@@ -41,8 +41,6 @@ SAME_EVIDENCE = 0.1
 IN_VAIN = 50
 """Candidates after which the search ends if none is beyond chance. With 30 % of the readings replaced,
 or a station of another plane, 12 or more of the first 19 agreed in each of 24 recordings."""
-RIVALS = 5
-"""Further candidates of the plain search that compete in the robust search."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +189,7 @@ def _robust(
     readings, terms, sigma = part.readings, judge.terms, judge.range_sigma
     others = [start.parameters] if plain is None else [plain.parameters, start.parameters]
     known = [parameters.part(part.beams, part.planes) for parameters in others]
-    known += [rival.parameters for rival in start.candidates[1 : RIVALS + 1]]
+    known += [rival.parameters for rival in start.candidates[1:FINALISTS]]
     candidates = robust_search(readings, known, sigma, terms, judge.criterion, judge.convinced)
     if part.is_whole:
         return candidates

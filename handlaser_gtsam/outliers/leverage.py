@@ -15,7 +15,6 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
-from ..model.families import MOUNT_DIM
 from ..observability.rank import Observability
 from ..quantities import NEGLIGIBLE
 from ..solvers.beam_problem import jacobian_columns
@@ -23,11 +22,6 @@ from ..solvers.beam_problem import jacobian_columns
 LARGEST_LEVERAGES = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
 there, and the information takes too long to invert."""
-
-
-def negligible(readings: Readings, terms: int) -> bool:
-    """Tell whether leverages are taken as zero."""
-    return len(readings) * readings.beams * (MOUNT_DIM + terms) > LARGEST_LEVERAGES
 
 
 def leverages(

@@ -15,9 +15,8 @@ from ..errors import CalibrationWarning
 from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import Observability, observability
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import IN_MM, ROUNDING
+from ..quantities import FAR_SIGMAS, IN_MM, ROUNDING
 from .leverage import leverages
-from .snooping import MOST_CUT
 
 OUTLIER = "outlier"
 REPEATED = "pose of another station repeated"
@@ -167,7 +166,7 @@ def _swapped(
             d = readings.distance[[b, a]]
             k = parameters.range_errors[readings.beam[[a, b]]]
             e = s[[a, b]] - model.corrected(d, k)
-            if (np.abs(e) <= MOST_CUT * range_sigma).all():
+            if (np.abs(e) <= FAR_SIGMAS * range_sigma).all():
                 partner[a], partner[b] = int(readings.beam[b]), int(readings.beam[a])
     return partner
 

@@ -20,16 +20,16 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.equation import residuals_or_infinite as residuals
+from ..model.families import MOUNT_DIM
 from ..observability.rank import observability
-from ..quantities import EXACT, MAJORITY, MOST_ROUNDS
+from ..quantities import EXACT, FAR_SIGMAS, MAJORITY, MOST_ROUNDS
 from ..solvers.refine import refine
 from ..starts.search import LAST_STEPS
-from .leverage import leverages, negligible, standardized
+from .leverage import LARGEST_LEVERAGES, leverages, standardized
 
 LEAST_CUT = 3.0
-"""The cut in standard deviations is at least this: Gaussian errors exceed it once in 370."""
-MOST_CUT = 4.0
-"""The cut in standard deviations is at most this, and equal to it in the first round."""
+"""The cut in standard deviations is at least this: Gaussian errors exceed it once in 370. It is
+`FAR_SIGMAS` at most, and in the first round."""
 CAUTION = 0.5
 """The cut lies this far below even odds: a gross error costs more than a rejected good reading."""
 MOST_SPAN = 0.5
@@ -88,7 +88,7 @@ def screen(
     """
     kept = np.ones(len(readings), dtype=bool)
     if scale is not None:
-        kept = np.abs(residuals(candidate, readings)) <= MOST_CUT * scale
+        kept = np.abs(residuals(candidate, readings)) <= FAR_SIGMAS * scale
     parameters, sigma = candidate, 0.0
     seen: set[bytes] = set()
     for _ in range(MOST_ROUNDS):
@@ -114,7 +114,7 @@ def quick_evidence(
     """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
     e = np.abs(residuals(parameters, readings))
     best = np.inf
-    for cut in (MOST_CUT * scale, 2.0 * MOST_CUT * scale):
+    for cut in (FAR_SIGMAS * scale, 2.0 * FAR_SIGMAS * scale):
         kept = e <= cut
         good = readings.subset(np.flatnonzero(kept))
         if enough(readings, kept, terms) and model.plausible_range_errors(parameters, good):
@@ -137,7 +137,7 @@ def beyond_chance(
     of which this is the negative logarithm, for readings within a cut of the `scale`.
     """
     e = np.abs(residuals(parameters, readings))
-    kept = e <= MOST_CUT * scale
+    kept = e <= FAR_SIGMAS * scale
     total, good, unknowns = len(e), int(kept.sum()), readings.unknowns(terms)
     if good <= unknowns:
         return -np.inf
@@ -175,7 +175,7 @@ def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
     share = (int((~kept).sum()) + 1) / (len(kept) + 2)
     odds = price(readings.distance, range_sigma) + np.log((1.0 - share) / share)
     even = float(np.sqrt(2.0 * max(odds, 0.0)))
-    return min(max(even - CAUTION, LEAST_CUT), MOST_CUT)
+    return min(max(even - CAUTION, LEAST_CUT), FAR_SIGMAS)
 
 
 def test(
@@ -222,14 +222,14 @@ def judge(
     least = 1.0 if known and (sigmas > 0.0).all() else 0.0
     scale = max(least, estimated, EXACT * readings.largest_range() / typical)
     h = np.zeros(len(readings))
-    if not negligible(readings, terms):
+    if len(readings) * readings.beams * (MOUNT_DIM + terms) <= LARGEST_LEVERAGES:
         observed = observability(parameters, readings.subset(np.flatnonzero(kept)), terms, 0.0)
         steep = np.flatnonzero(np.isfinite(e))
         h[steep] = leverages(parameters, readings.subset(steep), observed)
     t = standardized(e / unit, h, kept, scale)
     # A vague prediction would let almost any rejected reading pass.
     predicted = scale * unit * np.sqrt(1.0 + h)
-    vague = MOST_CUT * predicted > MOST_SPAN * float(np.ptp(readings.distance[kept]))
+    vague = FAR_SIGMAS * predicted > MOST_SPAN * float(np.ptp(readings.distance[kept]))
     t[~kept & vague] = np.inf
     # Far beyond the others a reading decides k2 alone, and would be consistent with any.
     t[~model.plausible_corrections(parameters, readings)] = np.inf

@@ -30,8 +30,10 @@ from ..model.weighting import covariance_roots
 from ..results.spot_error import radius
 from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations
+from .bounds import MOST_PLANNED
 from .choice import choose
 from .goal import Goal
+from .information import updated
 from .workspace import TURN_EXPONENT, Workspace, inside, workspace_of
 
 VIEWS = 600
@@ -127,7 +129,7 @@ def plan_survey(
         No sensor of many rays, a survey that does not fit, or no place for a station.
     """
     require_kind("calibration", calibration, SurveyCalibration)
-    require_count("count", count, 1, 1000)
+    require_count("count", count, 1, MOST_PLANNED)
     found = calibration._found
     if calibration.status not in ("converged", "undetermined"):
         raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
@@ -163,8 +165,7 @@ def plan_survey(
     for A in rows[taken]:
         if reached:
             break
-        gain = C @ A.T
-        C = C - gain @ np.linalg.solve(np.eye(len(A)) + A @ gain, gain.T)
+        C = updated(C, A[None])
         told = np.vstack((told, A * unit))
         known = known or _determined(told)
         errors.append(_spot_error(C, weight) if known else np.nan)

@@ -16,16 +16,13 @@ from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
-from ..quantities import LARGEST_LENGTH, ROUNDING
+from ..quantities import FAR_SIGMAS, LARGEST_LENGTH, ROUNDING
 from ..validation.simulate import Stations
 from .belief import Belief
 from .bounds import vectors
 from .information import outlook
 from .robot import Robot
 
-SAFE_SIGMAS = 4.0
-"""Readings and angles stay this many standard deviations inside their limits: of a hundred readings at
-the very margin, less than one in a hundred plans has one beyond."""
 STEEPEST = math.radians(75.0)
 """Incidence to which a sensor without a stated limit is used: beyond, most sensors read nothing."""
 ROOMY = 0.25
@@ -248,14 +245,17 @@ def least_cosine(sensor: Sensor) -> float:
 def safe(belief: Belief, stations: Stations, sensor: Sensor) -> BoolArray:
     """Tell at which stations (M,) all readings are within the sensor's limits, with a margin.
 
+    The margin is `FAR_SIGMAS`: of a hundred readings at its very edge, less than one in a hundred plans
+    has one beyond the limits.
+
     Raises
     ------
     GrazingBeamError, InputError
         As `outlook` does.
     """
     reading, spread, cosine, cosine_sigma = outlook(belief, stations)
-    near, far = reading - SAFE_SIGMAS * spread, reading + SAFE_SIGMAS * spread
-    steep = cosine - SAFE_SIGMAS * cosine_sigma >= least_cosine(sensor)
+    near, far = reading - FAR_SIGMAS * spread, reading + FAR_SIGMAS * spread
+    steep = cosine - FAR_SIGMAS * cosine_sigma >= least_cosine(sensor)
     return np.asarray((sensor.can_read(near) & sensor.can_read(far) & steep).all(axis=1))
 
 

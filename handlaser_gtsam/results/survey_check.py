@@ -130,7 +130,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         Known("mount", (one,), sigma=near, sigma_angle=ANY_TURN, pose=np.eye(4)) for one in whose
     ]
     try:
-        state, _, _ = first_state(replace(rows, known=(*rows.known, *holds)), noise)
+        state = first_state(replace(rows, known=(*rows.known, *holds)), noise)
     except InputError as error:
         if not rows.items:
             raise

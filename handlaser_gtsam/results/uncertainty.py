@@ -93,14 +93,15 @@ def with_scales(
         joint_covariance(problem, replace(solution, posterior=None), fit, freed),
         solution.prior,
     )
-    spread = found.sigmas
+    mixed = found.mixture
+    spread = mixed.sigmas
     if freed is not None:
         spread = np.hypot(spread, freed.beam_sigmas(solution.parameters.directions).ravel())
     means, sigmas = (
-        growth * array.reshape(len(found.weight), -1, 8)[:, beams]
-        for array in (found.means, spread)
+        growth * array.reshape(len(mixed.weight), -1, 8)[:, beams]
+        for array in (mixed.means, spread)
     )
-    mixture = BeamMixture(found.weight, means, sigmas, found.members)
+    mixture = BeamMixture(mixed.weight, means, sigmas, mixed.members)
     return replace(result, mixture=mixture, at_scales=at_scales)
 
 

@@ -61,7 +61,9 @@ def beam_problem(
     unit = np.broadcast_to(unit, K)
     blocks: list[Block] = [block]
     if prior is not None and terms:
-        blocks.append(_prior(prior, terms, unit))
+        root = unit[:, None, None] * np.where(np.arange(2) < terms, 1.0 / prior.sigma, 0.0)
+        mean = np.zeros_like(prior.sigma) if prior.mean is None else prior.mean
+        blocks.append(VectorPrior(BEAM.name, root, mean))
     reach = np.broadcast_to(block.reach(), K)
     rounding = block.size * (4.0 * np.finfo(float).eps * reach / unit) ** 2
     robust = None
@@ -189,11 +191,3 @@ def require_steep(parameters: Parameters, readings: Readings) -> None:
     worst = float(cosine[np.argmin(np.abs(cosine))])
     if not abs(worst) >= GRAZING_LIMIT:
         raise GrazingBeamError(worst, GRAZING_LIMIT)
-
-
-def _prior(prior: RangeErrorPrior, terms: int, unit: FloatArray) -> VectorPrior:
-    """Return the prior of the range errors, for rows in `unit` (K,)."""
-    used = np.arange(2) < terms
-    root = unit[:, None, None] * np.where(used, 1.0 / prior.sigma, 0.0)
-    mean = np.zeros_like(prior.sigma) if prior.mean is None else prior.mean
-    return VectorPrior(BEAM.name, root, mean)

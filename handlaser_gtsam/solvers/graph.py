@@ -158,7 +158,11 @@ def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.
     if loss.name == "gaussian":
         return isotropic
     kinds = gtsam.noiseModel.mEstimator
-    create = {"huber": kinds.Huber, "cauchy": kinds.Cauchy, "tukey": kinds.Tukey}[loss.name].Create
+    create = {
+        "huber": kinds.Huber.Create,
+        "cauchy": kinds.Cauchy.Create,
+        "tukey": kinds.Tukey.Create,
+    }[loss.name]
     scheme = kinds.Base.ReweightScheme.Scalar
     return gtsam.noiseModel.Robust.Create(create(loss.tuning, scheme), isotropic)
 

@@ -69,7 +69,7 @@ def solve_together(
     """
     options = DEFAULT if options is None else options
     share = max(ROWS_AT_ONCE // max(len(problems[0]), 1), 1)
-    parts = []
+    ends, parameters, units = [], [], []
     for first in range(0, len(problems), share):
         some = slice(first, first + share)
         of_some = noise if isinstance(noise, float) else noise[some]
@@ -77,22 +77,13 @@ def solve_together(
         used = np.arange(2) < terms
         begun = [replace(p, range_errors=p.range_errors * used) for p in starts[some]]
         ended = search(problem, block.begun(begun), options)
-        parts.append(
-            SolvedTogether(
-                tuple(parameters_of(ended.values)),
-                ended.cost,
-                ended.converged,
-                ended.iterations,
-                problem.unit,
-            )
-        )
-    return parts[0] if len(parts) == 1 else _joined(parts)
-
-
-def _joined(parts: Sequence[SolvedTogether]) -> SolvedTogether:
-    names = ("cost", "converged", "iterations", "sigma")
-    cost, converged, iterations, sigma = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in names
+        ends.append(ended)
+        units.append(problem.unit)
+        parameters += parameters_of(ended.values)
+    return SolvedTogether(
+        tuple(parameters),
+        np.concatenate([ended.cost for ended in ends]),
+        np.concatenate([ended.converged for ended in ends]),
+        np.concatenate([ended.iterations for ended in ends]),
+        np.concatenate(units),
     )
-    parameters = tuple(p for part in parts for p in part.parameters)
-    return SolvedTogether(parameters, cost, converged, iterations, sigma)

@@ -20,14 +20,13 @@ from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.search import LevenbergOptions
 from ..quantities import NUMBERS_AT_ONCE, ROUNDING, TINY
 from .directions import sphere
 from .search import FIRST_STEPS, SAME_DIRECTION
 
 MINIMUM_STARTS = 14
 """Starts over the half sphere: of two minima, each draws about half of them."""
-FIRST_DAMPING = 1e-4
-"""Damping of the first step: it hardly shortens a step where the readings determine the beam."""
 MINIMUM_READINGS = 24
 """Readings of a beam, evenly chosen, that show its minima: three times as many as it has unknowns."""
 MINIMUM_COSINE = 0.05
@@ -129,14 +128,16 @@ class _BeamsBeforePlanes:
         bases = np.concatenate((model.tangent_basis(now), now[:, :, None]), axis=2)
         v = sphere(2 * MINIMUM_STARTS)[:MINIMUM_STARTS] @ np.swapaxes(bases, 1, 2)
         r, cost = self.cost(v)
-        damping = np.full(cost.shape, FIRST_DAMPING)
+        options = LevenbergOptions()
+        damping = np.full(cost.shape, options.first_damping)
         for _ in range(FIRST_STEPS):
             trial = self._stepped(r, v, damping)
             where, left = self.cost(trial)
             better = left < cost
             r, v = (np.where(better[..., None], *pair) for pair in ((where, r), (trial, v)))
             cost = np.where(better, left, cost)
-            damping = np.where(better, 0.1, 10.0) * damping
+            factor = options.damping_factor
+            damping = np.where(better, 1.0 / factor, factor) * damping
         return v
 
     def _stepped(self, r: FloatArray, v: FloatArray, damping: FloatArray) -> FloatArray:

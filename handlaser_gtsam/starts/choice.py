@@ -37,8 +37,6 @@ from .search import (
 )
 from .translations import translation_start, translation_start_with_range_errors
 
-CLOSED_STEPS = 4
-"""Refinement steps of a closed form alone, which begins near the optimum."""
 MOST_REFINED = 100
 """More beams than this stay as they grow from the planes: a step costs the third power of them."""
 MANY_CANDIDATES = 10
@@ -230,9 +228,9 @@ def refined_starts(
     """
     starts = [start for _, start in latest.starts]
     if len(starts) == 1:
-        refined = refine_many(starts, readings, terms, CLOSED_STEPS)[0]
+        refined = refine_many(starts, readings, terms, FIRST_STEPS)[0]
         if refined is not None and not plausible_range_errors(refined.parameters, readings):
-            refined = refine_many(starts, readings, 0, CLOSED_STEPS)[0]
+            refined = refine_many(starts, readings, 0, FIRST_STEPS)[0]
         return [] if refined is None else [(latest.starts[0][0], refined)]
     first = zip(latest.starts, refine_many(starts, readings, 0, FIRST_STEPS), strict=True)
     usable = [(method, refined) for (method, _), refined in first if refined is not None]

@@ -24,7 +24,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.losses import Loss
 from ..model.search import LossScale
-from ..quantities import ROUNDING
+from ..quantities import FAR_SIGMAS, ROUNDING
 from ..solvers.refine import Refined, refine_many
 from .directions import FLATTEST, direction_starts, random_starts, subset_starts
 from .growing import PartialStart, grow
@@ -37,8 +37,6 @@ SAME_CRITERION = 0.5
 """Candidates whose evidence, twice a logarithm, differs by less than this are one solution."""
 TRIPLES = 60
 """Draws of three spots a plane: all but 1e-4 of the cases hold three good ones where half are."""
-FAR_SCALES = 4.0
-"""Readings at least this many scales off a mended plane count alike."""
 
 
 def robust_search(
@@ -170,10 +168,10 @@ def mended(
         n, b = _through_triples(spots[rows], rng)
         n = np.vstack((normals[plane], n))
         b = np.append(offsets[plane], b)
-        # The limited sums of squares of residuals of spots before the planes, in scales.
+        # The sums of squares of residuals of spots before the planes, in scales: far ones count alike.
         away, cosine = np.abs(n @ spots[rows].T + b[:, None]), np.abs(n @ ahead[rows].T)
         e = np.where(cosine > FLATTEST, away / np.maximum(cosine, FLATTEST) / scale, np.inf)
-        best = int(np.argmin((np.minimum(e, FAR_SCALES) ** 2).sum(axis=1)))
+        best = int(np.argmin((np.minimum(e, FAR_SIGMAS) ** 2).sum(axis=1)))
         if best:  # its normal points away from most sensors
             sign = -1.0 if np.median(ahead[rows] @ n[best]) < 0.0 else 1.0
             normals[plane], offsets[plane] = sign * n[best], sign * b[best]

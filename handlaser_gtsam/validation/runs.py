@@ -18,13 +18,12 @@ from ..data.value import Value
 from ..errors import HandlaserError
 from ..estimation.many_recordings import solve_many
 from ..estimation.options import CalibrationOptions
+from ..model.distributions import gaussian_quantile
 from ..model.families import MOUNT_DIM, RANGE_ERROR
 from ..model.joint import beam_lifts
 from ..pipeline import calibrate
 from ..quantities import IN_DEG, IN_MM
 
-WITHIN = 1.959964
-"""Standard deviations to either side that hold 95 % of a Gaussian."""
 FAR = 5.0
 """Standard deviations that no coordinate of an honest study exceeds: 1 in 2 million does by chance."""
 RUN_SCHEMA: dict[str, pl.DataType] = {
@@ -153,7 +152,7 @@ def run_row(estimate: Estimated | HandlaserError, truth: Parameters) -> dict[str
         "direction_squares": float((np.cross(v, truth.directions) ** 2).sum()),
         "nees": _nees(x[:, :MOUNT_DIM], C[:, :MOUNT_DIM, :MOUNT_DIM]),
         "nees_with_k": _nees(x[:, :modelled], C[:, :modelled, :modelled]),
-        "covered": int((z <= WITHIN).sum()),
+        "covered": int((z <= gaussian_quantile(0.975)).sum()),
         "coordinates": len(z),
         "worst": float(z.max()),
     }

@@ -32,6 +32,7 @@ from ..results.significance import SINGLE_LEVEL
 from ..results.survey import SurveyCalibration, survey_calibration
 from ..solvers.survey_reference import Observed, SurveyProblem, SurveySolution, solve_survey
 from .cross_check import CrossCheck, compared
+from .leave_out import USUAL_SPLITS
 
 PART_LEFT_OUT = 0.3
 """Of the stations, in a random split: as of recordings."""
@@ -102,7 +103,7 @@ class SurveyValidation(Value):
 def validate_survey(
     survey: Survey,
     noise: Noise | None = None,
-    splits: int = 5,
+    splits: int = USUAL_SPLITS,
     rng: np.random.Generator | None = None,
 ) -> SurveyValidation:
     """Calibrate a survey, solve it again with SciPy, and predict its parts from the rest.

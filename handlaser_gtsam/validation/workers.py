@@ -59,10 +59,6 @@ def workers(jobs: int | None, scheduler: str | None) -> Iterator[Callable[[], Ex
         yield partial(client.get_executor, pure=False)
 
 
-def _is_good(future: "Future[Result]") -> bool:
-    return future.done() and not future.cancelled() and future.exception() is None
-
-
 def run_blocks(
     function: Callable[..., Result],
     blocks: Sequence[tuple[object, ...]],
@@ -95,8 +91,9 @@ def run_blocks(
             for future in as_completed(futures):
                 error = future.exception()
                 # They arrive in no order: what others have finished is not lost with one that failed.
-                good = [future] if error is None else [one for one in futures if _is_good(one)]
-                for one in good:
+                for one in [future] if error is None else futures:
+                    if not one.done() or one.cancelled() or one.exception() is not None:
+                        continue
                     if left.pop(futures[one], None) is not None:
                         losses = 0
                         yield one.result()
