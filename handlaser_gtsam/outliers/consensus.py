@@ -84,9 +84,14 @@ class ConsensusJudge:
 
     def settles(self, screening: Screening | None, agreed: bool) -> bool:
         """Tell whether few readings were rejected, and the rest hides no further outliers."""
-        if screening is None or not self._rejects_few(screening):
+        if screening is None:
             return False
-        good = self.readings.subset(np.flatnonzero(screening.kept))
+        readings, out = self.readings, ~screening.kept
+        for index, count in ((readings.beam, readings.beams), (readings.plane, readings.planes)):
+            whole = np.bincount(index, minlength=count)
+            if (np.bincount(index[out], minlength=count) > FEW_REJECTED * whole).any():
+                return False
+        good = readings.subset(np.flatnonzero(screening.kept))
         if self.range_sigma is not None:
             e = residuals(screening.parameters, good)
             if fits_sigma(float(e @ e), good, self.range_sigma, self.terms):
@@ -123,14 +128,6 @@ class ConsensusJudge:
             return len(candidates) >= IN_VAIN
         same = best.criterion + max(SAME_CRITERION, SAME_EVIDENCE * beyond)
         return agreeing(candidates, same) >= latest.agreeing
-
-    def _rejects_few(self, screening: Screening) -> bool:
-        readings = self.readings
-        for index, count in ((readings.beam, readings.beams), (readings.plane, readings.planes)):
-            whole = np.bincount(index, minlength=count)
-            if (np.bincount(index[~screening.kept], minlength=count) > FEW_REJECTED * whole).any():
-                return False
-        return True
 
 
 def find_consensus(

@@ -21,7 +21,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
-from ..data.survey import Known, Shots
+from ..data.survey import Known, Survey
 from .reference import POSE_STEP, REWEIGHTINGS, gauss_newton_end
 from .unit_vectors import UnitVectors
 
@@ -73,15 +73,15 @@ class SurveyProblem:
     Attributes
     ----------
     observed : sequence of Observed
-    shots : sequence of Shots
-        The sensors of many rays: their kinds, range errors that are unknown, and noise across.
-    world_R_hand, world_t_hand : (M, 3, 3), (M, 3)
+    survey : Survey
+        Its hand poses, sensors of many rays (their kinds, range errors that are unknown, and noise
+        across), and the standard deviation of k1 of single beams.
     pose : (M, 6, 6)
         Covariance of the hand poses (rx, ry, rz, x, y, z), hand frame.
     aiming_sigma : float
         [m]
-    linearity, length : float
-        Of single beams: standard deviation of k1, and of k2 times a typical range [m].
+    length : float
+        A typical range [m]: k2 of single beams times it has the standard deviation of k1.
     start : mapping
         Of each kind of variable: `sensor` (n, 12) as a pose by rows and its origin; `beam` (n, 8)
         location, direction, k1, k2; `plane` (n, 4) normal and offset; `sphere` (n, 4) centre and
@@ -93,12 +93,9 @@ class SurveyProblem:
     """
 
     observed: Sequence[Observed]
-    shots: Sequence[Shots]
-    world_R_hand: FloatArray
-    world_t_hand: FloatArray
+    survey: Survey
     pose: FloatArray
     aiming_sigma: float
-    linearity: float
     length: float
     start: Mapping[str, FloatArray]
     middle: FloatArray
@@ -153,7 +150,7 @@ class _Unknowns:
         first = 0
         for kind, start in of.start.items():
             for i in range(len(start)):
-                width = 6 + len(of.shots[i].free) if kind == "sensor" else widths[kind]
+                width = 6 + len(of.survey.shots[i].free) if kind == "sensor" else widths[kind]
                 self.place[kind, i] = slice(first, first + width)
                 first += width
         self.size = first
@@ -187,7 +184,7 @@ class _Unknowns:
         errors = [
             dict.fromkeys(ERRORS, 0.0)
             | dict(zip(shots.free, x[self.place["sensor", i]][6:].tolist(), strict=True))
-            for i, shots in enumerate(self.of.shots)
+            for i, shots in enumerate(self.of.survey.shots)
         ]
         beam, plane = self._rows("beam", x), self._rows("plane", x)
         beam = np.hstack((beam[:, :3], self.units["beam"].unpack(beam[:, 3:5]), beam[:, 5:]))
@@ -229,6 +226,7 @@ class _Residuals:
 
     def __init__(self, of: SurveyProblem) -> None:
         self.of, self.unknowns = of, _Unknowns(of)
+        self.hands = of.survey.stations.world_R_hand, of.survey.stations.world_t_hand
         self.inflated = [np.ones(len(one.reading)) for one in of.observed]
         self.level = [one.reading for one in of.observed]
         # A spot on a point has a residual along its ray, and three numbers for those across it.
@@ -241,13 +239,13 @@ class _Residuals:
     @property
     def vary(self) -> bool:
         """Whether weights depend on the unknowns."""
-        across = any(shots.sigma_across or shots.free for shots in self.of.shots)
+        across = any(shots.sigma_across or shots.free for shots in self.of.survey.shots)
         return across or bool(self.of.pose.any())
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return all residuals, relations and priors last."""
         at = self.unknowns.at(x)
-        e = self._readings(at, self.of.world_R_hand, self.of.world_t_hand)
+        e = self._readings(at, *self.hands)
         for rows, U, shrink in self.weights:
             e[rows] -= U @ (shrink * (U.T @ e[rows]))
         return np.concatenate((e, *_known(self.of, at), *_priors(self.of, at)))
@@ -257,13 +255,12 @@ class _Residuals:
         of, at = self.of, self.unknowns.at(x)
         self.inflated = [self._inflated(one, at) for one in of.observed]
         self.level = [self._levelled(one, at) for one in of.observed]
-        A = np.zeros((len(self.station), 6))
+        A, (R, t) = np.zeros((len(self.station), 6)), self.hands
         for axis in range(6):
             step, sides = np.eye(6)[axis] * POSE_STEP, []
             for sign in (1.0, -1.0):
                 turn = Rotation.from_rotvec(sign * step[:3]).as_matrix()
-                shift = of.world_t_hand + sign * of.world_R_hand @ step[3:]
-                sides.append(self._readings(at, of.world_R_hand @ turn, shift))
+                sides.append(self._readings(at, R @ turn, t + sign * R @ step[3:]))
             A[:, axis] = (sides[0] - sides[1]) / (2.0 * POSE_STEP)
         self.weights = []
         stations, first = np.unique(self.station[self.order], return_index=True)
@@ -296,7 +293,7 @@ class _Residuals:
             o, u = beam[:, :3], beam[:, 3:6]
         else:
             number = int(one.sensor)
-            error, shape = at.errors[number], self.of.shots[number].kind
+            error, shape = at.errors[number], self.of.survey.shots[number].kind
             larger, n = 1.0 + error["scale"], len(one.reading)
             o, u = np.zeros((n, 3)), np.zeros((n, 3))
             if shape == "profiler":
@@ -317,17 +314,17 @@ class _Residuals:
         """Return readings of many rays without what is left of them: what range errors multiply."""
         if one.across is None:
             return one.reading
-        o, u = self._rays(one, at, self.of.world_R_hand, self.of.world_t_hand)
+        o, u = self._rays(one, at, *self.hands)
         return one.reading + _range(at, one, o, u) - _true(one, at, one.reading)
 
     def _inflated(self, one: Observed, at: _At) -> FloatArray:
         """Return the factor on the noise of each reading that the noise of x adds."""
-        noise = 0.0 if one.across is None else self.of.shots[int(one.sensor)].sigma_across
+        noise = 0.0 if one.across is None else self.of.survey.shots[int(one.sensor)].sigma_across
         if not noise:
             return np.ones(len(one.reading))
         sides = []
         for shift in (POSE_STEP, -POSE_STEP):
-            o, u = self._rays(one, at, self.of.world_R_hand, self.of.world_t_hand, shift)
+            o, u = self._rays(one, at, *self.hands, shift)
             sides.append(_range(at, one, o, u))
         slope = (sides[0] - sides[1]) / (2.0 * POSE_STEP)
         return np.asarray(np.sqrt(1.0 + (slope * noise / one.sigma) ** 2))
@@ -436,8 +433,8 @@ def _body(
 
 def _priors(of: SurveyProblem, at: _At) -> Iterator[FloatArray]:
     """Yield what is known of range errors before any reading, in standard deviations."""
-    yield (at.beam[:, 6:] * [1.0, of.length] / of.linearity).ravel()
-    for shots, errors in zip(of.shots, at.errors, strict=True):
+    yield (at.beam[:, 6:] * [1.0, of.length] / of.survey.linearity).ravel()
+    for shots, errors in zip(of.survey.shots, at.errors, strict=True):
         yield np.array([errors[name] / ERRORS_BEFORE[name] for name in shots.free])
 
 

@@ -13,6 +13,7 @@ minimum.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -57,16 +58,25 @@ class BeamMinima:
 
 def beam_minima(parameters: Parameters, readings: Readings) -> BeamMinima:
     """Return the minima of every beam for the planes as they are."""
-    rows, counted = _padded(readings)
+    # Rows (B, n) of the readings of each beam, and which of them count.
+    order = np.argsort(readings.beam, kind="stable")
+    ends = np.searchsorted(readings.beam[order], np.arange(readings.beams + 1))
+    most = min(int(np.diff(ends).max()), MINIMUM_READINGS)
+    rows = np.zeros((readings.beams, most), dtype=np.intp)
+    counted = np.zeros((readings.beams, most), dtype=bool)
+    for beam, (first, end) in enumerate(pairwise(ends.tolist())):
+        chosen = np.unique(np.linspace(first, end - 1, min(most, end - first)).round().astype(int))
+        rows[beam, : len(chosen)] = order[chosen]
+        counted[beam, : len(chosen)] = True
     x = model.scene(parameters, readings)
     a = np.einsum("nij,ni->nj", x.R, x.n)[rows]
     c = (np.einsum("ni,ni->n", x.n, x.t) + x.b)[rows]
     g = model.corrected(readings.distance, x.k)[rows]
     r, v = parameters.locations, parameters.directions
     parts = []
-    count = max(NUMBERS_AT_ONCE // (5 * MINIMUM_STARTS * rows.shape[1]), 1)
-    for first in range(0, len(r), count):
-        some = slice(first, first + count)
+    count = max(NUMBERS_AT_ONCE // (5 * MINIMUM_STARTS * most), 1)
+    for start in range(0, len(r), count):
+        some = slice(start, start + count)
         beams = _BeamsBeforePlanes(a[some], c[some], g[some], counted[some], r[some])
         directions = beams.minima(v[some])
         locations, cost = beams.cost(directions)
@@ -155,17 +165,3 @@ class _BeamsBeforePlanes:
         diagonal += damping[..., None] * diagonal + TINY
         step = -np.linalg.solve(H, turned @ e[..., None])
         return np.asarray(model.normalized(v + (basis @ step[:, :, 3:])[..., 0]))
-
-
-def _padded(readings: Readings) -> tuple[IntArray, BoolArray]:
-    """Return rows (B, n) of the readings of each beam, and which of them count."""
-    order = np.argsort(readings.beam, kind="stable")
-    ends = np.searchsorted(readings.beam[order], np.arange(readings.beams + 1))
-    most = min(int(np.diff(ends).max()), MINIMUM_READINGS)
-    rows = np.zeros((readings.beams, most), dtype=np.intp)
-    counted = np.zeros((readings.beams, most), dtype=bool)
-    for beam, (first, end) in enumerate(zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)):
-        chosen = np.unique(np.linspace(first, end - 1, min(most, end - first)).round().astype(int))
-        rows[beam, : len(chosen)] = order[chosen]
-        counted[beam, : len(chosen)] = True
-    return rows, counted

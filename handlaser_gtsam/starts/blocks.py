@@ -103,7 +103,13 @@ def sweep_starts(
         part = readings.subset(rows)
         beam, plane, zero = part.beam[0], part.plane[0], np.zeros(len(part), dtype=np.intp)
         alone = replace(part, beam=zero, plane=zero, beams=1, planes=1, samples=None)
-        for p in _sweep_block(alone, refined, kept):
+        tried = refine_many(_linear_solutions(alone, refined), alone, 0, SWEEP_STEPS)
+        best: list[Parameters] = []  # the different solutions, the lowest cost first
+        for solution in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
+            v = solution.parameters.directions[0]
+            if all(np.linalg.norm(v - other.directions[0]) > SAME_DIRECTION for other in best):
+                best.append(solution.parameters)
+        for p in best[:kept]:
             r, v, n, b = p.locations[0], p.directions[0], p.normals[0], p.offsets[0]
             starts.append(PartialStart.of(readings, beam, plane, r, v, n, b))
     return starts
@@ -124,17 +130,6 @@ def _richest_blocks(readings: Readings) -> list[IntArray]:
     spread = np.linalg.eigvalsh(scatter)[:, -3]
     best = np.lexsort((starts, -count, -np.round(spread, 9)))
     return [np.arange(starts[i], starts[i] + count[i], dtype=np.intp) for i in best]
-
-
-def _sweep_block(readings: Readings, refined: int, kept: int) -> list[Parameters]:
-    """Return the best different solutions, the lowest cost first."""
-    tried = refine_many(_linear_solutions(readings, refined), readings, 0, SWEEP_STEPS)
-    best: list[Parameters] = []
-    for solution in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
-        v = solution.parameters.directions[0]
-        if all(np.linalg.norm(v - other.directions[0]) > SAME_DIRECTION for other in best):
-            best.append(solution.parameters)
-    return best[:kept]
 
 
 def _linear_solutions(readings: Readings, count: int) -> list[Parameters]:

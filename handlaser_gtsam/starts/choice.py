@@ -22,7 +22,7 @@ from ..solvers.refine import Refined, refine_many
 from .beam_minima import with_better_beams
 from .blocks import lifted_starts, sweep_starts
 from .directions import direction_starts, random_starts
-from .excerpt import Excerpt, excerpt_of
+from .excerpt import excerpt_of
 from .growing import PartialStart, grow
 from .search import (
     AGREEING,
@@ -132,32 +132,20 @@ def find_start(
     if not candidates:
         lost = grow(PartialStart.of(readings), readings)
         return Start(lost, "least norm", (("least norm", float("inf")),))
-    best, squares = _of_the_whole(candidates[0], part, terms)
+    best, squares = candidates[0].parameters, candidates[0].criterion
+    if not part.is_whole:
+        best, squares = _polished(part.extended(best), readings, terms)
+    better = None
     if accepts is None and effort != "glance":
-        best, squares = _with_better_beams(best, squares, readings, terms)
+        better = with_better_beams(best, readings)
+    if better is not None:  # where all readings fit better with beams in lower minima
+        best, squares = min((best, squares), _polished(better, readings, terms), key=itemgetter(1))
     fits = fits_sigma(squares, readings, range_sigma, terms)
     lowest: dict[str, float] = {}
     for candidate in candidates:  # the best first: the first of each method is its lowest
         lowest.setdefault(candidate.method, float(np.sqrt(candidate.criterion / len(some))))
     method, tried = candidates[0].method, tuple(lowest.items())
     return Start(best, method, tried, fits, believed, tuple(candidates))
-
-
-def _of_the_whole(best: Candidate, part: Excerpt, terms: int) -> tuple[Parameters, float]:
-    """Return the best start of a part of the readings for all of them, and its sum of squares [m^2]."""
-    if part.is_whole:
-        return best.parameters, best.criterion
-    return _polished(part.extended(best.parameters), part.whole, terms)
-
-
-def _with_better_beams(
-    best: Parameters, squares: float, readings: Readings, terms: int
-) -> tuple[Parameters, float]:
-    """Return the start with beams moved to lower minima, where all fit better with them."""
-    better = with_better_beams(best, readings)
-    if better is None:
-        return best, squares
-    return min((best, squares), _polished(better, readings, terms), key=itemgetter(1))
 
 
 def _polished(start: Parameters, readings: Readings, terms: int) -> tuple[Parameters, float]:

@@ -13,6 +13,7 @@ with an orientation of its own: no pure translations at all.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -122,22 +123,22 @@ _KINDS = {
 simulation; and distance sensors on an arm, 15 to 45 cm before large planes."""
 
 
-def paper(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
-    """Return the scene of the paper's simulation."""
-    return _scene(layout, _KINDS["paper"], rng)
+def _scene(kind: _Kind, layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
+    """Return beams, planes and stations of a kind of scene."""
+    r, v = _beams(layout.beams, kind, rng)
+    R, t, planes = [], [], []
+    for p in range(layout.planes):
+        planes.append(_plane(p, layout.planes, kind, rng))
+        R.append(kind.turns(layout.stations, kind.hand_tilt, rng))
+        t.append(_positions(R[p], *planes[p], (r, v), kind, rng))
+    n, b = (np.array(column) for column in zip(*planes, strict=True))
+    k = np.tile([layout.k1, layout.k2], (layout.beams, 1))
+    label = np.repeat(np.arange(layout.planes), layout.stations)
+    return Parameters(r, v, k, n, b), Stations(np.concatenate(R), np.concatenate(t), label)
 
 
-def unplanned(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
-    """Return the beams and planes of the paper's simulation before stations that nobody planned."""
-    return _scene(layout, _KINDS["unplanned"], rng)
-
-
-def arm(layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
-    """Return a scene of time-of-flight sensors on an arm in any motion."""
-    return _scene(layout, _KINDS["arm"], rng)
-
-
-SCENES: dict[str, Scene] = {"paper": paper, "unplanned": unplanned, "arm": arm}
+SCENES: dict[str, Scene] = {name: partial(_scene, kind) for name, kind in _KINDS.items()}
+paper, unplanned, arm = SCENES.values()
 ERRORS = {name: kind.errors for name, kind in _KINDS.items()}
 """What each scene errs by where nothing else is said."""
 SENSORS = {name: kind.sensor for name, kind in _KINDS.items()}
@@ -177,23 +178,6 @@ def draw_scene(
     k = truth.range_errors + rng.standard_normal(truth.range_errors.shape) * range_error_sigmas
     truth = Parameters(truth.locations, truth.directions, k, truth.normals, truth.offsets)
     return simulate(truth, stations, errors or ERRORS[scene], rng, SENSORS[scene]), truth
-
-
-def _scene(
-    layout: Layout,
-    kind: _Kind,
-    rng: np.random.Generator,
-) -> tuple[Parameters, Stations]:
-    r, v = _beams(layout.beams, kind, rng)
-    R, t, planes = [], [], []
-    for p in range(layout.planes):
-        planes.append(_plane(p, layout.planes, kind, rng))
-        R.append(kind.turns(layout.stations, kind.hand_tilt, rng))
-        t.append(_positions(R[p], *planes[p], (r, v), kind, rng))
-    n, b = (np.array(column) for column in zip(*planes, strict=True))
-    k = np.tile([layout.k1, layout.k2], (layout.beams, 1))
-    label = np.repeat(np.arange(layout.planes), layout.stations)
-    return Parameters(r, v, k, n, b), Stations(np.concatenate(R), np.concatenate(t), label)
 
 
 def _beams(count: int, kind: _Kind, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:

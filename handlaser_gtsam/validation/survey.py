@@ -199,15 +199,11 @@ def _problem(found: SurveyEstimate) -> SurveyProblem:
         (one, [numbers.get(label) or numbers[normal_label(label)] for label in one.of])
         for one in rows.known
     ]
-    of = rows.survey.stations
     return SurveyProblem(
         observed,
-        rows.survey.shots,
-        of.world_R_hand,
-        of.world_t_hand,
+        rows.survey,
         state.pose_covariance(),
         float(found.noise.sigma[-1]),
-        rows.survey.linearity,
         rows.length,
         start,
         plane[:, 4:],
