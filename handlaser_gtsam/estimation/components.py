@@ -22,7 +22,7 @@ from scipy.optimize import minimize
 
 from ..arrays import FloatArray, IntArray
 from ..quantities import NEGLIGIBLE, TINY
-from .dense import DenseRows
+from .dense import DenseRows, filled
 
 GRID = 9
 """Sizes of each pose error that the mean runs over."""
@@ -61,19 +61,12 @@ class _Likelihood:
 
     def __init__(self, rows: DenseRows, source: IntArray, inside: Inside) -> None:
         self.inside = inside
-        count = np.bincount(rows.station)
-        order = np.argsort(rows.station, kind="stable")
-        place = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-        shape = len(count), int(count.max())
-        self.X = np.zeros((*shape, rows.derivatives.shape[1] + 1))
-        self.P = np.zeros((*shape, 6))
-        self.source = np.full(shape, -1)
-        at = rows.station[order], place
         scale = np.sqrt((rows.derivatives**2).sum(axis=0))
         scale = np.where(scale > 0.0, scale, 1.0)
-        self.X[at] = np.column_stack((rows.derivatives / scale, rows.residuals))[order]
-        self.P[at] = rows.by_pose[order]
-        self.source[at] = source[order]
+        X: FloatArray = np.column_stack((rows.derivatives / scale, rows.residuals))
+        self.X, self.P = filled(X, rows.station), filled(rows.by_pose, rows.station)
+        # Rows that fill up have no source.
+        self.source = filled(source.astype(np.float64)[:, None] + 1.0, rows.station)[..., 0].astype(int) - 1
 
     def __call__(self, factor: FloatArray, rotation: float, translation: float) -> float:
         """Return it for factors on the variances of the rows, and for pose sigmas."""

@@ -165,6 +165,19 @@ def with_pose_errors(
     return new
 
 
+def filled(rows: FloatArray, group: IntArray) -> FloatArray:
+    """Return the rows (R, c) of each group (R,), filled up with zeros to the most of any (G, most, c).
+
+    Rows whose group is -1 are left out.
+    """
+    count = np.bincount(group[group >= 0])
+    order = np.flatnonzero(group >= 0)[np.argsort(group[group >= 0], kind="stable")]
+    place = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    whole = np.zeros((len(count), int(count.max()), rows.shape[1]))
+    whole[group[order], place] = rows[order]
+    return whole
+
+
 def tests_of(rows: DenseRows, group: IntArray) -> tuple[FloatArray, IntArray]:
     """Return how far each group of rows is from what all others say, chi2 with its degrees of freedom.
 
@@ -187,19 +200,12 @@ def tests_of(rows: DenseRows, group: IntArray) -> tuple[FloatArray, IntArray]:
     root = axes[:, some] / np.sqrt(values[some])
     C = B[:, :-1] @ root
     left = B[:, -1] - C @ (root.T @ (A.T @ B[:, -1]))
-    count = np.bincount(group[group >= 0])
-    order = np.flatnonzero(group >= 0)[np.argsort(group[group >= 0], kind="stable")]
-    place = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-    at, shape = (group[order], place), (len(count), int(count.max()))
-    parts = [np.zeros((*shape, x.shape[1])) for x in (C, rows.common, left[:, None])]
-    for part, x in zip(parts, (C, rows.common, left[:, None]), strict=True):
-        part[at] = x[order]
-    C, U, left = parts
-    M = np.eye(shape[1]) - U @ np.swapaxes(U, 1, 2) - C @ np.swapaxes(C, 1, 2)
+    C, U, left = (filled(x, group) for x in (C, rows.common, left[:, None]))
+    M = np.eye(left.shape[1]) - U @ np.swapaxes(U, 1, 2) - C @ np.swapaxes(C, 1, 2)
     values, axes = np.linalg.eigh(M)
     # Rows that fill up have nothing left; rows that alone decide something have no more than rounding.
     free = values > SINGULAR**0.5
     along = np.einsum("gij,gi->gj", axes, left[..., 0])
     chi2 = np.where(free, along**2 / np.where(free, values, 1.0), 0.0).sum(axis=1)
-    dof = free.sum(axis=1) - (shape[1] - count)
-    return chi2, dof
+    count = np.bincount(group[group >= 0])
+    return chi2, free.sum(axis=1) - (left.shape[1] - count)

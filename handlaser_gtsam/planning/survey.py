@@ -8,7 +8,6 @@ a metre, or a radian: so the first stations go where the motion has been too poo
 guides the choice: spot errors are stated only where survey and stations determine everything.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -142,7 +141,9 @@ def plan_survey(
         workspace = workspace_of(found.rows.survey.stations)
     views = [
         view
-        for member, target in _seen(calibration)
+        for member, target in dict.fromkeys(
+            (item.member, item.target) for item in found.rows.items if item.family == SENSOR.name
+        )
         if (view := _views(calibration, member, target, workspace, rng)) is not None
     ]
     if not views:
@@ -167,7 +168,9 @@ def plan_survey(
             break
         C = updated(C, A[None])
         told = np.vstack((told, A * unit))
-        known = known or _determined(told)
+        if not known:  # rows of unit weight and in natural units: do they determine all unknowns
+            information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
+            known = bool(information.min() >= least_information(information))
         errors.append(_spot_error(C, weight) if known else np.nan)
         if known and goal is not None and goal.stated:
             reached = _reached(calibration, C, errors[-1], goal)
@@ -183,19 +186,6 @@ def plan_survey(
         calibration.undetermined,
         reached if goal is not None and goal.stated else None,
     )
-
-
-def _determined(rows: FloatArray) -> bool:
-    """Tell whether rows, of unit weight and in natural units, determine all unknowns."""
-    information = np.asarray(np.linalg.svd(rows, compute_uv=False) ** 2, dtype=np.float64)
-    return bool(information.min() >= least_information(information))
-
-
-def _seen(calibration: SurveyCalibration) -> Iterator[tuple[int, tuple[str, int]]]:
-    """Yield the sensors of many rays, each with the targets that it has seen."""
-    items = calibration._found.rows.items
-    of_rays = (item for item in items if item.family == SENSOR.name)
-    yield from dict.fromkeys((item.member, item.target) for item in of_rays)
 
 
 def _views(

@@ -16,8 +16,6 @@ from .beam_problem import beam_problem
 
 LEAST_DAMPING = 1e-8
 """Part of the information that is always added: it keeps an undetermined unknown where it started."""
-MOST_DAMPING = 1e6
-"""A candidate drops out where even a step this much shorter does not lower its cost."""
 MOST_RESIDUAL = 2.0
 """Under a robust loss residuals end at this many times the upper quartile of the readings: a beam that
 grazes its plane has one beyond bounds, which is no reason to drop a candidate."""
@@ -94,7 +92,6 @@ def refine_many(
             tolerance,
             least_damping=LEAST_DAMPING,
             first_damping=LEAST_DAMPING,
-            most_damping=MOST_DAMPING,
         )
         ended = search(problem, block.begun(some), options)
         parameters = parameters_of(block.facing(ended.values))  # a beam may have come from behind

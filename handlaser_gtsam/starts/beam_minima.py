@@ -23,15 +23,13 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.search import LevenbergOptions
 from ..quantities import NUMBERS_AT_ONCE, ROUNDING, TINY
-from .directions import sphere
+from .directions import FLATTEST, sphere
 from .search import FIRST_STEPS, SAME_DIRECTION
 
 MINIMUM_STARTS = 14
 """Starts over the half sphere: of two minima, each draws about half of them."""
 MINIMUM_READINGS = 24
 """Readings of a beam, evenly chosen, that show its minima: three times as many as it has unknowns."""
-MINIMUM_COSINE = 0.05
-"""A direction that meets a plane at a smaller cosine (87 degrees) is no candidate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +117,8 @@ class _BeamsBeforePlanes:
     def cost(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the best locations (B, K, 3) for directions (B, K, 3), and their costs (B, K)."""
         cosine = v @ np.swapaxes(self.a, 1, 2)
-        flat = ((cosine < MINIMUM_COSINE) & self.counted[:, None]).any(axis=2)
-        share = self.counted[:, None] / np.maximum(cosine, MINIMUM_COSINE)
+        flat = ((cosine < FLATTEST) & self.counted[:, None]).any(axis=2)
+        share = self.counted[:, None] / np.maximum(cosine, FLATTEST)
         J = share[..., None] * self.a[:, None]
         turned = np.swapaxes(J, 2, 3)
         e = share * (self.g[:, None] * cosine + self.c[:, None])
@@ -155,7 +153,7 @@ class _BeamsBeforePlanes:
         basis = model.tangent_basis(v.reshape(-1, 3)).reshape(*v.shape, 2)
         a = self.a[:, None]
         cosine = (a @ v[..., None])[..., 0]
-        share = np.where(self.counted[:, None], 1.0 / np.maximum(cosine, MINIMUM_COSINE), 0.0)
+        share = np.where(self.counted[:, None], 1.0 / np.maximum(cosine, FLATTEST), 0.0)
         e = share * ((a @ r[..., None])[..., 0] + self.g[:, None] * cosine + self.c[:, None])
         J_v = (share * (self.g[:, None] - e))[..., None] * (a @ basis)
         J = np.concatenate((share[..., None] * a, J_v), axis=3)

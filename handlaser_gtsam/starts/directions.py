@@ -29,7 +29,8 @@ FITTING_TURNS = 3
 """Turns of fitting planes, then the location, after which directions can be ranked; one more for
 directions that begin with some stations, which the first uses alone."""
 FLATTEST = 0.1
-"""A beam at a smaller cosine to its plane (84 degrees) counts as at this one: its spot says little."""
+"""A beam at a smaller cosine to its plane (84 degrees) counts as at this one: its spot says little. A
+direction of a single beam that meets a plane so is no candidate."""
 DRAWN = (0.4, 0.9)
 """Least and largest part of the stations that a direction begins with: fewer rarely fit well, and more
 rarely avoid a wrong station."""

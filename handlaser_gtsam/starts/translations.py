@@ -22,7 +22,6 @@ Planes and beams that satisfy no lemma stay unknown here and are grown afterward
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import FloatArray, IntArray
@@ -167,21 +166,11 @@ def _solve_locations(start: PartialStart, readings: Readings) -> None:
     cosine = np.einsum("ni,ni->n", n_hand, start.directions[part.beam])
     ranges = part.distance * (1.0 + start.range_errors[part.beam, 0])
     rhs = -ranges * cosine - np.einsum("ni,ni->n", n, part.world_t_hand)
-    count = np.maximum(np.bincount(part.plane, minlength=part.planes), 1)
-    rhs_mean = np.bincount(part.plane, rhs, part.planes) / count
-    rows_mean = np.zeros((part.planes, part.beams, 3))
-    np.add.at(rows_mean, (part.plane, part.beam), n_hand)
-    rows_mean /= count[:, None, None]
-    # Normal equations of r after every offset is eliminated: rows less their mean over the plane.
-    blocks, g = np.zeros((part.beams, 3, 3)), np.zeros((part.beams, 3))
-    np.add.at(blocks, part.beam, n_hand[:, :, None] * n_hand[:, None, :])
-    np.add.at(g, part.beam, n_hand * rhs[:, None])
-    flat = rows_mean.reshape(part.planes, -1)
-    matrix = block_diag(*blocks) - (flat * count[:, None]).T @ flat
-    vector = g.ravel() - flat.T @ (count * rhs_mean)
-    r = (np.linalg.pinv(matrix, rcond=ROUNDING, hermitian=True) @ vector).reshape(-1, 3)
-    start.locations[beams] = r[beams]
+    A = np.zeros((len(part), 3 * part.beams + part.planes))
+    np.put_along_axis(A, 3 * part.beam[:, None] + np.arange(3), n_hand, axis=1)
+    A[np.arange(len(part)), 3 * part.beams + part.plane] = 1.0
+    x = np.linalg.lstsq(A, rhs, rcond=ROUNDING**0.5)[0]
+    start.locations[beams] = x[: 3 * part.beams].reshape(-1, 3)[beams]
     seen = np.unique(part.plane)
-    b = rhs_mean - np.einsum("pbi,bi->p", rows_mean, r)
-    start.offsets[seen] = b[seen]
+    start.offsets[seen] = x[3 * part.beams + seen]
     start.normals[np.isnan(start.offsets)] = np.nan
