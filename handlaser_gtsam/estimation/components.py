@@ -66,7 +66,9 @@ class _Likelihood:
         X: FloatArray = np.column_stack((rows.derivatives / scale, rows.residuals))
         self.X, self.P = filled(X, rows.station), filled(rows.by_pose, rows.station)
         # Rows that fill up have no source.
-        self.source = filled(source.astype(np.float64)[:, None] + 1.0, rows.station)[..., 0].astype(int) - 1
+        self.source = (
+            filled(source.astype(np.float64)[:, None] + 1.0, rows.station)[..., 0].astype(int) - 1
+        )
 
     def __call__(self, factor: FloatArray, rotation: float, translation: float) -> float:
         """Return it for factors on the variances of the rows, and for pose sigmas."""

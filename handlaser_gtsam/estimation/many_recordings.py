@@ -93,47 +93,32 @@ def solve_many(
     readings = _of_one_shape(recordings)
     origins = [one.plane_means(one.world_t_hand) for one in readings]
     local = [one.seen_from(there) for one, there in zip(readings, origins, strict=True)]
-    variances, local_starts = _variances(noise, recordings[0], terms), None
-    if starts is not None:
-        local_starts = [at.seen_from(there) for at, there in zip(starts, origins, strict=True)]
-    solved, covariances = _solved(local, local_starts, terms, variances, prior, options)
+    variances = _variances(noise, recordings[0], terms)
+    sigma = float(variances.range_sigma[0])
+    if starts is None:
+        begun = [find_start(one, sigma).parameters for one in local]
+    else:
+        begun = [at.seen_from(there) for at, there in zip(starts, origins, strict=True)]
+    # With equal weights first, then with the weights at the solution where they differ.
+    weights: float | list[Whitening] = sigma
+    solved = solve_together(local, begun, terms, weights, prior, options)
+    plain = local
+    if any(unequal(variances, terms, one) for one in plain):
+        for _ in range(WEIGHT_UPDATES):
+            both = [
+                weighed(one, parameters, variances, terms)
+                for parameters, one in zip(solved.parameters, plain, strict=True)
+            ]
+            local, weights = (list(part) for part in zip(*both, strict=True))
+            solved = solve_together(local, solved.parameters, terms, weights, prior, options)
     return SolvedMany(
         *(recordings[0].beam_names, recordings[0].plane_names),
         tuple(at.seen_from(-there) for at, there in zip(solved.parameters, origins, strict=True)),
         solved.cost,
         solved.converged,
         solved.iterations,
-        covariances,
+        _beam_covariances(local, solved, terms, weights, prior),
     )
-
-
-def _solved(
-    local: list[Readings],
-    starts: Sequence[Parameters] | None,
-    terms: int,
-    variances: Variances,
-    prior: RangeErrorPrior | None,
-    options: LevenbergOptions | None,
-) -> tuple[SolvedTogether, FloatArray]:
-    """Solve with equal weights, then with the weights at the solution where they differ.
-
-    Returns the covariances of the beams, too.
-    """
-    sigma = float(variances.range_sigma[0])
-    noise: float | list[Whitening] = sigma
-    if starts is None:
-        starts = [find_start(readings, sigma).parameters for readings in local]
-    solved = solve_together(local, starts, terms, noise, prior, options)
-    plain = local
-    if any(unequal(variances, terms, readings) for readings in plain):
-        for _ in range(WEIGHT_UPDATES):
-            both = [
-                weighed(readings, parameters, variances, terms)
-                for parameters, readings in zip(solved.parameters, plain, strict=True)
-            ]
-            local, noise = (list(part) for part in zip(*both, strict=True))
-            solved = solve_together(local, solved.parameters, terms, noise, prior, options)
-    return solved, _beam_covariances(local, solved, terms, noise, prior)
 
 
 def _beam_covariances(

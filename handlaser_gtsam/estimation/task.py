@@ -92,7 +92,10 @@ class SolutionTask:
             if doubtful and self.fits and ended.status == "max_iterations":
                 start = ended.parameters
                 continue
-            self.sigma = self._estimated_sigma(ended)
+            self.sigma = ended.sigma
+            if self.loss == GAUSSIAN:  # the standard deviation that the residuals show
+                squares = ended.residual @ ended.residual
+                self.sigma = float(np.sqrt(squares / max(self.redundancy, 1)))
             settled = self.prior is None or self.sigma > 0.5 * weight or self.redundancy <= 0
             if known or settled or self.loss != GAUSSIAN or self.sigma < LEAST_SIGMA:
                 break
@@ -251,7 +254,10 @@ class SolutionTask:
         if at.estimates_poses and at.graph is not None and at.values is not None:
             return replace(solution, joint=covariance_by_gtsam(at.graph, at.values))
         noise = at.sigma if solution.whitening is None else solution.whitening
-        if at.loss == GAUSSIAN and _is_large(at.readings, noise):
+        # The rows that factors would hand out may be more than GTSAM should hold once more.
+        coupled = isinstance(noise, Whitening) and noise.is_coupled
+        width = BEAM.dim * (at.readings.beams if coupled else 1) + PLANE.dim
+        if at.loss == GAUSSIAN and len(at.readings) * width > MOST_NUMBERS:
             return self._finished_on_sums(solution, noise)
         last = self._by_gtsam(at.readings, at.parameters, noise, self.options.solver)
         steps = at.iterations + last.iterations
@@ -371,19 +377,6 @@ class SolutionTask:
             cost=cost,
         )
         return replace(solution, at=at, observability=least)
-
-    def _estimated_sigma(self, ended: Minimum) -> float:
-        """Return the standard deviation of a reading [m] that the residuals show."""
-        if ended.loss != GAUSSIAN:
-            return ended.sigma
-        return float(np.sqrt(ended.residual @ ended.residual / max(self.redundancy, 1)))
-
-
-def _is_large(readings: Readings, noise: float | Whitening) -> bool:
-    """Tell whether the rows that factors would hand out are more than GTSAM should hold once more."""
-    coupled = isinstance(noise, Whitening) and noise.is_coupled
-    beams = readings.beams if coupled else 1
-    return len(readings) * (BEAM.dim * beams + PLANE.dim) > MOST_NUMBERS
 
 
 def _ending(ended: Searched, steps: int, exhausted: bool) -> tuple[Status, str]:

@@ -81,26 +81,6 @@ class SurveyPlan(Value):
         return bool(np.isfinite(self.spot_errors[-1]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Views:
-    """Candidates of one sensor before one target: hand poses, and what they say.
-
-    Attributes
-    ----------
-    member : int
-    target : (family, number)
-    R, t : (N, 3, 3), (N, 3)
-    rows : (N, B, U)
-        Of unit weight, over all unknowns.
-    """
-
-    member: int
-    target: tuple[str, int]
-    R: FloatArray
-    t: FloatArray
-    rows: FloatArray
-
-
 def plan_survey(
     calibration: SurveyCalibration,
     count: int = 10,
@@ -139,24 +119,31 @@ def plan_survey(
     rng = np.random.default_rng(0) if rng is None else rng
     if workspace is None:
         workspace = workspace_of(found.rows.survey.stations)
-    views = [
-        view
-        for member, target in dict.fromkeys(
-            (item.member, item.target) for item in found.rows.items if item.family == SENSOR.name
-        )
-        if (view := _views(calibration, member, target, workspace, rng)) is not None
-    ]
+    names, sensors, labels = list(calibration.sensors), [], []
+    views: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    of_rays = (item for item in found.rows.items if item.family == SENSOR.name)
+    for member, target in dict.fromkeys((item.member, item.target) for item in of_rays):
+        view = _views(calibration, member, target, workspace, rng)
+        if view is not None:
+            views.append(view)
+            sensors += [names[member]] * len(view[0])
+            labels += [found.rows.label(target)] * len(view[0])
     if not views:
         expected = "a workspace with room for other orientations before the targets"
         raise InputError("no place from which a sensor sees its target", expected)
     values = {name: x[None] for name, x in found.estimate.values.items()}
     problem = found.problem()
     J, _ = problem.rows(problem.blocks, values).whitened()
-    before = _inverse(J.T @ J + np.eye(J.shape[1]) / UNDETERMINED_SIGMA**2)
+    information = J.T @ J + np.eye(J.shape[1]) / UNDETERMINED_SIGMA**2
+    scale = 1.0 / np.sqrt(np.diagonal(information))  # unknowns differ in size
+    size, axes = np.linalg.eigh(information * np.outer(scale, scale))
+    root = axes / np.sqrt(np.maximum(size, np.finfo(float).eps))
+    before = np.asarray((root @ root.T) * np.outer(scale, scale))
     weight = _weight(calibration, J.shape[1])
-    most = max(view.rows.shape[1] for view in views)
+    R, t = (np.concatenate([view[i] for view in views]) for i in (0, 1))
+    most = max(said.shape[1] for _, _, said in views)
     rows = np.concatenate(
-        [np.pad(v.rows, ((0, 0), (0, most - v.rows.shape[1]), (0, 0))) for v in views]
+        [np.pad(said, ((0, 0), (0, most - said.shape[1]), (0, 0))) for _, _, said in views]
     )
     taken, _, _ = choose(rows[None], before, weight, min(count, len(rows)))
     information, axes, unit = information_axes(problem, problem.blocks, values)
@@ -175,13 +162,9 @@ def plan_survey(
         if known and goal is not None and goal.stated:
             reached = _reached(calibration, C, errors[-1], goal)
     taken = taken[: len(errors) - 1]
-    view_of = np.repeat(np.arange(len(views)), [len(view.R) for view in views])
-    R, t = (np.concatenate([getattr(view, name) for view in views])[taken] for name in "Rt")
-    chosen = [views[i] for i in view_of[taken]]
-    names = list(calibration.sensors)
     return SurveyPlan(
-        StationList(R, t, tuple(found.rows.label(view.target) for view in chosen)),
-        tuple(names[view.member] for view in chosen),
+        StationList(R[taken], t[taken], tuple(labels[i] for i in taken)),
+        tuple(sensors[i] for i in taken),
         np.array(errors),
         calibration.undetermined,
         reached if goal is not None and goal.stated else None,
@@ -194,8 +177,16 @@ def _views(
     target: tuple[str, int],
     workspace: Workspace,
     rng: np.random.Generator,
-) -> _Views | None:
-    """Draw candidates, and keep those that see their target; None where none does."""
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Draw candidates of one sensor, and keep those that see their target; None where none does.
+
+    Returns
+    -------
+    R, t : (N, 3, 3), (N, 3)
+        Hand poses.
+    rows : (N, B, U)
+        What they say, of unit weight, over all unknowns.
+    """
     rows = calibration._found.rows
     items = [
         item
@@ -221,7 +212,7 @@ def _views(
     R, t, s, good = R[enough], t[enough], s[enough], good[enough]
     values[POSE.name] = values[POSE.name][:, enough]
     root = good * np.sqrt(weight) / own.noise.sigma[member]
-    return _Views(member, target, R, t, _said(calibration, values, member, target, rays, s, root))
+    return R, t, _said(calibration, values, member, target, rays, s, root)
 
 
 def _typical(calibration: SurveyCalibration, items: list[Item]) -> tuple[Rayset, float]:
@@ -363,11 +354,3 @@ def _spot_error(C: FloatArray, weight: FloatArray) -> float:
     S = weight @ C @ weight.T
     each = [slice(i, i + 3) for i in range(0, len(weight), 3)]
     return max(radius(S[own, own]) for own in each)
-
-
-def _inverse(information: FloatArray) -> FloatArray:
-    """Return the inverse of an information matrix whose unknowns differ in size."""
-    scale = 1.0 / np.sqrt(np.diagonal(information))
-    values, axes = np.linalg.eigh(information * np.outer(scale, scale))
-    root = axes / np.sqrt(np.maximum(values, np.finfo(float).eps))
-    return np.asarray((root @ root.T) * np.outer(scale, scale))

@@ -16,7 +16,7 @@ from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
-from ..quantities import FAR_SIGMAS, LARGEST_LENGTH, ROUNDING
+from ..quantities import FAR_SIGMAS, LARGEST_LENGTH, MM, ROUNDING
 from ..validation.simulate import Stations
 from .belief import Belief
 from .bounds import vectors
@@ -29,8 +29,6 @@ ROOMY = 0.25
 """A workspace that is not stated surrounds the stations so far by this part of their extent."""
 SMALLEST_TURN = math.radians(20.0)
 """Largest turn of a workspace that is not stated, where the hand has not turned: any hand can."""
-LEAST_ROOM = 1e-3
-"""Room to all sides of a workspace that is not stated, where the hand has not moved [m]."""
 ENDS = 0.4
 """Both exponents of the beta distribution of where in the range candidates read: mostly at its ends."""
 TURN_EXPONENT = 9.0
@@ -118,7 +116,7 @@ def workspace_of(recording: Recording | StationList) -> Workspace:
     t, R = recording.world_t_hand, Rotation.from_matrix(recording.world_R_hand)
     home = R.mean()
     turn = max(float((home.inv() * R).magnitude().max()), SMALLEST_TURN)
-    room = max(ROOMY * float(np.ptp(t, axis=0).max()), LEAST_ROOM)
+    room = max(ROOMY * float(np.ptp(t, axis=0).max()), MM)  # for a hand that has not moved
     return Workspace(t.min(axis=0) - room, t.max(axis=0) + room, home.as_matrix(), turn)
 
 

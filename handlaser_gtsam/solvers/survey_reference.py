@@ -35,6 +35,10 @@ ERRORS_BEFORE = dict(zip(ERRORS, (0.05, 0.02, 0.1, 0.05), strict=True))
 """Their standard deviations before any reading; stated again, for nothing is shared."""
 
 
+UNIT = {"beam": slice(3, 6), "plane": slice(0, 3)}
+"""Where the unit vector stands among the numbers of a variable."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
     """Readings of one sensor of many rays, or of single beams, before targets of one kind.
@@ -141,10 +145,7 @@ class _Unknowns:
 
     def __init__(self, of: SurveyProblem) -> None:
         self.of = of
-        self.units = {
-            "beam": UnitVectors.of(of.start["beam"][:, 3:6]),
-            "plane": UnitVectors.of(of.start["plane"][:, :3]),
-        }
+        self.units = {kind: UnitVectors.of(of.start[kind][:, at]) for kind, at in UNIT.items()}
         widths = {"beam": 7, "plane": 3, "sphere": 4, "point": 3, "body": 6}
         self.place: dict[tuple[str, int], slice] = {}
         first = 0
@@ -158,18 +159,14 @@ class _Unknowns:
     def start(self) -> FloatArray:
         """Return the unknowns at the start."""
         x = np.zeros(self.size)
-        given = self.of.start
         for kind in ("beam", "plane", "sphere", "point"):
-            for i, row in enumerate(given[kind]):
-                x[self.place[kind, i]] = self._packed(kind, i, row)
+            for i, row in enumerate(self.of.start[kind]):
+                value, unit = row, UNIT.get(kind)
+                if unit is not None:
+                    kept = row[unit][self.units[kind].kept[i]]
+                    value = np.concatenate((row[: unit.start], kept, row[unit.stop :]))
+                x[self.place[kind, i]] = value
         return x
-
-    def _packed(self, kind: str, member: int, row: FloatArray) -> FloatArray:
-        unit = {"beam": slice(3, 6), "plane": slice(0, 3)}.get(kind)
-        if unit is None:
-            return row
-        kept = row[unit][self.units[kind].kept[member]]
-        return np.concatenate((row[: unit.start], kept, row[unit.stop :]))
 
     def at(self, x: FloatArray) -> _At:
         """Return the variables."""
@@ -210,7 +207,7 @@ class _Unknowns:
             value, lift = x[place], np.eye(place.stop - place.start)
             if kind in tables:
                 value = tables[kind][i]
-                unit = slice(3, 6) if kind == "beam" else slice(0, 3)
+                unit = UNIT[kind]
                 D = self.units[kind].derivative(tables[kind][:, unit])[i]
                 lift = np.zeros((len(value), len(value) - 1))
                 lift[: unit.start, : unit.start] = np.eye(unit.start)
@@ -248,7 +245,15 @@ class _Residuals:
         e = self._readings(at, *self.hands)
         for rows, U, shrink in self.weights:
             e[rows] -= U @ (shrink * (U.T @ e[rows]))
-        return np.concatenate((e, *_known(self.of, at), *_priors(self.of, at)))
+        # What is known of range errors before any reading.
+        of = self.of
+        k = (at.beam[:, 6:] * [1.0, of.length] / of.survey.linearity).ravel()
+        priors = [
+            errors[name] / ERRORS_BEFORE[name]
+            for shots, errors in zip(of.survey.shots, at.errors, strict=True)
+            for name in shots.free
+        ]
+        return np.concatenate((e, *_known(of, at), k, priors))
 
     def weigh(self, x: FloatArray) -> None:
         """Update the weights at a vector of unknowns."""
@@ -429,13 +434,6 @@ def _body(
         rows.append(np.cross(R.T @ at.plane[i, :3], m) / one.sigma_angle)
         rows.append(np.atleast_1d(((_foot(of, at, i) - t) @ R @ m - d) / one.sigma))
     return np.concatenate(rows)
-
-
-def _priors(of: SurveyProblem, at: _At) -> Iterator[FloatArray]:
-    """Yield what is known of range errors before any reading, in standard deviations."""
-    yield (at.beam[:, 6:] * [1.0, of.length] / of.survey.linearity).ravel()
-    for shots, errors in zip(of.survey.shots, at.errors, strict=True):
-        yield np.array([errors[name] / ERRORS_BEFORE[name] for name in shots.free])
 
 
 def solve_survey(problem: SurveyProblem) -> SurveySolution:

@@ -15,8 +15,6 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..quantities import NEGLIGIBLE, SINGULAR
 
-FLATNESS = 1e-3
-"""A plane needs points whose second spread is at least this part of the first: else they are a line."""
 STRAIGHTENED = 0.02
 """A start turns planes that a beam meets at a smaller cosine (88.9 degrees): no solver starts there."""
 
@@ -117,7 +115,8 @@ def _grow_planes(start: PartialStart, readings: Readings, least_norm: bool) -> N
         across = np.eye(3) - v_world[:, :, None] * v_world[:, None, :]
         scatter += weight[:, None, None] * across
     spread, axes = np.linalg.eigh(scatter)
-    flat = (counts >= 3) & (spread[:, 1] > FLATNESS**2 * spread[:, 2])
+    # Points are a line where their second spread is less than a thousandth of the first.
+    flat = (counts >= 3) & (spread[:, 1] > NEGLIGIBLE * spread[:, 2])
     take = np.flatnonzero(flat | least_norm)
     start.normals[planes[take]] = axes[take, :, 0]
     start.offsets[planes[take]] = -np.einsum("pi,pi->p", axes[take, :, 0], centres[take])

@@ -26,8 +26,8 @@ from ..text import some
 from .hold_out import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
 
-TRAINING = 0.7
-"""Part of the stations of every plane that a split calibrates with."""
+PART_LEFT_OUT = 0.3
+"""Part of the stations, of recordings those of every plane, that a random split predicts."""
 USUAL_SPLITS = 5
 """Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
 
@@ -185,7 +185,7 @@ def training_stations(recording: Recording, rng: np.random.Generator) -> BoolArr
     training = np.zeros(len(recording.plane_labels), dtype=bool)
     for plane in range(len(recording.plane_names)):
         rows = np.flatnonzero(recording.plane_of_station == plane)
-        training[rng.permutation(rows)[: int(np.ceil(TRAINING * len(rows)))]] = True
+        training[rng.permutation(rows)[: int(np.ceil((1.0 - PART_LEFT_OUT) * len(rows)))]] = True
     return training
 
 

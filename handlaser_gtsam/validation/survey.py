@@ -32,10 +32,8 @@ from ..results.significance import SINGLE_LEVEL
 from ..results.survey import SurveyCalibration, survey_calibration
 from ..solvers.survey_reference import Observed, SurveyProblem, SurveySolution, solve_survey
 from .cross_check import CrossCheck, compared
-from .leave_out import USUAL_SPLITS
+from .leave_out import PART_LEFT_OUT, USUAL_SPLITS
 
-PART_LEFT_OUT = 0.3
-"""Of the stations, in a random split: as of recordings."""
 FITS = "converged", "contradicted"
 """Status of a survey that has a minimum."""
 COMPARED_PARTS = {
