@@ -168,7 +168,7 @@ def with_pose_errors(
 def filled(rows: FloatArray, group: IntArray) -> FloatArray:
     """Return the rows (R, c) of each group (R,), filled up with zeros to the most of any (G, most, c).
 
-    Rows whose group is -1 are left out.
+    Rows whose group is -1 do not count.
     """
     count = np.bincount(group[group >= 0])
     order = np.flatnonzero(group >= 0)[np.argsort(group[group >= 0], kind="stable")]

@@ -63,12 +63,23 @@ def robust_search(
     """
     rng = np.random.default_rng(0)
     least = least_scale(readings, range_sigma)
+
+    def mend(best: Sequence[Candidate], latest: Round) -> list[Refined | None]:
+        """Return the best eight candidates with planes that more readings agree with.
+
+        Readings within three scales of a candidate support a plane that replaces its own.
+        """
+        rule = LossScale(least, latest.good)
+        new = [mended(one.parameters, readings, 3.0 * one.scale, rng) for one in best[:8]]
+        loose = refine_many(new, readings, terms, FIRST_STEPS, Loss("cauchy"), rule)
+        return _tight(loose, readings, terms, rule)
+
     candidates, _ = search(
         _rounds(readings, others, terms, rng),
         lambda latest: refined_starts(latest, readings, terms, least),
         criterion,
         convinced,
-        lambda best, latest: _mended(best, latest, readings, terms, least, rng),
+        mend,
     )
     candidates = [candidate for candidate in candidates if np.isfinite(candidate.criterion)]
     values = np.array([candidate.criterion for candidate in candidates])
@@ -123,24 +134,6 @@ def refined_starts(
     loose = refine_many(starts, readings, 0, LAST_STEPS, Loss("cauchy"), rule)
     pairs = zip(latest.starts, _tight(loose, readings, terms, rule), strict=True)
     return [(method, refined) for (method, _), refined in pairs if refined is not None]
-
-
-def _mended(
-    best: Sequence[Candidate],
-    latest: Round,
-    readings: Readings,
-    terms: int,
-    least: float,
-    rng: np.random.Generator,
-) -> list[Refined | None]:
-    """Return the best eight candidates with planes that more readings agree with.
-
-    Readings within three scales of a candidate support a plane that replaces its own.
-    """
-    rule = LossScale(least, latest.good)
-    new = [mended(one.parameters, readings, 3.0 * one.scale, rng) for one in best[:8]]
-    loose = refine_many(new, readings, terms, FIRST_STEPS, Loss("cauchy"), rule)
-    return _tight(loose, readings, terms, rule)
 
 
 def _tight(

@@ -27,7 +27,7 @@ from .hold_out import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
 
 PART_LEFT_OUT = 0.3
-"""Part of the stations, of recordings those of every plane, that a random split predicts."""
+"""Part of the stations that a random split predicts; in recordings, of the stations of every plane."""
 USUAL_SPLITS = 5
 """Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
 
