@@ -12,7 +12,8 @@ from ..data.value import Value
 from ..errors import InputError
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
-from ..solvers.reference import ERRORS, ReferenceNoise, solve_reference
+from ..solvers.reference import ReferenceNoise, solve_reference
+from ..solvers.reference_errors import ERRORS
 from ..starts import find_start
 
 
@@ -60,7 +61,7 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     if calibration.fit.loss != "gaussian":
         raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
     used = calibration.used_in(recording)
-    start = find_start(used.readings()).parameters
+    start, solved = find_start(used.readings()).parameters, None
     errors = {effect.code: effect.prior_sigma for effect in calibration.effects}
     without = [code for code in errors if code not in ERRORS]
     if without:
@@ -72,12 +73,12 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     if variances is not None:
         noise = ReferenceNoise(variances.range_sigma, variances.incidence_sigma, variances.pose)
     if calibration.recorded is not None:  # with the errors in it; their priors have units
-        used = calibration.recorded.without(np.isnan(calibration.fit.residuals))
+        used, solved = calibration.recorded, ~np.isnan(calibration.fit.residuals)
         if noise is None:
             noise = ReferenceNoise(np.full(len(calibration.beams), calibration.fit.range_sigma))
     scaled = calibration.at_scales
     prior = None if scaled is None else scaled.range_error_prior
-    reference = solve_reference(used, start, terms, noise=noise, prior=prior, errors=errors)
+    reference = solve_reference(used, start, terms, noise, prior, errors, solved)
     own = calibration.parameters() if scaled is None else scaled.parameters
     joint = calibration.covariance if scaled is None else scaled.covariance
     if joint is None:
@@ -97,11 +98,12 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         for name, e, mine, other in all_of_kind
     ]
     for effect in calibration.effects:
-        off_size = np.array([effect.size - reference.sizes[effect.code]])
+        member = effect.code, effect.subject
+        off_size = np.array([effect.size - reference.sizes[member]])
         mine, other = (
-            np.array([[sigma**2]]) for sigma in (effect.sigma, reference.size_sigmas[effect.code])
+            np.array([[sigma**2]]) for sigma in (effect.sigma, reference.size_sigmas[member])
         )
-        rows.append((effect.code, off_size, mine, other, {"size": slice(0, 1)}))
+        rows.append((" ".join(member).strip(), off_size, mine, other, {"size": slice(0, 1)}))
     return compared(rows, reference.iterations)
 
 
