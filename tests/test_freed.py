@@ -9,12 +9,16 @@ from helpers import GRIPPER, codes, simulated
 from test_systematic import Scene
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.model.effects import EFFECTS
+from handlaser_gtsam.model.effects import EFFECTS, OF_STATIONS
+from handlaser_gtsam.planning.advice import advice_lines
+from handlaser_gtsam.planning.belief import belief_of
+from handlaser_gtsam.planning.information import station_rows, updated
 from handlaser_gtsam.results.freed import MOST_FREED
 from handlaser_gtsam.results.projection import FreedColumns, LinearRows, Projection
 from handlaser_gtsam.results.score_tests import ScoreTests
 from handlaser_gtsam.solvers.reference_errors import ERRORS
 from handlaser_gtsam.validation.cross_check import cross_check
+from handlaser_gtsam.validation.simulate import Stations
 
 SIGMA = 1e-4
 NOISE = hl.Noise(SIGMA, 0.0, 0.0)
@@ -285,13 +289,80 @@ def test_what_cannot_be_an_unknown_is_refused(case):
         )
 
 
-def test_what_does_not_count_them_refuses_them():
-    recording = recorded(Scene(3))
+@pytest.mark.parametrize("range_error", ["none", "k1"])
+@pytest.mark.parametrize("codes", [*((code,) for code in OF_STATIONS), OF_STATIONS])
+def test_a_plan_counts_the_errors_as_a_calibration_with_its_stations_will(codes, range_error):
+    whole = recorded(Scene(3), 0, codes[0], SIZES[codes[0]])
+    late = np.arange(len(whole.plane_labels)) >= 24
+    found = freed(whole.part(~late), *codes, range_error=range_error)
+    after = freed(whole, *codes, range_error=range_error)
+    belief = belief_of(found)
+    assert (belief.errors, belief.uncounted) == (codes, ())
+    plane = np.array([belief.plane_names.index(label) for label in whole.plane_labels])
+    stations = Stations(whole.world_R_hand, whole.world_t_hand, plane)[late]
+    rows = station_rows(belief, stations)
+    beams, unknowns = belief.first_error, np.arange(belief.first_plane)
+    expected = after.covariance.matrix(planes=[], ambient=False)
+    largest = np.nanmax(whole.part(~late).ranges)
+    unit = [largest**-3 if code == "cubic" else 1.0 for code in codes]
+    sizes = np.array([one.sigma for one in after.effects]) * unit
+    sigma = np.concatenate((np.sqrt(np.diagonal(expected)), sizes))
+
+    def forecast(rows):
+        variance = np.diagonal(updated(belief.covariance, rows))[unknowns]
+        return np.sqrt(variance[variance > 0.0]) / sigma
+
+    # The estimate differs by some standard deviations in between, and so do the derivatives.
+    assert np.abs(forecast(rows) - 1.0).max() < 0.03
+    for factor in (0.0, -1.0):  # as if the stations had no such error, or the opposite one
+        wrong = rows.copy()
+        wrong[..., beams : belief.first_plane] *= factor
+        assert np.abs(forecast(wrong) - 1.0).max() > 0.15
+
+
+def test_a_plan_says_which_errors_its_stations_are_taken_to_be_without(tmp_path, handlaser):
+    scene = Scene(3)
+    found = freed(recorded(scene, 0, "lag", 0.05), "lag", "incidence", "drift", range_error="none")
+    sensor = hl.Sensor(0.2, 0.6, kind="triangulation")
+    plan = hl.plan(found, 2, sensor)
+    assert plan.uncounted == ("lag", "drift")
+    assert plan.forecast.location_sigma[0] == pytest.approx(
+        max(beam.sigma[:3].max() for beam in found.beams.values())
+    )
+    only = freed(recorded(scene, 0, "lag", 0.05), "lag", range_error="none")
+    assert belief_of(only).errors == ()
+    assert any(
+        "without the freed errors lag" in line for line in advice_lines(hl.plan(only, 1, sensor))
+    )
+    path, rig, out = tmp_path / "r.csv", tmp_path / "rig.toml", tmp_path / "c.json"
+    hl.write_recording(path, recorded(scene, 0, "lag", 0.05))
+    rig.write_text(
+        "[noise]\nrange_sigma_mm = 0.1\npose_translation_sigma_mm = 0\npose_rotation_sigma_deg = 0\n"
+        '[sensor]\nkind = "triangulation"\nrange_mm = [200, 600]\n'
+        "[workspace]\nbox_mm = [[-200, -200, -200], [200, 200, 200]]\n"
+    )
+    few = ("--rig", rig, "--stations", 2)
+    code, text, err = handlaser("plan", path, *few, "--free", "lag,incidence")
+    assert code == 0, err
+    assert "the stations are taken to be without the freed errors lag:" in text
+    hl.write_recording(path, recorded(scene))
+    assert handlaser("calibrate", path, "--rig", rig, "--free", "incidence", "--out", out)[0] == 0
+    code, text, err = handlaser("plan", "--calibration", out, *few)
+    assert code == 0, err
+    assert "--free incidence instead of --calibration" in err.replace("\n", " ")
+    code, _, err = handlaser("plan", "--calibration", out, *few, "--free", "incidence")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--free without RECORDING" in err
+
+
+def test_what_does_not_count_them_refuses_them(handlaser):
     with pytest.raises(hl.InputError, match="free"):
         hl.Session(NOISE, hl.CalibrationOptions(free=("lag",)))
-    found = freed(recording, "lag", range_error="none")
-    with pytest.raises(hl.InputError, match="errors that were unknowns"):
-        hl.plan(found, 2, hl.Sensor(0.1, 0.6))
+    code, _, err = handlaser(
+        "calibrate", GRIPPER / "recording.csv", "--incremental", "--free", "lag"
+    )
+    assert (code, err.count("\n")) == (2, 1)
+    assert "estimate them with all planes at once" in err
     many, _ = simulated("paper", hl.validation.Layout(planes=30))
     with pytest.raises(hl.InputError, match=f"1 to {MOST_FREED}"):
         freed(many, "displaced", noise=hl.Noise(3e-5, 0.0, 0.0), range_error="none")
