@@ -188,7 +188,7 @@ def test_all_other_errors_are_tested_beside_a_freed_one():
     tests, pull = ScoreTests(rows, None), Projection(rows, prior).pull
     assert not np.isin(tests.codes, ("lag", "cubic")).any()
     # Dense: rows of readings, then of the priors of range errors and of the freed ones.
-    J = np.hstack((rows.sparse().toarray(), columns)) / SIGMA
+    J = np.hstack((rows.sparse.toarray(), columns)) / SIGMA
     weights = np.zeros((pull.size + 2, J.shape[1]))
     weights[np.arange(pull.size), np.arange(pull.size)] = pull.ravel() / SIGMA
     weights[[-2, -1], [-2, -1]] = 1.0

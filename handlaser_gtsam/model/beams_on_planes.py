@@ -59,7 +59,7 @@ class BeamsOnPlanes:
     ) -> None:
         shape = problems[0]
         self.beams, self.planes = shape.beams, shape.planes
-        rows, station, planes = _stations(shape)
+        rows, station, planes = shape.stations_of_planes
         sizes = np.bincount(planes, minlength=self.planes)
         self.slots_of_chunk = int(min(sizes.max(), CHUNK_SLOTS))
         chunks = np.maximum(-(-sizes // self.slots_of_chunk), 1)
@@ -287,16 +287,3 @@ def parameters_of(values: Values) -> list[Parameters]:
     )
     n = np.ascontiguousarray(planes[..., OF_NORMAL])
     return [Parameters.unchecked(*arrays) for arrays in zip(r, v, k, n, offsets, strict=True)]
-
-
-def _stations(readings: Readings) -> tuple[IntArray, IntArray, IntArray]:
-    """Return a row of each pair of plane and station, its number for each row (N,), and its plane."""
-    count = int(readings.station.max()) + 1
-    pairs = readings.plane * count + readings.station
-    order = np.argsort(pairs, kind="stable")
-    ordered = pairs[order]
-    new = np.concatenate(([True], ordered[1:] > ordered[:-1]))
-    number = np.empty_like(pairs)
-    number[order] = np.cumsum(new) - 1
-    first = np.flatnonzero(new)
-    return order[first], number, ordered[first] // count

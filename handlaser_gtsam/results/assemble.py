@@ -169,16 +169,7 @@ def _tested(
     found, together = systematic_errors(
         rows, names, stations, known=known, dof=fit.dof, plausible=plausible
     )
-    beams = [i for _, i in names.beams]
-    moves = [
-        f"{what}_{size}"
-        for what in ("location", "direction", "spot")
-        for size in ("shift", "error")
-    ]
-    ordered = tuple(
-        replace(one, **{name: getattr(one, name)[beams] for name in moves}) for one in found
-    )
-    return ordered, together
+    return found, together
 
 
 def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:

@@ -85,10 +85,13 @@ class SeenStations:
     @cached_property
     def middle(self) -> FloatArray:
         """Orientation (3, 3) of the hand from which turns count."""
-        if self.given_middle is not None:
-            return self.given_middle
-        R = self.readings.world_R_hand[self.first[0]]
-        return np.asarray(Rotation.from_matrix(R).mean().as_matrix())
+        given = self.given_middle
+        return np.asarray(self.rotations.mean().as_matrix() if given is None else given)
+
+    @cached_property
+    def rotations(self) -> Rotation:
+        """Orientations of the hand at every station (S,)."""
+        return Rotation.from_matrix(self.readings.world_R_hand[self.first[0]])
 
     @cached_property
     def spots(self) -> FloatArray:

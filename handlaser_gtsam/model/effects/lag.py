@@ -1,7 +1,6 @@
 """A lag between poses and readings: the hand is ahead of its recorded pose by a part of a step."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
 from .effect import Effect, SeenStations
@@ -22,7 +21,7 @@ def twists(stations: SeenStations) -> FloatArray:
     before[same + 1], after[same] = order[same], order[same + 1]
     count = np.maximum((before != order).astype(int) + (after != order), 1)[:, None]
     step = np.zeros((len(row), 6))
-    turn = Rotation.from_matrix(np.swapaxes(R[before], 1, 2) @ R[after]).as_rotvec()
+    turn = (stations.rotations[before].inv() * stations.rotations[after]).as_rotvec()
     step[order, :3] = turn / count
     step[order, 3:] = np.einsum("mij,mi->mj", R[order], (t[after] - t[before]) / count)
     return step[..., None]
