@@ -83,10 +83,6 @@ class Readings(Value):
         """The readings [m] (N,), without their probable noise where it is kept out."""
         return self.distance if self.regressors is None else self.regressors.level
 
-    def unknowns(self, terms: int) -> int:
-        """Return the number of unknowns of the beams, with `terms` range errors each, and planes."""
-        return (5 + terms) * self.beams + 3 * self.planes
-
     def with_regressors(self, regressors: Regressors) -> "Readings":
         """Return the same readings with other regressors; what is known of the stations is kept."""
         readings = object.__new__(Readings)

@@ -21,13 +21,11 @@ from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from .block import Rows, Slot, Values, Weights
 from .equation import GRAZING_LIMIT, corrected, range_error_derivatives
-from .families import BEAM, PLANE, POSE, bases
+from .families import BEAM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR, PLANE, POSE, bases
 from .weighting import Whitening
 
 CHUNK_SLOTS = 32
 """Slots of a chunk; a plane with more stations has several chunks, so that few slots stay empty."""
-OF_LOCATION, OF_DIRECTION, OF_RANGE_ERROR = slice(0, 3), slice(3, 6), slice(6, 8)
-"""Parts of a beam's numbers."""
 OF_NORMAL, HEIGHT, CENTRE = slice(0, 3), 3, slice(4, 7)
 """Parts of a plane's numbers."""
 

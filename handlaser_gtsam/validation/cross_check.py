@@ -10,6 +10,7 @@ from ..checks import require_kind
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
+from ..model.families import OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
 from ..solvers.reference import ReferenceNoise, solve_reference
@@ -87,7 +88,11 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     found = reference.parameters
     off = [ours - theirs for ours, theirs in zip(own.beams, found.beams, strict=True)]
     of_planes = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
-    of_beam = {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, 8)}
+    of_beam = {
+        "location": OF_LOCATION,
+        "direction": OF_DIRECTION,
+        "range error": OF_RANGE_ERROR,
+    }
     of_plane = {"normal": slice(0, 3), "offset": slice(3, 4)}
     S, T = variance * reference.beam_covariances, variance * reference.plane_covariances
     beams = zip(calibration.beams, np.hstack(off), joint.all_beams(), S, strict=True)
