@@ -19,6 +19,7 @@ from benchmarks.solve import SIGMA, TERMS, closed_form, problem
 from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.readings import Readings
+from handlaser_gtsam.model.families import count_unknowns
 from handlaser_gtsam.solvers.beam_problem import jacobian_columns, linearized, moved
 from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.validation.scenes import ERRORS, SCENES, Layout
@@ -52,7 +53,7 @@ def dense_solution(readings: Readings, start: Parameters, steps: int) -> float:
     of_beams, rows = width * readings.beams, np.arange(len(readings))[:, None]
     beam = width * readings.beam[:, None] + np.arange(width)
     plane = of_beams + 3 * readings.plane[:, None] + np.arange(3)
-    J = np.zeros((len(readings), readings.unknowns(TERMS)))
+    J = np.zeros((len(readings), count_unknowns(readings, TERMS)))
     for _ in range(steps):
         centres = linearized(at, readings, TERMS).centres
         columns = jacobian_columns(at, readings, TERMS, centres)

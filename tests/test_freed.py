@@ -9,11 +9,16 @@ from helpers import GRIPPER, codes, simulated
 from test_systematic import Scene
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.model.effects import EFFECTS, OF_STATIONS
+from handlaser_gtsam.planning.advice import advice_lines
+from handlaser_gtsam.planning.belief import belief_of
+from handlaser_gtsam.planning.information import station_rows, updated
 from handlaser_gtsam.results.freed import MOST_FREED
 from handlaser_gtsam.results.projection import FreedColumns, LinearRows, Projection
 from handlaser_gtsam.results.score_tests import ScoreTests
-from handlaser_gtsam.solvers.reference import ERRORS
+from handlaser_gtsam.solvers.reference_errors import ERRORS
 from handlaser_gtsam.validation.cross_check import cross_check
+from handlaser_gtsam.validation.simulate import Stations
 
 SIGMA = 1e-4
 NOISE = hl.Noise(SIGMA, 0.0, 0.0)
@@ -26,6 +31,10 @@ SIZES = {
     "turn-scale": 5e-4,
     "translation-scale": 5e-4,
     "carry-over": 0.01,
+    "drift": 5e-4,
+    "beam-on-plane": 1e-3,
+    "displaced": 5e-4,
+    "tool-displaced": 2e-4,
 }
 """Sizes that are plausible of a triangulation sensor, a plate and a robot."""
 
@@ -58,10 +67,41 @@ def test_scipy_agrees_by_formulas_of_its_own(code, range_error):
     scene = Scene(3)
     found = freed(recorded(scene, 0, code, SIZES[code]), code, noise=noise, range_error=range_error)
     assert found.status == "converged"
+    agrees(found)
+
+
+def agrees(found):
+    """Hold that SciPy finds the same."""
+    check = cross_check(found, found.recorded)
     # Weights, and what an error of size 1 does, settle to 1e-5 standard deviations in both.
-    check = cross_check(found, recorded(scene))
     assert check.largest < 1e-4, check
     assert check.largest_sigma < 1e-6, check
+
+
+@pytest.mark.parametrize("code", ["sag", "lag", "drift", "displaced", "tool-displaced"])
+def test_scipy_agrees_where_readings_of_which_an_error_is_made_are_rejected(code):
+    recording = recorded(Scene(3), 0, code, SIZES[code])
+    ranges = recording.ranges.copy()
+    ranges[7, 1] += 0.02
+    ranges[-1] += 0.03  # no reading of the last station is left
+    found = freed(replace(recording, ranges=ranges), code)
+    assert len(found.fit.rejected) >= 4
+    agrees(found)
+
+
+def test_scipy_knows_every_error_and_all_of_them_at_once():
+    assert set(ERRORS) == {code for code, effect in EFFECTS.items() if effect.can_show}
+    found = freed(recorded(Scene(3), 0, "lag", 0.05), *ERRORS)
+    assert len(found.effects) == 81
+    agrees(found)
+    assert not [one for one in found.systematic if one.found]
+
+
+def test_an_error_that_scipy_has_no_formula_of_is_refused():
+    found = freed(recorded(Scene(3)), "lag", range_error="none")
+    new = tuple(replace(effect, code="mine") for effect in found.effects)
+    with pytest.raises(hl.InputError, match="a freed mine"):
+        cross_check(replace(found, effects=new), recorded(Scene(3)))
 
 
 def test_several_errors_are_unknowns_at_once():
@@ -148,7 +188,7 @@ def test_all_other_errors_are_tested_beside_a_freed_one():
     tests, pull = ScoreTests(rows, None), Projection(rows, prior).pull
     assert not np.isin(tests.codes, ("lag", "cubic")).any()
     # Dense: rows of readings, then of the priors of range errors and of the freed ones.
-    J = np.hstack((rows.sparse().toarray(), columns)) / SIGMA
+    J = np.hstack((rows.sparse.toarray(), columns)) / SIGMA
     weights = np.zeros((pull.size + 2, J.shape[1]))
     weights[np.arange(pull.size), np.arange(pull.size)] = pull.ravel() / SIGMA
     weights[[-2, -1], [-2, -1]] = 1.0
@@ -249,16 +289,80 @@ def test_what_cannot_be_an_unknown_is_refused(case):
         )
 
 
-def test_what_does_not_count_them_refuses_them():
-    recording = recorded(Scene(3))
+@pytest.mark.parametrize("range_error", ["none", "k1"])
+@pytest.mark.parametrize("codes", [*((code,) for code in OF_STATIONS), OF_STATIONS])
+def test_a_plan_counts_the_errors_as_a_calibration_with_its_stations_will(codes, range_error):
+    whole = recorded(Scene(3), 0, codes[0], SIZES[codes[0]])
+    late = np.arange(len(whole.plane_labels)) >= 24
+    found = freed(whole.part(~late), *codes, range_error=range_error)
+    after = freed(whole, *codes, range_error=range_error)
+    belief = belief_of(found)
+    assert (belief.errors, belief.uncounted) == (codes, ())
+    plane = np.array([belief.plane_names.index(label) for label in whole.plane_labels])
+    stations = Stations(whole.world_R_hand, whole.world_t_hand, plane)[late]
+    rows = station_rows(belief, stations)
+    beams, unknowns = belief.first_error, np.arange(belief.first_plane)
+    expected = after.covariance.matrix(planes=[], ambient=False)
+    largest = np.nanmax(whole.part(~late).ranges)
+    unit = [largest**-3 if code == "cubic" else 1.0 for code in codes]
+    sizes = np.array([one.sigma for one in after.effects]) * unit
+    sigma = np.concatenate((np.sqrt(np.diagonal(expected)), sizes))
+
+    def forecast(rows):
+        variance = np.diagonal(updated(belief.covariance, rows))[unknowns]
+        return np.sqrt(variance[variance > 0.0]) / sigma
+
+    # The estimate differs by some standard deviations in between, and so do the derivatives.
+    assert np.abs(forecast(rows) - 1.0).max() < 0.03
+    for factor in (0.0, -1.0):  # as if the stations had no such error, or the opposite one
+        wrong = rows.copy()
+        wrong[..., beams : belief.first_plane] *= factor
+        assert np.abs(forecast(wrong) - 1.0).max() > 0.15
+
+
+def test_a_plan_says_which_errors_its_stations_are_taken_to_be_without(tmp_path, handlaser):
+    scene = Scene(3)
+    found = freed(recorded(scene, 0, "lag", 0.05), "lag", "incidence", "drift", range_error="none")
+    sensor = hl.Sensor(0.2, 0.6, kind="triangulation")
+    plan = hl.plan(found, 2, sensor)
+    assert plan.uncounted == ("lag", "drift")
+    assert plan.forecast.location_sigma[0] == pytest.approx(
+        max(beam.sigma[:3].max() for beam in found.beams.values())
+    )
+    only = freed(recorded(scene, 0, "lag", 0.05), "lag", range_error="none")
+    assert belief_of(only).errors == ()
+    assert any(
+        "without the freed errors lag" in line for line in advice_lines(hl.plan(only, 1, sensor))
+    )
+    path, rig, out = tmp_path / "r.csv", tmp_path / "rig.toml", tmp_path / "c.json"
+    hl.write_recording(path, recorded(scene, 0, "lag", 0.05))
+    rig.write_text(
+        "[noise]\nrange_sigma_mm = 0.1\npose_translation_sigma_mm = 0\npose_rotation_sigma_deg = 0\n"
+        '[sensor]\nkind = "triangulation"\nrange_mm = [200, 600]\n'
+        "[workspace]\nbox_mm = [[-200, -200, -200], [200, 200, 200]]\n"
+    )
+    few = ("--rig", rig, "--stations", 2)
+    code, text, err = handlaser("plan", path, *few, "--free", "lag,incidence")
+    assert code == 0, err
+    assert "the stations are taken to be without the freed errors lag:" in text
+    hl.write_recording(path, recorded(scene))
+    assert handlaser("calibrate", path, "--rig", rig, "--free", "incidence", "--out", out)[0] == 0
+    code, text, err = handlaser("plan", "--calibration", out, *few)
+    assert code == 0, err
+    assert "--free incidence instead of --calibration" in err.replace("\n", " ")
+    code, _, err = handlaser("plan", "--calibration", out, *few, "--free", "incidence")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--free without RECORDING" in err
+
+
+def test_what_does_not_count_them_refuses_them(handlaser):
     with pytest.raises(hl.InputError, match="free"):
         hl.Session(NOISE, hl.CalibrationOptions(free=("lag",)))
-    found = freed(recording, "lag", range_error="none")
-    with pytest.raises(hl.InputError, match="errors that were unknowns"):
-        hl.plan(found, 2, hl.Sensor(0.1, 0.6))
-    drifting = freed(recording, "drift", range_error="none")
-    with pytest.raises(hl.InputError, match="a freed drift"):
-        cross_check(drifting, recording)
+    code, _, err = handlaser(
+        "calibrate", GRIPPER / "recording.csv", "--incremental", "--free", "lag"
+    )
+    assert (code, err.count("\n")) == (2, 1)
+    assert "estimate them with all planes at once" in err
     many, _ = simulated("paper", hl.validation.Layout(planes=30))
     with pytest.raises(hl.InputError, match=f"1 to {MOST_FREED}"):
         freed(many, "displaced", noise=hl.Noise(3e-5, 0.0, 0.0), range_error="none")
@@ -300,4 +404,3 @@ def test_every_view_has_the_error(tmp_path, handlaser):
     code, _, err = handlaser("calibrate", GRIPPER / "recording.csv", "--free", "lags")
     assert code == 2
     assert err.startswith("handlaser: found --free 'lags'; expected one of 'incidence'")
-    assert set(SIZES) == set(ERRORS)

@@ -8,7 +8,7 @@ from helpers import GRIPPER, ROOT, degenerate
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.effects import EFFECTS
-from handlaser_gtsam.results.correlations import LABELS
+from handlaser_gtsam.model.families import BEAM
 from handlaser_gtsam.results.description import rendering, screen
 from handlaser_gtsam.results.verdict import OPENING
 
@@ -122,7 +122,7 @@ def test_what_lines_begin_with_and_heads_of_tables(
 
 def test_words_of_the_code_are_there():
     """Rows of tables, verdicts, systematic errors, and heads that only some screens show."""
-    words = [*LABELS, *OPENING.values(), *EFFECTS]
+    words = [*BEAM.labels, *OPENING.values(), *EFFECTS]
     assert set(words) <= set(TERMS), set(words) - set(TERMS)
 
 

@@ -73,25 +73,10 @@ class Manner(Model):
         how_option("--cross-check", help="Solve again with SciPy and compare."),
     ] = False
 
-    free: Annotated[
-        str | None,
-        how_option(
-            metavar="CODE,...",
-            help="Systematic errors that are unknowns, each under a prior of its plausible size: "
-            "--free lag,incidence (docs/messages.md has all codes).",
-        ),
-    ] = None
-
     def options(self, rig: "Rig") -> "CalibrationOptions":
         """Return the options of a calibration with the sensor of `rig`."""
         plain = Model.options(self, rig)  # a dataclass with slots has no super() of its own
-        free = () if self.free is None else tuple(code.strip() for code in self.free.split(","))
-        if not all(free):
-            from ..errors import InputError
-            from ..text import shown
-
-            raise InputError(f"--free {shown(self.free)}", "codes, with one comma between two")
-        return replace(plain, outliers=self.outliers.value, loss=self.loss.value, free=free)
+        return replace(plain, outliers=self.outliers.value, loss=self.loss.value)
 
 
 @dataclass(frozen=True, slots=True)

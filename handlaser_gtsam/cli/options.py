@@ -126,16 +126,30 @@ class Model:
         bool,
         how_option("--range-sigma-by-beam", help="Estimate the range sigma of each beam."),
     ] = False
+    free: Annotated[
+        str | None,
+        how_option(
+            metavar="CODE,...",
+            help="Systematic errors that are unknowns, each under a prior of its plausible size: "
+            "--free lag,incidence (docs/messages.md has all codes).",
+        ),
+    ] = None
 
     def options(self, rig: "Rig") -> "CalibrationOptions":
         """Return the options of a calibration with the sensor of `rig`."""
+        from ..errors import InputError
         from ..estimation.options import CalibrationOptions
+        from ..text import shown
 
+        free = () if self.free is None else tuple(code.strip() for code in self.free.split(","))
+        if not all(free):
+            raise InputError(f"--free {shown(self.free)}", "codes, with one comma between two")
         return CalibrationOptions(
             self.range_error.value,
             poses=self.poses.value,
             range_sigma_by_beam=self.range_sigma_by_beam,
             estimate_noise=self.estimate_noise,
+            free=free,
             sensor=rig.sensor,
         )
 

@@ -101,6 +101,7 @@ def plan(
             lines, text = survey_plan_lines(planned), survey_plan_text(planned)
             warnings, failure = survey_plan_gaps(planned)
         else:
+            warnings = [] if calibration is None else _uncounted(calibration)
             lines, text = list(plan_lines(planned, rig.goal)), plan_text(planned)
             if rig.workspace is not None and rig.workspace.robot is not None:
                 lines += scene_lines(rig.workspace.robot)
@@ -137,6 +138,10 @@ def _planned(
     rng = np.random.default_rng(seed)
     if recording is not None and result is not None:
         raise InputError("RECORDING and --calibration", "one of the two")
+    options = model.options(rig)
+    if recording is None and options.free:
+        expected = "RECORDING, which is calibrated with these errors as unknowns"
+        raise InputError("--free without RECORDING", expected)
     if recording is None and result is None:
         if rig.bounds is None or rig.workspace is None:
             raise InputError(
@@ -163,7 +168,8 @@ def _planned(
         calibration, plates = _result(result or Path(), rig)
     else:
         report, rig = read
-        calibration, plates = calibrate(report.recording, rig.noise, model.options(rig)), None
+        options, plates = replace(options, sensor=rig.sensor), None
+        calibration = calibrate(report.recording, rig.noise, options)
         if calibration.status != "converged":
             raise SolverError(calibration.message)
     placement = None if planes is None else replace(rig.placement, count=planes)
@@ -174,6 +180,20 @@ def _planned(
         placement=placement,
         rng=rng,
     )
+
+
+def _uncounted(path: Path) -> list[str]:
+    """Say which freed errors of a result a plan does not count at the stations to come."""
+    from ..files.calibration_reading import read_calibration
+
+    codes = dict.fromkeys(effect.code for effect in read_calibration(path).effects)
+    if not codes:
+        return []
+    words = ", ".join(codes)
+    return [
+        f"the stations are taken to be without the freed errors {words} of {path}: a plan counts them "
+        f"with RECORDING and --free {words} instead of --calibration"
+    ]
 
 
 def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":

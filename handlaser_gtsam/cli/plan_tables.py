@@ -32,6 +32,7 @@ def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
             f"{count(plan.skipped, 'further station')} skipped: the arm found no way there without a "
             "collision"
         )
+    yield from plan.assumed
     for name, plate in plan.plates.items():
         x, y, z = plate.normal
         a, b, c = plate.point * IN_MM

@@ -38,7 +38,7 @@ class Regressors(Value):
         return cls(constant, level)
 
 
-@dataclass(frozen=True, eq=False, repr=False)  # no slots: the typical range is kept
+@dataclass(frozen=True, eq=False, repr=False)  # no slots: some results are kept
 class Readings(Value):
     """The readings of a recording one a row, sorted by plane, then beam, then station.
 
@@ -83,9 +83,24 @@ class Readings(Value):
         """The readings [m] (N,), without their probable noise where it is kept out."""
         return self.distance if self.regressors is None else self.regressors.level
 
-    def unknowns(self, terms: int) -> int:
-        """Return the number of unknowns of the beams, with `terms` range errors each, and planes."""
-        return (5 + terms) * self.beams + 3 * self.planes
+    def with_regressors(self, regressors: Regressors) -> "Readings":
+        """Return the same readings with other regressors; what is known of the stations is kept."""
+        readings = object.__new__(Readings)
+        readings.__dict__.update(self.__dict__, regressors=regressors)
+        return readings
+
+    @cached_property
+    def stations_of_planes(self) -> tuple[IntArray, IntArray, IntArray]:
+        """A row of each pair of plane and station, its number for each row (N,), and its plane."""
+        count = int(self.station.max()) + 1
+        pairs = self.plane * count + self.station
+        order = np.argsort(pairs, kind="stable")
+        ordered = pairs[order]
+        new = np.concatenate(([True], ordered[1:] > ordered[:-1]))
+        number = np.empty_like(pairs)
+        number[order] = np.cumsum(new) - 1
+        first = np.flatnonzero(new)
+        return order[first], number, ordered[first] // count
 
     def block_starts(self) -> IntArray:
         """Return the first row of each block of readings that share plane and beam."""
@@ -114,6 +129,10 @@ class Readings(Value):
 
     def spread(self) -> float:
         """Return the standard deviation of the readings [m] that their quartiles show."""
+        return self._spread
+
+    @cached_property
+    def _spread(self) -> float:
         low, high = np.quantile(self.distance, [0.25, 0.75])
         return float(high - low) / QUARTILE_DISTANCE if high > low else float(self.distance.std())
 
@@ -126,6 +145,8 @@ class Readings(Value):
 
     def subset(self, rows: IntArray) -> "Readings":
         """Return the readings `rows` (sorted indices), with the same beams and planes."""
+        if len(rows) == len(self) and (rows == np.arange(len(rows))).all():
+            return self
         return Readings(
             self.station[rows],
             self.beam[rows],

@@ -21,6 +21,9 @@ SHOWN_ENTRIES = 8
 """Arrays and tuples with more entries are represented by their size, or a line gets too long; of a
 mapping no more keys are listed."""
 
+PLAIN = frozenset((float, int, bool, str, type(None)))
+"""Types of which nobody can change a value."""
+
 
 class Value:
     """Base of frozen dataclasses with arrays.
@@ -37,7 +40,12 @@ class Value:
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
-            object.__setattr__(self, name, _read_only(getattr(self, name)))
+            value = getattr(self, name)
+            if type(value) in PLAIN:
+                continue
+            read_only = _read_only(value)
+            if read_only is not value:
+                object.__setattr__(self, name, read_only)
 
     def __eq__(self, other: object) -> bool:
         if type(other) is not type(self):
@@ -86,9 +94,10 @@ def _rebuilt(kind: type[Value], fields: list[object]) -> Value:
 
 
 def _read_only(value: object) -> object:
-    if isinstance(value, np.ndarray) and value.flags.writeable:
-        value = value.view()
-        value.flags.writeable = False
+    if isinstance(value, np.ndarray):
+        if value.flags.writeable:
+            value = value.view()
+            value.flags.writeable = False
     elif isinstance(value, dict):
         value = MappingProxyType(value)
     elif isinstance(value, tuple) and any(isinstance(entry, np.ndarray) for entry in value):

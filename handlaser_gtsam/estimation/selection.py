@@ -15,6 +15,7 @@ from ..data.recording import Readings, Recording
 from ..model import sensor as limits
 from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.equation import residuals_or_infinite as residuals
+from ..model.families import count_unknowns
 from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.snooping import cut, enough, judge, test
@@ -152,7 +153,7 @@ def _scale(readings: Readings, parameters: Parameters) -> float | None:
     """Return a standard deviation of the residuals [m] that outliers do not spoil."""
     e = np.abs(residuals(parameters, readings))
     total = len(e)
-    unknowns = readings.unknowns(0)
+    unknowns = count_unknowns(readings, 0)
     sigma = MEDIAN_TO_SIGMA * float(np.median(e)) * np.sqrt(total / max(total - unknowns, 1))
     return float(sigma) if np.isfinite(sigma) and sigma > 0.0 else None
 

@@ -8,6 +8,7 @@ from ..arrays import FloatArray
 from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
 from ..data.recording import Recording
+from ..model.families import BEAM, OF_RANGE_ERROR
 from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.limits import Limits
@@ -22,7 +23,7 @@ from .writing import path_of, write_text
 if TYPE_CHECKING:
     from ..observability.motion import MotionCheck
 
-RANGE_ERRORS = ("k1", "k2_per_m")
+RANGE_ERRORS = BEAM.keys[OF_RANGE_ERROR]
 
 
 def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -> str:

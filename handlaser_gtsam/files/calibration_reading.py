@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..model.families import BEAM
 from ..results.mounts import Mounts
 from ..text import shown
 from .calibration_file import (
@@ -97,7 +98,7 @@ def mounts_of(file: CalibrationFile | _MountsFile) -> Mounts:
         np.array([beam.direction for beam in beams]),
         np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
         tuple(beam.range_error_terms for beam in beams),
-        square_matrix(rows, 8 * len(beams), "beam_covariance"),
+        square_matrix(rows, BEAM.size * len(beams), "beam_covariance"),
         file.fit.range_sigma_m,
         None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
     )

@@ -35,7 +35,7 @@ def plan_text(plan: Plan) -> str:
         "stations": _rows(columns),
         "forecast": _rows(known),
         "working_distance_m": forecast.working_distance,
-        **record(plan, "reached plates safe", plates=plates),
+        **record(plan, "reached plates safe uncounted", plates=plates),
     }
     if stations.joint_names:
         content["joint_names"] = list(stations.joint_names)

@@ -21,13 +21,11 @@ from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from .block import Rows, Slot, Values, Weights
 from .equation import GRAZING_LIMIT, corrected, range_error_derivatives
-from .families import BEAM, PLANE, POSE, bases
+from .families import BEAM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR, PLANE, POSE, bases
 from .weighting import Whitening
 
 CHUNK_SLOTS = 32
 """Slots of a chunk; a plane with more stations has several chunks, so that few slots stay empty."""
-OF_LOCATION, OF_DIRECTION, OF_RANGE_ERROR = slice(0, 3), slice(3, 6), slice(6, 8)
-"""Parts of a beam's numbers."""
 OF_NORMAL, HEIGHT, CENTRE = slice(0, 3), 3, slice(4, 7)
 """Parts of a plane's numbers."""
 
@@ -59,7 +57,7 @@ class BeamsOnPlanes:
     ) -> None:
         shape = problems[0]
         self.beams, self.planes = shape.beams, shape.planes
-        rows, station, planes = _stations(shape)
+        rows, station, planes = shape.stations_of_planes
         sizes = np.bincount(planes, minlength=self.planes)
         self.slots_of_chunk = int(min(sizes.max(), CHUNK_SLOTS))
         chunks = np.maximum(-(-sizes // self.slots_of_chunk), 1)
@@ -287,16 +285,3 @@ def parameters_of(values: Values) -> list[Parameters]:
     )
     n = np.ascontiguousarray(planes[..., OF_NORMAL])
     return [Parameters.unchecked(*arrays) for arrays in zip(r, v, k, n, offsets, strict=True)]
-
-
-def _stations(readings: Readings) -> tuple[IntArray, IntArray, IntArray]:
-    """Return a row of each pair of plane and station, its number for each row (N,), and its plane."""
-    count = int(readings.station.max()) + 1
-    pairs = readings.plane * count + readings.station
-    order = np.argsort(pairs, kind="stable")
-    ordered = pairs[order]
-    new = np.concatenate(([True], ordered[1:] > ordered[:-1]))
-    number = np.empty_like(pairs)
-    number[order] = np.cumsum(new) - 1
-    first = np.flatnonzero(new)
-    return order[first], number, ordered[first] // count

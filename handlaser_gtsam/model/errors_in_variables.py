@@ -15,8 +15,6 @@ done:
     e = s - (c + k1 l + k2 l^2),    l = d - E[eps | e],    c = g(d) - k1 l - k2 l^2 there.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from ..data.parameters import Parameters
@@ -68,4 +66,4 @@ def freed_of_noise(
     most = MOST_NOISE * np.sqrt(variance)
     level = d + np.clip(share * heavy, -most, most)
     constant = corrected(d, x.k) - level * (x.k[:, 0] + x.k[:, 1] * level)
-    return replace(readings, regressors=Regressors(constant, level))
+    return readings.with_regressors(Regressors(constant, level))

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
+from ..data.readings import Readings
 from ..errors import InputError
 from .geometry import tangent_basis
 
@@ -110,12 +111,40 @@ class Family:
         Names of the tangent coordinates.
     powers : tuple of int
         Of the typical range in the natural unit of each tangent coordinate.
+    numbers : tuple of str, optional
+        Names of the numbers of a member that people and files see, the first of them all; the tangent
+        coordinates where not given.
+    number_powers : tuple of int, optional
+        Of the metre in the unit of each of these numbers; `powers` where not given.
+    labels : tuple of str, optional
+        These numbers in words; their names where not given.
     """
 
     name: str
     parts: tuple[Part, ...]
     coordinates: tuple[str, ...]
     powers: tuple[int, ...]
+    numbers: tuple[str, ...] = ()
+    number_powers: tuple[int, ...] = ()
+    labels: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, usual in (
+            ("numbers", "coordinates"),
+            ("number_powers", "powers"),
+            ("labels", "numbers"),
+        ):
+            object.__setattr__(self, name, getattr(self, name) or getattr(self, usual))
+
+    @cached_property
+    def keys(self) -> tuple[str, ...]:
+        """Names of the numbers with their units, as in tables and files: `x_m`, `k2_per_m`."""
+        pairs = zip(self.numbers, self.number_powers, strict=True)
+        return tuple(name + SUFFIXES[power] for name, power in pairs)
+
+    def number_units(self, length: float) -> FloatArray:
+        """Return the natural units of the numbers that people see, for a typical range [m]."""
+        return float(length) ** np.array(self.number_powers, dtype=float)
 
     @cached_property
     def size(self) -> int:
@@ -143,6 +172,8 @@ class Family:
         return float(length) ** np.array(self.powers, dtype=float)
 
 
+SUFFIXES = {1: "_m", 0: "", -1: "_per_m"}
+"""What a name ends with where its number has a unit, by the power of the metre."""
 FAMILIES: dict[str, Family] = {}
 """All families by name."""
 
@@ -175,6 +206,9 @@ BEAM = register(
         (Vector(3), Direction(), Vector(2)),
         ("x", "y", "z", "v1", "v2", "k1", "k2"),
         (1, 1, 1, 0, 0, 0, -1),
+        ("x", "y", "z", "vx", "vy", "vz", "k1", "k2"),
+        (1, 1, 1, 0, 0, 0, 0, -1),
+        (*(f"{what} {axis}" for what in ("location", "direction") for axis in "xyz"), "k1", "k2"),
     )
 )
 """Location and direction in the hand, then the range error (k1, k2)."""
@@ -182,8 +216,17 @@ MOUNT_DIM = 5
 """Tangent coordinates of location and direction; range errors follow them."""
 LOCATION, DIRECTION, RANGE_ERROR = slice(0, 3), slice(3, MOUNT_DIM), slice(MOUNT_DIM, BEAM.dim)
 """Tangent coordinates of a beam by what they are of."""
+OF_LOCATION, OF_DIRECTION, OF_RANGE_ERROR = slice(0, 3), slice(3, 6), slice(6, 8)
+"""Numbers of a beam by what they are of."""
 PLANE = register(
-    Family("plane", (Direction(), Vector(1), Constant(3)), ("n1", "n2", "offset"), (0, 0, 1))
+    Family(
+        "plane",
+        (Direction(), Vector(1), Constant(3)),
+        ("n1", "n2", "offset"),
+        (0, 0, 1),
+        ("nx", "ny", "nz", "b"),
+        (0, 0, 0, 1),
+    )
 )
 """Normal n and height h about a fixed centre c: n . (x - c) + h = 0, world frame."""
 POSE = register(
@@ -195,6 +238,11 @@ POSE = register(
     )
 )
 """A hand pose, world_T_hand."""
+
+
+def count_unknowns(readings: Readings, terms: int) -> int:
+    """Return the number of unknowns of beams, with `terms` range errors each, and planes."""
+    return (MOUNT_DIM + terms) * readings.beams + PLANE.dim * readings.planes
 
 
 def modelled(terms: Sequence[int]) -> BoolArray:

@@ -1,6 +1,7 @@
 """Unit vectors and their tangent planes; laser spots and the planes through them."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 
@@ -26,6 +27,18 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
     # The cross product of the vector and its first tangent.
     basis[..., 1] = (unit * along - COORDINATE_AXES[axis]) * scale
     return basis
+
+
+def steps_between(
+    first: Rotation, second: Rotation, p: FloatArray, q: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the steps from poses (first, p) to poses (second, q), the way that a hand takes.
+
+    Turns (N, 3) in the frame of the first pose [rad], the shortest ones, and shifts (N, 3) in the world
+    [m]. A hand that is ahead of a recorded pose by a part w of the way, as with a lag between poses and
+    readings, is at R exp(w turn), p + w shift.
+    """
+    return (first.inv() * second).as_rotvec(), q - p
 
 
 def rotation_cells(R: FloatArray) -> IntArray:

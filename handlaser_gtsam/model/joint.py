@@ -22,10 +22,18 @@ from ..arrays import FloatArray, IntArray
 from ..data.value import Value
 from ..errors import InputError
 from ..quantities import SINGULAR
-from .families import BEAM, DIRECTION, LOCATION, MOUNT_DIM, RANGE_ERROR, modelled
-
-BEAM_COORDINATES = ("x", "y", "z", "vx", "vy", "vz", "k1", "k2")
-PLANE_COORDINATES = ("nx", "ny", "nz", "b")
+from .families import (
+    BEAM,
+    DIRECTION,
+    LOCATION,
+    MOUNT_DIM,
+    OF_DIRECTION,
+    OF_LOCATION,
+    OF_RANGE_ERROR,
+    PLANE,
+    RANGE_ERROR,
+    modelled,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -181,8 +189,8 @@ class JointCovariance(Value):
         """Return (owner, coordinate) of every row of the ambient `matrix`."""
         i = _indices(self.beam_names, beams, "beam")
         p = _indices(self.plane_names, planes, "plane")
-        rows = [(f"beam {self.beam_names[k]}", name) for k in i for name in BEAM_COORDINATES]
-        rows += [(f"plane {self.plane_names[k]}", name) for k in p for name in PLANE_COORDINATES]
+        rows = [(f"beam {self.beam_names[k]}", name) for k in i for name in BEAM.numbers]
+        rows += [(f"plane {self.plane_names[k]}", name) for k in p for name in PLANE.numbers]
         return tuple(rows)
 
     def all_beams(self) -> list[FloatArray]:
@@ -219,18 +227,12 @@ def _lifted(rows: FloatArray, lifts: Sequence[FloatArray]) -> FloatArray:
     return np.concatenate([lift @ part for lift, part in parts])
 
 
-def beam_units(length: float) -> FloatArray:
-    """Return the natural units (8,) of the ambient coordinates of a beam for a typical range [m]."""
-    tangent = BEAM.natural_units(length)
-    return np.concatenate((tangent[LOCATION], np.ones(3), tangent[RANGE_ERROR]))
-
-
 def beam_lifts(bases: FloatArray) -> FloatArray:
     """Return (B, 8, 7) from tangent to ambient coordinates of each beam, bases (B, 3, 2)."""
     lifts = np.zeros((len(bases), BEAM.size, BEAM.dim))
-    lifts[:, :3, LOCATION] = np.eye(3)
-    lifts[:, 3:6, DIRECTION] = bases
-    lifts[:, 6:, RANGE_ERROR] = np.eye(2)
+    lifts[:, OF_LOCATION, LOCATION] = np.eye(3)
+    lifts[:, OF_DIRECTION, DIRECTION] = bases
+    lifts[:, OF_RANGE_ERROR, RANGE_ERROR] = np.eye(2)
     return lifts
 
 

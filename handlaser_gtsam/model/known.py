@@ -15,6 +15,7 @@ from .families import (
     LOCATION,
     MOUNT_DIM,
     PLANE,
+    POSE,
     Family,
     Motion,
     bases,
@@ -26,7 +27,7 @@ from .sensors.mounted import SENSOR
 from .targets.point import POINT
 from .targets.sphere import SPHERE
 
-BODY = register(Family("body", (Motion(),), ("rx", "ry", "rz", "x", "y", "z"), (0, 0, 0, 1, 1, 1)))
+BODY = register(Family("body", (Motion(),), POSE.coordinates, POSE.powers))
 """The pose of a rigid body whose planes are known in its own frame."""
 DIRECTIONS = {PLANE.name: slice(0, 3), BEAM.name: slice(3, 6)}
 """Where the unit vector stands among the numbers of a variable."""

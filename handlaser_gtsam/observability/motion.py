@@ -18,6 +18,7 @@ from ..data.ordering import sorted_readings
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
+from ..model.families import count_unknowns
 from ..quantities import SINGULAR
 from ..starts.choice import find_start
 from ..starts.translations import SPANNING
@@ -101,7 +102,7 @@ def check_motion(recording: Recording) -> MotionCheck:
         tuple((name, int(numbers[p])) for p, name in enumerate(recording.plane_names)),
     )
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
-    parts, leans, unknowns = _open_in_general(readings, names), True, readings.unknowns(0)
+    parts, leans, unknowns = _open_in_general(readings, names), True, count_unknowns(readings, 0)
     motion = poor_motion(readings)
     if motion is not None:
         parts, leans = _open_before_planes(readings, names, motion, parts)
@@ -178,7 +179,7 @@ def _open_before_planes(
     at = find_start(readings, terms=0, effort="normal").parameters
     try:
         e = model.residuals(model.scene(at, readings), readings.distance)
-        rms = float(np.sqrt(e @ e / max(len(readings) - readings.unknowns(0), 1)))
+        rms = float(np.sqrt(e @ e / max(len(readings) - count_unknowns(readings, 0), 1)))
         sigma = max(rms, LEAST_NOISE * readings.typical_range())
         observed = observability(at, readings, 0, sigma)
         leans = some_plane_leans(motion, at, readings, sigma)

@@ -208,8 +208,8 @@ def observability(
     alone = np.arange(of_beams.shape[1], short)
     null_planes[which, :, alone] = information.local_axes[which, :, column]
     return Observability(
-        rank=len(beam) + 3 * planes - short,
-        unknowns=len(beam) + 3 * planes,
+        rank=len(beam) + PLANE.dim * planes - short,
+        unknowns=len(beam) + PLANE.dim * planes,
         condition=float(np.sqrt(top / float(values[0]) if short == 0 else np.inf)),
         null_space=(null_beams.reshape(readings.beams, width, short), null_planes),
         length=readings.typical_range(),

@@ -10,7 +10,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.value import Value
-from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
+from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR
 from ..model.joint import beam_lifts
 from ..model.sensors.mounted import ERRORS
 from ..text import some
@@ -164,7 +164,9 @@ def open_coordinates(
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far the null space reaches into each coordinate: beams (B, 8), planes (P, 4)."""
     if observed.full:
-        return np.zeros((len(parameters.locations), 8)), np.zeros((len(parameters.offsets), 4))
+        return np.zeros((len(parameters.locations), BEAM.size)), np.zeros(
+            (len(parameters.offsets), len(PLANE.numbers))
+        )
     beams, planes = _normalized(observed.null_space)
     lifted = beam_lifts(model.tangent_basis(parameters.directions))[:, :, : beams.shape[1]] @ beams
     flat = np.zeros((len(planes), 4, beams.shape[2]))
@@ -232,7 +234,7 @@ def _part_words(part: OpenPart) -> str:
     if part.quantity == "direction" and count == 1:
         return f"direction towards {vector_words(axes[:, 0])}"
     if part.quantity == "range error":
-        terms = ERRORS if part.kind == "sensor" else ("k1", "k2")
+        terms = ERRORS if part.kind == "sensor" else BEAM.coordinates[RANGE_ERROR]
         known = zip(terms, np.linalg.norm(axes, axis=1) <= WORTH_A_WORD, strict=False)
         return f"range error {' and '.join(name for name, enough in known if not enough)}"
     return part.quantity

@@ -13,6 +13,7 @@ from ..arrays import BoolArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import residuals_or_infinite as residuals
+from ..model.families import count_unknowns
 from ..model.losses import Loss
 from ..model.search import LossScale
 from ..quantities import MAJORITY
@@ -98,7 +99,7 @@ class ConsensusJudge:
                 return True
         if not (agreed and self.fits_well(screening, SURE_FIT)):
             return False
-        unknowns = good.unknowns(self.terms)
+        unknowns = count_unknowns(good, self.terms)
         share = (unknowns + 0.5 * max(len(good) - unknowns, 0)) / len(good)
         rule = LossScale(least_scale(good, self.range_sigma), max(share, 0.5))
         most = refine_many(

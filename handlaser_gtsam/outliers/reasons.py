@@ -70,6 +70,8 @@ def reasons(
     names: BeamAndPlaneNames,
 ) -> Reasons:
     """Explain every reading that is not `kept` (N,); good ones have the sigma `range_sigma` [m]."""
+    if kept.all():
+        return Reasons((), {}, (), residuals(parameters, readings))
     beam_names, plane_names = names.sorted_beams(), names.sorted_planes()
     rows = np.flatnonzero(~kept)
     left = np.bincount(readings.station[kept], minlength=int(readings.station.max()) + 1)

@@ -20,7 +20,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.equation import residuals_or_infinite as residuals
-from ..model.families import MOUNT_DIM
+from ..model.families import MOUNT_DIM, count_unknowns
 from ..observability.rank import observability
 from ..quantities import EXACT, FAR_SIGMAS, MAJORITY, MOST_ROUNDS
 from ..solvers.refine import refine
@@ -138,7 +138,7 @@ def beyond_chance(
     """
     e = np.abs(residuals(parameters, readings))
     kept = e <= FAR_SIGMAS * scale
-    total, good, unknowns = len(e), int(kept.sum()), readings.unknowns(terms)
+    total, good, unknowns = len(e), int(kept.sum()), count_unknowns(readings, terms)
     if good <= unknowns:
         return -np.inf
     sigma = _sigma_of(readings, e[kept], terms, range_sigma)
@@ -151,7 +151,7 @@ def _sigma_of(
     readings: Readings, residual: FloatArray, terms: int, range_sigma: float | None
 ) -> float:
     """Return the sigma [m] of the residuals of agreeing readings, at least the given one."""
-    free = max(len(residual) - readings.unknowns(terms), 1)
+    free = max(len(residual) - count_unknowns(readings, terms), 1)
     estimated = float(np.sqrt((residual @ residual) / free))
     return max(range_sigma or 0.0, estimated, EXACT * readings.largest_range())
 
@@ -215,7 +215,7 @@ def judge(
     """
     e = residuals(parameters, readings)
     unit = np.where(sigmas > 0.0, sigmas, 1.0)
-    free = max(int(kept.sum()) - readings.unknowns(terms), 1)
+    free = max(int(kept.sum()) - count_unknowns(readings, terms), 1)
     z = e[kept] / unit[kept]
     estimated = float(np.sqrt((z @ z) / free))
     typical = float(np.median(unit[kept]))
@@ -238,7 +238,7 @@ def judge(
 
 def enough(readings: Readings, kept: BoolArray, terms: int) -> bool:
     """Tell whether the `kept` readings are a majority, and enough for every beam and plane."""
-    if kept.sum() < max(MAJORITY * len(readings), readings.unknowns(terms) + 1):
+    if kept.sum() < max(MAJORITY * len(readings), count_unknowns(readings, terms) + 1):
         return False
     beams = np.bincount(readings.beam[kept], minlength=readings.beams)
     planes = np.bincount(readings.plane[kept], minlength=readings.planes)

@@ -73,6 +73,7 @@ def advice_lines(plan: Plan) -> list[str]:
     lines = [
         f"next best stations, hand poses world_T_hand; after these {number}: "
         f"{plan.forecast.words(number)} (now {plan.forecast.words(0)})"
+        + "".join(f"; {words}" for words in plan.assumed)
     ]
     quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
     for j, plane in enumerate(stations.plane_labels):

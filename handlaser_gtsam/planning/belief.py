@@ -1,15 +1,17 @@
 """What is known of beams and planes before the next stations: a Gaussian about a calibration."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..errors import InputError
+from ..model.effects import EFFECTS, OF_STATIONS
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, covariance_roots
@@ -53,7 +55,13 @@ class Belief:
         How far the truth may be from the mean. It differs from `covariance` in what a person knows
         and the calibration does not use: where a plate stands roughly.
     errors : tuple of str
-        Codes of systematic errors of readings that the next stations are to determine.
+        Codes of systematic errors that are unknowns: freed ones, and the ones that the stations are to
+        determine. A size that goes with a power of the reading is that at one metre.
+    turned_from : (3, 3)
+        Mean orientation of the hand in the recording behind it, from which errors of turns count.
+    uncounted : tuple of str
+        Codes of freed errors of which the next stations are taken to have none, because it depends on
+        when they are measured, or on the plate.
     """
 
     mean: Parameters
@@ -65,6 +73,8 @@ class Belief:
     plane_names: tuple[str, ...]
     spread: FloatArray
     errors: tuple[str, ...] = ()
+    turned_from: FloatArray = field(default_factory=lambda: np.eye(3))
+    uncounted: tuple[str, ...] = ()
 
     @property
     def beams(self) -> int:
@@ -153,7 +163,7 @@ def transported(bases: FloatArray, directions: FloatArray) -> FloatArray:
 def belief_of(calibration: Calibration | Mounts) -> Belief:
     """Return what a calibration knows of beams and its last planes, and the noise behind it.
 
-    Mounts know no planes.
+    Freed errors that a station has by itself are unknowns beside them. Mounts know no planes.
 
     Raises
     ------
@@ -190,4 +200,45 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
         noise = calibration.variances or given
     pose = calibration.pose_covariance
     noise = replace(noise, pose=None if pose is None else pose[None])
-    return Belief(mean, covariance, bases, plane_bases, origins, noise, names, covariance)
+    belief = Belief(mean, covariance, bases, plane_bases, origins, noise, names, covariance)
+    if isinstance(calibration, Mounts) or not calibration.effects:
+        return belief
+    return _with_freed(belief, rows, calibration)
+
+
+def _with_freed(belief: Belief, rows: IntArray, calibration: Calibration) -> Belief:
+    """Return the belief of a calibration with its freed errors, as far as stations have them.
+
+    `rows` are those of the belief that the covariance of the calibration has, too: all of its beams,
+    and its last planes.
+    """
+    every, recording = calibration.effects, calibration.recording
+    others = dict.fromkeys(effect.code for effect in every if effect.code not in OF_STATIONS)
+    belief = replace(belief, uncounted=tuple(others))
+    counted = [n for n, effect in enumerate(every) if effect.code in OF_STATIONS]
+    if not counted:
+        return belief
+    effects = [every[n] for n in counted]
+    if recording is None:
+        raise InputError("freed errors without a recording", "a calibration from its recording")
+    largest = float(np.nanmax(calibration.used_in(recording).ranges))
+    # A plan counts by how much readings are too long; freed sizes are those that are taken off.
+    unit = np.array([-(largest ** -(EFFECTS[e.code].power or 0)) for e in effects])
+    of_effects = np.array([effect.of_effects[counted] for effect in effects])
+    of_mounts = np.array([effect.of_mounts for effect in effects])
+    beams = int((rows < belief.first_error).sum())
+    kept = np.r_[:beams, of_mounts.shape[1] - (len(rows) - beams) : of_mounts.shape[1]]
+    across = np.zeros((len(effects), len(belief.covariance)))
+    across[:, rows] = unit[:, None] * of_mounts[:, kept]
+    joint = np.block([[belief.covariance, across.T], [across, of_effects * np.outer(unit, unit)]])
+    known = len(belief.covariance)
+    order = np.insert(np.arange(known), belief.first_error, np.arange(known, len(joint)))
+    joint = joint[np.ix_(order, order)]
+    seen = ~np.isnan(recording.ranges).all(axis=1)
+    return replace(
+        belief,
+        covariance=joint,
+        spread=joint,
+        errors=tuple(effect.code for effect in effects),
+        turned_from=Rotation.from_matrix(recording.world_R_hand[seen]).mean().as_matrix(),
+    )

@@ -17,7 +17,7 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
-from ..model.effects import OF_READINGS
+from ..model.effects import EFFECTS, OF_READINGS
 from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, DIRECTION, PLANE
 from ..model.weighting import covariance_roots, reading_sigmas, whitening
@@ -81,16 +81,24 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     by_beam[:, each, each] = J[..., : BEAM.dim]
     rows[..., : belief.first_error] = by_beam.reshape(count, beams, -1)
     if belief.errors:
-        seen = SeenStations(belief.mean, readings, readings.station, np.arange(beams))
-        errors = np.stack([OF_READINGS[code](seen, 1.0) for code in belief.errors], axis=1)
-        by_errors = errors.reshape(count, beams, -1)
-        rows[..., belief.first_error : belief.first_plane] = by_errors
+        each_beam = np.arange(beams)
+        seen = SeenStations(belief.mean, readings, readings.station, each_beam, belief.turned_from)
+        for column, code in enumerate(belief.errors, belief.first_error):
+            rows[..., column] = _error_column(code, seen).reshape(count, beams)
     for plane in range(len(belief.plane_names)):
         first, here = belief.first_plane + PLANE.dim * plane, stations.plane == plane
         rows[here, :, first : first + PLANE.dim] = J[here, :, BEAM.dim :]
     how = whitening(belief.mean, readings, belief.variances.for_stations(count))
     white = how.apply_rows(rows.reshape(count * beams, -1)) / how.sigma
     return white.reshape(rows.shape)
+
+
+def _error_column(code: str, stations: SeenStations) -> FloatArray:
+    """Return the derivatives (N,) by an error that stations have by themselves; see `Belief.errors`."""
+    effect = EFFECTS[code]
+    if effect.twists is not None:
+        return stations.by_poses(effect.twists(stations))[:, 0]
+    return OF_READINGS[code](stations, 1.0)
 
 
 def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
@@ -130,7 +138,8 @@ def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, fl
     """
     count, first, C = len(plausible), belief.first_error, belief.covariance
     wide = np.insert(np.insert(C, [first] * count, 0.0, axis=0), [first] * count, 0.0, axis=1)
-    joint = replace(belief, covariance=wide, spread=wide, errors=tuple(plausible))
+    errors = (*plausible, *belief.errors)
+    joint = replace(belief, covariance=wide, spread=wide, errors=errors)
     rows = recorded_rows(joint, recording).reshape(-1, len(wide))
     columns = first + np.arange(count)
     A, J = rows[:, columns], np.delete(rows, columns, axis=1)

@@ -46,6 +46,8 @@ class Plan(Value):
         sensor's limits.
     skipped : int
         Stations fewer than were chosen: the arm found no way to them, nor to others in their place.
+    uncounted : tuple of str
+        Codes of errors that were free in the calibration, of which the stations are taken to have none.
     """
 
     stations: StationList
@@ -56,6 +58,17 @@ class Plan(Value):
     plates: Mapping[str, Plate] = field(default_factory=dict)
     safe: float | None = None
     skipped: int = 0
+    uncounted: tuple[str, ...] = ()
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """What it takes for granted of freed errors, in words, a sentence each."""
+        if not self.uncounted:
+            return ()
+        words = ", ".join(self.uncounted)
+        return (
+            f"the stations are taken to be without the freed errors {words}: let there be none",
+        )
 
     def __len__(self) -> int:
         """Return how many stations are to be read."""
@@ -109,4 +122,5 @@ def planned(
     forecast = task.forecast(station_rows(belief, stations[np.sort(kept)]))
     reached = forecast.reaches(task.goal) if task.goal.stated else None
     put = {} if plates is None else dict(plates)
-    return Plan(listed, ranges, sigmas, forecast, reached, put, safe, skipped), np.sort(kept)
+    plan = Plan(listed, ranges, sigmas, forecast, reached, put, safe, skipped, belief.uncounted)
+    return plan, np.sort(kept)

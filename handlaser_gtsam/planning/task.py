@@ -94,15 +94,10 @@ def planning_task(
     Raises
     ------
     InputError
-        No covariance, plane or workspace is known; the calibration has systematic errors that were
-        unknowns; or the goal asks for errors of which no plausible size is known, or without the
-        recording that may show them.
+        No covariance, plane or workspace is known; or the goal asks for errors of which no plausible
+        size is known, or without the recording that may show them.
     """
     recording = None if isinstance(calibration, Mounts) else calibration.recording
-    if not isinstance(calibration, Mounts) and calibration.effects:
-        raise InputError(
-            "errors that were unknowns, which a plan cannot count", "none of them free"
-        )
     if workspace is None:
         if recording is None:
             raise InputError(
@@ -118,7 +113,8 @@ def planning_task(
             )
         used = calibration.used_in(recording)
         sizes = goal.plausible(sensor, float(np.nanmax(used.ranges)))
-        belief = with_errors(belief, used, sizes)
+        unknown = {code: size for code, size in sizes.items() if code not in belief.errors}
+        belief = with_errors(belief, used, unknown)
     if plates is not None:
         belief = belief.before(plates)
     if not belief.plane_names:

@@ -34,7 +34,7 @@ from .fit import fit_of, linear_rows
 from .freed import Freed
 from .lines import NAMES_IN_LINE
 from .problem import Problem, named_estimates
-from .reports import Beam, Determined, Fit, Plane, StartReport
+from .reports import Beam, Determined, Fit, FreedEffect, Plane, StartReport
 from .rivals import rival_warnings
 from .systematic import SystematicError, systematic_errors
 from .uncertainty import joint_covariance, with_scales
@@ -100,7 +100,9 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
         growth = together.growth
         joint = joint_covariance(problem, solution, fit, freed)
         joint = joint.grown(growth, together.plane_growth)
-    effects = () if freed is None or growth is None else freed.reports(growth)
+    effects: tuple[FreedEffect, ...] = ()
+    if freed is not None and joint is not None and growth is not None:
+        effects = freed.reports(problem, joint, growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
@@ -167,16 +169,7 @@ def _tested(
     found, together = systematic_errors(
         rows, names, stations, known=known, dof=fit.dof, plausible=plausible
     )
-    beams = [i for _, i in names.beams]
-    moves = [
-        f"{what}_{size}"
-        for what in ("location", "direction", "spot")
-        for size in ("shift", "error")
-    ]
-    ordered = tuple(
-        replace(one, **{name: getattr(one, name)[beams] for name in moves}) for one in found
-    )
-    return ordered, together
+    return found, together
 
 
 def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..model.errors_in_variables import weighed
-from ..model.joint import BEAM_COORDINATES, PLANE_COORDINATES
+from ..model.families import BEAM, PLANE, Family
 from ..model.losses import Loss
 from ..model.weighting import whitening
 from ..quantities import UNIT_SIGMA
@@ -23,10 +23,6 @@ if TYPE_CHECKING:  # both take long to import, and few need them
     import polars as pl
 
     from ..solvers.graph import CalibrationGraph
-
-
-UNITS = {"x": "_m", "y": "_m", "z": "_m", "b": "_m", "k2": "_per_m"}
-"""Ends of the names of coordinates that have a unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -177,21 +173,20 @@ class Calibration(CalibrationData):
         """
         beams, planes = list(self.beams.values()), list(self.planes.values())
         terms = {"terms": [beam.terms for beam in beams]}
-        of_beams = _table({"beam": list(self.beams), **terms}, BEAM_COORDINATES, beams)
-        return of_beams, _table({"plane": list(self.planes)}, PLANE_COORDINATES, planes)
+        of_beams = _table({"beam": list(self.beams), **terms}, BEAM, beams)
+        return of_beams, _table({"plane": list(self.planes)}, PLANE, planes)
 
 
 def _table(
-    first: Mapping[str, object], names: tuple[str, ...], rows: Sequence[Beam | Plane]
+    first: Mapping[str, object], family: Family, rows: Sequence[Beam | Plane]
 ) -> "pl.DataFrame":
     """Return a table of its first columns, then of coordinates, then of their standard deviations."""
     import polars as pl
 
     values, sigmas = {}, {}
-    for index, name in enumerate(names):
-        unit = UNITS.get(name, "")
-        values[name + unit] = [one.coordinates[index] for one in rows]
+    for index, (name, key) in enumerate(zip(family.numbers, family.keys, strict=True)):
+        values[key] = [one.coordinates[index] for one in rows]
         known = [None if one.sigma is None else one.sigma[index] for one in rows]
-        sigmas[f"{name}_sigma{unit}"] = known
+        sigmas[f"{name}_sigma{key.removeprefix(name)}"] = known
     numbers = values | sigmas
     return pl.DataFrame({**first, **numbers}, schema_overrides=dict.fromkeys(numbers, pl.Float64))

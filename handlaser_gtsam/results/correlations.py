@@ -6,25 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..model.joint import BEAM_COORDINATES, JointCovariance
+from ..model.families import BEAM, OF_DIRECTION, OF_RANGE_ERROR
+from ..model.joint import JointCovariance
 
 STRONG = 0.95
 """Two unknowns whose correlation is larger in size are hardly distinguished: each would be known three
 times as well if the other were known."""
-LABELS = (*(f"{what} {axis}" for what in ("location", "direction") for axis in "xyz"), "k1", "k2")
-"""Names of the coordinates, in the order of `joint.BEAM_COORDINATES`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """One of the eight coordinates of a beam, as `joint.BEAM_COORDINATES` counts them."""
+    """One of the numbers of a beam, as its family counts them."""
 
     beam: str
     number: int
 
     def __str__(self) -> str:
         """Return "beam NAME QUANTITY"."""
-        return f"beam {self.beam} {LABELS[self.number]}"
+        return f"beam {self.beam} {BEAM.labels[self.number]}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +37,7 @@ class Correlation:
     @property
     def advice(self) -> str:
         """What would tell the two apart."""
-        if max(self.first.number, self.second.number) >= LABELS.index("k1"):
+        if max(self.first.number, self.second.number) >= OF_RANGE_ERROR.start:
             return "measure over a wider span of ranges, or estimate fewer range-error terms"
         if self.first.beam != self.second.beam:
             return "add planes with other normals"
@@ -59,11 +58,11 @@ def correlation_matrix(
     covariance : (8 B, 8 B)
         Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
     """
-    width = len(BEAM_COORDINATES)
+    width = BEAM.size
     variance = np.diagonal(covariance)
     keep = variance > 0.0
     for index, v in enumerate(directions):
-        keep[width * index + 3 + int(np.abs(v).argmax())] = False
+        keep[width * index + OF_DIRECTION.start + int(np.abs(v).argmax())] = False
     rows = np.flatnonzero(keep)
     sigma = np.sqrt(variance[rows])
     unknowns = tuple(Coordinate(beams[row // width], row % width) for row in rows.tolist())

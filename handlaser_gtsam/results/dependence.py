@@ -93,12 +93,16 @@ class Dependence:
 INDEPENDENT = Dependence()
 
 
-def dependence(rows: LinearRows, *, known: bool, found: FloatArray) -> Dependence:
+def dependence(
+    rows: LinearRows, projection: Projection, *, known: bool, found: FloatArray
+) -> Dependence:
     """Test the residuals at a solution for correlation between neighbours in time.
 
     Parameters
     ----------
     rows : LinearRows
+    projection : Projection
+        Of these rows, beside their prior.
     known : bool
         Whether the size of the noise was given.
     found : (N, q)
@@ -107,7 +111,7 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray) -> Dependenc
     chains = _Chains(rows.readings, rows.position)
     if chains.joined.sum() < LEAST_PAIRS:
         return INDEPENDENT
-    projection, how = Projection(rows, rows.prior), rows.how
+    how = rows.how
 
     def left(columns: FloatArray) -> FloatArray:
         """Whiten what unknowns and systematic errors that were found leave of columns (N, q)."""
@@ -118,15 +122,15 @@ def dependence(rows: LinearRows, *, known: bool, found: FloatArray) -> Dependenc
     if found.size:
         explained = np.linalg.qr(left(found))[0]
     count = int(np.clip(NUMBERS // len(rows.readings), LEAST_DRAWS, DRAWS))
-    # A fixed seed: the same recording gives the same result each time.
-    white = np.random.default_rng(20).standard_normal((len(rows.readings), count))
     seen = chains.squares(left(rows.residual[:, None]))[:, 0]
     if not seen[0] > 0.0:
         return INDEPENDENT
-    # A few draws suffice where the sums are not even half as far above them as the test asks.
-    quiet = chains.squares(left(how.coloured(white[:, :LEAST_DRAWS])))
-    if not _stand_out(seen, quiet, 0.5 * FAR_SIGMAS):
+    # A few draws suffice where the sums are not even half as far above them as the test asks. A fixed
+    # seed: the same recording gives the same result each time.
+    few = np.random.default_rng(20).standard_normal((len(rows.readings), LEAST_DRAWS))
+    if not _stand_out(seen, chains.squares(left(how.coloured(few))), 0.5 * FAR_SIGMAS):
         return INDEPENDENT
+    white = np.random.default_rng(20).standard_normal((len(rows.readings), count))
     quiet = chains.squares(left(how.coloured(white)))
     if not _stand_out(seen, quiet, FAR_SIGMAS):
         return INDEPENDENT

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray, frozen
 from ..data.noise import LEAST_SIGMA, Noise
 from ..errors import CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
@@ -103,16 +103,39 @@ class Freed:
         moved = beam_lifts(tangent_basis(directions)) @ self.beams
         return np.asarray(np.sqrt(np.einsum("bcq,qr,bcr->bc", moved, self.covariance, moved)))
 
-    def reports(self, growth: float) -> tuple[FreedEffect, ...]:
-        """Return the sizes with their standard deviations, `growth` times as large."""
-        sigma = growth * self.prior * np.sqrt(np.diagonal(self.covariance))
-        parts = self.prior * self.columns.size, sigma, self.prior, self.determined
+    def reports(
+        self, problem: Problem, joint: JointCovariance, growth: float
+    ) -> tuple[FreedEffect, ...]:
+        """Return the sizes with their standard deviations, `growth` times as large.
+
+        `joint` is the covariance of beams and planes that they have grown, with names.
+        """
+        covariance = growth**2 * self.prior[:, None] * self.covariance
+        i, p = (
+            [index for _, index in part] for part in (problem.names.beams, problem.names.planes)
+        )
+        planes, centres = self.planes[p], joint.origins - problem.origins[p]
+        tilts = np.einsum("pij,piq->pjq", joint.plane_bases, planes[:, :3])
+        offsets = planes[:, 3] + np.einsum("pi,piq->pq", centres, planes[:, :3])
+        follow = np.concatenate((tilts, offsets[:, None]), axis=1).reshape(-1, len(covariance))
+        follow = np.concatenate((self.beams[i][modelled(joint.terms)], follow))
+        known = (covariance * self.prior, covariance @ follow.T, self.determined)
+        sigma = np.sqrt(np.diagonal(known[0]))
+        parts = (self.prior * self.columns.size, sigma, self.prior, *known)
         rows = zip(self.columns.codes, self.subjects, *parts, strict=True)
         return tuple(
             FreedEffect(
-                code, subject, EFFECTS[code].unit, float(a), float(s), float(p), bool(known)
+                code=code,
+                subject=subject,
+                unit=EFFECTS[code].unit,
+                size=float(size),
+                sigma=float(sigma),
+                prior_sigma=float(prior),
+                determined=bool(determined),
+                of_effects=frozen(of_effects),
+                of_mounts=frozen(of_mounts),
             )
-            for code, subject, a, s, p, known in rows
+            for code, subject, size, sigma, prior, of_effects, of_mounts, determined in rows
         )
 
     def warnings(self, effects: tuple[FreedEffect, ...]) -> tuple[CalibrationWarning, ...]:

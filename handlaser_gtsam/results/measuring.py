@@ -13,6 +13,7 @@ from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.value import Value
 from ..errors import InputError
+from ..model.families import BEAM
 from ..model.joint import JointCovariance, plane_lift
 from ..quantities import NEGLIGIBLE
 from .calibration_fields import CalibrationData
@@ -111,10 +112,10 @@ def measured_plane(calibration: CalibrationData, readings: Mapping[str, float]) 
     n, middle = found
     n = n if v.mean(axis=0) @ n > 0.0 else -n
     # The heights of the spots above the plane: by all coordinates, and by the readings.
-    heights = np.zeros((len(names), 8 * len(names)))
+    heights = np.zeros((len(names), BEAM.size * len(names)))
     noise = np.zeros(len(names))
     for i, (name, (_, J, slope)) in enumerate(zip(names, spots, strict=True)):
-        heights[i, 8 * i : 8 * i + 8] = n @ J
+        heights[i, BEAM.size * i : BEAM.size * (i + 1)] = n @ J
         noise[i] = (n @ v[i]) * slope * _range_sigma(calibration, name)
     S = heights @ joint.matrix(names, []) @ heights.T + np.diag(noise**2)
     basis = model.tangent_basis(n[None])[0]

@@ -17,6 +17,7 @@ from ..data.noise import LEAST_SIGMA, Noise
 from ..data.recording_checks import require_once
 from ..data.value import Value
 from ..errors import InputError
+from ..model.families import BEAM
 from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from ..text import shown
 from .calibration import Calibration
@@ -62,7 +63,7 @@ class Mounts(Value):
         for name in ("locations", "directions", "range_errors", "covariance"):
             object.__setattr__(self, name, number_array(name, getattr(self, name)))
         count = len(self.names)
-        shapes = [(count, 3), (count, 3), (count, 2), (8 * count, 8 * count)]
+        shapes = [(count, 3), (count, 3), (count, 2), (BEAM.size * count,) * 2]
         arrays = (self.locations, self.directions, self.range_errors, self.covariance)
         if [a.shape for a in arrays] != shapes or len(self.terms) != count:
             raise InputError(f"arrays of shapes {[a.shape for a in arrays]}", f"{shapes}")
@@ -113,7 +114,7 @@ class Mounts(Value):
     @property
     def sigma(self) -> FloatArray:
         """Standard deviations (B, 8) of (x, y, z, vx, vy, vz, k1, k2)."""
-        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 8)
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, BEAM.size)
 
     def arranged(self, names: tuple[str, ...]) -> "Mounts":
         """Return the mounts of the named beams, in that order.
@@ -127,7 +128,7 @@ class Mounts(Value):
             if name not in self.names:
                 raise InputError(f"beam {shown(name)}", f"one of {', '.join(self.names)}")
         at = [self.names.index(name) for name in names]
-        rows = np.concatenate([np.arange(8 * i, 8 * i + 8) for i in at])
+        rows = np.concatenate([BEAM.size * i + np.arange(BEAM.size) for i in at])
         return Mounts(
             names,
             self.locations[at],

@@ -11,6 +11,7 @@ from ..data.noise import Noise
 from ..data.ordering import Order
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
+from ..model.families import BEAM, PLANE
 from ..model.joint import JointCovariance
 from ..model.sensor import Sensor
 from ..observability.wording import BeamAndPlaneNames
@@ -97,7 +98,10 @@ def named_estimates(
     undetermined : (B, 8) and (P, 4) of bool, optional
         Coordinates that have no standard deviation; all have one where not given.
     """
-    masks = undetermined or (np.zeros((len(beams), 8), bool), np.zeros((len(planes), 4), bool))
+    masks = undetermined or (
+        np.zeros((len(beams), BEAM.size), bool),
+        np.zeros((len(planes), len(PLANE.numbers)), bool),
+    )
     of_beams = _known(None if joint is None else joint.all_beams(), masks[0])
     of_planes = _known(None if joint is None else joint.all_planes(), masks[1])
     rows = zip(beams, *at.beams, terms, of_beams, strict=True)

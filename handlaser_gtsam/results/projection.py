@@ -5,6 +5,7 @@ Systematic errors that are unknowns come last: they are few.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -93,8 +94,9 @@ class LinearRows(SeenStations):
         self.normal: Normal = linear.normal
         self.centres = linear.centres
 
+    @cached_property
     def sparse(self) -> csr_array:
-        """Return the derivatives (N, 7 B + 3 P) by all unknowns."""
+        """The derivatives (N, 7 B + 3 P) by all unknowns."""
         readings = self.readings
         beam = BEAM.dim * readings.beam[:, None] + np.arange(BEAM.dim)
         plane = (
@@ -114,7 +116,7 @@ class Projection:
     """
 
     def __init__(self, rows: LinearRows, prior: FloatArray) -> None:
-        self.J, self.how = rows.sparse(), rows.how
+        self.J, self.how = rows.sparse, rows.how
         self.readings, readings, normal = rows.readings, rows.readings, rows.normal
         self.pull = np.zeros((readings.beams, BEAM.dim))
         finite = np.isfinite(prior) & (prior > 0.0)
@@ -184,6 +186,8 @@ class Projection:
         rest = columns.copy()
         pulled = np.zeros((self.pull.size, columns.shape[1])) if pulled is None else pulled.copy()
         moved = np.zeros((self.J.shape[1], columns.shape[1]))
+        if not columns.shape[1]:
+            return rest, pulled, moved
         pull, response = self.pull.reshape(-1, 1), self.response.reshape(-1, self.pull.size)
         for _ in range(2):
             gradient = self.J.T @ self.how.weighed(rest)

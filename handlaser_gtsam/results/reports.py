@@ -253,6 +253,12 @@ class FreedEffect(Value):
         Standard deviation of the zero-mean prior.
     determined : bool
         Whether the readings say more of it than the prior.
+    of_effects : (q,)
+        Covariance with the size of every freed error, itself included, in the order of
+        `Calibration.effects`.
+    of_mounts : (n,)
+        Covariance with the tangent coordinates of beams and planes, in the order of
+        `Calibration.covariance`.
     """
 
     code: str
@@ -262,6 +268,8 @@ class FreedEffect(Value):
     sigma: float
     prior_sigma: float
     determined: bool
+    of_effects: FloatArray
+    of_mounts: FloatArray
 
     @property
     def words(self) -> str:

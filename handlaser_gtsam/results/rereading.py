@@ -16,6 +16,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.ordering import sorted_readings
 from ..data.recording import Readings, Recording
 from ..errors import HandlaserError
+from ..model.families import BEAM, PLANE
 from ..starts import Effort, find_start
 from ..starts.choice import mean_squares_at_a_glance
 
@@ -125,5 +126,5 @@ def one_beam(
 
 def tells(recording: Recording, spare: int = SPARE) -> bool:
     """Tell whether readings are enough, `spare` more than unknowns, to judge another way."""
-    unknowns = 7 * len(recording.beam_names) + 3 * len(recording.plane_names)
+    unknowns = BEAM.dim * len(recording.beam_names) + PLANE.dim * len(recording.plane_names)
     return bool((~np.isnan(recording.ranges)).sum() >= unknowns + spare)

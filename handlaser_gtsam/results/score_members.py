@@ -30,10 +30,14 @@ class CommonErrors:
     """
 
     def __init__(self, rows: LinearRows, kinds: Sequence[tuple[str, Everywhere]]) -> None:
-        self.columns = np.hstack([kind.columns for _, kind in kinds])
-        self.mix = np.asarray(block_diag(*(kind.mix for _, kind in kinds)))
-        self.position = np.concatenate([kind.since for _, kind in kinds])
-        self.codes = np.repeat([code for code, _ in kinds], [len(kind.since) for _, kind in kinds])
+        # There may be none: all of them can be unknowns.
+        none = Everywhere(np.empty((len(rows.readings), 0)))
+        every = [none, *(kind for _, kind in kinds)]
+        self.columns = np.hstack([kind.columns for kind in every])
+        self.mix = np.asarray(block_diag(*(kind.mix for kind in every)))
+        self.position = np.concatenate([kind.since for kind in every])
+        codes = [code for code, kind in kinds for _ in kind.since]
+        self.codes = np.array(codes, dtype=str)
         self.plane = self.beam = np.full(len(self.codes), -1)
         self.squares = self._squares(rows.how.weighed(self.columns))
 

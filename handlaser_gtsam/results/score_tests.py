@@ -61,6 +61,8 @@ class ScoreTests:
     Attributes
     ----------
     rows : LinearRows
+    projection : Projection
+        Beside the prior.
     dof : int or None
         Behind the scale of the noise; None where it is given.
     growth : float
@@ -93,7 +95,8 @@ class ScoreTests:
         self.plane = np.concatenate([kind.plane for kind in self.kinds])
         self.beam = np.concatenate([kind.beam for kind in self.kinds])
         self.position = np.concatenate([kind.position for kind in self.kinds])
-        self._bound = self._loose = self._adjusted(Projection(rows, rows.prior))
+        self.projection = Projection(rows, rows.prior)
+        self._bound = self._loose = self._adjusted(self.projection)
         if self._bound.projection.pull.any():
             free = np.where(rows.prior > 0.0, np.inf, 0.0)
             self._loose = self._adjusted(Projection(rows, free))

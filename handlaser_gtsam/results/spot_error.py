@@ -39,8 +39,8 @@ from ..checks import require_number
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
 from ..model.distributions import chi2_quantile, f_quantile
-from ..model.families import BEAM, MOUNT_DIM, PLANE, modelled
-from ..model.joint import beam_units, beams_lift
+from ..model.families import BEAM, MOUNT_DIM, OF_RANGE_ERROR, PLANE, modelled
+from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, SINGULAR
 from ..solvers.beam_problem import linearized
@@ -141,15 +141,15 @@ def variance_shares(
     if calibration.covariance is None:
         return None
     S = calibration.covariance.matrix(planes=[])
-    rows = 8 * list(calibration.beams).index(beam) + np.arange(8)
+    rows = BEAM.size * list(calibration.beams).index(beam) + np.arange(BEAM.size)
     J = np.zeros((3, len(S)))
     J[:, rows] = spot_at(calibration, calibration.beams[beam], reading)[1]
     whole = float(np.trace(J @ S @ J.T))
     if whole <= 0.0:
         return VarianceShares(0.0, 0.0, 0.0)
-    k = np.flatnonzero(np.arange(len(S)) % 8 >= 6)
+    k = np.flatnonzero(np.arange(len(S)) % BEAM.size >= OF_RANGE_ERROR.start)
     known = S - S[:, k] @ np.linalg.pinv(S[np.ix_(k, k)], rcond=SINGULAR, hermitian=True) @ S[k]
-    unit = np.tile(beam_units(reading), len(calibration.beams))
+    unit = np.tile(BEAM.number_units(reading), len(calibration.beams))
     values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
     along = J @ (unit * axes[:, -1])
     parts = np.split(axes[:, -1].reshape(-1, 8) ** 2, [3, 6], axis=1)

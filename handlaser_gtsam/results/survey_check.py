@@ -18,7 +18,7 @@ from ..estimation.estimate import Estimate, information_axes, judged, least_info
 from ..estimation.survey import first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import Rows, rows_of
-from ..model.families import BEAM
+from ..model.families import BEAM, RANGE_ERROR
 from ..model.sensors.mounted import ERRORS, SENSOR
 from ..observability.motion import PlaneMotion, motion_before
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
@@ -27,7 +27,7 @@ from .survey import unread_stations
 from .survey_misfit import KIND, NO_FIT, misread, no_fit
 from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
-NOT_OF_MOTION = frozenset((*ERRORS, "k1", "k2"))
+NOT_OF_MOTION = frozenset((*ERRORS, *BEAM.coordinates[RANGE_ERROR]))
 """Coordinates that do not count among the unknowns that a motion has to determine."""
 NEAR_THE_HAND = 10.0
 """Mounts are held to the hand to this many typical ranges (1 sigma), which hides nothing."""

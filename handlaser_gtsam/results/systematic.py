@@ -147,15 +147,16 @@ def systematic_errors(
     Returns
     -------
     tuple of SystematicError
-        Empty where there is no redundancy. Those tested come first, the clearest before all others,
-        then those confounded, and those that no recording can show come last.
+        Empty where there is no redundancy; arrays are in the order of the names. Those tested come
+        first, the clearest before all others, then those confounded, and those that no recording can
+        show come last.
     Dependence
     """
     if dof < (1 if known else 2):
         return (), INDEPENDENT
     plausible = {} if plausible is None else plausible
     tests = ScoreTests(rows, None if known else dof, plausible)
-    together = dependence(rows, known=known, found=tests.found_columns())
+    together = dependence(rows, tests.projection, known=known, found=tests.found_columns())
     if together != INDEPENDENT:
         tests = ScoreTests(rows, None if known else dof, plausible, together.plane_growth)
     first, reports = tests.representatives(), []
@@ -194,6 +195,7 @@ def _report(
     """Return the report of an error that was tested, given its clearest member."""
     code, p, size = str(tests.codes[member]), float(tests.p[member]), float(tests.size[member])
     words, beams, found = EFFECTS[code], names.sorted_beams(), p < FAMILY_LEVEL
+    order = [index for _, index in names.beams]
     family = np.flatnonzero((tests.codes == code) & tests.determined)
     unnoticed = _largest_moves(tests, family, tests.unnoticed[family])
     estimated = _largest_moves(tests, np.array([member]), tests.size[[member]])
@@ -218,12 +220,12 @@ def _report(
         explained_by=explained if found else "",
         detectable=float(tests.detectable[family].max()),
         plausible=plausible,
-        location_shift=unnoticed[0],
-        direction_shift=unnoticed[1],
-        spot_shift=unnoticed[2],
-        location_error=estimated[0],
-        direction_error=estimated[1],
-        spot_error=estimated[2],
+        location_shift=unnoticed[0][order],
+        direction_shift=unnoticed[1][order],
+        spot_shift=unnoticed[2][order],
+        location_error=estimated[0][order],
+        direction_error=estimated[1][order],
+        spot_error=estimated[2][order],
         alike=others,
         message=message,
         remedy=words.remedy,
@@ -235,6 +237,7 @@ def _confounded(
 ) -> SystematicError:
     """Return the report of an error that the recording cannot show."""
     words, size = EFFECTS[code], plausible.get(code, np.inf)
+    order = [index for _, index in names.beams]
     family = np.flatnonzero(tests.codes == code)
     unknown = np.full((tests.rows.readings.beams, 3), np.nan)
     unknown_spot = np.full((len(unknown), 4, 3), np.nan)
@@ -255,9 +258,9 @@ def _confounded(
         code=code,
         unit=words.unit,
         plausible=size,
-        location_shift=shift,
-        direction_shift=turn,
-        spot_shift=spot,
+        location_shift=shift[order],
+        direction_shift=turn[order],
+        spot_shift=spot[order],
         location_error=unknown,
         direction_error=unknown,
         spot_error=unknown_spot,

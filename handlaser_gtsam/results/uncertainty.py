@@ -9,6 +9,7 @@ from ..estimation.covariance import covariance_of_determined
 from ..estimation.posterior import ScaleEstimate
 from ..estimation.scales import RANGE
 from ..estimation.solution import Solution
+from ..model.families import BEAM
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.weighting import Variances
@@ -98,7 +99,7 @@ def with_scales(
     if freed is not None:
         spread = np.hypot(spread, freed.beam_sigmas(solution.parameters.directions).ravel())
     means, sigmas = (
-        growth * array.reshape(len(mixed.weight), -1, 8)[:, beams]
+        growth * array.reshape(len(mixed.weight), -1, BEAM.size)[:, beams]
         for array in (mixed.means, spread)
     )
     mixture = BeamMixture(mixed.weight, means, sigmas, mixed.members)

@@ -15,6 +15,7 @@ from ..estimation.selection import Selection
 from ..estimation.solution import Minimum, Solution
 from ..estimation.task import WEIGHTS_SETTLED
 from ..model.errors_in_variables import weighed
+from ..model.families import BEAM
 from ..model.sensor import FLAT, OUTSIDE
 from ..model.weighting import Whitening, unequal, whitening
 from ..observability.rank import Observability, ObservabilityOptions, observability
@@ -131,7 +132,7 @@ class BatchProblem:
             parameters, joint = integrated.parameters, integrated.joint
         else:
             joint = covariance(problem, result.values)
-        sigmas = np.sqrt(np.diagonal(joint.matrix(planes=[]))).reshape(-1, 8)
+        sigmas = np.sqrt(np.diagonal(joint.matrix(planes=[]))).reshape(-1, BEAM.size)
         return Comparison(*state.apart(parameters.beams, sigmas))
 
     def scale_problem(self, parameters: Parameters) -> ScaleProblem:

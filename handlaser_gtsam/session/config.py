@@ -16,7 +16,7 @@ from ..estimation.learned import LearnedScales
 from ..estimation.options import CalibrationOptions
 from ..factors import beam_drift
 from ..factors.keys import BeamKeys, beam_keys
-from ..model.joint import beam_units
+from ..model.families import BEAM
 from ..model.weighting import Variances
 from ..quantities import KNOWN
 from ..results.calibration import Calibration
@@ -168,7 +168,7 @@ class SessionConfig:
 
     def determines(self, state: BeamState) -> bool:
         """Tell whether the beams are known to a part of their natural units."""
-        return bool((state.sigmas() < KNOWN * beam_units(self.length)).all())
+        return bool((state.sigmas() < KNOWN * BEAM.number_units(self.length)).all())
 
     def apart(self, beams: Beams, other: Beams) -> float:
         """Return how far two estimates of the beams are apart, in natural units."""

@@ -12,7 +12,7 @@ from ..errors import GrazingBeamError
 from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tangent_columns
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
 from ..model.block import Block, whitened
-from ..model.families import BEAM, PLANE, modelled
+from ..model.families import BEAM, PLANE, count_unknowns, modelled
 from ..model.losses import GAUSSIAN, Loss
 from ..model.priors import VectorPrior
 from ..model.reduction import Normal, Reduction, damped_step
@@ -81,7 +81,7 @@ def beam_problem(
         {BEAM.name: modelled([terms])[0], PLANE.name: True},
         local,
     )
-    dof = max(block.size - readings[0].unknowns(terms), 1)
+    dof = max(block.size - count_unknowns(readings[0], terms), 1)
     return LeastSquares(tuple(blocks), reduction, unit, rounding, dof, robust), block
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..data.parameters import Beams
 from ..factors import RangeBlock
+from ..model.families import BEAM
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class BeamState:
 
     def sigmas(self) -> FloatArray:
         """Return the standard deviations (B, 8)."""
-        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, 8)
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, BEAM.size)
 
     def apart(self, beams: Beams, sigmas: FloatArray) -> tuple[float, float]:
         """Return how far another estimate is: largest difference of a coordinate and of a sigma.

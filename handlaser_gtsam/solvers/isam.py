@@ -25,7 +25,8 @@ from ..checks import require_count, require_number
 from ..data.parameters import Parameters
 from ..factors import RangeBlock, gathered, range_factor
 from ..factors.keys import BeamKeys, plane_key
-from ..model.joint import beam_units, beams_lift
+from ..model.families import BEAM
+from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
 from .beam_state import BeamState, GraphPart
 from .graph import parameters_of
@@ -84,7 +85,7 @@ class IncrementalGraph:
         self._keys = [key for beam in beams for key in beam.variables]
         part = (options or IncrementalOptions()).relinearize
         self._thresholds = _thresholds_of(part, length, self.beams, terms)
-        self._unit = beam_units(length)
+        self._unit = BEAM.number_units(length)
         self._isam = gtsam.ISAM2(_isam_parameters(self._thresholds))
         self._view = self._isam.getLinearizationPoint()
         self._factors: dict[int, tuple[int, ...]] = {}

@@ -14,7 +14,8 @@ updated at its solution, as is the noise of the readings that the residuals show
 what multiplies the range errors. How a pose moves a range is found by moving the pose.
 
 Systematic errors can be unknowns: sizes a, each with a row a / p of its prior. They move the poses, or
-they make the readings longer; what an error of size 1 does is held and updated as weights are.
+they make the readings longer; what an error of size 1 does is held and updated as weights are
+(`reference_errors`).
 """
 
 from collections.abc import Mapping
@@ -26,9 +27,10 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import block_diag, csr_array, vstack
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
+from .reference_errors import ReferenceErrors
 from .unit_vectors import UnitVectors
 
 DENSE_UNKNOWNS = 200
@@ -41,16 +43,6 @@ REWEIGHTINGS = 4
 """Updates of the weights; each leaves about a thousandth of the error that the one before left."""
 NOISE_LIMIT = 4.0
 """Standard deviations of a reading that count as noise; stated again, for nothing is shared."""
-ERRORS = (
-    "incidence",
-    "cubic",
-    "sag",
-    "lag",
-    "turn-scale",
-    "translation-scale",
-    "carry-over",
-)
-"""Systematic errors that can be unknowns here, by the codes of the package."""
 POSE_STEP = 1e-6
 """Step of the differences by a hand pose [rad, m], or by a shift of a ray [m]: about the cube root of
 the rounding of doubles."""
@@ -73,8 +65,8 @@ class ReferenceSolution:
         Jacobian evaluations.
     message : str
         SciPy's.
-    sizes, size_sigmas : mapping of str to float
-        Of systematic errors that are unknowns, by code, with their standard deviations.
+    sizes, size_sigmas : mapping of (str, str) to float
+        Of systematic errors that are unknowns, by code and subject, with their standard deviations.
     """
 
     parameters: Parameters
@@ -83,8 +75,8 @@ class ReferenceSolution:
     squares: float
     iterations: int
     message: str
-    sizes: Mapping[str, float]
-    size_sigmas: Mapping[str, float]
+    sizes: Mapping[tuple[str, str], float]
+    size_sigmas: Mapping[tuple[str, str], float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +111,11 @@ class ReferenceProblem:
     prior : RangeErrorPrior, optional
         Of the range errors, beside weighted residuals.
     errors : mapping of str to float, optional
-        Systematic errors that are unknowns, of `ERRORS`, with the sigmas of their priors.
+        Systematic errors that are unknowns, of `reference_errors.ERRORS`, with the sigmas of their
+        priors.
+    used : (M, B) of bool, optional
+        Which of the readings are solved; all of them where not given. The errors are defined by those
+        between the smallest and the largest of these.
     """
 
     def __init__(
@@ -129,32 +125,32 @@ class ReferenceProblem:
         terms: int | tuple[int, ...],
         prior: RangeErrorPrior | None = None,
         errors: Mapping[str, float] | None = None,
+        used: BoolArray | None = None,
     ) -> None:
         self.beams, self.planes = len(recording.beam_names), len(recording.plane_names)
         self.terms = (terms,) * self.beams if isinstance(terms, int) else terms
-        self.station, self.beam = np.nonzero(~np.isnan(recording.ranges))
+        used = ~np.isnan(recording.ranges) if used is None else used
+        low, high = recording.ranges[used].min(), recording.ranges[used].max()
+        seen = (recording.ranges >= low) & (recording.ranges <= high)
+        self.station, self.beam = np.nonzero(seen)
+        self.used = used[seen]
         self.plane = recording.plane_of_station[self.station]
         self.d = recording.ranges[self.station, self.beam]
         samples = (
             np.ones(recording.ranges.shape) if recording.samples is None else recording.samples
         )
         self.samples = samples[self.station, self.beam]
-        self.R = recording.world_R_hand[self.station]
-        self.t = recording.world_t_hand[self.station]
         self.directions = UnitVectors.of(start.directions)
         self.normals = UnitVectors.of(start.normals)
         self.active = np.array([[True] * 5 + [n > 0, n > 1] for n in self.terms])
         beam = (start.locations, self.directions.pack(start.directions), start.range_errors)
         plane_part = np.column_stack((self.normals.pack(start.normals), start.offsets))
-        self.errors = dict(errors or {})
-        none = np.zeros(len(self.errors))
+        self.errors = ReferenceErrors(errors or {}, recording, seen)
+        none = np.zeros_like(self.errors.sigma)
         self.x0 = np.concatenate((np.hstack(beam)[self.active], plane_part.ravel(), none))
         self.split = int(self.active.sum())
         self.last = self.split + 3 * self.planes
-        self.seen = np.unique(self.station)
-        self.hands = recording.world_R_hand, recording.world_t_hand
-        self.plane_of_station = recording.plane_of_station
-        self.per_size = np.zeros((len(self.d), len(self.errors)))
+        self.per_size = np.zeros((len(self.d), len(none)))
         self.whiten: csr_array | None = None
         self.base = self.level = self.d
         # One more row for every range error of which something is known: k / its sigma.
@@ -186,68 +182,26 @@ class ReferenceProblem:
         )
 
     def residuals(self, x: FloatArray) -> FloatArray:
-        """Return predicted less corrected ranges (N,): [m], or in sigmas once there are weights."""
+        """Return predicted less corrected ranges of the readings used.
+
+        In metres, or in sigmas, with rows of the priors, once there are weights.
+        """
         beam = self._beams(x)[self.beam]
-        R, t = self._poses(x)
-        s = self._ranges(x, R, t)[0]
+        s = self._ranges(x, *self._poses(x))[0]
         longer = self.per_size @ x[self.last :]
         level = self.level - longer
         residual = s - (self.base - longer + level * (beam[:, 5] + beam[:, 6] * level))
+        residual = residual[self.used]
         if self.whiten is None:
-            return residual
-        of_errors = x[self.last :] / np.array([*self.errors.values()])
+            return np.asarray(residual)
+        of_errors = x[self.last :] / self.errors.sigma
         known = x[self.prior_at] / self.prior_sigma
         return np.concatenate((self.whiten @ residual, known, of_errors))
 
     def _poses(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the true hand poses of all readings, at the sizes of errors that move the hand."""
-        size = dict(zip(self.errors, x[self.last :].tolist(), strict=True))
-        if not size.keys() & {"lag", "turn-scale", "translation-scale"}:
-            return self.R, self.t
-        R, t = self.hands
-        turn, shift = np.zeros_like(t), np.zeros_like(t)
-        if "turn-scale" in size:
-            U, _, V = np.linalg.svd(R[self.seen].sum(axis=0))
-            mean = U @ np.diag([1.0, 1.0, np.linalg.det(U @ V)]) @ V
-            turn += size["turn-scale"] * Rotation.from_matrix(mean.T @ R).as_rotvec()
-        if "translation-scale" in size:
-            shift += size["translation-scale"] * t
-        for p in range(self.planes if "lag" in size else 0):
-            own = self.seen[self.plane_of_station[self.seen] == p]
-            for place, station in enumerate(own):
-                first, last = own[max(place - 1, 0)], own[min(place + 1, len(own) - 1)]
-                part = size["lag"] / max(min(place, 1) + min(len(own) - 1 - place, 1), 1)
-                turn[station] += part * Rotation.from_matrix(R[first].T @ R[last]).as_rotvec()
-                shift[station] += part * (t[last] - t[first])
-        R = (Rotation.from_matrix(R) * Rotation.from_rotvec(turn)).as_matrix()
-        return R[self.station], (t + shift)[self.station]
-
-    def _per_size(
-        self, x: FloatArray, R: FloatArray, t: FloatArray, s: FloatArray, cosine: FloatArray
-    ) -> FloatArray:
-        """Return by how much errors of size 1 make readings longer (N, q), given ranges and cosines."""
-        beam = self._beams(x)[self.beam]
-        slope = 1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d
-        longer = np.zeros((len(self.d), len(self.errors)))
-        for number, code in enumerate(self.errors):
-            if code == "incidence":
-                longer[:, number] = (1.0 - cosine**2) / cosine**2
-            elif code == "cubic":
-                longer[:, number] = (self.d / self.d.max()) ** 3
-            elif code == "sag":
-                v = self.directions.unpack(self._beams(x)[:, 3:5])[self.beam]
-                spot = np.matmul(R, (beam[:, :3] + s[:, None] * v)[:, :, None])[..., 0] + t
-                for p in range(self.planes):
-                    spot[self.plane == p] -= spot[self.plane == p].mean(axis=0)
-                square = (spot**2).sum(axis=1)
-                longer[:, number] = square / square.max() / np.abs(cosine) / slope
-            elif code == "carry-over":
-                true = self.d * (1.0 + beam[:, 5] + beam[:, 6] * self.d)
-                table = np.full((len(self.hands[0]), self.beams), np.nan)
-                table[self.station, self.beam] = self.d + (s - true) / slope
-                change = np.roll(table, 1, axis=1) - table
-                longer[:, number] = np.nan_to_num(change[self.station, self.beam])
-        return longer
+        R, t = self.errors.hands(x[self.last :])
+        return R[self.station], t[self.station]
 
     def _ranges(self, x: FloatArray, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return ranges [m] and cosines of incidence from given hand poses."""
@@ -264,7 +218,11 @@ class ReferenceProblem:
         beam = self._beams(x)[self.beam]
         R, t = self._poses(x)
         s, cosine = self._ranges(x, R, t)
-        self.per_size = self._per_size(x, R, t, s, cosine)
+        slope = 1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d
+        expected = self.d + (s - self.d * (1.0 + beam[:, 5] + beam[:, 6] * self.d)) / slope
+        v = self.directions.unpack(self._beams(x)[:, 3:5])[self.beam]
+        spot = np.matmul(R, (beam[:, :3] + s[:, None] * v)[:, :, None])[..., 0] + t
+        self.per_size = self.errors.longer(self.d, expected, cosine, slope, spot)
         longer = self.per_size @ x[self.last :]
         d = self.d - longer
         slope = (1.0 + beam[:, 5] + 2.0 * beam[:, 6] * d) / np.sqrt(self.samples)
@@ -285,8 +243,8 @@ class ReferenceProblem:
                 sides.append(self._ranges(x, R @ turn, moved)[0])
             J[:, axis] = (sides[0] - sides[1]) / (2.0 * POSE_STEP)
         blocks, order = [], []
-        for station in np.unique(self.station):
-            rows = np.flatnonzero(self.station == station)
+        for station in np.unique(self.station[self.used]):
+            rows = np.flatnonzero((self.station == station) & self.used)
             C = np.diag(variance[rows])
             if noise.pose is not None:
                 C += J[rows] @ noise.pose[station] @ J[rows].T
@@ -303,15 +261,16 @@ class ReferenceProblem:
     def sparsity(self) -> csr_array:
         """Return which unknowns each residual depends on."""
         of_plane = self.split + self.plane[:, None] * 3 + np.arange(3)
-        of_errors = np.tile(self.last + np.arange(len(self.errors)), (len(self.d), 1))
-        columns = np.hstack((self.number[self.beam], of_plane, of_errors))
-        rows = np.repeat(np.arange(len(self.d)), columns.shape[1])
+        errors = self.last + np.arange(len(self.errors.sigma))
+        columns = np.hstack((self.number[self.beam], of_plane, np.tile(errors, (len(self.d), 1))))
+        columns = columns[self.used]
+        rows = np.repeat(np.arange(len(columns)), columns.shape[1])
         seen = columns.ravel() >= 0
-        shape = (len(self.d), len(self.x0))
+        shape = (len(columns), len(self.x0))
         depends = csr_array((np.ones(seen.sum()), (rows[seen], columns.ravel()[seen])), shape=shape)
         if self.whiten is None:
             return depends
-        known = np.concatenate((self.prior_at, self.last + np.arange(len(self.errors))))
+        known = np.concatenate((self.prior_at, errors))
         more = np.arange(len(known))
         prior = csr_array((np.ones(len(more)), (more, known)), shape=(len(more), len(self.x0)))
         return csr_array(vstack((abs(self.whiten) @ depends, prior)))
@@ -383,15 +342,17 @@ def solve_reference(
     noise: ReferenceNoise | None = None,
     prior: RangeErrorPrior | None = None,
     errors: Mapping[str, float] | None = None,
+    used: BoolArray | None = None,
 ) -> ReferenceSolution:
     """Solve `recording` from `start` with `terms` range-error terms, and its covariances.
 
     Central differences cost twice as much as forward ones and agree with exact derivatives to a
     millionth of a standard deviation and better. With `noise`, covariances and squares are in its
     units, without it for a range sigma of 1 m. A `prior` of the range errors, or systematic `errors`
-    that are unknowns (of `ERRORS`, with the sigmas of their priors), need `noise`.
+    that are unknowns (with the sigmas of their priors), need `noise`; see `ReferenceProblem` for
+    `errors` and `used`.
     """
-    problem = ReferenceProblem(recording, start, terms, prior, errors)
+    problem = ReferenceProblem(recording, start, terms, prior, errors, used)
     if errors and noise is not None:
         problem.weigh(problem.x0, noise)
     solution = minimize(problem, "3-point")
@@ -410,6 +371,6 @@ def solve_reference(
         2.0 * float(solution.cost),
         int(solution.njev),
         str(solution.message),
-        dict(zip(problem.errors, best[problem.last :].tolist(), strict=True)),
-        dict(zip(problem.errors, sigmas.tolist(), strict=True)),
+        dict(zip(problem.errors.members, best[problem.last :].tolist(), strict=True)),
+        dict(zip(problem.errors.members, sigmas.tolist(), strict=True)),
     )

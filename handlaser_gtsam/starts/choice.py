@@ -17,6 +17,7 @@ from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.equation import plausible_range_errors, residuals_or_infinite
+from ..model.families import count_unknowns
 from ..quantities import MAJORITY, ROUNDING
 from ..solvers.refine import Refined, refine_many
 from .beam_minima import with_better_beams
@@ -159,7 +160,7 @@ def _polished(start: Parameters, readings: Readings, terms: int) -> tuple[Parame
 
 def usable_terms(readings: Readings, terms: int) -> int:
     """Return how many range-error terms a start can have: few readings would fit anything."""
-    spare = len(readings) - readings.unknowns(0) - SPARE_READINGS
+    spare = len(readings) - count_unknowns(readings, 0) - SPARE_READINGS
     return int(np.clip(spare // readings.beams, 0, terms))
 
 
@@ -167,7 +168,7 @@ def fits_sigma(squares: float, readings: Readings, range_sigma: float | None, te
     """Tell whether a sum of squares [m^2] agrees with the given range sigma [m]."""
     if squares <= len(readings) * (ROUNDING * readings.largest_range()) ** 2:
         return True
-    dof = len(readings) - readings.unknowns(terms)
+    dof = len(readings) - count_unknowns(readings, terms)
     if dof <= 0 or range_sigma is None:
         return False
     return squares <= range_sigma**2 * (dof + 4.0 * float(np.sqrt(2.0 * dof)))

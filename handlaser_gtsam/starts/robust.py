@@ -22,6 +22,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.families import count_unknowns
 from ..model.losses import Loss
 from ..model.search import LossScale
 from ..quantities import FAR_SIGMAS, ROUNDING
@@ -96,7 +97,7 @@ def _rounds(
     readings: Readings, others: Sequence[Parameters], terms: int, rng: np.random.Generator
 ) -> Iterator[Round]:
     """Yield starts on subsets, sweeps of all readings and random starts."""
-    total, unknowns = len(readings), readings.unknowns(terms)
+    total, unknowns = len(readings), count_unknowns(readings, terms)
     parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in GOOD_SHARES]
     parts = [min(max(part, 0.5), 1.0) for part in parts]
     # A reading far beyond the bulk, as of 100 m, would tilt every plane: none takes part above five

@@ -103,9 +103,9 @@ def _kappas(series: _Series, readings: Readings) -> FloatArray | None:
 
 def _series(readings: Readings) -> _Series | None:
     cells = model.rotation_cells(readings.world_R_hand)
-    labels = np.column_stack((readings.plane, readings.beam, cells))
-    _, first, index = np.unique(labels, axis=0, return_index=True, return_inverse=True)
-    index = index.ravel()
+    rotation = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    labels = (readings.plane * readings.beams + readings.beam) * len(rotation) + rotation
+    _, first, index = np.unique(labels, return_index=True, return_inverse=True)
     count = np.bincount(index)
     d = readings.distance
     columns = np.column_stack((readings.world_t_hand, d, d * d))

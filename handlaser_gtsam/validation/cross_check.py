@@ -10,9 +10,11 @@ from ..checks import require_kind
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
+from ..model.families import OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
-from ..solvers.reference import ERRORS, ReferenceNoise, solve_reference
+from ..solvers.reference import ReferenceNoise, solve_reference
+from ..solvers.reference_errors import ERRORS
 from ..starts import find_start
 
 
@@ -60,7 +62,7 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     if calibration.fit.loss != "gaussian":
         raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
     used = calibration.used_in(recording)
-    start = find_start(used.readings()).parameters
+    start, solved = find_start(used.readings()).parameters, None
     errors = {effect.code: effect.prior_sigma for effect in calibration.effects}
     without = [code for code in errors if code not in ERRORS]
     if without:
@@ -72,12 +74,12 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     if variances is not None:
         noise = ReferenceNoise(variances.range_sigma, variances.incidence_sigma, variances.pose)
     if calibration.recorded is not None:  # with the errors in it; their priors have units
-        used = calibration.recorded.without(np.isnan(calibration.fit.residuals))
+        used, solved = calibration.recorded, ~np.isnan(calibration.fit.residuals)
         if noise is None:
             noise = ReferenceNoise(np.full(len(calibration.beams), calibration.fit.range_sigma))
     scaled = calibration.at_scales
     prior = None if scaled is None else scaled.range_error_prior
-    reference = solve_reference(used, start, terms, noise=noise, prior=prior, errors=errors)
+    reference = solve_reference(used, start, terms, noise, prior, errors, solved)
     own = calibration.parameters() if scaled is None else scaled.parameters
     joint = calibration.covariance if scaled is None else scaled.covariance
     if joint is None:
@@ -86,7 +88,11 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     found = reference.parameters
     off = [ours - theirs for ours, theirs in zip(own.beams, found.beams, strict=True)]
     of_planes = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
-    of_beam = {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, 8)}
+    of_beam = {
+        "location": OF_LOCATION,
+        "direction": OF_DIRECTION,
+        "range error": OF_RANGE_ERROR,
+    }
     of_plane = {"normal": slice(0, 3), "offset": slice(3, 4)}
     S, T = variance * reference.beam_covariances, variance * reference.plane_covariances
     beams = zip(calibration.beams, np.hstack(off), joint.all_beams(), S, strict=True)
@@ -97,11 +103,12 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         for name, e, mine, other in all_of_kind
     ]
     for effect in calibration.effects:
-        off_size = np.array([effect.size - reference.sizes[effect.code]])
+        member = effect.code, effect.subject
+        off_size = np.array([effect.size - reference.sizes[member]])
         mine, other = (
-            np.array([[sigma**2]]) for sigma in (effect.sigma, reference.size_sigmas[effect.code])
+            np.array([[sigma**2]]) for sigma in (effect.sigma, reference.size_sigmas[member])
         )
-        rows.append((effect.code, off_size, mine, other, {"size": slice(0, 1)}))
+        rows.append((" ".join(member).strip(), off_size, mine, other, {"size": slice(0, 1)}))
     return compared(rows, reference.iterations)
 
 

@@ -16,6 +16,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
+from ..model.families import BEAM, PLANE
 from ..model.joint import JointCovariance
 from ..model.weighting import Variances, reading_sigmas
 from ..results.calibration import Calibration
@@ -94,9 +95,9 @@ def predicted(
     lin = model.linearize(x, readings.distance)
     J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
     S = joint.matrix(recording.beam_names, recording.plane_names)
-    first = 8 * len(beams)
-    of_beam = 8 * readings.beam[:, None] + np.arange(8)
-    of_plane = first + 4 * readings.plane[:, None] + np.arange(4)
+    first, width = BEAM.size * len(beams), len(PLANE.numbers)
+    of_beam = BEAM.size * readings.beam[:, None] + np.arange(BEAM.size)
+    of_plane = first + width * readings.plane[:, None] + np.arange(width)
     columns = np.hstack((of_beam, of_plane))
     of_reading = S[columns[:, :, None], columns[:, None, :]]
     variance = np.einsum("ni,nij,nj->n", J, of_reading, J)

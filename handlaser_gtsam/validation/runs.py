@@ -19,7 +19,7 @@ from ..errors import HandlaserError
 from ..estimation.many_recordings import solve_many
 from ..estimation.options import CalibrationOptions
 from ..model.distributions import gaussian_quantile
-from ..model.families import MOUNT_DIM, RANGE_ERROR
+from ..model.families import BEAM, MOUNT_DIM, RANGE_ERROR
 from ..model.joint import beam_lifts
 from ..pipeline import calibrate
 from ..quantities import IN_DEG, IN_MM
@@ -89,7 +89,7 @@ def calibrate_each(
         except HandlaserError as error:
             estimates.append(error)
             continue
-        none = np.full((8, 8), np.nan)
+        none = np.full((BEAM.size, BEAM.size), np.nan)
         covariances = [
             none if beam.covariance is None else beam.covariance for beam in result.beams.values()
         ]

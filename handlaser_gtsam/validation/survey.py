@@ -180,7 +180,7 @@ def _problem(found: SurveyEstimate) -> SurveyProblem:
     plane = values.get(PLANE.name, np.zeros((0, 7)))
     start = {
         "sensor": values.get(SENSOR.name, np.zeros((0, 12)))[:, :12],
-        "beam": values.get(BEAM.name, np.zeros((0, 8))),
+        "beam": values.get(BEAM.name, np.zeros((0, BEAM.size))),
         "plane": np.column_stack(
             (plane[:, :3], plane[:, 3] - (plane[:, :3] * plane[:, 4:]).sum(1))
         ),

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import FloatArray
 from ...data.recording_checks import require_once
 from ...errors import InputError
+from ...model.families import BEAM, OF_DIRECTION
 from ...model.geometry import normalized
 from ...quantities import IN_DEG, IN_MM, SINGULAR
 from ...results.mounts import Mounts
@@ -104,8 +105,8 @@ def _beams(mounts: Mounts, axis: Axis) -> Iterator[Placed]:
     """
     directions = normalized(mounts.directions)
     for i, name in enumerate(mounts.names):
-        sigma, at = mounts.sigma[i], slice(8 * i + 3, 8 * i + 6)
-        turn = math.sqrt(max(float(np.linalg.eigvalsh(mounts.covariance[at, at])[-1]), 0.0))
+        sigma, at = mounts.sigma[i], np.arange(BEAM.size * i, BEAM.size * (i + 1))[OF_DIRECTION]
+        turn = math.sqrt(max(float(np.linalg.eigvalsh(mounts.covariance[np.ix_(at, at)])[-1]), 0.0))
         x, y, z = (f"{value * IN_MM:.3g}" for value in sigma[:3])
         words = [f"location +- {x} {y} {z} mm", f"direction +- {turn * IN_DEG:.3g} deg"]
         k1, k2 = mounts.range_errors[i]

@@ -82,7 +82,8 @@ def assembled(
     lines = [", ".join(count(number, what) for number, what in parts), poses.words, log.words]
     if log.lag[1]:
         sigma = f"{1e3 * log.lag[1]:.2g} ms"
-        lines.append(f"readings are stamped {_late(log.lag[0])} than poses, estimated to {sigma}")
+        late = f"these are stamped {_late(log.lag[0])} than poses (+- {sigma})"
+        lines.append(f"a lag between poses and readings: {late}")
     elif log.lag[0]:
         lines.append(f"readings are taken to be stamped {_late(log.lag[0])} than poses")
     if repeated:

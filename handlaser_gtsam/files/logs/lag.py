@@ -29,6 +29,7 @@ from ...data.readings import Readings
 from ...errors import InputError
 from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.equation import residuals_or_infinite
+from ...model.families import count_unknowns
 from ...model.search import LevenbergOptions
 from ...quantities import MOST_ROUNDS, ROUNDING
 from ...solvers.many_problems import solve_together
@@ -249,7 +250,7 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     origins = readings.plane_means(readings.world_t_hand)
     start = find_start(readings.seen_from(origins), None, 0, effort="quick").parameters
     terms = RANGE_ERROR_TERMS["auto"]
-    count = len(readings) - readings.unknowns(terms)
+    count = len(readings) - count_unknowns(readings, terms)
     step, found, shown = COARSE, None, 0
     for _ in range(MOST_ROUNDS):
         lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...model.conventions import Convention, inverted, poses_of
+from ...model.geometry import steps_between
 from ...quantities import ROWS_AT_ONCE
 
 
@@ -107,10 +108,10 @@ def interpolated(
 
     Positions are linear, and rotations go along the shortest turn.
     """
-    w, first = part[:, None], Rotation.from_quat(q[rows[:, 0]])
-    step = (first.inv() * Rotation.from_quat(q[rows[:, 1]])).as_rotvec()
-    position = (1.0 - w) * p[rows[:, 0]] + w * p[rows[:, 1]]
-    return first * Rotation.from_rotvec(w * step), position
+    before, after = rows.T
+    w, first, second = part[:, None], Rotation.from_quat(q[before]), Rotation.from_quat(q[after])
+    turn, shift = steps_between(first, second, p[before], p[after])
+    return first * Rotation.from_rotvec(w * turn), p[before] + w * shift
 
 
 def nearest(times: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...arrays import FloatArray
+from ...model.families import BEAM
 from ...planning.picture import logarithmic_ticks
 from ...quantities import IN_DEG, IN_MM
-from ...results.correlations import LABELS, STRONG, correlation_matrix
+from ...results.correlations import STRONG, correlation_matrix
 from ..json_text import Record
 from .figure import (
     COLOURS,
@@ -46,7 +47,7 @@ def correlation_figure(
 ) -> Figure:
     """Return the correlations of beams as a map; arguments as of `correlation_matrix`."""
     unknowns, C = correlation_matrix(names, directions, covariance)
-    labels = [(unknown.beam, LABELS[unknown.number]) for unknown in unknowns]
+    labels = [(unknown.beam, BEAM.labels[unknown.number]) for unknown in unknowns]
     beams = list(dict.fromkeys(beam for beam, _ in labels))
     first = [next(i for i, (beam, _) in enumerate(labels) if beam == name) for name in beams]
     ends = [*first[1:], len(labels)]

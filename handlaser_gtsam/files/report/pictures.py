@@ -13,6 +13,7 @@ import numpy as np
 
 from ...checks import require_kind
 from ...errors import InputError
+from ...model.families import BEAM
 from ...results.calibration import Calibration
 from ..calibration_file import CalibrationFile
 from ..calibration_reading import mounts_of
@@ -129,7 +130,7 @@ def _of_file(calibration: CalibrationFile) -> tuple[list[Geometry | None], list[
     reach = np.array(
         [np.nan if beam.spot is None else beam.spot.reading_m for beam in calibration.beams]
     )
-    S = mounts.covariance[: 8 * LEGEND, : 8 * LEGEND]
+    S = mounts.covariance[: BEAM.size * LEGEND, : BEAM.size * LEGEND]
     flat = correlation_figure(mounts.names[:LEGEND], mounts.directions[:LEGEND], S)
     return [of_hand(mounts.names, beams, reach)], [flat]
 

@@ -43,6 +43,8 @@ OF_READINGS = {
     code: effect.of_readings for code, effect in EFFECTS.items() if effect.of_readings is not None
 }
 """Columns of the errors that a reading has by itself, whenever it is taken."""
+OF_STATIONS = (*OF_READINGS, TURN_SCALE.code, TRANSLATION_SCALE.code)
+"""Errors that a station has by itself, whenever and after whatever other station it is measured."""
 
 
 def may_also_be(codes: tuple[str, ...]) -> str:
@@ -50,4 +52,4 @@ def may_also_be(codes: tuple[str, ...]) -> str:
     return f"it may also be {' or '.join(EFFECTS[code].without_size() for code in codes)}"
 
 
-__all__ = ["EFFECTS", "OF_READINGS", "Effect", "may_also_be"]
+__all__ = ["EFFECTS", "OF_READINGS", "OF_STATIONS", "Effect", "may_also_be"]

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray, IntArray
 from ...data.parameters import Parameters
@@ -40,12 +41,20 @@ class SeenStations:
         Order in time of each reading's station in the recording.
     channel : (B,)
         Which column of the recording each beam is.
+    middle : (3, 3), optional
+        Orientation of the hand from which turns count; the mean of the stations where not given.
     """
 
     def __init__(
-        self, at: Parameters, readings: Readings, position: IntArray, channel: IntArray
+        self,
+        at: Parameters,
+        readings: Readings,
+        position: IntArray,
+        channel: IntArray,
+        middle: FloatArray | None = None,
     ) -> None:
         self.at, self.readings, self.position, self.channel = at, readings, position, channel
+        self.given_middle = middle
 
     @cached_property
     def time(self) -> FloatArray:
@@ -72,6 +81,17 @@ class SeenStations:
         """A row of every station that has readings (S,), and which of these each row is of (N,)."""
         _, row, station = np.unique(self.readings.station, return_index=True, return_inverse=True)
         return row, station
+
+    @cached_property
+    def middle(self) -> FloatArray:
+        """Orientation (3, 3) of the hand from which turns count."""
+        given = self.given_middle
+        return np.asarray(self.rotations.mean().as_matrix() if given is None else given)
+
+    @cached_property
+    def rotations(self) -> Rotation:
+        """Orientations of the hand at every station (S,)."""
+        return Rotation.from_matrix(self.readings.world_R_hand[self.first[0]])
 
     @cached_property
     def spots(self) -> FloatArray:

@@ -1,9 +1,14 @@
-"""A lag between poses and readings: the hand is ahead of its recorded pose by a part of a step."""
+"""A lag between poses and readings: the hand is ahead of its recorded pose by a part of a step.
+
+That is what a recording of stations shows of it. Of a log of a moving hand, in which readings and poses
+have times, the lag is known in seconds (`files.logs.lag`); what it does to a pose is the same,
+`geometry.steps_between`.
+"""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ..geometry import steps_between
 from .effect import Effect, SeenStations
 
 
@@ -22,9 +27,10 @@ def twists(stations: SeenStations) -> FloatArray:
     before[same + 1], after[same] = order[same], order[same + 1]
     count = np.maximum((before != order).astype(int) + (after != order), 1)[:, None]
     step = np.zeros((len(row), 6))
-    turn = Rotation.from_matrix(np.swapaxes(R[before], 1, 2) @ R[after]).as_rotvec()
+    turns = stations.rotations
+    turn, shift = steps_between(turns[before], turns[after], t[before], t[after])
     step[order, :3] = turn / count
-    step[order, 3:] = np.einsum("mij,mi->mj", R[order], (t[after] - t[before]) / count)
+    step[order, 3:] = np.einsum("mij,mi->mj", R[order], shift / count)
     return step[..., None]
 
 

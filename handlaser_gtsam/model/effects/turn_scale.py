@@ -9,8 +9,7 @@ from .effect import Effect, SeenStations
 
 def twists(stations: SeenStations) -> FloatArray:
     """Return the turns (S, 6, 1) from the mean orientation."""
-    R = stations.readings.world_R_hand[stations.first[0]]
-    turn = Rotation.from_matrix(Rotation.from_matrix(R).mean().as_matrix().T @ R).as_rotvec()
+    turn = (Rotation.from_matrix(stations.middle).inv() * stations.rotations).as_rotvec()
     return np.hstack((turn, np.zeros_like(turn)))[..., None]
 
 

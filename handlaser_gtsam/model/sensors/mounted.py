@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...quantities import TINY
 from ..block import Values
-from ..families import Family, Motion, Vector, register
+from ..families import POSE, Family, Motion, Vector, register
 from ..ranges import Rays, cross, members, turned, turned_back
 
 ERRORS = ("k0", "k1", "k2", "scale")
@@ -24,8 +24,8 @@ SENSOR = register(
     Family(
         "sensor",
         (Motion(), Vector(len(ERRORS))),
-        ("rx", "ry", "rz", "x", "y", "z", *ERRORS),
-        (0, 0, 0, 1, 1, 1, 1, 0, -1, 0),
+        (*POSE.coordinates, *ERRORS),
+        (*POSE.powers, 1, 0, -1, 0),
     )
 )
 """hand_T_sensor, moved in the sensor's own frame; then the range error."""

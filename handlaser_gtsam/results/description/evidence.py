@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...model.effects.effect import size_in_words
+from ...model.families import BEAM, RANGE_ERROR
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
 from ..calibration_fields import CalibrationData
@@ -302,7 +303,7 @@ def range_error_words(result: CalibrationData) -> str:
         return "taken as zero"
     excluded = {name: zero_excluded(result, name) for name in result.beams}
     listed = []
-    for index, term in enumerate(("k1", "k2")):
+    for index, term in enumerate(BEAM.coordinates[RANGE_ERROR]):
         names = [name for name, found in excluded.items() if found[index]]
         if names:
             listed.append(f"{term}{_beams(names, len(excluded))}")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...arrays import FloatArray
+from ...model.families import BEAM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ...quantities import IN_DEG, IN_MM
-from ..correlations import LABELS
 from ..limits import LimitCheck
 from ..lines import UNDETERMINED, decimals
 from ..measuring import spot, typical_plane
@@ -38,11 +38,12 @@ from .tables import (
 if TYPE_CHECKING:
     from .description import Description
 
+NUMBERS, K1 = range(BEAM.size), OF_RANGE_ERROR.start
 PARTS = {
-    "location": (range(3), "mm", IN_MM, 5),
-    "direction": (range(3, 6), "1", 1.0, 7),
-    "k1": (range(6, 7), "1", 1.0, 7),
-    "k2": (range(7, 8), "1/m", 1.0, 5),
+    "location": (NUMBERS[OF_LOCATION], "mm", IN_MM, 5),
+    "direction": (NUMBERS[OF_DIRECTION], "1", 1.0, 7),
+    "k1": (NUMBERS[K1 : K1 + 1], "1", 1.0, 7),
+    "k2": (NUMBERS[K1 + 1 :], "1/m", 1.0, 5),
 }
 """The coordinates of each part of a mount, the unit in which they are shown, that unit per SI unit, and
 their decimals at most: no sensor shows what is smaller."""
@@ -66,9 +67,9 @@ def beams_table(described: "Description") -> Table | None:
         (
             *of_words("beam"),
             *of_numbers("x mm", "y mm", "z mm", "± mm"),
-            *of_numbers("vx", "vy", "vz", wide=True),
+            *of_numbers(*BEAM.numbers[OF_DIRECTION], wide=True),
             *of_numbers("± deg"),
-            *of_numbers("k1", "k2", wide=True),
+            *of_numbers(*BEAM.numbers[OF_RANGE_ERROR], wide=True),
             *of_numbers("spot mm"),
         ),
         beams,
@@ -82,7 +83,7 @@ def beams_table(described: "Description") -> Table | None:
 
 
 def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
-    sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
+    sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
     location, direction = (
         [
@@ -142,14 +143,14 @@ def mounts_table(described: "Description") -> Table | None:
 def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ...]]:
     """Yield the rows of one beam; no number where the recording determines none."""
     calibration = described.calibration
-    sigma = np.full(8, np.inf) if beam.sigma is None else beam.sigma
+    sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
     interval = calibration.intervals(beam.name)
     interval = np.full((8, 2), np.nan) if interval is None else interval
     for part, (coordinates, unit_name, scale, most) in PARTS.items():
         digits = digits_of((sigma[list(coordinates)] * scale).tolist(), most)
         unit = text(unit_name)
         for i in coordinates[: max(6 + beam.terms - coordinates.start, 0)]:
-            name = text(LABELS[i])
+            name = text(BEAM.labels[i])
             if not math.isfinite(sigma[i]):
                 blank = (Cell(UNDETERMINED, None, "care"), *[Cell(NONE)] * 3)
                 yield text(beam.name), name, *blank, unit

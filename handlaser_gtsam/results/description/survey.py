@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ...model.sensors.mounted import ERRORS, SENSOR
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
 from ..limits import LimitCheck, worst_of_each
@@ -26,8 +27,14 @@ from .tables import (
     text,
 )
 
-UNITS = {"k0": ("mm", IN_MM), "k1": ("%", 100.0), "k2": ("%/m", 100.0), "scale": ("%", 100.0)}
-"""Units of range errors for people, with the factor from SI."""
+SHOWN = {1: ("mm", IN_MM), 0: ("%", 100.0), -1: ("%/m", 100.0)}
+"""Units of range errors for people, with the factor from SI, by the power of the metre."""
+UNITS = {
+    name: SHOWN[power]
+    for name, power in zip(SENSOR.coordinates, SENSOR.powers, strict=True)
+    if name in ERRORS
+}
+"""The same by range error."""
 
 
 def sensors_table(result: SurveyCalibration) -> Table | None:
