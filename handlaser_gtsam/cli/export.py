@@ -3,16 +3,18 @@
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..files.exports.formats import BEAMS, STATIONS, TAKEN
 from ..quantities import MM
 from .answer import print_wrapped, wrote
 from .options import QuietOption
 from .progress_line import Working
 
 if TYPE_CHECKING:
+    from ..data.station_list import StationList
     from ..files.calibration_file import CalibrationFile
     from ..files.survey_json import SurveyFile
 
@@ -23,125 +25,129 @@ FormatChoice = StrEnum(
 AxisChoice = StrEnum("AxisChoice", {"x": "x", "y": "y", "z": "z"})
 
 
+def _option(field: str, words: str, **more: Any) -> Any:
+    """Return the option of a field of `ExportOptions`; its help ends with the formats that take it."""
+    return typer.Option(help=f"{words}: {', '.join(TAKEN[field])}.", **more)
+
+
+FileArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="Result of `handlaser calibrate --out`, or stations of `handlaser plan --out`.",
+        show_default=False,
+    ),
+]
+ToOption = Annotated[
+    FormatChoice,
+    typer.Option(
+        metavar="FORMAT",
+        help=f"{', '.join(BEAMS)} (structured text); of stations {', '.join(STATIONS)}.",
+        show_default=False,
+    ),
+]
+BeamOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NAME", help="This beam; may be given several times. Default: all."),
+]
+LinkOption = Annotated[str | None, _option("link", "The link whose frame is the hand")]
+IntoOption = Annotated[
+    Path | None, _option("into", "A URDF; --out gets it with the beams in it, all else as it was")
+]
+AxisOption = Annotated[
+    AxisChoice | None, _option("axis", "Of a tool frame, lies along the beam; z where not given")
+]
+AtReadingOption = Annotated[
+    float,
+    _option(
+        "at_reading",
+        "Reading at whose laser spot the origin of a tool frame stands, mm; 0: location of the beam",
+    ),
+]
+ToolOption = Annotated[
+    int | None, _option("tool", "The first UTOOL that is set; uses the PR of that number")
+]
+SignalOption = Annotated[int, _option("signal", "Digital output that a program sets at a station")]
+PauseOption = Annotated[
+    float,
+    _option(
+        "pause",
+        "How long a program waits at a station, before it sets the output and while it is set",
+    ),
+]
+PoseFormatOption = Annotated[
+    str | None,
+    _option("pose_format", "Convention of poses, as in docs/logs.md", metavar="NAME"),
+]
+OutOption = Annotated[
+    Path | None, typer.Option(readable=False, help="Write to this file; --into needs it.")
+]
+
+
 def export(
-    file: Annotated[
-        Path,
-        typer.Argument(
-            help="Result of `handlaser calibrate --out`, or stations of `handlaser plan --out`.",
-            show_default=False,
-        ),
-    ],
-    to: Annotated[
-        FormatChoice,
-        typer.Option(
-            metavar="FORMAT",
-            help="urdf, xacro, ros2-static, ros2-yaml, kuka, abb, fanuc, ur, c, python or st "
-            "(structured text); of stations krl, rapid, tp, urscript (programs) or poses.",
-            show_default=False,
-        ),
-    ],
-    beam: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", help="This beam; may be given several times. Default: all."),
-    ] = None,
-    link: Annotated[
-        str | None,
-        typer.Option(help="The link whose frame is the hand: urdf, xacro, ros2-static, ros2-yaml."),
-    ] = None,
-    into: Annotated[
-        Path | None,
-        typer.Option(help="A URDF: --out gets it with the beams in it, all else as it was."),
-    ] = None,
-    axis: Annotated[
-        AxisChoice | None,
-        typer.Option(
-            help="Of a tool frame, lies along the beam: kuka, abb, fanuc, ur. Default: z."
-        ),
-    ] = None,
-    at_reading_mm: Annotated[
-        float,
-        typer.Option(
-            help="Reading at whose laser spot the origin of a tool frame stands, mm; 0 is the location "
-            "of the beam: kuka, abb, fanuc, ur."
-        ),
-    ] = 0.0,
-    tool: Annotated[
-        int | None,
-        typer.Option(help="The first UTOOL that is set; uses the PR of that number: fanuc."),
-    ] = None,
-    signal: Annotated[
-        int,
-        typer.Option(
-            help="Digital output that a program sets at a station: krl, rapid, tp, urscript."
-        ),
-    ] = 1,
-    pause_s: Annotated[
-        float,
-        typer.Option(
-            help="How long a program waits at a station, before it sets the output and while it is set."
-        ),
-    ] = 1.0,
-    pose_format: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Convention of poses, as in docs/logs.md: poses."),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="Write to this file; --into needs it."),
-    ] = None,
+    file: FileArgument,
+    to: ToOption,
+    beam: BeamOption = None,
+    link: LinkOption = None,
+    into: IntoOption = None,
+    axis: AxisOption = None,
+    at_reading_mm: AtReadingOption = 0.0,
+    tool: ToolOption = None,
+    signal: SignalOption = 1,
+    pause_s: PauseOption = 1.0,
+    pose_format: PoseFormatOption = None,
+    out: OutOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Write calibrated beams, or planned stations, as robots, ROS and programs take them.
 
     Exit codes: 0 good; 2 bad input; 3 the file holds no calibration that converged.
     """
-    from ..data.station_list import StationList
     from ..errors import InputError
-    from ..files.calibration_reading import read_calibration
-    from ..files.exports.export import ExportOptions, export_text, write_export
-    from ..files.exports.formats import STATIONS
-    from ..files.stations_csv import read_stations
-    from ..files.survey_json import is_survey_result, read_survey_result
-    from ..files.writing import require_outputs
+    from ..files.exports.export import ExportOptions, export_text
+    from ..files.writing import require_outputs, write_text
 
-    text = ""
-    what: StationList | CalibrationFile | SurveyFile
     with Working():
         if out is None and into is not None:
             raise InputError("--into without --out", "--out FILE")
         require_outputs({"--out": out}, (file, into))
         options = ExportOptions(
-            tuple(beam or ()),
-            link or "",
-            None if axis is None else axis.value,
-            at_reading_mm * MM,
-            tool,
-            into,
-            signal,
-            pause_s,
-            pose_format,
+            beams=tuple(beam or ()),
+            link=link or "",
+            axis=None if axis is None else axis.value,
+            at_reading=at_reading_mm * MM,
+            tool=tool,
+            into=into,
+            signal=signal,
+            pause=pause_s,
+            pose_format=pose_format,
         )
-        if to in STATIONS:
-            what = read_stations(file)
-        else:
-            what = read_survey_result(file) if is_survey_result(file) else read_calibration(file)
-        if out is None:
-            text = export_text(what, to.value, options)
-        else:
-            write_export(out, what, to.value, options)
-    if not isinstance(what, StationList):
-        _warn(what)
+        what = _read(file, to.value)
+        text = export_text(what, to.value, options)
+        if out is not None:
+            write_text(out, text)
+    _warn(what)
     if out is None:
         sys.stdout.write(text)
     elif not quiet:
         print_wrapped(wrote(out))
 
 
-def _warn(file: "CalibrationFile | SurveyFile") -> None:
+def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
+    """Return what a format takes of a file: stations, a calibration or the result of a survey."""
+    from ..files.calibration_reading import read_calibration
+    from ..files.stations_csv import read_stations
+    from ..files.survey_json import is_survey_result, read_survey_result
+
+    if to in STATIONS:
+        return read_stations(file)
+    return read_survey_result(file) if is_survey_result(file) else read_calibration(file)
+
+
+def _warn(file: "StationList | CalibrationFile | SurveyFile") -> None:
     """Repeat what the calibration was warned of: a program that uses it will not show that."""
     from ..text import printable
 
-    lines = [one.message for one in file.warnings]
+    lines = [one.message for one in getattr(file, "warnings", ())]
     lines += [
         f"systematic error {one.code}: {one.message}; {one.remedy}"
         for one in getattr(file, "systematic", ())

@@ -5,8 +5,7 @@ A beam has no roll: any frame turned about it is as good. One rule chooses it, `
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,45 +22,19 @@ from ..survey_json import SurveyFile
 from .rendering import comment_text, identifiers
 
 Axis = Literal["x", "y", "z"]
-Placed = tuple[str, str, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Name, comment, location r [m], direction v, rotation of the frame, and (k1, k2) of a beam."""
+Beam = dict[str, Any]
+"""What templates take of a beam in the hand frame, SI units, and of a frame along which it lies.
 
-
-@dataclass(frozen=True, slots=True)
-class ExportedBeam:
-    """A beam in the hand frame, SI units, and a frame one axis of which lies along it.
-
-    Attributes
-    ----------
-    name, identifier : str
-    comment : str
-        Its name, standard deviations and range errors, harmless in a comment of any format.
-    location, direction : 3 numbers
-        r [m] and unit vector v.
-    k1, k2 : float
-        The true range is s = d + k1 d + k2 d^2 for a reading d [m].
-    origin : 3 numbers
-        Of the frame [m].
-    quaternion, angles, rotation_vector : 4, 3 and 3 numbers
-        Of the frame: x, y, z, w; A, B, C with R = Rz(A) Ry(B) Rx(C) [rad]; [rad].
-    """
-
-    name: str
-    identifier: str
-    comment: str
-    location: tuple[float, ...]
-    direction: tuple[float, ...]
-    k1: float
-    k2: float
-    origin: tuple[float, ...]
-    quaternion: tuple[float, ...]
-    angles: tuple[float, ...]
-    rotation_vector: tuple[float, ...]
+`name` and `identifier`; `comment`, its name, standard deviations and range errors, harmless in a
+comment of any format; `location` r [m] and unit vector `direction` v; `k1` and `k2` of the true range
+s = d + k1 d + k2 d^2 of a reading d [m]; of the frame `origin` [m], and `quaternion` (x, y, z, w),
+`angles` (A, B, C) with R = Rz(A) Ry(B) Rx(C) [rad] and `rotation_vector` [rad].
+"""
 
 
 def exported_beams(
     what: Mounts | SurveyFile, names: tuple[str, ...], axis: Axis, reading: float
-) -> tuple[ExportedBeam, ...]:
+) -> tuple[Beam, ...]:
     """Return the named beams, and sensors of a survey; or all where none is named.
 
     The frame of each has its origin where it reads `reading` [m] along the beam, along the z axis of a
@@ -73,32 +46,19 @@ def exported_beams(
         No such beam, one named twice, or names whose identifiers are the same.
     """
     require_once("beam", names)
-    placed = list(_beams(what, axis) if isinstance(what, Mounts) else _sensors(what, axis))
-    found = {}
-    spelt = identifiers([name for name, *_ in placed])
-    for identifier, (name, comment, r, v, R, k) in zip(spelt, placed, strict=True):
-        k1, k2 = k.tolist()
-        turn = Rotation.from_matrix(R)
-        found[name] = ExportedBeam(
-            name,
-            identifier,
-            comment,
-            tuple(r.tolist()),
-            tuple(v.tolist()),
-            k1,
-            k2,
-            tuple((r + reading * (1.0 + k1 + k2 * reading) * v).tolist()),
-            tuple(turn.as_quat(canonical=True).tolist()),
-            yaw_pitch_roll(R),
-            tuple(turn.as_rotvec().tolist()),
-        )
+    beams = list(
+        _beams(what, axis, reading) if isinstance(what, Mounts) else _sensors(what, axis, reading)
+    )
+    found = {beam["name"]: beam for beam in beams}
+    for beam, identifier in zip(beams, identifiers(list(found)), strict=True):
+        beam["identifier"] = identifier
     for name in names:
         if name not in found:
             raise InputError(f"beam {shown(name)}", f"one of {', '.join(found)}")
     return tuple(found[name] for name in names or found)
 
 
-def _beams(mounts: Mounts, axis: Axis) -> Iterator[Placed]:
+def _beams(mounts: Mounts, axis: Axis, reading: float) -> Iterator[Beam]:
     """Yield beams with their range errors and standard deviations in words.
 
     The sigma of the direction is the largest over its tangents.
@@ -113,21 +73,47 @@ def _beams(mounts: Mounts, axis: Axis) -> Iterator[Placed]:
         words += [f"k1 {k1:.6g} +- {sigma[6]:.2g}"] if mounts.terms[i] else []
         words += [f"k2 {k2:.6g} +- {sigma[7]:.2g} per m"] if mounts.terms[i] > 1 else []
         comment, v = f"beam {comment_text(name)}: {', '.join(words)}", directions[i]
-        R = smallest_rotation(axis, v)
-        yield name, comment, mounts.locations[i], v, R, mounts.range_errors[i]
+        ray = mounts.locations[i], v, mounts.range_errors[i]
+        yield _framed(name, comment, ray, smallest_rotation(axis, v), reading)
 
 
-def _sensors(file: SurveyFile, axis: Axis) -> Iterator[Placed]:
+def _sensors(file: SurveyFile, axis: Axis, reading: float) -> Iterator[Beam]:
     """Yield sensors of many rays in their own frames, and beams."""
     for sensor in file.sensors:
         R = np.array(sensor.rotation)
         ahead = R[:, 0] if sensor.kind == "scanner" else R[:, 2]
         words = _located(sensor.kind, sensor.name, sensor.location_sigma_m)
-        yield sensor.name, words, np.array(sensor.location_m), ahead, R, np.zeros(2)
+        ray = np.array(sensor.location_m), ahead, np.zeros(2)
+        yield _framed(sensor.name, words, ray, R, reading)
     for beam in file.beams:
         r, v, k = map(np.array, (beam.location_m, beam.direction, beam.range_error))
         words = _located("beam", beam.name, beam.location_sigma_m)
-        yield beam.name, words, r, v, smallest_rotation(axis, v), k
+        yield _framed(beam.name, words, (r, v, k), smallest_rotation(axis, v), reading)
+
+
+def _framed(
+    name: str,
+    comment: str,
+    ray: tuple[FloatArray, FloatArray, FloatArray],
+    R: FloatArray,
+    reading: float,
+) -> Beam:
+    """Return a ray (location, direction, range errors) with a frame turned by R where it reads that."""
+    r, v, k = ray
+    k1, k2 = k.tolist()
+    turn = Rotation.from_matrix(R)
+    return {
+        "name": name,
+        "comment": comment,
+        "location": tuple(r.tolist()),
+        "direction": tuple(v.tolist()),
+        "k1": k1,
+        "k2": k2,
+        "origin": tuple((r + reading * (1.0 + k1 + k2 * reading) * v).tolist()),
+        "quaternion": tuple(turn.as_quat(canonical=True).tolist()),
+        "angles": yaw_pitch_roll(R),
+        "rotation_vector": tuple(turn.as_rotvec().tolist()),
+    }
 
 
 def _located(kind: str, name: str, sigma: Sequence[float | None]) -> str:

@@ -180,45 +180,45 @@ def write_export(
 
 def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
     axis: Axis = (options.axis or "z") if to in TOOLS else "x"  # x is what sensor_msgs/Range wants
-    reading, tool = float(options.at_reading), options.tool or 1
-    beams_only = isinstance(what, Mounts)
-    if not beams_only and to not in (*LINKED, *TOOLS):
+    if isinstance(what, SurveyFile) and to not in (*LINKED, *TOOLS):
         expected = f"one of {', '.join((*LINKED, *TOOLS))}, which hold frames"
         raise InputError(f"the format {to} for sensors of many rays", expected)
-    beams = exported_beams(what, options.beams, axis, reading)
+    beams = exported_beams(what, options.beams, axis, float(options.at_reading))
+    tool = options.tool or 1
     if to == "fanuc" and tool + len(beams) - 1 > LAST_TOOL:
         found = f"tool {tool} as the first of {len(beams)}"
         raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
-    shown_reading = number(reading * IN_MM) if reading else ""
-    where = f"where it reads {shown_reading} mm" if reading else "where the true range is zero"
-    frames = (
-        "Each frame of a sensor is its own, in which its points are; x of a beam's lies along it."
-    )
-    if beams_only and to in TOOLS:
-        frames = f"{axis} of each frame lies along its beam; its origin is {where}."
-    elif beams_only:
-        frames = "x of each frame lies along its beam, from where the true range is zero."
+    reading = number(options.at_reading * IN_MM) if options.at_reading else ""
+    kind, along = "Laser beams", f"{axis} along beam"
     roll = (
         "The roll about the beam is free; it is that of the smallest rotation from the hand frame."
     )
-    has_beams = isinstance(what, Mounts) or len(what.beams) > 0
-    if not has_beams:
+    if isinstance(what, Mounts):
+        frames = "x of each frame lies along its beam, from where the true range is zero."
+        if to in TOOLS:
+            where = f"where it reads {reading} mm" if reading else "where the true range is zero"
+            frames = f"{axis} of each frame lies along its beam; its origin is {where}."
+    elif what.beams:
+        kind = "Sensors"
+        frames = "Each frame of a sensor is its own, in which its points are; "
+        frames += "x of a beam's lies along it."
+    else:
+        kind, along = "Sensors", "frame of sensor"
         frames = "Each frame is the sensor's own, in which its points are."
         roll = "All three of its axes are measured: nothing about it is free."
     text = rendered(
         to,
         beams=beams,
-        about=f"{'Laser beams' if beams_only else 'Sensors'} calibrated by handlaser {__version__}, "
+        about=f"{kind} calibrated by handlaser {__version__}, "
         "in the hand frame: the frame that the recorded poses describe.",
         frames=frames,
         roll=roll,
         parent=options.link,
-        along=f"{axis} along beam" if has_beams else "frame of sensor",
-        axis=axis,
+        along=along,
         tool=tool,
-        reading=shown_reading,
+        reading=reading,
     )
     if options.into is None:
         return text
-    names = [beam.identifier for beam in beams]
-    return put_into(path_of(options.into), text, names, options.link)
+    identifiers = [beam["identifier"] for beam in beams]
+    return put_into(path_of(options.into), text, identifiers, options.link)
