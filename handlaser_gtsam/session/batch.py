@@ -1,6 +1,7 @@
 """The batch solution of the planes in a session, for comparison and for whole results."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -35,7 +36,7 @@ from .reports import Comparison
 METHOD = "incremental"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class BatchProblem:
     """The planes in the graph of a session, as one problem.
 
@@ -44,12 +45,7 @@ class BatchProblem:
     contents : Contents
     config : SessionConfig
     parameters : Parameters
-        Beams and planes, each plane in its frame.
-    recording : Recording
-        Planes in the order of the contents, beams in the order of the config, with rejected readings.
-    readings : Readings
-        All readings, in the world frame.
-    used : (N,) of bool
+        Beams and planes, each plane in its frame, in the order of the contents.
     poses : gtsam.Values or None
         Hand poses that are variables, by station of the recording.
     """
@@ -57,23 +53,24 @@ class BatchProblem:
     contents: Contents
     config: SessionConfig
     parameters: Parameters
-    recording: Recording
-    readings: Readings
-    used: BoolArray
     poses: gtsam.Values | None = None
 
-    @classmethod
-    def of(
-        cls, contents: Contents, config: SessionConfig, parameters: Parameters
-    ) -> "BatchProblem":
-        """Return the problem of `contents`; the planes of `at` in their order."""
-        whole = join([contents.planes[name].recording for name in contents.numbers])
-        columns = [whole.beam_names.index(name) for name in config.names]
-        whole = replace(whole, ranges=whole.ranges[:, columns], beam_names=config.names)
-        readings = config.readings(whole)
-        everything = np.ones(len(readings), dtype=bool)
-        problem = cls(contents, config, parameters, whole, readings, everything)
-        return replace(problem, used=~problem.rejected())
+    @cached_property
+    def recording(self) -> Recording:
+        """Planes in the order of the contents, beams in that of the config, with rejected readings."""
+        whole = join([self.contents.planes[name].recording for name in self.contents.numbers])
+        columns = [whole.beam_names.index(name) for name in self.config.names]
+        return replace(whole, ranges=whole.ranges[:, columns], beam_names=self.config.names)
+
+    @cached_property
+    def readings(self) -> Readings:
+        """All readings, in the world frame."""
+        return self.config.readings(self.recording)
+
+    @cached_property
+    def used(self) -> BoolArray:
+        """Which readings (N,) are not rejected."""
+        return ~self.rejected()
 
     @property
     def origins(self) -> FloatArray:
@@ -128,19 +125,17 @@ class BatchProblem:
         problem, result = self.solved()
         parameters = read_parameters(problem, result.values)
         if self.config.learned is not None:
-            integrated = posterior(self.scale_problem(parameters), self.config.learned)
+            learned = self.config.learned
+            integrated = posterior(self.scale_problem(parameters, learned), learned)
             parameters, joint = integrated.parameters, integrated.joint
         else:
             joint = covariance(problem, result.values)
         sigmas = np.sqrt(np.diagonal(joint.matrix(planes=[]))).reshape(-1, BEAM.size)
         return Comparison(*state.apart(parameters.beams, sigmas))
 
-    def scale_problem(self, parameters: Parameters) -> ScaleProblem:
-        """Return the scales of the session as a problem about some parameters."""
+    def scale_problem(self, parameters: Parameters, learned: LearnedScales) -> ScaleProblem:
+        """Return the scales that are learned as a problem about some parameters."""
         config, readings = self.config, self.local_readings()
-        learned = config.learned
-        if learned is None:
-            raise ValueError("no scales are learned")
         stations = int(readings.station.max()) + 1
         readings, _ = weighed(readings, parameters, config.variances(stations), max(config.terms))
         variances = learned.base.for_stations(stations)
@@ -157,12 +152,10 @@ class BatchProblem:
             learned.length,
         )
 
-    def learned(self) -> LearnedScales | None:
-        """Return the scales that the readings in the session call for, about the present estimate."""
-        if self.config.learned is None:
-            return None
-        problem = self.scale_problem(self.parameters)
-        return problem.learned(problem.mode(self.config.learned.mode))
+    def learned(self, before: LearnedScales) -> LearnedScales:
+        """Return the scales that the readings call for, about the present estimate and scales."""
+        problem = self.scale_problem(self.parameters, before)
+        return problem.learned(problem.mode(before.mode))
 
     def range_sigma(self) -> tuple[float, int]:
         """Return the range sigma [m] that the residuals show, and its degrees of freedom."""
@@ -194,7 +187,7 @@ class BatchProblem:
         joint = covariance_by_gtsam(graph, result.values) if observability.full else None
         solution = Solution(ended, observability, weighted_by, how, self.config.prior, joint=joint)
         if learned is not None:
-            whole = posterior(self.scale_problem(self.parameters), learned)
+            whole = posterior(self.scale_problem(self.parameters, learned), learned)
             solution = replace(solution, posterior=whole, scales=whole.scales)
         rms = float(np.sqrt(np.mean(result.residual**2)))
         selection = Selection(

@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 
 from .. import model
 from ..estimation.information import Information, LinearReadings
+from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
 from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beams_lift
@@ -23,11 +24,11 @@ from .drift import DriftHistory, turns
 from .fitted import FittedPlane
 
 
-def scaled_information(fitted: FittedPlane, history: DriftHistory) -> Information:
+def scaled_information(
+    fitted: FittedPlane, history: DriftHistory, learned: LearnedScales
+) -> Information:
     """Return what a plane knows of the beams for all sets of noise scales, counted as in a history."""
-    learned, readings = fitted.config.learned, fitted.readings
-    if learned is None:
-        raise ValueError("no scales are learned")
+    readings = fitted.readings
     variances = learned.base.for_stations(int(readings.station.max()) + 1)
     rows = LinearReadings(fitted.parameters, readings, learned.terms, learned.length, variances)
     points = [learned.mode, *learned.points]

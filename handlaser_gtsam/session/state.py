@@ -105,7 +105,7 @@ class SessionState:
         parameters = replace(
             parameters, normals=parameters.normals[order], offsets=parameters.offsets[order]
         )
-        problem = BatchProblem.of(contents, self.config, parameters)
+        problem = BatchProblem(contents, self.config, parameters)
         if self.config.poses != "estimated":
             return problem
         poses, names = gtsam.Values(), problem.recording.station_names
@@ -198,7 +198,7 @@ class SessionState:
             normals = np.concatenate([p.parameters.normals for p in fitted.values()])
             offsets = np.concatenate([p.parameters.offsets for p in fitted.values()])
             parameters = Parameters(*self.state.beams, normals, offsets)
-            beams = BatchProblem.of(contents, self.config, parameters).batch_beams()
+            beams = BatchProblem(contents, self.config, parameters).batch_beams()
             begun = begin(self.contents, self.config, beams)
             if not self.config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
@@ -318,7 +318,7 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
 def _sums(fitted: Mapping[str, FittedPlane], history: DriftHistory) -> dict[str, Information]:
     """Return what planes know for all scales that are learned; nothing where none are."""
     return {
-        plane: scaled_information(plane_fit, history)
+        plane: scaled_information(plane_fit, history, plane_fit.config.learned)
         for plane, plane_fit in fitted.items()
         if plane_fit.config.learned is not None
     }

@@ -10,9 +10,10 @@ from ..data.recording import join
 from ..errors import GrazingBeamError, InputError
 from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
+from ..quantities import FAR_SIGMAS
 from ..results.calibration import Calibration
 from ..solvers.isam import IncrementalOptions
-from .config import SCALES_KEPT, SIGMA_KEPT, ProcessNoise, SessionConfig
+from .config import ProcessNoise, SessionConfig
 from .contents import Contents
 from .reports import Change, Comparison, Update
 from .state import SessionState, begin
@@ -23,8 +24,6 @@ RESTARTED = (
 UNKNOWN = float("nan")
 LEAST_CHANGES = 4
 """Changes between two comparisons with the batch solution at least: a comparison takes its time."""
-FAR_MOVE = 5.0
-"""A move by more standard deviations since the last comparison with the batch calls for another."""
 AGREED = 0.01
 """The estimate agrees with the batch within this many sigmas, and its sigmas to this part."""
 
@@ -102,13 +101,12 @@ def compare_if_due(now: SessionState) -> tuple[SessionState, Comparison | None]:
     """Compare with the batch solution where that is due; return what follows from it."""
     every = now.config.incremental.compare_every
     due = max(LEAST_CHANGES, min(every, len(now.contents.numbers) // 4))
-    far = now.state.apart(now.compared.beams, now.compared.sigmas())[0] > FAR_MOVE
+    far = now.state.apart(now.compared.beams, now.compared.sigmas())[0] > FAR_SIGMAS
     if every == 0 or (now.changes < due and not far):
         return now, None
-    changes: tuple[Change, ...] = ()
     config = _learned(now)
-    if config is not now.config:
-        changes = config.changes(now.config)
+    changes = config.changes(now.config)
+    if changes:
         now = begin(now.contents, config, now.state.beams)
         excluded = tuple(now.contents.excluded)
         if excluded:  # they may fit beside the new scales
@@ -128,16 +126,12 @@ def _learned(now: SessionState) -> SessionConfig:
     """Return the config that everything so far calls for: scales, and a range sigma not given."""
     config = now.config
     if config.learned is not None:
-        learned = now.inside().learned()
-        if learned is None or learned.apart(config.learned) < SCALES_KEPT:
-            return config
+        learned = now.inside().learned(config.learned)
         sigma = float(learned.variances().range_sigma[0])
         return replace(config, learned=learned, sigma=sigma)
     if config.noise.range_sigma is not None or config.links:
         return config
     sigma, dof = now.inside().range_sigma()
-    if abs(sigma / config.sigma - 1.0) < SIGMA_KEPT:
-        return config
     return replace(config, sigma=sigma, sigma_dof=float(dof))
 
 

@@ -127,7 +127,7 @@ def targets_of(
             )
         out = int((~chosen).sum())
         warnings = (_left_out(out, len(which), "are in no range of a plane"),) if out else ()
-        return [stated[i].plane if i >= 0 else "" for i in which.tolist()], chosen, warnings
+        return [stated[i][0] if i >= 0 else "" for i in which.tolist()], chosen, warnings
     if given.plane:
         return [given.plane] * len(log.names), every, ()
     if log.planes is None:

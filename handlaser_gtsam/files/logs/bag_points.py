@@ -5,8 +5,8 @@ are one shot.
 """
 
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,9 @@ from ...arrays import FloatArray, IntArray
 from ...data.station_list import StationList
 from ...errors import InputError
 from ...quantities import LARGEST_LENGTH, MM
-from ...text import shown, some
+from ...text import some
 from .assembling import targets_of
-from .bags import RANGE, SCAN, Reader, lines_of, of_kind, read_messages
+from .bags import RANGE, SCAN, Reader, lines_of, read_messages, require_topic
 from .format import LogFormat
 from .joining import by_time
 from .poses import hand_poses
@@ -32,66 +32,6 @@ FLAT = 1e-3 * MM
 """Points of a profile are in the plane y = 0 to that [m]: single precision of a metre is finer."""
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
-
-
-@dataclass(slots=True)
-class Cloud:
-    """What one sensor published.
-
-    Attributes
-    ----------
-    name, kind : str
-        Of the sensor.
-    topics : names
-        One; of an array one for each zone, in their order.
-    times : array
-        Of each message that has points [s].
-    numbers : list of (n, c)
-        Its points in metres and radians, as a table of points has them.
-    """
-
-    name: str
-    kind: str
-    topics: tuple[str, ...]
-    times: "array[float]" = field(default_factory=lambda: array("d"))
-    numbers: list[FloatArray] = field(default_factory=list)
-
-    def readers(self, topics: Mapping[str, str]) -> Iterator[tuple[str, Reader]]:
-        """Yield a reader for each of its topics.
-
-        Raises
-        ------
-        InputError
-            A topic that is not there, or not of the type that this kind publishes.
-        """
-        wanted = MESSAGE_OF[self.kind]
-        if not self.topics or (len(self.topics) > 1 and self.kind != "array"):
-            found = f"{len(self.topics)} topics of the sensor {self.name}, in a bag"
-            raise InputError(found, "topics = one; of an array one for each zone")
-        decode: Mapping[str, Callable[[Any, int], FloatArray]] = {
-            "profiler": _profile,
-            "scanner": _scan,
-            "array": _zone,
-            "points": _points,
-        }
-        for number, topic in enumerate(self.topics):
-            if topics.get(topic) != wanted:
-                there = some(of_kind(topics, wanted), 8) or "there is none"
-                found = f"topic {shown(topic)} of type {topics.get(topic, 'none')}"
-                raise InputError(found, f"a topic of {wanted}: {there}")
-            yield topic, partial(self._add, decode[self.kind], number)
-
-    def _add(
-        self,
-        decode: Callable[[Any, int], FloatArray],
-        number: int,
-        message: Any,
-        time: float,
-    ) -> None:
-        rows = decode(message, number)
-        if len(rows):
-            self.times.append(time)
-            self.numbers.append(rows)
 
 
 def read_bag_points(
@@ -112,17 +52,26 @@ def read_bag_points(
     """
     if given.estimate_lag:
         raise InputError("--estimate-lag with sensors of many rays", "--lag-s, how late they are")
-    clouds = [Cloud(*one) for one in sensors]
+    # Of each sensor the times of messages that have points [s], and the points of each (n, c).
+    clouds: list[tuple[array[float], list[FloatArray]]] = [(array("d"), []) for _ in sensors]
 
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
-        return {topic: reader for cloud in clouds for topic, reader in cloud.readers(topics)}
+        found: dict[str, Reader] = {}
+        for (name, kind, own), cloud in zip(sensors, clouds, strict=True):
+            if not own or (len(own) > 1 and kind != "array"):
+                stated = f"{len(own)} topics of the sensor {name}, in a bag"
+                raise InputError(stated, "topics = one; of an array one for each zone")
+            for number, topic in enumerate(own):
+                require_topic(topics, topic, MESSAGE_OF[kind])
+                found[topic] = partial(_add, cloud, DECODED_BY[kind], number)
+        return found
 
     poses = read_messages(path, given, readers)
-    for cloud in clouds:
-        if not cloud.numbers:
-            found = f"no point of {cloud.name} within the limits of its messages"
-            raise InputError(found, f"at least one, on {some(cloud.topics, 4)}")
-    times = np.concatenate([np.frombuffer(cloud.times) for cloud in clouds])
+    for (name, _, own), (_, numbers) in zip(sensors, clouds, strict=True):
+        if not numbers:
+            found = f"no point of {name} within the limits of its messages"
+            raise InputError(found, f"at least one, on {some(own, 4)}")
+    times = np.concatenate([np.frombuffer(own) for own, _ in clouds])
     order = np.argsort(times, kind="stable")
     messages = LogRows(
         lines_of(path, len(times)), (), np.full((len(times), 0), np.nan), times=times[order]
@@ -141,15 +90,25 @@ def read_bag_points(
     names = tuple(log.names[i] for i in kept.tolist())
     stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
     points = []
-    for cloud, own in zip(
-        clouds,
-        np.split(number[station], np.cumsum([len(cloud.times) for cloud in clouds])[:-1]),
-        strict=True,
-    ):
-        at = np.repeat(own, [len(rows) for rows in cloud.numbers])
-        rows = np.concatenate(cloud.numbers)
-        points.append((at[at >= 0].astype(np.intp), rows[at >= 0]))
+    ends = np.cumsum([len(own) for own, _ in clouds])[:-1]
+    for (_, numbers), where in zip(clouds, np.split(number[station], ends), strict=True):
+        at = np.repeat(where, [len(rows) for rows in numbers])
+        points.append((at[at >= 0].astype(np.intp), np.concatenate(numbers)[at >= 0]))
     return stations, points
+
+
+def _add(
+    cloud: "tuple[array[float], list[FloatArray]]",
+    decode: Callable[[Any, int], FloatArray],
+    number: int,
+    message: Any,
+    time: float,
+) -> None:
+    """Add the points of a message, if it has any, to those of its sensor."""
+    rows = decode(message, number)
+    if len(rows):
+        cloud[0].append(time)
+        cloud[1].append(rows)
 
 
 def _scan(message: Any, number: int) -> FloatArray:
@@ -209,3 +168,12 @@ def _profile(message: Any, number: int) -> FloatArray:
         found = f"a profile with y up to {np.abs(p[:, 1]).max() / MM:.3g} mm in its own frame"
         raise InputError(found, "one in the plane y = 0, z away from the sensor")
     return p[:, [0, 2]]
+
+
+DECODED_BY: Mapping[str, Callable[[Any, int], FloatArray]] = {
+    "profiler": _profile,
+    "scanner": _scan,
+    "array": _zone,
+    "points": _points,
+}
+"""What makes numbers of a message, in metres and radians, as a table of points has them."""

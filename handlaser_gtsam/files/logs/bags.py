@@ -10,7 +10,6 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -40,25 +39,8 @@ METADATA = "metadata.yaml"
 """Which every folder of a ROS 2 bag has."""
 BAGS = (ROS1, ".mcap", ".db3")
 RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Beam:
-    """A beam of a bag, and what it read.
-
-    Attributes
-    ----------
-    name, topic : str
-    ray : int or None
-        Of a `LaserScan`.
-    numbers : array
-        Time [s] and reading [m], one after the other; only what the sensor says is one.
-    """
-
-    name: str
-    topic: str
-    ray: int | None
-    numbers: "array[float]" = field(default_factory=lambda: array("d"))
+Place = tuple[str, int | None]
+"""The topic that a beam reads on, and which ray of a `LaserScan` it is."""
 
 
 def is_bag(path: Path) -> bool:
@@ -111,21 +93,22 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     InputError
         Topics that are not there or not of their type, or no poses or readings in them.
     """
-    beams: list[Beam] = []
+    beams: dict[str, Place] = {}
+    numbers: dict[str, array[float]] = {}  # of each beam time [s] and reading [m], in turn
 
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
-        beams.extend(_beams(topics, given))
-        by_topic = {topic: [beam for beam in beams if beam.topic == topic] for topic in topics}
-        return {topic: partial(_read, some, given) for topic, some in by_topic.items() if some}
+        beams.update(_beams(topics, given))
+        numbers.update((name, array("d")) for name in beams)
+        return {topic: partial(_read, numbers, beams, topic, given) for topic, _ in beams.values()}
 
     poses = read_messages(path, given, readers)
-    for beam in beams:
-        if not len(beam.numbers):
+    for name, (topic, _) in beams.items():
+        if not len(numbers[name]):
             raise InputError(
-                f"no reading of beam {beam.name} within the limits of its messages, on {beam.topic}",
+                f"no reading of beam {name} within the limits of its messages, on {topic}",
                 "at least one, or the other topics by --range-columns",
             )
-    return poses, _readings(beams, path)
+    return poses, _readings(numbers, path)
 
 
 def read_messages(
@@ -197,14 +180,14 @@ def lines_of(path: Path, count: int) -> Table:
     return Table(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp), False)
 
 
-def _readings(beams: Sequence[Beam], path: Path) -> LogRows:
+def _readings(numbers: "Mapping[str, array[float]]", path: Path) -> LogRows:
     """Return the readings of beams, with one row for each moment.
 
     A second reading of a beam at the same moment gets a row of its own.
     """
     rows = []
-    for beam in beams:
-        x = np.frombuffer(beam.numbers, dtype=np.float64).reshape(-1, 2)
+    for of_beam in numbers.values():
+        x = np.frombuffer(of_beam, dtype=np.float64).reshape(-1, 2)
         rows.append(x[np.argsort(x[:, 0], kind="stable")])
     time, value = np.concatenate(rows).T
     again = np.concatenate([np.arange(len(x)) - np.searchsorted(x[:, 0], x[:, 0]) for x in rows])
@@ -212,10 +195,9 @@ def _readings(beams: Sequence[Beam], path: Path) -> LogRows:
     new = (np.diff(time[order], prepend=-np.inf) > 0.0) | (np.diff(again[order], prepend=-1) != 0)
     row = np.empty(len(time), dtype=np.intp)
     row[order] = np.cumsum(new) - 1
-    d = np.full((int(new.sum()), len(beams)), np.nan)
+    d = np.full((int(new.sum()), len(rows)), np.nan)
     d[row, np.repeat(np.arange(len(rows)), [len(x) for x in rows])] = value
-    names = tuple(beam.name for beam in beams)
-    return LogRows(lines_of(path, len(d)), names, d, times=time[order][new])
+    return LogRows(lines_of(path, len(d)), tuple(numbers), d, times=time[order][new])
 
 
 def _messages(
@@ -259,52 +241,67 @@ def _time(message: Any, when: int | None, received: int) -> float:
     return 1e-9 * received
 
 
-def _read(beams: Sequence[Beam], given: LogFormat, message: Any, time: float) -> None:
-    """Add what beams read at a time, if it is a reading."""
+def _read(
+    numbers: "Mapping[str, array[float]]",
+    beams: Mapping[str, Place],
+    topic: str,
+    given: LogFormat,
+    message: Any,
+    time: float,
+) -> None:
+    """Add what the beams of a topic read at a time, if it is a reading."""
     unit = LENGTHS[given.range_units]
-    for beam in beams:
-        if beam.ray is None:
+    for name, (own, ray) in beams.items():
+        if own != topic:
+            continue
+        if ray is None:
             least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
         else:
-            if beam.ray >= len(message.ranges):
-                found = f"a scan of {len(message.ranges)} rays on {beam.topic}"
-                raise InputError(found, f"ray {beam.ray}, of beam {beam.name}")
-            least, most, d = message.range_min, message.range_max, float(message.ranges[beam.ray])
-            delay = beam.ray * message.time_increment
+            if ray >= len(message.ranges):
+                found = f"a scan of {len(message.ranges)} rays on {topic}"
+                raise InputError(found, f"ray {ray}, of beam {name}")
+            least, most, d = message.range_min, message.range_max, float(message.ranges[ray])
+            delay = ray * message.time_increment
         known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST_LENGTH
         if known and (d > 0.0 or least < 0.0):
-            beam.numbers.extend((time + delay, unit * d))
+            numbers[name].extend((time + delay, unit * d))
 
 
-def _beams(topics: Mapping[str, str], given: LogFormat) -> list[Beam]:
-    """Return the beams that are stated, or all `Range` topics."""
-    found = []
+def _beams(topics: Mapping[str, str], given: LogFormat) -> dict[str, Place]:
+    """Return where the beams that are stated read, or all `Range` topics."""
+    found: dict[str, Place] = {}
     for text in given.range_columns or of_kind(topics, RANGE):
         name, equals, topic = text.rpartition("=")  # BEAM=TOPIC, BEAM=TOPIC[INDEX], or no name
         topic = topic.strip()
         ray = RAY.fullmatch(topic)
         name = name.strip() if equals else topic.strip("/").replace("/", "_")
-        where = (ray["topic"], int(ray["index"])) if ray else (topic, None)
-        found.append(Beam(name, *where))
+        place = (ray["topic"], int(ray["index"])) if ray else (topic, None)
+        hint = "" if ray else "; a ray of a LaserScan is TOPIC[INDEX]"
+        require_topic(topics, place[0], SCAN if ray else RANGE, hint)
+        fault = name_fault(name) or (f"beam {name!r} twice" if name in found else "")
+        if fault:
+            raise InputError(fault, f"one each: {A_NAME}")
+        if place in found.values():
+            raise InputError(f"several beams of {topic}", "one beam of each")
+        found[name] = place
     if not found:
         scans = of_kind(topics, SCAN)
         hint = f", as --range-columns 'left={scans[0]}[0]'" if scans else ""
         raise InputError(f"no topic of {RANGE}", f"one, or rays of a LaserScan{hint}")
-    for beam in found:
-        kind = RANGE if beam.ray is None else SCAN
-        if topics.get(beam.topic) != kind:
-            raise InputError(
-                f"topic {shown(beam.topic)} of type {topics.get(beam.topic, 'none')}",
-                f"a topic of {kind}: {some(of_kind(topics, kind), 8) or 'there is none'}"
-                + ("; a ray of a LaserScan is TOPIC[INDEX]" if beam.ray is None else ""),
-            )
-        fault = name_fault(beam.name)
-        if fault or [one.name for one in found].count(beam.name) > 1:
-            raise InputError(fault or f"beam {beam.name!r} twice", f"one each: {A_NAME}")
-        if [(one.topic, one.ray) for one in found].count((beam.topic, beam.ray)) > 1:
-            index = "" if beam.ray is None else f"[{beam.ray}]"
-            raise InputError(f"several beams of {beam.topic}{index}", "one beam of each")
     return found
+
+
+def require_topic(topics: Mapping[str, str], topic: str, kind: str, hint: str = "") -> None:
+    """Refuse a topic that is not there, or not of a type.
+
+    Raises
+    ------
+    InputError
+    """
+    if topics.get(topic) != kind:
+        there = some(of_kind(topics, kind), 8) or "there is none"
+        found = f"topic {shown(topic)} of type {topics.get(topic, 'none')}"
+        raise InputError(found, f"a topic of {kind}: {there}{hint}")
 
 
 def of_kind(topics: Mapping[str, str], *kinds: str) -> list[str]:

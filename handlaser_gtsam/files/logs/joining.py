@@ -282,21 +282,22 @@ def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: fl
 
 def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatArray) -> Stations:
     """Return the moments at which the hand stands as stations."""
-    stands = find_stands(_track_of(poses, given), given)
-    station = np.searchsorted(stands.begin, wanted, side="right") - 1
-    inside = (station >= 0) & (wanted <= stands.end[np.maximum(station, 0)])
+    first, last, words = find_stands(_track_of(poses, given), given)
+    begin, end = poses.clock[first], poses.clock[last]
+    station = np.searchsorted(begin, wanted, side="right") - 1
+    inside = (station >= 0) & (wanted <= end[np.maximum(station, 0)])
     _require_any(inside, poses, readings, wanted, "a stop of the hand around it", "or --lag-s")
-    times = 0.5 * (stands.begin + stands.end)
-    middle = (stands.first + stands.last) // 2  # labels that are set on arrival are right there
+    times = 0.5 * (begin + end)
+    middle = (first + last) // 2  # labels that are set on arrival are right there
     return Stations(
         poses,
         readings,
-        stands.way,
+        Way.of_runs(first, last),
         [str(i + 1) for i in range(len(times))],
         _labels_at((poses, middle), (readings, nearest(wanted, times)[0])),
         times,
         np.where(inside, station, -1).astype(np.intp),
-        words=f"{stands.words}; {int(inside.sum())} of {len(inside)} rows of readings are in them",
+        words=f"{words}; {int(inside.sum())} of {len(inside)} rows of readings are in them",
     )
 
 
@@ -310,7 +311,7 @@ def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float,
     """
     track, begin = _track_of(poses, given), float(poses.clock[0])
     stated, time, pose_times = intervals(given), readings.clock, poses.clock
-    by_row = stated and not given.stands and not stated[0].is_time
+    by_row = stated and not given.stands and not isinstance(stated[0][1], float)
     of_poses = len(pose_times) < len(time) if by_row else readings.planes is None
     rows = poses if of_poses else readings
     if by_row:

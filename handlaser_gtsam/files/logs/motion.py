@@ -37,6 +37,13 @@ class Way:
         return cls(row, np.flatnonzero(np.diff(group[row], prepend=-1)))
 
     @classmethod
+    def of_runs(cls, first: IntArray, last: IntArray) -> "Way":
+        """Return the means of rows from the first to the last (S,) of each station."""
+        count = last - first + 1
+        start = np.cumsum(count) - count
+        return cls(np.repeat(first - start, count) + np.arange(count.sum()), start)
+
+    @classmethod
     def between(cls, times: FloatArray, wanted: FloatArray) -> "Way":
         """Return where wanted times (S,) lie between increasing times (M,), at the ends if outside."""
         rows, part = neighbours(times, wanted)
@@ -82,11 +89,11 @@ class Way:
 
     def narrowed(self, stations: IntArray) -> "tuple[IntArray, Way]":
         """Return the rows that some stations need, and how they get their poses from these."""
-        count = np.diff(np.append(self.start, len(self.row)))[stations]
-        start = np.cumsum(count) - count
-        rows = self.row[np.repeat(self.start[stations] - start, count) + np.arange(count.sum())]
+        first, last = self.start[stations], np.append(self.start[1:], len(self.row))[stations] - 1
+        way = Way.of_runs(first, last)
         part = None if self.part is None else self.part[stations]
-        return rows, Way(np.arange(len(rows), dtype=np.intp), start, part)
+        rows = self.row[way.row]
+        return rows, Way(np.arange(len(rows), dtype=np.intp), way.start, part)
 
 
 def neighbours(times: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -3,7 +3,6 @@
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,18 +20,8 @@ EPOCH = 1e8
 """Times beyond this [s] are counted from 1970; smaller ones from the beginning of the log."""
 
 
-@dataclass(frozen=True, slots=True)
-class Interval:
-    """A plane from one station, or time [s], to another one, both included."""
-
-    plane: str
-    first: str | float
-    last: str | float
-
-    @property
-    def is_time(self) -> bool:
-        """Whether it is an interval of time."""
-        return isinstance(self.first, float)
+Interval = tuple[str, str | float, str | float]
+"""A plane, and the first and the last of its stations, or times [s]; both are included."""
 
 
 def intervals(given: LogFormat) -> list[Interval]:
@@ -57,7 +46,7 @@ def intervals(given: LogFormat) -> list[Interval]:
             found.append(_interval(*(part.strip() for part in parts.groups())))
         except InputError as error:
             raise InputError(f"--plane-ranges with {error.found}", error.expected) from error
-    if len({one.is_time for one in found}) > 1:
+    if len({isinstance(first, float) for _, first, _ in found}) > 1:
         raise InputError("planes stated by stations and by times", "one kind of them")
     return found
 
@@ -68,11 +57,11 @@ def _interval(plane: str, first: str, last: str) -> Interval:
         raise InputError(f"{fault} of a plane", A_NAME)
     times = [SECONDS.fullmatch(end) for end in (first, last)]
     if not any(times):
-        return Interval(plane, first, last)
+        return plane, first, last
     begin, end = (float(one[1]) if one else math.nan for one in times)
     if not begin < end:
         raise InputError(f"plane {shown(plane)} from {shown(first)} to {shown(last)}", EXPECTED)
-    return Interval(plane, begin, end)
+    return plane, begin, end
 
 
 def planes_of(
@@ -95,30 +84,29 @@ def planes_of(
         A station that is not there, times where there are none, or a station in two intervals.
     """
     which = np.full(len(names), -1, dtype=np.intp)
-    place = {name: i for i, name in enumerate(names)}
-    for index, one in enumerate(found):
+    place: dict[str | float, int] = {name: i for i, name in enumerate(names)}
+    for index, (plane, first, last) in enumerate(found):
         inside = np.zeros(len(names), dtype=bool)
-        if isinstance(one.first, float) and isinstance(one.last, float):
+        if isinstance(first, float) and isinstance(last, float):
             if times is None:
                 raise InputError(
                     "planes by times, and a log without times", "planes by stations: A=1..12"
                 )
-            shift = 0.0 if abs(one.first) > EPOCH else begin
-            inside = (times >= one.first + shift) & (times <= one.last + shift)
+            shift = 0.0 if abs(first) > EPOCH else begin
+            inside = (times >= first + shift) & (times <= last + shift)
         else:
-            for end in (str(one.first), str(one.last)):
+            for end in (first, last):
                 if end not in place:
                     expected = "a station of it, in --plane-ranges or --plane-file"
                     raise InputError(f"no station {shown(end)} in the log", expected)
-            first, last = place[str(one.first)], place[str(one.last)]
-            if first > last:
-                raise InputError(f"stations {one.first} to {one.last}", "in the order of the log")
-            inside[first : last + 1] = True
+            if place[first] > place[last]:
+                raise InputError(f"stations {first} to {last}", "in the order of the log")
+            inside[place[first] : place[last] + 1] = True
         twice = np.flatnonzero(inside & (which >= 0))
         if twice.size:
-            other = found[which[twice[0]]].plane
+            other = found[which[twice[0]]][0]
             raise InputError(
-                f"station {names[twice[0]]} in the ranges of planes {other} and {one.plane}",
+                f"station {names[twice[0]]} in the ranges of planes {other} and {plane}",
                 "every station in one range",
             )
         which[inside] = index
@@ -133,13 +121,14 @@ def planes_in_time(track: Track, time: FloatArray, given: LogFormat, begin: floa
     found = intervals(given)
     if not found:
         return np.zeros(len(time), dtype=np.intp)
-    if found[0].is_time:
+    if isinstance(found[0][1], float):
         return planes_of(found, [""] * len(time), time, begin)
-    stands = find_stands(track, given)
-    names = [str(i + 1) for i in range(len(stands.begin))]
+    first, last, _ = find_stands(track, given)
+    names = [str(i + 1) for i in range(len(first))]
     which = planes_of(found, names, None, begin)
     plane = np.full(len(time), -1, dtype=np.intp)
     for index in np.unique(which[which >= 0]).tolist():
         own = np.flatnonzero(which == index)
-        plane[(time >= stands.begin[own[0]]) & (time <= stands.end[own[-1]])] = index
+        within = (time >= track.time[first[own[0]]]) & (time <= track.time[last[own[-1]]])
+        plane[within] = index
     return plane

@@ -15,16 +15,16 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import InputError
-from ...quantities import ROWS_AT_ONCE
+from ...model.distributions import chi2_quantile
+from ...quantities import MM, ROWS_AT_ONCE
 from .format import LogFormat
-from .motion import Way
 
 GAP = 0.25
 """Part of the shortest stand that a row must be still before and after it."""
 NOISE = 5.0
 """Standard deviations of noise that are no motion: of 100,000 means one is off by more."""
-QUIET, OF_QUIET = 0.25, 1.10
-"""A quarter of the rows at least shows noise alone, and that quantile of its length in space."""
+QUIET = 0.25
+"""A quarter of the rows at least shows noise alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,37 +53,8 @@ class Track:
         return np.asarray(q * np.concatenate(([1.0], np.cumprod(change)))[:, None])
 
 
-@dataclass(frozen=True, slots=True)
-class Stands:
-    """Runs of rows at which the hand stands.
-
-    Attributes
-    ----------
-    first, last : (S,)
-        Rows, both included.
-    begin, end : (S,)
-        Their times [s].
-    words : str
-        How many there are, and what became of other runs.
-    """
-
-    first: IntArray
-    last: IntArray
-    begin: FloatArray
-    end: FloatArray
-    words: str
-
-    @property
-    def way(self) -> Way:
-        """The mean pose of each stand."""
-        count = self.last - self.first + 1
-        start = np.cumsum(count) - count
-        row = np.repeat(self.first - start, count) + np.arange(count.sum())
-        return Way(row.astype(np.intp), start)
-
-
-def find_stands(track: Track, given: LogFormat) -> Stands:
-    """Return the stands of a track.
+def find_stands(track: Track, given: LogFormat) -> tuple[IntArray, IntArray, str]:
+    """Return the first and the last row (S,) of each stand, and what became of other runs, in words.
 
     Raises
     ------
@@ -97,7 +68,7 @@ def find_stands(track: Track, given: LogFormat) -> Stands:
             f"rows of poses {step:.3g} s apart, of which stops of {given.stand_s:g} s cannot be told",
             f"--stand-s {4.0 * step:.2g} or more, the right --time-units, or a column of stations",
         )
-    means = _Means.of(track, 1e-3 * given.stand_mm, np.radians(given.stand_deg))
+    means = _Means(track, given.stand_mm * MM, np.radians(given.stand_deg))
     still = _still(track.time, means, half)
     edge = np.flatnonzero(np.diff(np.concatenate(([False], still, [False])).astype(np.int8)))
     first, last = edge[::2], edge[1::2] - 1
@@ -128,36 +99,30 @@ def find_stands(track: Track, given: LogFormat) -> Stands:
         words += f", {trimmed} of them trimmed where the hand creeps (--stand-mm, --stand-deg)"
     if dropped:
         words += f"; {dropped} more left out because they are too short (--stand-s)"
-    return Stands(begin, end, track.time[begin], track.time[end], words)
+    return begin, end, words
 
 
-@dataclass(frozen=True, slots=True)
 class _Means:
     """Mean poses of rows, which may differ by a length [m] and an angle [rad] beside their noise.
 
-    `sums` (M + 1, 7) add positions and quaternions before each row, `noise` (2,) the standard
-    deviations of a position [m] and of an angle [rad] along one axis.
+    `sums` (M + 1, 7) add positions and quaternions before each row, `noise` (2,) are the standard
+    deviations of a position [m] and of an angle [rad] along one axis: what neighbours do not have in
+    common.
     """
 
-    sums: FloatArray
-    limits: FloatArray
-    noise: FloatArray
-
-    @classmethod
-    def of(cls, track: Track, most_m: float, most_rad: float) -> "_Means":
-        """Return the sums of a track, and its noise: what neighbours do not have in common."""
-        sums = np.zeros((len(track.time) + 1, 7))
-        x = sums[1:]
+    def __init__(self, track: Track, most_m: float, most_rad: float) -> None:
+        self.limits, self.noise = np.array([most_m, most_rad]), np.zeros(2)
+        self.sums = np.zeros((len(track.time) + 1, 7))
+        x = self.sums[1:]
         x[:, :3], x[:, 3:] = track.position - track.position[0], 2.0 * track.steady
-        noise = np.zeros(2)
         if len(x) > 2:
             rows = np.arange(1, len(x) - 1, -(-len(x) // (5 * ROWS_AT_ONCE)))
             bend = x[rows + 1] - 2.0 * x[rows] + x[rows - 1]
+            usual = np.sqrt(6.0 * chi2_quantile(QUIET, 3))  # of a length in space, at unit noise
             for kind, columns in enumerate((slice(3), slice(3, 7))):
                 length = np.linalg.norm(bend[:, columns], axis=1)
-                noise[kind] = np.quantile(length, QUIET) / (OF_QUIET * np.sqrt(6.0))
+                self.noise[kind] = np.quantile(length, QUIET) / usual
         np.cumsum(x, axis=0, out=x)
-        return cls(sums, np.array([most_m, most_rad]), noise)
 
     def of_rows(self, begin: IntArray, end: IntArray) -> FloatArray:
         """Return means (N, 7) of the rows from `begin` to before `end` (N,)."""

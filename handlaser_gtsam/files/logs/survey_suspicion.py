@@ -29,13 +29,12 @@ from .motion import Way
 from .suspicion import (
     BETTER,
     FITS,
-    GOOD,
     LEAST_SPARE,
     MOST_STATIONS,
-    QUANTILE,
     WELL,
     accused,
     alternatives,
+    good_square,
 )
 
 
@@ -118,5 +117,4 @@ def _misfit(rows: Rows) -> float:
         return np.inf
     blocks, _ = blocks_of(rows.items, sigmas, values)
     e = [block.ranges.evaluate(values).columns[-1] for block in blocks if isinstance(block, Mixed)]
-    size = np.abs(np.concatenate([one.ravel() for one in e]))
-    return float(np.quantile(size, GOOD) / QUANTILE) ** 2
+    return good_square(np.concatenate([one.ravel() for one in e]))

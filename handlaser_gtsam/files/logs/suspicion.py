@@ -30,6 +30,7 @@ from ...model.conventions import (
     Convention,
     called,
 )
+from ...model.distributions import gaussian_quantile
 from ...model.equation import plausible_range_errors, residuals_or_infinite
 from ...model.losses import Loss
 from ...model.search import LossScale
@@ -60,9 +61,8 @@ LEAST_OF_BEAM, LEAST_SPARE = 24, 10
 than for other mistakes, because the other convention must fit well, too."""
 MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
-GOOD, QUANTILE = 0.7, 1.0364
-"""The part of the readings that must be good, and the quantile of the absolute residuals there in
-standard deviations of Gaussian noise."""
+GOOD = 0.7
+"""The part of the readings that must be good."""
 WHOLE_STARTS, SUBSETS, TRIED = 6, 8, 200
 """Starts from all readings, starts from parts of the stations, and the directions tried for these."""
 REFINEMENTS = 30
@@ -218,14 +218,19 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
         usable, readings, RANGE_ERROR_TERMS["auto"], REFINEMENTS // 3, Loss("cauchy"), rule
     )
     residuals = [
-        float(np.quantile(np.abs(residuals_or_infinite(one.parameters, readings)), GOOD))
+        good_square(residuals_or_infinite(one.parameters, readings))
         for one in tight
         if one is not None
         and np.linalg.norm(one.parameters.locations, axis=1).max() <= reach
         and plausible_range_errors(one.parameters, readings)
     ]
-    best = min(residuals, default=np.inf) / QUANTILE
-    return float(best**2) / max(readings.spread() ** 2, 1e-300)
+    return min(residuals, default=np.inf) / max(readings.spread() ** 2, 1e-300)
+
+
+def good_square(residuals: FloatArray) -> float:
+    """Return the square below which `GOOD` of the residuals are, as the variance if it is Gaussian."""
+    most = float(np.quantile(np.abs(residuals), GOOD) / gaussian_quantile(0.5 * (1.0 + GOOD)))
+    return most**2
 
 
 def alternatives(
