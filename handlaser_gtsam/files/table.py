@@ -26,11 +26,13 @@ BLANK = " \t"
 UNIT = "\x1f"
 """Stands between cells once quotes are taken away; as a control character it is in no cell."""
 CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
-QUOTED = {
-    separator: re.compile(f'[{blanks}]*"((?:[^"]|"")*)"[{blanks}]*')
+CELLS = {
+    separator: re.compile(
+        f'[{blanks}]*"((?:[^"]|"")*)"[{blanks}]*(?={separator}|$)|([^{separator}]*)'
+    )
     for separator, blanks in ((",", BLANK), (";", BLANK), ("\t", " "))
 }
-"""A cell in quotes, with blanks around it that are no separators."""
+"""A cell in quotes, with blanks around it that are no separators, or one without quotes."""
 COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
 NUMBER = re.compile(rf"(?:{COMMA.pattern}|{POINT.pattern}|[+-]?\d+)")
@@ -320,35 +322,19 @@ def _split(line: str, separator: str) -> str:
     """Return a line with `UNIT` between its cells and without the quotes around them."""
     if '"' not in line:
         return line.replace(separator, UNIT)
-    # Quotes without quotes inside, by far the most frequent: what stands between two of them begins
-    # and ends with a separator.
-    parts, blanks = line.split('"'), BLANK.replace(separator, "")
-    between = [part.strip(blanks) for part in parts[::2]]
-    if (
-        len(parts) % 2
-        and all(one.startswith(separator) and one.endswith(separator) for one in between[1:-1])
-        and (not between[0] or between[0].endswith(separator))
-        and (not between[-1] or between[-1].startswith(separator))
-    ):
-        parts[::2] = [one.replace(separator, UNIT) for one in between]
-        return "".join(parts)
     cells, at = [], 0
     while at <= len(line):
-        quoted = QUOTED[separator].match(line, at)
-        if quoted is not None and line[quoted.end() : quoted.end() + 1] in ("", separator):
-            cells.append(quoted[1].replace('""', '"'))
-            at = quoted.end() + 1
-            continue
-        end = line.find(separator, at)
-        end = len(line) if end < 0 else end
-        if '"' in line[at:end]:
-            found = f"a stray quote in {shown(line[at:end].strip(BLANK))}"
+        cell = CELLS[separator].match(line, at)
+        assert cell is not None  # for a cell may be empty
+        quoted, plain = cell.groups()
+        if quoted is None and '"' in plain:
+            found = f"a stray quote in {shown(plain.strip(BLANK))}"
             expected = (
                 "no quotes, or quotes around a whole cell on one line with those inside doubled"
             )
             raise InputError(found, expected)
-        cells.append(line[at:end])
-        at = end + 1
+        cells.append(plain if quoted is None else quoted.replace('""', '"'))
+        at = cell.end() + 1
     return UNIT.join(cells)
 
 

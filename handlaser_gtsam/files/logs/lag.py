@@ -31,7 +31,7 @@ from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.equation import residuals_or_infinite
 from ...model.families import count_unknowns
 from ...model.search import LevenbergOptions
-from ...quantities import MOST_ROUNDS, ROUNDING
+from ...quantities import FAR_SIGMAS, MOST_ROUNDS, ROUNDING, SINGULAR
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
 from .motion import interpolated, neighbours
@@ -46,8 +46,6 @@ WORST_SIGMA = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag."""
 INTERPOLATED = 1e-4
 """The interpolation between two poses may move the minimum by this much [s]."""
-BENT = 3.0
-"""The curvature of a parabola, in its standard deviations, that shows a minimum."""
 UNEXPLAINED = 0.1
 """A larger part of the variance of readings than this says that they do not follow the motion."""
 AS_GOOD = 4.0
@@ -59,8 +57,6 @@ LONGEST_MOVE = 15.0
 """A longer move [s] is not the way from one plane to another, but of an arm that never stops."""
 PIECES = 6
 """Pieces of a recording in which the lag should be the same."""
-OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
-"""Of each calibration: a step of a thousandth of a standard deviation moves no minimum."""
 LEAST_READINGS = 264
 """Readings of a beam before a plane: twelve for each coefficient."""
 MOST_READINGS = 1500
@@ -228,7 +224,7 @@ def _lowest(lags: FloatArray, sums: FloatArray, count: int) -> tuple[float, floa
     """
     middle, squares = lags[3], float(sums.min())
     (bend, slope, _), spread = np.polyfit(lags - middle, sums, 2, cov=True)
-    if bend <= BENT * np.sqrt(spread[0, 0]):
+    if bend <= FAR_SIGMAS * np.sqrt(spread[0, 0]):
         return None
     shift = float(np.clip(-0.5 * slope / bend, lags[0] - middle, lags[-1] - middle))
     fitted = 0.5 * np.sqrt(spread[1, 1]) / bend
@@ -255,13 +251,13 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     for _ in range(MOST_ROUNDS):
         lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)
         problems = [_readings(track, parts, lag).seen_from(origins) for lag in lags]
-        solved = solve_together(problems, [start] * 7, terms, 1.0, options=OPTIONS)
+        solved = solve_together(problems, [start] * len(lags), terms, 1.0)
         cost = np.asarray(2.0 * solved.cost)
         if not np.isfinite(cost).all():
             return None
         best = int(cost.argmin())
         start = solved.parameters[best]
-        if best in (0, 6):  # the minimum lies further on
+        if best in (0, len(lags) - 1):  # the minimum lies further on
             near = float(lags[best])
             continue
         found = _lowest(lags, cost, count)
@@ -276,7 +272,7 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     at, later, sooner = (
         _readings(track, parts, found[0] + shift).seen_from(origins) for shift in (0.0, FINE, -FINE)
     )
-    solved = solve_together([at], [start], terms, 1.0, options=OPTIONS)
+    solved = solve_together([at], [start], terms, 1.0)
     if not 2.0 * solved.cost[0] <= AS_GOOD * candidate.squares:
         return None
     e, after, before = (
@@ -381,9 +377,9 @@ def _squares(track: Track, parts: list[_Part], lag: float) -> float:
             X /= np.maximum(np.linalg.norm(X, axis=0), ROUNDING)  # of a hand that does not turn
             # Products of columns lose half of the digits, and take a hundredth of the time.
             G = X.T @ X
-            known = np.linalg.pinv(G[:-1, :-1], rcond=1e-12, hermitian=True)
+            known = np.linalg.pinv(G[:-1, :-1], rcond=SINGULAR, hermitian=True)
             left = float(G[-1, -1] - G[-1, :-1] @ known @ G[:-1, -1])
-            total += max(left, 1e-12) * float(d @ d)
+            total += max(left, SINGULAR) * float(d @ d)
     return total
 
 

@@ -21,7 +21,7 @@ from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
-from ...quantities import NUMBERS_AT_ONCE
+from ...quantities import FAR_SIGMAS, NUMBERS_AT_ONCE, ROUNDING, SINGULAR
 from .stands import Track
 
 STEP = 0.02
@@ -34,8 +34,6 @@ LEAST_OVERLAP = 0.3
 """Offsets at which a smaller part of the shorter recording lies within the other count less."""
 RESTS = 0.1
 """What is slower than such a part of the root mean square speed hardly moves."""
-CLIPPED = 4.0
-"""Rates beyond this number of root mean squares come from a change of planes."""
 SPIKE = 10.0
 """A reading is wild if it is off the median of five by this factor of what nine in ten readings are."""
 
@@ -91,7 +89,7 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
 def _activity(columns: FloatArray) -> FloatArray:
     """Return where columns (M, k) of speeds move, 1, or rest, 0, less the mean (M,)."""
     speed = np.linalg.norm(columns, axis=1)
-    found = speed / (speed + RESTS * max(float(np.sqrt((speed**2).mean())), 1e-12))
+    found = speed / (speed + RESTS * max(float(np.sqrt((speed**2).mean())), SINGULAR))
     return np.asarray(found - found.mean())
 
 
@@ -102,7 +100,7 @@ def _velocities(track: Track, step: float) -> FloatArray:
     late_turn, early_turn = Rotation.from_quat(late[:, 3:]), Rotation.from_quat(early[:, 3:])
     turn = (late_turn * early_turn.inv()).as_rotvec()
     w = np.hstack((late[:, :3] - early[:, :3], turn))
-    return np.asarray(w / np.maximum(np.sqrt((w**2).mean(axis=0)), 1e-9))
+    return np.asarray(w / np.maximum(np.sqrt((w**2).mean(axis=0)), ROUNDING))
 
 
 def _rates(time: FloatArray, d: FloatArray, step: float) -> FloatArray:
@@ -116,9 +114,10 @@ def _rates(time: FloatArray, d: FloatArray, step: float) -> FloatArray:
             x = np.concatenate((ends[:1], column[read], ends[1:]))
             late, early = _sides(t, x[:, None], step)
             rate = (late - early)[:, 0]
-            most = CLIPPED * np.sqrt((rate**2).mean())
+            # Faster ones come from a change of planes.
+            most = FAR_SIGMAS * np.sqrt((rate**2).mean())
             rate = np.clip(rate, -most, most)
-            columns.append(rate / max(float(np.linalg.norm(rate)), 1e-12))
+            columns.append(rate / max(float(np.linalg.norm(rate)), SINGULAR))
     return np.stack(columns, axis=1) if columns else np.zeros((1, 0))
 
 

@@ -32,15 +32,13 @@ from ...model.conventions import (
 )
 from ...model.distributions import gaussian_quantile
 from ...model.equation import plausible_range_errors, residuals_or_infinite
-from ...model.losses import Loss
-from ...model.search import LossScale
 from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
 from ...results.warnings import FAR_BEAM
-from ...solvers.refine import refine_many
 from ...starts import Effort, find_start
 from ...starts.directions import subset_starts
 from ...starts.growing import grow
-from ...starts.robust import least_scale
+from ...starts.robust import least_scale, refined_starts
+from ...starts.search import Round
 from .format import LogFormat
 from .format_checks import convention_of
 from .motion import Way
@@ -50,23 +48,21 @@ MOVED = 0.02
 """Readings at one pose that differ by more than this part of the typical range are from several."""
 FITS = 1e-4
 """A mean squared residual below this part of the variance of the readings needs no other convention."""
-BETTER, BETTER_ROBUST = 4.0, 6.25
-"""A convention is named where it lowers the squared residual by this factor. The first accused none of
-180 right logs, a third of which had a fifth of their readings wrong; 4 for the second one of 150."""
+BETTER = 6.25
+"""A convention is named where it lowers the squared residual by this factor: a factor of 4 accused one
+of 150 right logs, a third of which had a fifth of their readings wrong."""
 WELL = 2.5e-3
 """A convention is named where it leaves at most this part of the variance: of a log that fits in no way
 the best way says nothing."""
-LEAST_OF_BEAM, LEAST_SPARE = 24, 10
-"""Readings of one beam, and readings beyond the unknowns, that tell one convention from another: fewer
-than for other mistakes, because the other convention must fit well, too."""
+LEAST_SPARE = 10
+"""Readings beyond the unknowns that tell one convention from another: fewer than for other mistakes,
+because the other convention must fit well, too."""
 MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
 GOOD = 0.7
 """The part of the readings that must be good."""
-WHOLE_STARTS, SUBSETS, TRIED = 6, 8, 200
-"""Starts from all readings, starts from parts of the stations, and the directions tried for these."""
-REFINEMENTS = 30
-"""Steps that refine a start; ten more with range errors."""
+SUBSETS, TRIED = 8, 200
+"""Starts from parts of the stations, and the directions tried for these."""
 
 
 def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
@@ -133,7 +129,7 @@ def refuse_wrong_convention(
         It fits so, and is not to be read `as_stated` in any case.
     """
     part, stations = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
-    if len(stations) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
+    if not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
     rows, way = way.narrowed(chosen[stations])
     numbers, convention = numbers[rows], convention_of(given)
@@ -185,7 +181,7 @@ def accused(
 
 def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] | None:
     """Return by what squared factor another convention fits better, and which; None where none does."""
-    for measure, least in ((_at_a_glance, BETTER), (_robustly, BETTER_ROBUST)):
+    for measure in (_at_a_glance, _robustly):
         try:
             now = measure(part, "glance")
         except HandlaserError:
@@ -194,7 +190,7 @@ def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] |
             return None
         near = partial(measure, reach=FAR_BEAM)
         best, words = min(misfits(part, others, near), default=(np.inf, ""))
-        if best <= min(now / least, WELL):
+        if best <= min(now / BETTER, WELL):
             return now / best, words
     return None
 
@@ -209,19 +205,13 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     rng = np.random.default_rng(0)
     starts = [one.parameters for one in find_start(readings, None, 0, effort=effort).candidates]
-    starts = starts[:WHOLE_STARTS]
     starts += [grow(one, readings) for one in subset_starts(readings, SUBSETS, TRIED, rng)]
-    rule = LossScale(least_scale(readings, None), GOOD)
-    loose = refine_many(starts, readings, 0, REFINEMENTS, Loss("cauchy"), rule)
-    usable = [one.parameters for one in loose if one is not None]
-    tight = refine_many(
-        usable, readings, RANGE_ERROR_TERMS["auto"], REFINEMENTS // 3, Loss("cauchy"), rule
-    )
+    latest = Round([("", start) for start in starts], GOOD, len(starts))
+    terms = RANGE_ERROR_TERMS["auto"]
     residuals = [
         good_square(residuals_or_infinite(one.parameters, readings))
-        for one in tight
-        if one is not None
-        and np.linalg.norm(one.parameters.locations, axis=1).max() <= reach
+        for _, one in refined_starts(latest, readings, terms, least_scale(readings, None))
+        if np.linalg.norm(one.parameters.locations, axis=1).max() <= reach
         and plausible_range_errors(one.parameters, readings)
     ]
     return min(residuals, default=np.inf) / max(readings.spread() ** 2, 1e-300)

@@ -185,7 +185,7 @@ def _line(value: object) -> str:
 
 
 def work(asked: "Connection[FileAnswer, bool]", watched: Watched) -> None:
-    """FileAnswer whoever asks, until nobody does."""
+    """Answer whoever asks, until nobody does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends this process
     os.nice(5)  # the process that moves the robot and records comes first
     threading.Thread(target=_end_with_parent, daemon=True).start()
