@@ -184,7 +184,7 @@ def test_a_wrong_rig_file_is_refused_in_one_line(case, folder, handlaser):
 
 WRONG_POINTS = {
     "a station that is not there": ("P3,", "Q3,", "'Q3'"),
-    "a word": ("P3,", "P3,x", "a number, or nothing"),
+    "a word": ("P3,", "P3,x", "a finite number or an empty cell"),
     "no station": ("P3,", ",", "the name of a station"),
     "a header without a column": ("station,x,z", "station,x,y", "no column 'z'"),
 }

@@ -15,6 +15,8 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ..text import shown, some
 from .logs.tables import PARQUET
+from .range_cells import known_numbers
+from .table import Table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,11 +51,12 @@ def read_points(
         No such file, a column that is missing, a station that is not there, or no number.
     """
     wanted = COLUMNS[kind]
-    table = _table(path, ("station", *wanted))
+    table = read_frame(path, "a table of points, CSV with a header or Parquet")
+    table.require("station", *wanted)
+    names = table.frame["station"].cast(pl.String)
+    table.refuse(names.is_null().to_numpy(), "station", "the name of a station")
     place = {name: i for i, name in enumerate(stations)}
-    names = table["station"]
-    different = names.unique()
-    foreign = [name for name in different.to_list() if name not in place]
+    foreign = [name for name in names.unique().to_list() if name not in place]
     if foreign:
         raise InputError(
             f"station {some([shown(name) for name in foreign], 4)}",
@@ -63,7 +66,7 @@ def read_points(
             "station",
         )
     station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
-    numbers = np.column_stack([frame_numbers(table, name, path) for name in wanted])
+    numbers = np.column_stack([known_numbers(table, name)[0] for name in wanted])
     good = np.isfinite(numbers).all(axis=1)
     if kind != "profiler":
         good &= (numbers[:, -1] > 0.0) if kind != "points" else (numbers != 0.0).any(axis=1)
@@ -76,8 +79,10 @@ def read_points(
     return station.astype(np.intp), numbers
 
 
-def read_frame(path: Path, expected: str, *, text: bool = False) -> pl.DataFrame:
-    """Return a table as it stands; of CSV all cells as `text`, or as what they look like.
+def read_frame(path: Path, expected: str) -> Table:
+    """Return a table as it stands: of CSV the texts of the cells, of Parquet what they are.
+
+    It is read by Polars alone, because it may have millions of rows.
 
     Raises
     ------
@@ -88,47 +93,16 @@ def read_frame(path: Path, expected: str, *, text: bool = False) -> pl.DataFrame
         raise InputError("no readable file", expected, path)
     try:
         if path.suffix.lower() in PARQUET:
-            return pl.read_parquet(path)
-        return pl.read_csv(path, infer_schema_length=0 if text else 100)
+            frame = pl.read_parquet(path)
+        else:
+            texts = pl.selectors.all().str.strip_chars()
+            frame = pl.read_csv(path, infer_schema_length=0).select(
+                pl.when(texts != "").then(texts)
+            )
     except (pl.exceptions.PolarsError, OSError) as error:
         what = str(error).splitlines()[0][:120]
         raise InputError(f"no table ({what})", expected, path) from error
-
-
-def _table(path: Path, wanted: "Sequence[str]") -> pl.DataFrame:
-    table = read_frame(path, "a table of points, CSV with a header or Parquet", text=True)
-    missing = [name for name in wanted if name not in table.columns]
-    if missing:
-        found = f"no column {missing[0]!r} among {some(table.columns, 8)}"
-        raise InputError(found, ", ".join(wanted), path, 1, missing[0])
-    table = table.select(wanted)
-    empty = table["station"].is_null()
-    if empty.any():
-        line = int(empty.arg_max() or 0) + 2
-        raise InputError("an empty cell", "the name of a station", path, line, "station")
-    return table.with_columns(pl.col("station").cast(pl.String).str.strip_chars())
-
-
-def frame_numbers(table: pl.DataFrame, name: str, path: Path) -> FloatArray:
-    """Return a column as numbers; NaN where a cell is empty, or a word says that it is none.
-
-    Raises
-    ------
-    InputError
-    """
-    column = table[name]
-    if column.dtype == pl.String:
-        text = column.str.strip_chars().str.to_lowercase()
-        number = text.cast(pl.Float64, strict=False)
-        wrong = number.is_null() & text.is_not_null() & (text != "") & (text != "null")
-        if wrong.any():
-            row = int(wrong.arg_max() or 0)
-            raise InputError(shown(column[row]), "a number, or nothing", path, row + 2, name)
-        column = number
-    try:
-        return column.cast(pl.Float64).fill_null(np.nan).to_numpy()
-    except pl.exceptions.PolarsError as error:
-        raise InputError(f"cells of type {column.dtype}", "numbers", path, None, name) from error
+    return Table(frame, path, 1, np.arange(2, len(frame) + 2, dtype=np.intp), False)
 
 
 def _one_echo(station: IntArray, numbers: FloatArray, *, far: bool) -> BoolArray:

@@ -37,14 +37,8 @@ def range_numbers(
     InputError
         A cell that is neither a range nor a code.
     """
-    words = np.column_stack([_word_codes(table.frame[name]) for name in columns])
-    d = np.column_stack(
-        [
-            column_numbers(table, name, empty=True, but=word)
-            for name, word in zip(columns, words.T, strict=True)
-        ]
-    )
-    d[words] = np.nan
+    each, coded_by_words = zip(*(known_numbers(table, name) for name in columns), strict=True)
+    d, words = np.column_stack(each), np.column_stack(coded_by_words)
     if unit != 1.0:
         d = unit * d
     with np.errstate(invalid="ignore"):
@@ -63,6 +57,20 @@ def range_numbers(
         table.refuse((impossible & ~coded)[:, i], name, expected)
     d[coded] = np.nan
     return d, np.asarray(coded | words)
+
+
+def known_numbers(table: Table, name: str) -> tuple[FloatArray, BoolArray]:
+    """Return a column as numbers (M,), NaN where there is none, and where a word says so.
+
+    Raises
+    ------
+    InputError
+        A cell that is no number, not empty, and none of the words for "no reading".
+    """
+    words = _word_codes(table.frame[name])
+    numbers = column_numbers(table, name, empty=True, but=words)
+    numbers[words] = np.nan
+    return numbers, words
 
 
 def code_warnings(

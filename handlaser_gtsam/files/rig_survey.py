@@ -26,7 +26,8 @@ from ..errors import InputError
 from ..quantities import DEG, IN_MM, MM
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
-from .points_table import Echo, frame_numbers, read_frame, read_points
+from .points_table import Echo, read_frame, read_points
+from .range_cells import known_numbers
 
 SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
 """All lengths below a millimetre, or readings of more than a hundred metres, are a wrong unit [m]."""
@@ -158,7 +159,7 @@ class SurveyRig(FileRecord):
         return SurveyTables(self.sensors, tuple(map(_known, self.known)), folder)
 
 
-def _require_lengths(shots: Shots) -> Shots:
+def _require_lengths(shots: Shots) -> None:
     """Refuse shots whose lengths no such sensor has: a wrong unit."""
     sizes = [np.abs(shots.reading), np.abs(shots.across) if shots.kind == "profiler" else 0.0]
     largest, typical = max(float(np.max(x)) for x in sizes), float(np.median(sizes[0]))
@@ -168,7 +169,6 @@ def _require_lengths(shots: Shots) -> Shots:
             f"lengths of {shots.name} {'up to' if largest < SHORTEST_LENGTH else 'of some'} {far}"
         )
         raise InputError(found, 'units = "mm" or "m" in [[sensors]], as the lengths are')
-    return shots
 
 
 def _shots(
@@ -188,19 +188,19 @@ def _shots(
     if (table.zones is None) == (table.kind == "array"):
         found = f"{'no ' if table.zones is None else ''}zones of {table.name}"
         raise InputError(found, "the file of zones of an array, and of nothing else")
-    if table.kind == "profiler":
-        x, z = (numbers * length).T
-        return _require_lengths(Shots.profiler(table.name, station, x, z, **noise))
-    if table.kind == "scanner":
-        ranges = numbers[:, 1] * length
-        scans = Shots.scanner(table.name, station, numbers[:, 0] * angle, ranges, **noise)
-        return _require_lengths(scans)
     if table.kind == "points":
-        return _require_lengths(Shots.points(table.name, station, numbers * length, **noise))
-    directions = directions_of(folder / str(table.zones), numbers[:, 0])
-    reading = numbers[:, 1] * length
-    shots = Shots.array(table.name, station, directions, reading, table.convention, **noise)
-    return _require_lengths(shots)
+        shots = Shots.points(table.name, station, numbers * length, **noise)
+    else:
+        first, reading = numbers[:, 0], numbers[:, 1] * length
+        if table.kind == "profiler":
+            shots = Shots.profiler(table.name, station, first * length, reading, **noise)
+        elif table.kind == "scanner":
+            shots = Shots.scanner(table.name, station, first * angle, reading, **noise)
+        else:
+            u = directions_of(folder / str(table.zones), first)
+            shots = Shots.array(table.name, station, u, reading, table.convention, **noise)
+    _require_lengths(shots)
+    return shots
 
 
 def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
@@ -212,15 +212,14 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
     """
     expected = "zone, x, y, z or zone, x_deg, y_deg"
     table = read_frame(path, f"CSV with {expected}")
-    numbers = {name: frame_numbers(table, name, path) for name in table.columns}
+    numbers = {name: known_numbers(table, name)[0] for name in table.frame.columns}
     if {"zone", "x", "y", "z"} <= numbers.keys():
         u = np.stack([numbers[a] for a in "xyz"], axis=1)
     elif {"zone", "x_deg", "y_deg"} <= numbers.keys():
         x, y = (np.tan(numbers[f"{a}_deg"] * DEG) for a in "xy")
         u = np.stack((x, y, np.ones_like(x)), axis=1)
     else:
-        found = f"columns {', '.join(table.columns)}"
-        raise InputError(found, expected, path, 1)
+        raise table.fault(f"columns {table.names}", expected)
     if zone is None:
         return np.asarray(u)
     place = {float(name): i for i, name in enumerate(numbers["zone"])}
