@@ -15,6 +15,7 @@ from ..arrays import FloatArray
 from ..errors import InputError
 from ..quantities import ROWS_AT_ONCE
 from .recording import Recording
+from .stations import FINEST_STEP
 
 NEARLY_ALL = 0.9
 """The part of the common stations at which two columns must read the same."""
@@ -25,14 +26,11 @@ ENOUGH_STATIONS = 8
 """With this many common stations, agreement within rounding or a part of the noise is no chance."""
 RELATIVE = 2e-6
 """Readings that agree to this part are equal to rounding."""
-JITTER = 5e-7
-"""Readings that agree within this [m] are equal to rounding."""
 PART_OF_SIGMA = 0.4
 """The difference of two sensors has sqrt(2) sigma: it stays within 0.4 sigma once in four."""
-PART_OF_SPREAD = 2e-3
-"""Columns that differ by more of their spread are not alike, however generous the sigma."""
-ROUNDED_PART = 5e-3
-"""Columns that differ by more of their spread are not alike, however coarse the rounding."""
+PART_OF_SPREAD = 5e-3
+"""Columns that differ by more of their spread are not alike, however generous the sigma or coarse the
+rounding."""
 DECIMALS = range(2, 8)
 """Decimals of metres to which a column may have been rounded, the coarsest first."""
 SAME_UNIT = 0.01
@@ -104,8 +102,8 @@ def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
         a, b = x[:, i], x[:, j]
         a = np.where(np.isnan(b), np.nan, a)
         factor = _factors(a, b)
-        limit = np.maximum(JITTER * np.abs(factor), RELATIVE * np.abs(b))
-        limit = np.maximum(limit, ROUNDED_PART * (np.fmax.reduce(a) - np.fmin.reduce(a)))
+        limit = np.maximum(FINEST_STEP * np.abs(factor), RELATIVE * np.abs(b))
+        limit = np.maximum(limit, PART_OF_SPREAD * (np.fmax.reduce(a) - np.fmin.reduce(a)))
         off = np.abs(b - factor * a)
         common = (~np.isnan(off)).sum(axis=0)
         alike = (off <= limit).sum(axis=0) >= 0.5 * common
@@ -132,11 +130,10 @@ def _medians(x: FloatArray) -> FloatArray:
 def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) -> int:
     """Return at how many stations b is `factor` times a."""
     off = np.abs(b - factor * a)
-    limit = np.maximum(JITTER * abs(factor), RELATIVE * np.abs(b))
+    limit = np.maximum(FINEST_STEP * abs(factor), RELATIVE * np.abs(b))
     if factor == 1.0 and len(a) >= ENOUGH_STATIONS:
-        spread = float(np.ptp(a))
-        limit = np.maximum(limit, min(max(rounding(a), rounding(b)), ROUNDED_PART * spread))
-        limit = np.maximum(limit, min(PART_OF_SIGMA * (sigma or 0.0), PART_OF_SPREAD * spread))
+        most = max(rounding(a), rounding(b), PART_OF_SIGMA * (sigma or 0.0))
+        limit = np.maximum(limit, min(most, PART_OF_SPREAD * float(np.ptp(a))))
     return int((off <= limit).sum())
 
 

@@ -128,28 +128,16 @@ class Shots(Value):
         cls, name: str, station: ArrayLike, x: ArrayLike, z: ArrayLike, **noise: Any
     ) -> "Shots":
         """Return points (x, z) [m] of a line profiler, in its plane y = 0."""
-        return cls(
-            name,
-            "profiler",
-            np.asarray(station),
-            number_array("readings", x),
-            number_array("readings", z),
-            **noise,
-        )
+        across, reading = number_array("readings", x), number_array("readings", z)
+        return cls(name, "profiler", np.asarray(station), across, reading, **noise)
 
     @classmethod
     def scanner(
         cls, name: str, station: ArrayLike, angle: ArrayLike, reading: ArrayLike, **noise: Any
     ) -> "Shots":
         """Return ranges [m] at angles [rad] of a 2-D scanner: along (cos, sin, 0)."""
-        return cls(
-            name,
-            "scanner",
-            np.asarray(station),
-            number_array("readings", angle),
-            number_array("readings", reading),
-            **noise,
-        )
+        across, d = number_array("readings", angle), number_array("readings", reading)
+        return cls(name, "scanner", np.asarray(station), across, d, **noise)
 
     @classmethod
     def array(

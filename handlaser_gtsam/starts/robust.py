@@ -76,7 +76,7 @@ def robust_search(
         return _tight(loose, readings, terms, rule)
 
     candidates, _ = search(
-        _rounds(readings, others, terms, rng),
+        rounds(readings, others, terms, rng),
         lambda latest: refined_starts(latest, readings, terms, least),
         criterion,
         convinced,
@@ -93,7 +93,7 @@ def least_scale(readings: Readings, range_sigma: float | None) -> float:
     return max(range_sigma or 0.0, ROUNDING * readings.largest_range())
 
 
-def _rounds(
+def rounds(
     readings: Readings, others: Sequence[Parameters], terms: int, rng: np.random.Generator
 ) -> Iterator[Round]:
     """Yield starts on subsets, sweeps of all readings and random starts."""

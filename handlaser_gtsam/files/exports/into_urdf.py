@@ -1,13 +1,18 @@
 """Links and joints put into a URDF: nothing else of it changes."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
+from xml.etree import ElementTree
 from xml.parsers import expat
 
 from ...errors import InputError
 from ...results.lines import NAMES_ON_PAGE
 from ...text import shown, some
 from ..checked_text import read_text
+
+END = re.compile(r"</robot\s*>(?:\s|<!--(?:(?!-->).)*-->|<\?(?:(?!\?>).)*\?>)*\Z", re.DOTALL)
+"""The end of the root, behind which nothing but comments and instructions may follow."""
 
 
 def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> str:
@@ -21,18 +26,24 @@ def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> s
         No URDF in UTF-8, no such link in it, or links or joints in it that have the names of beams.
     """
     text = read_text(path, "a URDF file")
-    outline = _Outline(path, text)
-    if link not in outline.links:
-        found = f"no link {shown(link)}"
-        expected = (
-            f"one of {some(outline.links, NAMES_ON_PAGE)}" if outline.links else "a URDF with links"
-        )
-        raise InputError(found, expected, path)
-    if outline.links.count(link) > 1:
+    try:
+        root = ElementTree.fromstring(text.encode())
+    except ElementTree.ParseError as error:
+        what = expat.ErrorString(error.code)
+        raise InputError(f"no XML ({what})", "a URDF file", path, error.position[0]) from error
+    if root.tag != "robot":
+        raise InputError(f"the root element {shown(root.tag)}", "a URDF file: <robot>", path)
+    links = [one.get("name", "") for one in root.findall("link")]
+    if link not in links:
+        expected = f"one of {some(links, NAMES_ON_PAGE)}" if links else "a URDF with links"
+        raise InputError(f"no link {shown(link)}", expected, path)
+    if links.count(link) > 1:
         raise InputError(f"the link {shown(link)} twice", "every link once", path)
+    # Only those of the root: a joint in a transmission only refers to one.
+    joints = [one.get("name", "") for one in root.findall("joint")]
     for kind, there, names in (
-        ("link", outline.links, list(identifiers)),
-        ("joint", outline.joints, [f"{name}_joint" for name in identifiers]),
+        ("link", links, list(identifiers)),
+        ("joint", joints, [f"{name}_joint" for name in identifiers]),
     ):
         taken = [name for name in names if name in there]
         if taken:
@@ -41,43 +52,12 @@ def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> s
                 f"a URDF without the beams; it has {some(there, NAMES_ON_PAGE)}",
                 path,
             )
-    before, after = outline.halves
+    end = END.search(text)
+    assert end is not None  # for there is a link inside
+    before, after = text[: end.start()], text[end.start() :]
     ending = "\r\n" if "\r\n" in before else "\n"
     added = added.replace("\n", ending)
     head, newline, last = before.rpartition("\n")
     if newline and not last.strip():  # the end stands on a line of its own, and keeps its indent
         return head + newline + added + last + after
     return before + ending + added + after
-
-
-class _Outline:
-    """The links and joints of a URDF, and where its root ends; nothing else of it is looked at."""
-
-    def __init__(self, path: Path, text: str) -> None:
-        self.links: list[str] = []
-        self.joints: list[str] = []
-        self._open: list[str] = []
-        self._root, self._end = "", 0
-        data = text.encode()
-        self._parser = expat.ParserCreate("UTF-8")
-        self._parser.StartElementHandler = self._begin
-        self._parser.EndElementHandler = self._finish
-        try:
-            self._parser.Parse(data, True)
-        except expat.ExpatError as error:
-            what = expat.ErrorString(error.code)
-            raise InputError(f"no XML ({what})", "a URDF file", path, error.lineno) from error
-        if self._root != "robot":
-            raise InputError(f"the root element {shown(self._root)}", "a URDF file: <robot>", path)
-        self.halves = data[: self._end].decode(), data[self._end :].decode()
-
-    def _begin(self, name: str, attributes: dict[str, str]) -> None:
-        if self._open == ["robot"]:  # a joint in a transmission only refers to one
-            named = {"link": self.links, "joint": self.joints}.get(name, [])
-            named.append(attributes.get("name", ""))
-        self._open.append(name)
-
-    def _finish(self, name: str) -> None:
-        self._open.pop()
-        if not self._open:
-            self._root, self._end = name, self._parser.CurrentByteIndex

@@ -13,13 +13,11 @@ from ...model.conventions import FORMATS, TIME_UNITS, poses_of
 from .format import LogFormat
 from .format_checks import convention_of
 from .lag import estimated_lag
-from .motion import Way, bracketed, nearest
+from .motion import MOVES_M, MOVES_RAD, Way, bracketed, nearest
 from .planes import intervals, planes_in_time, planes_of
 from .rows import LogRows
 from .stands import Track, find_stands
 
-SAME_STATION_M, SAME_STATION_RAD = 1e-3, np.radians(0.1)
-"""Rows of one station may be so far apart: a robot that stands still is not."""
 UNIT_OFF = 0.15
 """Spans of one recording agree within a factor of three: this part of a power of a thousand."""
 
@@ -120,7 +118,7 @@ def _refuse_other_pose(
     between = Rotation.from_matrix(np.swapaxes(R[like], 1, 2) @ R[rows])
     angle = np.atleast_1d(between.magnitude())
     distance = np.linalg.norm(t[rows] - t[like], axis=1)
-    far = (angle > SAME_STATION_RAD) | (distance > SAME_STATION_M)
+    far = (angle > MOVES_RAD) | (distance > MOVES_M)
     wrong = np.zeros(len(t), dtype=bool)
     wrong[rows[far]] = True
     first = int(far.argmax())

@@ -34,7 +34,7 @@ from ...model.search import LevenbergOptions
 from ...quantities import FAR_SIGMAS, MOST_ROUNDS, ROUNDING, SINGULAR
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
-from .motion import interpolated, neighbours
+from .motion import MOVES_M, MOVES_RAD, interpolated, neighbours
 from .offsets import candidate_offsets, despiked
 from .stands import Track
 
@@ -51,8 +51,6 @@ UNEXPLAINED = 0.1
 AS_GOOD = 4.0
 """What leaves less than this factor of the mean square of another fits as well: another offset as the
 best one, and a calibration as the linear equation."""
-MOVES_M, MOVES_RAD = 1e-3, 2e-3
-"""Readings count where the hand moves or turns by more than this within `REACH` before or after."""
 LONGEST_MOVE = 15.0
 """A longer move [s] is not the way from one plane to another, but of an arm that never stops."""
 PIECES = 6
@@ -352,7 +350,7 @@ def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
 
 
 def _moves(track: Track, time: FloatArray) -> BoolArray:
-    """Tell at which times (N,) the hand moves, a little before or after."""
+    """Tell at which times (N,) the hand moves or turns within `REACH` before or after."""
     rows = [
         np.clip(np.searchsorted(track.time, time + shift), 0, len(track.time) - 1)
         for shift in (-REACH, 0.0, REACH)

@@ -10,6 +10,9 @@ from ...model.conventions import Convention, inverted, poses_of
 from ...model.geometry import steps_between
 from ...quantities import ROWS_AT_ONCE
 
+MOVES_M, MOVES_RAD = 1e-3, np.radians(0.1)
+"""Poses farther apart than this show a hand that moves: a robot that stands still does not."""
+
 
 @dataclass(frozen=True, slots=True)
 class Way:

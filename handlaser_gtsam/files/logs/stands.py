@@ -16,13 +16,11 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import InputError
 from ...model.distributions import chi2_quantile
-from ...quantities import MM, ROWS_AT_ONCE
+from ...quantities import FAR_SIGMAS, MM, ROWS_AT_ONCE
 from .format import LogFormat
 
 GAP = 0.25
 """Part of the shortest stand that a row must be still before and after it."""
-NOISE = 5.0
-"""Standard deviations of noise that are no motion: of 100,000 means one is off by more."""
 QUIET = 0.25
 """A quarter of the rows at least shows noise alone."""
 
@@ -134,7 +132,7 @@ class _Means:
         """Tell which mean poses agree, from the rows (N,) at which they begin and behind their ends."""
         apart = self.of_rows(*first) - self.of_rows(*second)
         part = 1.0 / (first[1] - first[0]) + 1.0 / (second[1] - second[0])
-        most = np.sqrt(self.limits**2 + NOISE**2 * self.noise**2 * part[:, None])
+        most = np.sqrt(self.limits**2 + (FAR_SIGMAS * self.noise) ** 2 * part[:, None])
         position, turn = np.linalg.norm(apart[:, :3], axis=1), np.linalg.norm(apart[:, 3:], axis=1)
         return np.asarray((position <= most[:, 0]) & (turn <= most[:, 1]))
 

@@ -18,9 +18,8 @@ from ...errors import CalibrationWarning
 from ...estimation.survey_rows import Rows, blocks_of, rows_of
 from ...estimation.survey_starts import start_of
 from ...model.condensed import Mixed
-from ...model.conventions import Convention
 from ...model.sensors.mounted import SENSOR
-from ...quantities import UNIT_SIGMA
+from ...quantities import TINY, UNIT_SIGMA
 from ...results.rereading import misfits
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort
@@ -60,14 +59,10 @@ def refuse_wrong_poses(
         It fits so, and is not to be read `as_stated` in any case.
     """
     rows = _part(survey)
-    told = sum(len(item.shot.reading) for item in rows.items if item.shot is not None)
-    if told < len(rows.places().names) + LEAST_SPARE:
+    read = [item.shot.reading for item in rows.items if item.shot is not None]
+    if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
         return ()
-    variance = _variance(rows)
-
-    def under(other: Convention, inverse: bool, recording: Recording) -> Recording:
-        R, t = way.poses(numbers, other, inverse=inverse)
-        return replace(recording, world_R_hand=R, world_t_hand=t)
+    variance = max(float(np.concatenate(read).var()), TINY)
 
     def measure(recording: Recording, effort: Effort) -> float:
         del effort  # there is one way to a start
@@ -80,7 +75,7 @@ def refuse_wrong_poses(
     now = measure(carrier, "glance")
     if now <= FITS:
         return ()
-    others = list(alternatives(numbers, under, given))
+    others = list(alternatives(numbers, way, given))
     best, words = min(misfits(carrier, others, measure), default=(np.inf, ""))
     if best > min(now / BETTER, WELL):
         return ()
@@ -98,12 +93,6 @@ def _part(survey: Survey) -> Rows:
         one, station=one.station[some], across=one.across[some], reading=one.reading[some]
     )
     return rows_of(Survey(survey.stations, (part,)))
-
-
-def _variance(rows: Rows) -> float:
-    """Return the variance of what the shots read [m^2]."""
-    read = [item.shot.reading for item in rows.items if item.shot is not None]
-    return max(float(np.concatenate(read).var()), 1e-300)
 
 
 def _misfit(rows: Rows) -> float:

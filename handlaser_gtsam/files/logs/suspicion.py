@@ -9,7 +9,7 @@ residual is compared, and where that shows nothing the residual below which 70 %
 that outliers do not hide a better convention. One is named where it fits much better, and well.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -32,13 +32,11 @@ from ...model.conventions import (
 )
 from ...model.distributions import gaussian_quantile
 from ...model.equation import plausible_range_errors, residuals_or_infinite
+from ...quantities import TINY
 from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort, find_start
-from ...starts.directions import subset_starts
-from ...starts.growing import grow
-from ...starts.robust import least_scale, refined_starts
-from ...starts.search import Round
+from ...starts.robust import least_scale, refined_starts, rounds
 from .format import LogFormat
 from .format_checks import convention_of
 from .motion import Way
@@ -61,8 +59,6 @@ MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
 GOOD = 0.7
 """The part of the readings that must be good."""
-SUBSETS, TRIED = 8, 200
-"""Starts from parts of the stations, and the directions tried for these."""
 
 
 def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
@@ -132,14 +128,10 @@ def refuse_wrong_convention(
     if not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
     rows, way = way.narrowed(chosen[stations])
-    numbers, convention = numbers[rows], convention_of(given)
-
-    def under(other: Convention, inverse: bool, recording: Recording) -> Recording:
-        R, t = way.poses(numbers, other, inverse=inverse)
-        return replace(recording, world_R_hand=R, world_t_hand=t)
-
-    part = replace(under(convention, given.inverted, part), warnings=())
-    found = _better(part, list(alternatives(numbers, under, given)))
+    numbers = numbers[rows]
+    R, t = way.poses(numbers, convention_of(given), inverse=given.inverted)
+    part = replace(part, world_R_hand=R, world_t_hand=t, warnings=())
+    found = _better(part, list(alternatives(numbers, way, given)))
     if found is None:
         return ()
     return accused(*found, given, path, f", ranges in {given.range_units}")
@@ -203,18 +195,17 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian."""
     readings, _ = sorted_readings(recording)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
-    rng = np.random.default_rng(0)
-    starts = [one.parameters for one in find_start(readings, None, 0, effort=effort).candidates]
-    starts += [grow(one, readings) for one in subset_starts(readings, SUBSETS, TRIED, rng)]
-    latest = Round([("", start) for start in starts], GOOD, len(starts))
     terms = RANGE_ERROR_TERMS["auto"]
+    whole = [one.parameters for one in find_start(readings, None, 0, effort=effort).candidates]
+    latest = next(rounds(readings, whole, terms, np.random.default_rng(0)))
+    latest = replace(latest, good=GOOD)
     residuals = [
         good_square(residuals_or_infinite(one.parameters, readings))
         for _, one in refined_starts(latest, readings, terms, least_scale(readings, None))
         if np.linalg.norm(one.parameters.locations, axis=1).max() <= reach
         and plausible_range_errors(one.parameters, readings)
     ]
-    return min(residuals, default=np.inf) / max(readings.spread() ** 2, 1e-300)
+    return min(residuals, default=np.inf) / max(readings.spread() ** 2, TINY)
 
 
 def good_square(residuals: FloatArray) -> float:
@@ -223,12 +214,13 @@ def good_square(residuals: FloatArray) -> float:
     return most**2
 
 
-def alternatives(
-    numbers: FloatArray,
-    under: Callable[[Convention, bool, Recording], Recording],
-    given: LogFormat,
-) -> Iterator[Rereading]:
+def alternatives(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Rereading]:
     """Yield other meanings of the same numbers, with the options that state them."""
+
+    def under(other: Convention, inverse: bool, recording: Recording) -> Recording:
+        R, t = way.poses(numbers, other, inverse=inverse)
+        return replace(recording, world_R_hand=R, world_t_hand=t)
+
     convention = convention_of(given)
     words = f"the poses are {INVERTED}: --inverted"
     if given.inverted:
