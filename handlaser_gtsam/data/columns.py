@@ -24,8 +24,6 @@ BY_CHANCE = 3
 near it, fewer than this multiple of any other."""
 ENOUGH_STATIONS = 8
 """With this many common stations, agreement within rounding or a part of the noise is no chance."""
-RELATIVE = 2e-6
-"""Readings that agree to this part are equal to rounding."""
 PART_OF_SIGMA = 0.4
 """The difference of two sensors has sqrt(2) sigma: it stays within 0.4 sigma once in four."""
 PART_OF_SPREAD = 5e-3
@@ -102,8 +100,8 @@ def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
         a, b = x[:, i], x[:, j]
         a = np.where(np.isnan(b), np.nan, a)
         factor = _factors(a, b)
-        limit = np.maximum(FINEST_STEP * np.abs(factor), RELATIVE * np.abs(b))
-        limit = np.maximum(limit, PART_OF_SPREAD * (np.fmax.reduce(a) - np.fmin.reduce(a)))
+        spread = np.fmax.reduce(a) - np.fmin.reduce(a)
+        limit = np.maximum(FINEST_STEP * np.abs(factor), PART_OF_SPREAD * spread)
         off = np.abs(b - factor * a)
         common = (~np.isnan(off)).sum(axis=0)
         alike = (off <= limit).sum(axis=0) >= 0.5 * common
@@ -130,7 +128,7 @@ def _medians(x: FloatArray) -> FloatArray:
 def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) -> int:
     """Return at how many stations b is `factor` times a."""
     off = np.abs(b - factor * a)
-    limit = np.maximum(FINEST_STEP * abs(factor), RELATIVE * np.abs(b))
+    limit = FINEST_STEP * abs(factor)
     if factor == 1.0 and len(a) >= ENOUGH_STATIONS:
         most = max(rounding(a), rounding(b), PART_OF_SIGMA * (sigma or 0.0))
         limit = np.maximum(limit, min(most, PART_OF_SPREAD * float(np.ptp(a))))

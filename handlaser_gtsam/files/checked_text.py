@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Self, TypeVar, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 
 from ..arrays import FloatArray
 from ..checks import as_called
@@ -45,6 +45,12 @@ class FileRecord(BaseModel):
     def schema_of(cls, data: object) -> type[Self]:  # noqa: ARG003  # for those that override it
         """Return the schema of a file of this content, which may import the schemas of rare tables."""
         return cls
+
+
+def numbers(names: str) -> Any:
+    """Return a record of numbers that may be given, under names with blanks between them."""
+    fields: Any = dict.fromkeys(names.split(), (float | None, None))
+    return create_model("Numbers", __base__=FileRecord, **fields)
 
 
 Schema = TypeVar("Schema", bound=FileRecord)

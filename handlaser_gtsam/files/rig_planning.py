@@ -30,7 +30,7 @@ from ..planning.goal import Goal
 from ..planning.robot import Robot
 from ..planning.workspace import Workspace
 from ..results.limits import Limits
-from .checked_text import FileRecord, in_table
+from .checked_text import FileRecord, in_table, numbers
 from .recording_csv import QUATERNION_TOLERANCE
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -111,23 +111,19 @@ class BlindTable(FileRecord):
             return Bounds(locations, directions, before, **given)
 
 
-class GoalTable(FileRecord):
+class GoalTable(
+    numbers(  # type: ignore[misc]  # computed
+        "location_sigma_mm direction_sigma_deg spot_mm working_distance_mm"
+    )
+):
     """What to plan for."""
 
     criterion: Criterion = "A"
-    location_sigma_mm: float | None = None
-    direction_sigma_deg: float | None = None
-    spot_mm: float | None = None
-    working_distance_mm: float | None = None
     tells: Annotated[tuple[str, ...], Strict(False)] = ()
 
 
-class PlacementTable(FileRecord):
+class PlacementTable(numbers("largest_tilt_deg within_mm tilt_deg")):  # type: ignore[misc]
     """How the plate can be moved."""
-
-    largest_tilt_deg: float | None = None
-    within_mm: float | None = None
-    tilt_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

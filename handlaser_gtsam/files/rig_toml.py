@@ -34,7 +34,15 @@ from ..model.effects.plausible import Plausible
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, WIDEST_CONE
 from ..results.limits import Limits
-from .checked_text import FileRecord, in_file, in_table, read_checked, read_text, square_matrix
+from .checked_text import (
+    FileRecord,
+    in_file,
+    in_table,
+    numbers,
+    read_checked,
+    read_text,
+    square_matrix,
+)
 from .logs.format import LogFormat
 from .rig_log import LogTable, table_of, with_stated
 from .writing import path_of, write_text
@@ -49,16 +57,15 @@ if TYPE_CHECKING:
 RIG_FILE = "a rig file, TOML"
 
 
-class NoiseTable(FileRecord):
+class NoiseTable(
+    numbers(  # type: ignore[misc]  # computed
+        "range_sigma_mm incidence_sigma_mm pose_translation_sigma_mm pose_rotation_sigma_deg"
+        " pose_translation_prior_mm pose_rotation_prior_deg"
+    )
+):
     """The table [noise] of a rig file."""
 
-    range_sigma_mm: float | None = None
-    incidence_sigma_mm: float | None = None
-    pose_translation_sigma_mm: float | None = None
-    pose_rotation_sigma_deg: float | None = None
     pose_covariance: list[list[float]] | None = None
-    pose_translation_prior_mm: float | None = None
-    pose_rotation_prior_deg: float | None = None
 
 
 class _Sensor(FileRecord):
@@ -69,25 +76,17 @@ class _Sensor(FileRecord):
     kind: str | None = None
 
 
-class _Plausible(FileRecord):
-    incidence_mm: float | None = None
-    tilt_mm: float | None = None
-    cubic_mm: float | None = None
-    drift_mm: float | None = None
-    carry_over_percent: float | None = None
-    beam_on_plane_mm: float | None = None
-    sag_mm: float | None = None
-    displaced_mm: float | None = None
-    tool_displaced_mm: float | None = None
-    lag_percent: float | None = None
-    turn_scale_percent: float | None = None
-    translation_scale_percent: float | None = None
+class _Plausible(
+    numbers(  # type: ignore[misc]  # computed
+        "incidence_mm tilt_mm cubic_mm drift_mm carry_over_percent beam_on_plane_mm sag_mm"
+        " displaced_mm tool_displaced_mm lag_percent turn_scale_percent translation_scale_percent"
+    )
+):
+    """The table [plausible]."""
 
 
-class _Limits(FileRecord):
-    rms_mm: float | None = None
-    location_sigma_mm: float | None = None
-    direction_sigma_deg: float | None = None
+class _Limits(numbers("rms_mm location_sigma_mm direction_sigma_deg")):  # type: ignore[misc]
+    """The table [limits]."""
 
 
 class _Rig(FileRecord):

@@ -43,6 +43,8 @@ STATED = re.compile(r'\A"?sep=([,;\t])"?[ \t]*(?=\n)', re.IGNORECASE)
 MOST_LOOKED_AT = 1000
 """Cells of a line that tell whether it is a header, for no log has more columns; and lines in which
 separators are counted."""
+NANOMETRE_DECIMALS = 9
+"""A length that is cut behind this number of decimals is wrong by less than a nanometre."""
 MOST_TITLES = 20
 """A header stands behind this number of lines of titles at most."""
 
@@ -339,14 +341,17 @@ def _split(line: str, separator: str) -> str:
 def _whole(cell: str | None, others: pl.Series) -> bool:
     """Tell whether a number has all its digits, as far as the numbers above it in its column show.
 
-    It has as many decimals as any of them, or an exponent.
+    It has as many decimals as any of them, up to where further ones do not matter, or an exponent.
     """
     if cell is None:
         return False
     if re.fullmatch(r"[+-]?[\d.]+[eE][+-]?\d\d+", cell):
         return True
-    number = re.fullmatch(r"[+-]?\d+\.(\d+)", cell)
+    number = re.fullmatch(r"[+-]?(\d+)\.(\d+)", cell)
     if number is None or others.str.contains("[eE]").any():
         return False
+    decimals = len(number[2])
+    if number[1] == "0" and decimals >= NANOMETRE_DECIMALS:
+        return True
     most = others.str.extract(r"\.(\d+)$").str.len_chars().max()
-    return isinstance(most, int) and len(number[1]) >= most
+    return isinstance(most, int) and decimals >= most

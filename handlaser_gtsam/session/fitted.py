@@ -19,6 +19,7 @@ from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.reduction import Normal
 from ..model.weighting import Whitening, whitening
+from ..outliers.consensus import FEW_REJECTED
 from ..quantities import FAR_SIGMAS, KNOWN, NEGLIGIBLE
 from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, moved
 from ..solvers.beam_state import BeamState, GraphPart
@@ -27,9 +28,6 @@ from ..solvers.poses import pose_priors
 from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
 from .drift import DriftHistory, turns
-
-MOST_CONTRADICTED = 0.3
-"""If a larger part of the new readings of a plane contradicts the beams, the beams are at fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +260,7 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
         worst = int(np.argmax(t))
         if t[worst] <= cut:
             return bad
-        if bad.sum() + 1 > MOST_CONTRADICTED * total:
+        if bad.sum() + 1 > FEW_REJECTED * total:  # rather the beams are at fault
             return None
         bad |= now.mask(recording, np.arange(len(t)) == worst)
         rest = recording.without(bad)

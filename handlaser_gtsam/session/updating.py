@@ -13,7 +13,7 @@ from ..pipeline import calibrate
 from ..quantities import FAR_SIGMAS
 from ..results.calibration import Calibration
 from ..solvers.isam import IncrementalOptions
-from .config import ProcessNoise, SessionConfig
+from .config import AGREED, ProcessNoise, SessionConfig
 from .contents import Contents
 from .reports import Change, Comparison, Update
 from .state import SessionState, begin
@@ -24,8 +24,6 @@ RESTARTED = (
 UNKNOWN = float("nan")
 LEAST_CHANGES = 4
 """Changes between two comparisons with the batch solution at least: a comparison takes its time."""
-AGREED = 0.01
-"""The estimate agrees with the batch within this many sigmas, and its sigmas to this part."""
 
 
 def started(

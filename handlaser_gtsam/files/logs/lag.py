@@ -18,7 +18,7 @@ on until the minimum lies amid them. The curvature there says how well it is kno
 variance s^2, the variance of tau is 2 s^2 / S''(tau).
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,15 +61,8 @@ MOST_READINGS = 1500
 """Readings of one plane and beam that are looked at, evenly spread."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """Readings d (N, b) of beams before a plane at times (N,) [s], and how many they stand for."""
-
-    plane: int
-    beams: IntArray
-    time: FloatArray
-    d: FloatArray
-    covered: int
+_Part = tuple[int, IntArray, FloatArray, FloatArray]
+"""A plane, beams (b,) before it, times (N,) [s] and readings (N, b) [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +181,7 @@ def _coarse(
             "readings follow the motion",
             "one clock and one unit (--time-units, --readings-time-units); or a rough --lag-s",
         )
-    parts = list(_parts(track, time, d, plane, offset))
+    parts, covered = _parts(track, time, d, plane, offset)
     if not parts:
         raise InputError(
             "too few readings while the hand moves to estimate the lag",
@@ -209,9 +202,8 @@ def _coarse(
         step *= 0.5
         pair = [(_squares(track, parts, other), other) for other in (lag - step, lag + step)]
         squares, lag = min((squares, lag), *pair)
-    variation = sum(float(part.d.var(axis=0).sum()) * len(part.d) for part in parts)
-    count = sum(part.d.size for part in parts)
-    covered = sum(part.covered for part in parts)
+    variation = sum(float(own.var(axis=0).sum()) * len(own) for *_, own in parts)
+    count = sum(own.size for *_, own in parts)
     return _Candidate(lag, squares, variation, count, covered, parts)
 
 
@@ -276,7 +268,7 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     e, after, before = (
         residuals_or_infinite(solved.parameters[0], rows) for rows in (at, later, sooner)
     )
-    time = np.concatenate([part.time for part in parts])[at.station]
+    time = np.concatenate([own for _, _, own, _ in parts])[at.station]
     rate = (after - before) / (2.0 * FINE)
     # Beside noise, a piece of the recording is off by -rate'e / rate'rate.
     piece = np.searchsorted(np.linspace(time.min(), time.max(), PIECES + 1)[1:-1], time)
@@ -290,13 +282,13 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
 def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:
     """Return all readings with the poses of their times less the lag, each time a station."""
     columns, first = [], 0
-    for part in parts:
-        rotation, position = _poses(track, part, lag)
+    for index, beams_of_part, time, readings in parts:
+        rotation, position = _poses(track, time - lag)
         R = rotation.as_matrix()
-        station = np.arange(first, first + len(part.time))
-        first += len(part.time)
-        for beam, d in zip(part.beams.tolist(), part.d.T, strict=True):
-            same = np.full((2, len(d)), [[part.plane], [beam]])
+        station = np.arange(first, first + len(time))
+        first += len(time)
+        for number, d in zip(beams_of_part.tolist(), readings.T, strict=True):
+            same = np.full((2, len(d)), [[index], [number]])
             columns.append((*same, station, d, R, position))
     plane, beam, station, d, R, t = (np.concatenate(own) for own in zip(*columns, strict=True))
     order = np.lexsort((station, beam, plane))
@@ -308,8 +300,13 @@ def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:
 
 def _parts(
     track: Track, time: FloatArray, d: FloatArray, plane: IntArray, offset: float
-) -> Iterator[_Part]:
-    """Yield the readings of each plane and beam that tell something of a lag near an offset [s]."""
+) -> tuple[list[_Part], int]:
+    """Return the readings of each plane and beam that tell something of a lag near an offset [s].
+
+    Of many they are some; the second result is how many they stand for.
+    """
+    parts: list[_Part] = []
+    covered = 0
     moments = time - offset
     inside = (moments - REACH >= track.time[0]) & (moments + REACH <= track.time[-1]) & (plane >= 0)
     moves = _moves(track, moments)
@@ -322,11 +319,13 @@ def _parts(
             alike.setdefault(mine.tobytes(), []).append(beam)
         for beams in map(np.array, alike.values()):
             rows = np.flatnonzero(read[beams[0]])
-            covered = len(rows) * len(beams)
+            if len(rows) < LEAST_READINGS:
+                continue
+            covered += len(rows) * len(beams)
             if len(rows) > MOST_READINGS:
                 rows = rows[np.linspace(0, len(rows) - 1, MOST_READINGS).round().astype(np.intp)]
-            if len(rows) >= LEAST_READINGS:
-                yield _Part(index, beams, time[rows], d[rows][:, beams], covered)
+            parts.append((index, beams, time[rows], d[rows][:, beams]))
+    return parts, covered
 
 
 def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
@@ -366,11 +365,11 @@ def _moves(track: Track, time: FloatArray) -> BoolArray:
 def _squares(track: Track, parts: list[_Part], lag: float) -> float:
     """Return the sum of squares that the linear equation leaves at a lag, over planes and beams."""
     total = 0.0
-    for part in parts:
-        rotation, position = _poses(track, part, lag)
+    for _, _, time, readings in parts:
+        rotation, position = _poses(track, time - lag)
         R = rotation.as_matrix().reshape(-1, 9)
         turned, moved = R - R.mean(axis=0), position - position.mean(axis=0)
-        for d in (part.d - part.d.mean(axis=0)).T:
+        for d in (readings - readings.mean(axis=0)).T:
             X = np.hstack((d[:, None] * turned, turned, moved, np.ones((len(d), 1)), d[:, None]))
             X /= np.maximum(np.linalg.norm(X, axis=0), ROUNDING)  # of a hand that does not turn
             # Products of columns lose half of the digits, and take a hundredth of the time.
@@ -381,9 +380,8 @@ def _squares(track: Track, parts: list[_Part], lag: float) -> float:
     return total
 
 
-def _poses(track: Track, readings: _Part, lag: float) -> tuple[Rotation, FloatArray]:
-    """Return rotations and positions (N, 3) at the times of readings less the lag."""
-    wanted = readings.time - lag
+def _poses(track: Track, wanted: FloatArray) -> tuple[Rotation, FloatArray]:
+    """Return rotations and positions (N, 3) at increasing times (N,) [s]."""
     first = int(np.searchsorted(track.time, wanted[0] - 1.0))
     last = int(np.searchsorted(track.time, wanted[-1] + 1.0))
     part = slice(first, last)

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from io import DEFAULT_BUFFER_SIZE
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,8 +19,6 @@ ALWAYS = 1 << 26
 """Bytes that may be unpacked from any file: one large message, or one small sheet."""
 MOST_TIMES = 100
 """How many times its bytes a file may unpack to beside `ALWAYS`; logs reach ten to twenty."""
-A_PART = 1 << 22
-"""Bytes that are unpacked at once."""
 MCAP = b"\x89MCAP0\r\n"
 MCAP_MESSAGE, MCAP_CHUNK = 5, 6
 """Kinds of records (https://mcap.dev/spec)."""
@@ -73,7 +72,7 @@ def refuse_zip_bomb(path: Path) -> None:
             allowance.take(part.compress_size, part.file_size)
         for part in archive.infolist():
             with archive.open(part) as file:
-                while file.read(A_PART):  # zipfile compares size and checksum
+                while file.read(DEFAULT_BUFFER_SIZE):  # zipfile compares size and checksum
                     pass
 
 
@@ -190,7 +189,7 @@ def _unpacked(allowance: Allowance, unpack: Callable[[bytes], bytes], data: byte
     allowance.take(len(data), 0)
     parts: list[bytes] = []
     while not unpacker.eof:
-        parts.append(unpacker.decompress(b"" if parts else data, A_PART))
+        parts.append(unpacker.decompress(b"" if parts else data, DEFAULT_BUFFER_SIZE))
         allowance.take(0, len(parts[-1]))
         if not parts[-1] and unpacker.needs_input:
             raise ValueError("a chunk that ends too early")

@@ -20,6 +20,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...data.ordering import sorted_readings
 from ...data.recording import Recording, typical_range
+from ...data.stations import FAR_PART
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.conventions import (
@@ -36,20 +37,19 @@ from ...quantities import TINY
 from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort, find_start
+from ...starts.choice import POOR_START
 from ...starts.robust import least_scale, refined_starts, rounds
 from .format import LogFormat
 from .format_checks import convention_of
 from .motion import Way
 from .poses import faults
 
-MOVED = 0.02
-"""Readings at one pose that differ by more than this part of the typical range are from several."""
 FITS = 1e-4
 """A mean squared residual below this part of the variance of the readings needs no other convention."""
 BETTER = 6.25
 """A convention is named where it lowers the squared residual by this factor: a factor of 4 accused one
 of 150 right logs, a third of which had a fifth of their readings wrong."""
-WELL = 2.5e-3
+WELL = POOR_START**2
 """A convention is named where it leaves at most this part of the variance: of a log that fits in no way
 the best way says nothing."""
 LEAST_SPARE = 10
@@ -80,7 +80,7 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
         return ()
     off = np.abs(recording.ranges - recording.ranges[first[group]])
     known = recording.ranges[~np.isnan(recording.ranges)]
-    moved = repeats & (np.nan_to_num(off) > MOVED * typical_range(known)).any(axis=1)
+    moved = repeats & (np.nan_to_num(off) > FAR_PART * typical_range(known)).any(axis=1)
     if not moved.any():
         return ()
     same = int(moved.sum())
@@ -92,8 +92,8 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
         )
     words = (
         f"{same} of {count} stations repeat the pose of another although their readings differ by "
-        f"more than {100 * MOVED:.0f} % (the first: {name}): poses that were not logged anew, or that "
-        "are stamped late"
+        f"more than {100 * FAR_PART:.0f} % (the first: {name}): poses that were not logged anew, or "
+        "that are stamped late"
     )
     return (CalibrationWarning("held-poses", words, {"stations": same, "total": count}),)
 

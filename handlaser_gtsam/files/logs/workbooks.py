@@ -16,7 +16,7 @@ import polars as pl
 from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
 from ...text import count, shown, some
-from ..table import titles_above, titles_warning
+from ..table import MOST_TITLES, titles_above, titles_warning
 from .format import LogFormat
 from .packed import refuse_zip_bomb
 
@@ -59,7 +59,7 @@ def read_sheet(
     texts: pl.DataFrame = book.load_sheet(name, header_row=None, dtypes="string").to_polars()
     if not len(texts):
         raise InputError("an empty sheet", "a header and one row a station or a reading", path)
-    head = [["" if x is None else str(x).strip() for x in row] for row in texts.head(21).rows()]
+    head = [["" if x is None else str(x).strip() for x in row] for row in texts.head(MOST_TITLES + 1).rows()]
     above = titles_above(head)
     if above:
         titles = [" ".join(filter(None, row)) for row in head[:above]]

@@ -5,13 +5,12 @@ import errno
 import ipaddress
 import socket
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 
 from starlette.applications import Starlette
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import Receive, Scope, Send
 from uvicorn import Config, Server
 
 from ...errors import InputError
@@ -24,6 +23,7 @@ PORT = 8642
 """The port of the page where none is stated: one that no common server takes."""
 PORTS_TRIED = 20
 """Ports that are tried, from `PORT` on, where none is asked for: as many pages stand open at a time."""
+EVENTS = "text/event-stream"
 SEND_BUFFER = 1 << 18
 """Bytes that the system holds back at most for a client that does not read: a quarter of a state."""
 
@@ -163,42 +163,17 @@ class PageServer:
     async def _events(self, request: Request) -> Response:
         if self._hub.clients >= MOST_CLIENTS:
             return PlainTextResponse("too many look on already\n", 503, {"retry-after": "10"})
-        return _Events(self._hub, request.headers.get("last-event-id", ""))
+        if request.method == "HEAD":
+            return Response(media_type=EVENTS)
+        heard = self._hub.known_to(request.headers.get("last-event-id", ""))
+        return StreamingResponse(self._news(heard), media_type=EVENTS)
 
-
-class _Events(Response):
-    """Server-sent events until the client has gone."""
-
-    media_type = "text/event-stream"
-
-    def __init__(self, hub: Hub, last: str) -> None:
-        super().__init__()
-        self._hub, self._heard = hub, hub.known_to(last)
-        del self.headers["content-length"]
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        start = {"type": "http.response.start", "status": 200, "headers": self.raw_headers}
-        await send(start)
-        if scope["method"] == "HEAD":
-            await send({"type": "http.response.body", "body": b""})
-            return
+    async def _news(self, heard: dict[str, str]) -> AsyncIterator[bytes]:
+        """Yield what is new to a client until it has gone, which cancels this."""
         self._hub.clients += 1
-        gone = asyncio.create_task(_gone(receive))
         try:
-            body = self._hub.hello
-            while not gone.done():
-                await send({"type": "http.response.body", "body": body, "more_body": True})
-                news = asyncio.create_task(self._hub.news(self._heard))
-                await asyncio.wait({gone, news}, return_when=asyncio.FIRST_COMPLETED)
-                if not news.done():
-                    news.cancel()
-                    break
-                body = news.result()
+            yield self._hub.hello
+            while True:
+                yield await self._hub.news(heard)
         finally:
             self._hub.clients -= 1
-            gone.cancel()
-
-
-async def _gone(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass

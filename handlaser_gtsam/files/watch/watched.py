@@ -98,31 +98,9 @@ def _seen(path: Path) -> tuple[int, ...]:
     return *where, found.st_ctime_ns, found.st_mtime_ns
 
 
-@dataclass(frozen=True, slots=True)
-class FileContent:
-    """A file at one moment.
-
-    Attributes
-    ----------
-    path : Path
-    lines : bytes
-        The lines that have a line end; all of a file that has no lines.
-    rest : bytes
-        What stands after them: a line that may not be whole yet.
-    """
-
-    path: Path
-    lines: bytes
-    rest: bytes
-
-    def rows(self, rest: bytes = b"") -> int:
-        """Return how many lines are not blank, with or without the rest after them."""
-        return sum(1 for line in (self.lines + rest).splitlines() if line.strip())
-
-    @property
-    def last_line(self) -> int:
-        """The number of the line that may not be whole."""
-        return len(self.lines.splitlines()) + 1
+FileContent = tuple[Path, bytes, bytes]
+"""A file at one moment: its lines that have a line end, or all of a file that has no lines, and what
+stands after them, which may be a line that is not whole yet."""
 
 
 def file_content(path: Path) -> FileContent:
@@ -135,9 +113,9 @@ def file_content(path: Path) -> FileContent:
     """
     data = content(path, "a recording or a log")
     if path.suffix.lower() in BOOKS:
-        return FileContent(path, data, b"")
+        return path, data, b""
     cut = data.rfind(b"\n" if b"\n" in data else b"\r") + 1
-    return FileContent(path, data[:cut], data[cut:])
+    return path, data[:cut], data[cut:]
 
 
 def read_contents(
@@ -159,11 +137,11 @@ def read_contents(
     """
     with tempfile.TemporaryDirectory(prefix="handlaser-") as folder:
         copies = {}
-        for number, (part, rest) in enumerate(zip(parts, rests, strict=True)):
-            copy = Path(folder) / str(number) / part.path.name
+        for number, ((path, lines, _), rest) in enumerate(zip(parts, rests, strict=True)):
+            copy = Path(folder) / str(number) / path.name
             copy.parent.mkdir()
-            copy.write_bytes(part.lines + rest)
-            copies[copy] = part.path
+            copy.write_bytes(lines + rest)
+            copies[copy] = path
         there = {original: copy for copy, original in copies.items()}
         log = replace(
             rig.log,

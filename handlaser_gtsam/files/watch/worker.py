@@ -102,30 +102,31 @@ class Calibrator:
                 name = printable(error.path.name)
                 return FileAnswer(note=f"waiting for {name}, which is not there", waiting=True)
             return FileAnswer(error=str(error))
-        rests = tuple(part.rest if settled else b"" for part in parts)
-        last = (tuple(hashlib.sha256(part.lines).digest() for part in parts), mark, rests)
+        rests = tuple(rest if settled else b"" for *_, rest in parts)
+        last = (tuple(hashlib.sha256(lines).digest() for _, lines, _ in parts), mark, rests)
         answer = replace(self._answer, messages={})
         if last != self._last:
             self._answer = answer = self._calibrated(parts, rests, rig)
             self._last = last
-        for part in parts:
-            if part.rest.strip() and not settled and not answer.error:
-                return replace(answer, note=f"line {part.last_line} is not whole yet")
+        for _, lines, rest in parts:
+            if rest.strip() and not settled and not answer.error:
+                number = len(lines.splitlines()) + 1
+                return replace(answer, note=f"line {number} is not whole yet")
         return answer
 
     def _calibrated(
         self, parts: Sequence[FileContent], rests: tuple[bytes, ...], rig: Rig
     ) -> FileAnswer:
         heads = 0 if rig.log.header_given else 1
-        first, rest = parts[0], rests[0]
-        if first.rows(rest) <= heads:
+        _, lines, _ = parts[0]
+        if _rows(lines + rests[0]) <= heads:
             return FileAnswer(note="waiting for the first station", waiting=True)
         try:
             try:
                 note = ""
                 read = read_contents(parts, rests, rig)
             except InputError as error:
-                if not any(rest.strip() for rest in rests) or first.rows() <= heads:
+                if not any(rest.strip() for rest in rests) or _rows(lines) <= heads:
                     raise
                 read, note = (
                     read_contents(parts, [b""] * len(parts), rig),
@@ -178,6 +179,11 @@ def messages_of(
     found["result"] = result or "null"
     digest = hashlib.sha256("\n".join(found.values()).encode()).hexdigest()
     return found | {"state": _line({"opening": opening, "digest": digest})}
+
+
+def _rows(lines: bytes) -> int:
+    """Return how many lines are not blank."""
+    return sum(1 for line in lines.splitlines() if line.strip())
 
 
 def _line(value: object) -> str:
