@@ -59,7 +59,10 @@ def read_sheet(
     texts: pl.DataFrame = book.load_sheet(name, header_row=None, dtypes="string").to_polars()
     if not len(texts):
         raise InputError("an empty sheet", "a header and one row a station or a reading", path)
-    head = [["" if x is None else str(x).strip() for x in row] for row in texts.head(MOST_TITLES + 1).rows()]
+    head = [
+        ["" if x is None else str(x).strip() for x in row]
+        for row in texts.head(MOST_TITLES + 1).rows()
+    ]
     above = titles_above(head)
     if above:
         titles = [" ".join(filter(None, row)) for row in head[:above]]
