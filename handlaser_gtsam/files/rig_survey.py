@@ -147,7 +147,7 @@ class SurveyRig(FileRecord):
     known: Annotated[tuple[KnownTable, ...], Strict(False)] = ()
 
     def survey(self, folder: Path) -> SurveyTables | None:
-        """Return the tables in SI units, tables of points named from a folder on.
+        """Return the tables in SI units, tables of points named from a folder on; None where none is.
 
         Raises
         ------

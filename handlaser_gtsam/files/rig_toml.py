@@ -45,6 +45,7 @@ from .checked_text import (
 )
 from .logs.format import LogFormat
 from .rig_log import LogTable, table_of, with_stated
+from .rig_survey import SurveyRig, SurveyTables
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:
@@ -52,7 +53,6 @@ if TYPE_CHECKING:
     from ..planning.goal import Goal
     from ..planning.workspace import Workspace
     from .rig_planning import Plans
-    from .rig_survey import SurveyTables
 
 RIG_FILE = "a rig file, TOML"
 
@@ -89,16 +89,13 @@ class _Limits(numbers("rms_mm location_sigma_mm direction_sigma_deg")):  # type:
     """The table [limits]."""
 
 
-class _Rig(FileRecord):
+class _Rig(SurveyRig):
     noise: NoiseTable = NoiseTable()
     sensor: _Sensor = _Sensor()
     plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
     log: LogTable = LogTable()
-    # `rig_survey.SurveyRig` and `rig_planning.PlanTables` say what these hold; each is imported where
-    # there is one.
-    sensors: Any = None
-    known: Any = None
+    # `rig_planning.PlanTables` says what these hold; it is imported where there is one.
     workspace: Any = None
     robot: Any = None
     blind: Any = None
@@ -107,28 +104,16 @@ class _Rig(FileRecord):
 
     @classmethod
     def schema_of(cls, data: object) -> type[Self]:
-        """Return a schema that knows what rare tables hold, where there are any."""
-        if not isinstance(data, dict):
+        """Return a schema that knows what tables for plans hold, where there are any."""
+        tables = {"workspace", "robot", "blind", "goal", "placement"}
+        if not (isinstance(data, dict) and tables & data.keys()):
             return cls
-        bases: list[type[FileRecord]] = []
-        if any(name in data for name in ("workspace", "robot", "blind", "goal", "placement")):
-            from .rig_planning import PlanTables
+        from .rig_planning import PlanTables
 
-            bases.append(PlanTables)
-        if "sensors" in data or "known" in data:
-            from .rig_survey import SurveyRig
-
-            bases.append(SurveyRig)
-        if not bases:
-            return cls
-        return cast("type[Self]", create_model("_RigOfAll", __base__=(*bases, cls)))
+        return cast("type[Self]", create_model("_RigOfPlans", __base__=(PlanTables, cls)))
 
     def plans(self, folder: Path, sensor: Sensor, limits: Limits) -> "Plans | None":  # noqa: ARG002
         """Return what tables for plans say; None where there are none."""
-        return None
-
-    def survey(self, folder: Path) -> "SurveyTables | None":  # noqa: ARG002
-        """Return what [[sensors]] and [[known]] say; None where there are none."""
         return None
 
 
@@ -157,7 +142,7 @@ class Rig:
     limits: Limits = field(default_factory=Limits)
     log: LogFormat = field(default_factory=LogFormat)
     plans: "Plans | None" = None
-    survey: "SurveyTables | None" = None
+    survey: SurveyTables | None = None
     half_angle: float = 0.0
 
     @property

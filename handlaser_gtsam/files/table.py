@@ -136,9 +136,14 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
     """
     text, separator = without_separator_line(table_text(path))
     if separator is None:
-        first = [line for line in text.split("\n", MOST_TITLES + 1) if line.strip()]
-        header = max(first[: MOST_TITLES + 1], key=lambda line: _known(line, known), default="")
-        separator = _separator(header, set(known))
+        # That of the first line with most known names; where these are as many, with most cells.
+        lines = text.split("\n", MOST_TITLES + 1)[: MOST_TITLES + 1]
+        fits = []
+        for number, line in enumerate(line for line in lines if line.strip()):
+            for one in SEPARATORS:
+                names = first_cells(line, one)
+                fits.append((len(set(known) & set(names)), -number, len(names), one))
+        separator = max(fits, key=lambda fit: fit[:3], default=(",",))[-1]
     text, warnings = without_titles(text, separator, path)
     return replace(table_of(text, path, separator), warnings=warnings)
 
@@ -155,9 +160,7 @@ def without_titles(
     """Return a text without the titles above its header, whose lines stay, empty; and a warning."""
     lines = text.split("\n", MOST_TITLES + 1)
     first = lines[: MOST_TITLES + 1]
-    above = titles_above(
-        [[cell.strip(f'{BLANK}"') for cell in first_cells(x, separator)] for x in first]
-    )
+    above = titles_above([first_cells(line, separator) for line in first])
     titles = [line.strip(BLANK + separator) for line in lines[:above]]
     if not any(titles):
         return text, ()
@@ -165,8 +168,9 @@ def without_titles(
 
 
 def first_cells(line: str, separator: str) -> list[str]:
-    """Return the first `MOST_LOOKED_AT` cells of a line."""
-    return line.split(separator, MOST_LOOKED_AT)[:MOST_LOOKED_AT]
+    """Return the first `MOST_LOOKED_AT` cells of a line, without blanks and quotes around them."""
+    cells = line.split(separator, MOST_LOOKED_AT)[:MOST_LOOKED_AT]
+    return [cell.strip(f'{BLANK}"') for cell in cells]
 
 
 def titles_above(rows: Sequence[Sequence[str]]) -> int:
@@ -300,22 +304,6 @@ def table_text(path: Path) -> str:
         line = text.count("\n", 0, stray) + 1
         raise InputError("a carriage return within a line", expected, path, line)
     return text
-
-
-def _known(line: str, known: Collection[str]) -> int:
-    """Return how many known names a line has, whatever separates them."""
-    cells = re.split(f"[{SEPARATORS}]", line, maxsplit=MOST_LOOKED_AT)
-    return len(set(known) & {cell.strip(f'{BLANK}"') for cell in cells})
-
-
-def _separator(header: str, known: set[str]) -> str:
-    """Return the separator under which a header has most known names, then most names."""
-
-    def names(separator: str) -> tuple[int, int]:
-        cells = [cell.strip(f'{BLANK}"') for cell in header.split(separator, MOST_LOOKED_AT)]
-        return len(known & set(cells)), len(cells)
-
-    return max(SEPARATORS, key=names)
 
 
 def _split(line: str, separator: str) -> str:

@@ -97,9 +97,9 @@ def _of_text(path: Path, given: LogFormat) -> Table:
         # A first line that has numbers, and no two names, is no header.
         line = next((line for line in text.split("\n") if line.strip()), "")
         cells = first_cells(line, separator)
-        numbers = [cell for cell in cells if NUMBER.fullmatch(cell.strip())]
+        numbers = [cell for cell in cells if NUMBER.fullmatch(cell)]
         if len(numbers) > 1 and len(cells) - len(numbers) < 2:
-            found = f"numbers in the first line ({shown(numbers[0].strip())[1:-1]}, ...)"
+            found = f"numbers in the first line ({shown(numbers[0])[1:-1]}, ...)"
             expected = "names of columns; state them by --header where the file has none"
             raise InputError(found, expected, path, 1)
         table = replace(table_of(text, path, separator), warnings=warnings)
