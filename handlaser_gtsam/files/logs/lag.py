@@ -55,6 +55,9 @@ LONGEST_MOVE = 15.0
 """A longer move [s] is not the way from one plane to another, but of an arm that never stops."""
 PIECES = 6
 """Pieces of a recording in which the lag should be the same."""
+OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
+"""Of each calibration: a step of a thousandth of a standard deviation moves no minimum, and what a
+motion that repeats leaves undetermined would take all steps."""
 LEAST_READINGS = 264
 """Readings of a beam before a plane: twelve for each coefficient."""
 MOST_READINGS = 1500
@@ -241,7 +244,7 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     for _ in range(MOST_ROUNDS):
         lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)
         problems = [_readings(track, parts, lag).seen_from(origins) for lag in lags]
-        solved = solve_together(problems, [start] * len(lags), terms, 1.0)
+        solved = solve_together(problems, [start] * len(lags), terms, 1.0, options=OPTIONS)
         cost = np.asarray(2.0 * solved.cost)
         if not np.isfinite(cost).all():
             return None
@@ -262,7 +265,7 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     at, later, sooner = (
         _readings(track, parts, found[0] + shift).seen_from(origins) for shift in (0.0, FINE, -FINE)
     )
-    solved = solve_together([at], [start], terms, 1.0)
+    solved = solve_together([at], [start], terms, 1.0, options=OPTIONS)
     if not 2.0 * solved.cost[0] <= AS_GOOD * candidate.squares:
         return None
     e, after, before = (
