@@ -17,13 +17,10 @@ tested like all readings.
 from dataclasses import replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import CalibrationWarning
-from ..quantities import MEDIAN_TO_SIGMA
+from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS
 from .recording import Recording, typical_range
 
 FINEST_STEP = 1e-6
@@ -81,22 +78,33 @@ def merged_stations(
 def pose_groups(recording: Recording) -> IntArray:
     """Return a number (M,) that stations of one plane share where their poses are one.
 
-    Poses in one cell of `FINEST_STEP`, or in cells side by side, are one, unless a chain of them is
-    longer than `WIDEST_POSE` steps.
+    Stations are split at every gap above `FINEST_STEP` of every coordinate in turn, until nothing
+    splits any more: sorting is all that it costs, and whoever is alone is not sorted again.
     """
     R = recording.world_R_hand.reshape(-1, 9)
-    steps = np.round(np.hstack((recording.world_t_hand, R)) / FINEST_STEP)
-    # Planes are farther apart than any two cells side by side.
-    steps = np.column_stack((steps, 2.0 * recording.plane_of_station))
-    cells, cell = np.unique(steps, axis=0, return_inverse=True)
-    beside = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
-    links = coo_array((np.ones(len(beside)), beside.T), shape=(len(cells), len(cells)))
-    _, group = connected_components(links, directed=False)
-    wide = np.zeros(len(cells), dtype=bool)
-    for chain in np.unique(group[beside]).tolist():
-        wide[group == chain] = np.ptp(cells[group == chain], axis=0).max() > WIDEST_POSE
-    own = np.asarray(group[cell])
-    return np.where(wide[cell], len(cells) + np.arange(len(cell)), own).astype(np.intp)
+    coordinates = np.hstack((recording.world_t_hand, R)).T
+    group = np.arange(R.shape[0])
+    rows, part, count = group, recording.plane_of_station, 0
+    for _ in range(MOST_ROUNDS):
+        for x in coordinates:
+            order = np.lexsort((x[rows], part))
+            rows, part = rows[order], part[order]
+            first = (part[1:] != part[:-1]) | (np.diff(x[rows]) > FINEST_STEP)
+            first = np.concatenate(([True], first, [True]))
+            shared = ~(first[:-1] & first[1:])
+            rows, part = rows[shared], np.cumsum(first[:-1])[shared]
+            if not rows.size:
+                return group
+        start = np.flatnonzero(np.diff(part, prepend=-1))
+        if len(start) == count:
+            break
+        count = len(start)
+    index = np.repeat(np.arange(count), np.diff(start, append=len(rows)))
+    x = coordinates[:, rows]
+    extent = np.maximum.reduceat(x, start, axis=1) - np.minimum.reduceat(x, start, axis=1)
+    wide = np.any(extent > WIDEST_POSE * FINEST_STEP, axis=0)
+    group[rows] = np.where(wide[index], rows, len(group) + index)
+    return group
 
 
 def _averaged(

@@ -28,8 +28,9 @@ from .reports import Change
 SCALES_KEPT = 0.02
 """Learned scales whose logarithms differ by less stay as they are: they are integrated over."""
 AGREED = 0.01
-"""The estimate agrees with the batch within this many sigmas, and its sigmas to this part: an estimated
-range sigma that changes by less stays."""
+"""The estimate agrees with the batch within this many sigmas, and its sigmas to this part."""
+SIGMA_KEPT = 0.005
+"""An estimated range sigma that changes by a smaller part stays: no standard deviation shows that."""
 TWO_TERMS = "q"
 """Letter of range errors with two terms: iSAM2 has one threshold a letter."""
 
@@ -183,7 +184,7 @@ class SessionConfig:
         if self.learned is not None and before.learned is not None:
             same = self.learned.apart(before.learned) < SCALES_KEPT
             return () if same else (Change("scales", "scales learned again"),)
-        if abs(self.sigma / before.sigma - 1.0) < AGREED:
+        if abs(self.sigma / before.sigma - 1.0) < SIGMA_KEPT:
             return ()
         return (Change("range-sigma", f"range sigma {1e3 * self.sigma:.3g} mm"),)
 

@@ -19,8 +19,7 @@ from ..model.families import BEAM, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.reduction import Normal
 from ..model.weighting import Whitening, whitening
-from ..outliers.consensus import FEW_REJECTED
-from ..quantities import FAR_SIGMAS, KNOWN, NEGLIGIBLE
+from ..quantities import KNOWN, NEGLIGIBLE
 from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, moved
 from ..solvers.beam_state import BeamState, GraphPart
 from ..solvers.graph import station_blocks
@@ -28,6 +27,13 @@ from ..solvers.poses import pose_priors
 from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
 from .drift import DriftHistory, turns
+
+DECIDES_ITSELF = 1e-3
+"""A reading of which the others know less than this part is not tested."""
+SESSION_CUT = 4.5
+"""A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
+MOST_CONTRADICTED = 0.3
+"""If a larger part of the new readings of a plane contradicts the beams, the beams are at fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +119,7 @@ class FittedPlane:
         across, squares = heavy[:, :-1], self.whitening.squares()
         left = heavy[:, -1] - across @ (K @ right)
         free = squares - ((across @ K) * across).sum(axis=1)
-        tested = free > NEGLIGIBLE * squares
+        tested = free > DECIDES_ITSELF * squares
         return np.where(tested, left / np.sqrt(np.where(tested, free, 1.0)), 0.0)
 
     def misfit(self, state: BeamState) -> float:
@@ -252,7 +258,7 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
     soon: then it is not the readings that are at fault.
     """
     dof = fitted.config.sigma_dof
-    cut = FAR_SIGMAS if np.isinf(dof) else -float(student_quantile(gaussian_sf(FAR_SIGMAS), dof))
+    cut = SESSION_CUT if np.isinf(dof) else -float(student_quantile(gaussian_sf(SESSION_CUT), dof))
     bad = np.zeros(recording.ranges.shape, dtype=bool)
     total, now = int((~np.isnan(recording.ranges)).sum()), fitted
     while True:
@@ -260,7 +266,7 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
         worst = int(np.argmax(t))
         if t[worst] <= cut:
             return bad
-        if bad.sum() + 1 > FEW_REJECTED * total:  # rather the beams are at fault
+        if bad.sum() + 1 > MOST_CONTRADICTED * total:
             return None
         bad |= now.mask(recording, np.arange(len(t)) == worst)
         rest = recording.without(bad)

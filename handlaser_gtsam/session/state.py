@@ -26,10 +26,12 @@ from .integration import integrated, scaled_information
 from .joining import factors_of, fitted_planes, join_planes
 from .reports import Moved
 
-REWEIGHED_MOVE = 5e-4
+REWEIGHED_MOVE = 3e-3
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
-natural units: 1 rad, the typical range, a relative change of the range. The probability of scales
-depends on how well all planes fit, which is known to second order in such a move."""
+natural units: 1 rad, the typical range, a relative change of the range."""
+REWEIGHED_MOVE_OF_SCALES = 5e-4
+"""The same move where scales are integrated over: their probability depends on how well all planes fit,
+which is known to second order in such a move."""
 TRUSTED_PLANES = 4
 """With fewer planes in the graph none is excluded: the first planes may have begun with wrong beams."""
 
@@ -209,7 +211,8 @@ class SessionState:
     def reweighed(self) -> "SessionState":
         """Return the same with weights and history of the present beams, where these have moved."""
         config, beams = self.config, self.state.beams
-        if config.apart(beams, self.history.beams) < REWEIGHED_MOVE:
+        limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
+        if config.apart(beams, self.history.beams) < limit:
             return self
         fitted = {}
         for plane in self.contents.numbers:

@@ -20,7 +20,6 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...data.ordering import sorted_readings
 from ...data.recording import Recording, typical_range
-from ...data.stations import FAR_PART
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.conventions import (
@@ -46,15 +45,17 @@ from .poses import faults
 
 FITS = 1e-4
 """A mean squared residual below this part of the variance of the readings needs no other convention."""
+MOVED = 0.02
+"""Readings at one pose that differ by more than this part of the typical range are from several."""
 BETTER = 6.25
 """A convention is named where it lowers the squared residual by this factor: a factor of 4 accused one
 of 150 right logs, a third of which had a fifth of their readings wrong."""
 WELL = POOR_START**2
 """A convention is named where it leaves at most this part of the variance: of a log that fits in no way
 the best way says nothing."""
-LEAST_SPARE = 10
-"""Readings beyond the unknowns that tell one convention from another: fewer than for other mistakes,
-because the other convention must fit well, too."""
+LEAST_OF_BEAM, LEAST_SPARE = 24, 10
+"""Readings of one beam, and readings beyond the unknowns, that tell one convention from another: fewer
+than for other mistakes, because the other convention must fit well, too."""
 MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
 GOOD = 0.7
@@ -80,7 +81,7 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
         return ()
     off = np.abs(recording.ranges - recording.ranges[first[group]])
     known = recording.ranges[~np.isnan(recording.ranges)]
-    moved = repeats & (np.nan_to_num(off) > FAR_PART * typical_range(known)).any(axis=1)
+    moved = repeats & (np.nan_to_num(off) > MOVED * typical_range(known)).any(axis=1)
     if not moved.any():
         return ()
     same = int(moved.sum())
@@ -92,7 +93,7 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
         )
     words = (
         f"{same} of {count} stations repeat the pose of another although their readings differ by "
-        f"more than {100 * FAR_PART:.0f} % (the first: {name}): poses that were not logged anew, or "
+        f"more than {100 * MOVED:.0f} % (the first: {name}): poses that were not logged anew, or "
         "that are stamped late"
     )
     return (CalibrationWarning("held-poses", words, {"stations": same, "total": count}),)
@@ -125,7 +126,7 @@ def refuse_wrong_convention(
         It fits so, and is not to be read `as_stated` in any case.
     """
     part, stations = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
-    if not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
+    if len(stations) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
     rows, way = way.narrowed(chosen[stations])
     numbers = numbers[rows]
