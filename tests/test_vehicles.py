@@ -309,6 +309,20 @@ def test_with_a_free_k1_elevations_are_named(walls, words, beams):
     assert "where k1 is free" in check.undetermined[0]
 
 
+def test_check_and_calibrate_of_noisy_beams_name_the_same_motion(handlaser, tmp_path):
+    """A millimetre of noise leads to walls that lean a little: more moves then than the heights."""
+    path = tmp_path / "vehicle.csv"
+    hl.write_recording(path, scene("planar", "vertical", 2).recording(1e-3))
+    said = [handlaser(verb, path) for verb in ("check", "calibrate")]
+    for code, _, err in said:
+        assert code == 3
+        assert HEIGHTS in err
+        assert "add a board that leans by 20 to 40 degrees" in err
+        assert "location, direction" not in err
+    # No size of the noise was given.
+    assert "given" not in said[1][1]
+
+
 def test_moves_in_height_leave_no_stretch_in_words():
     found = calibrated(scene("SCARA", "one leans", 2), SIGMA, "k1")
     assert "stretch" not in found.message
