@@ -116,7 +116,7 @@ def _level(
     """
     if motion.kind != "planar":
         return {}
-    level = {}
+    level: dict[str, str] = {}
     for member, shots in enumerate(rows.survey.shots):
         own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
         kind = KINDS[shots.kind]
