@@ -479,6 +479,42 @@ def test_a_profiler_in_planar_motion_has_a_mirror_image(walls, seed):
     assert np.isnan(result.sensors["s"].covariance[:3]).all()
 
 
+OTHER = np.eye(4)
+OTHER[:3, :3] = MOUNT[:3, :3] @ Rotation.from_euler("xyz", [12, -20, 35], degrees=True).as_matrix()
+OTHER[:3, 3] = MOUNT[:3, 3] + [0.05, -0.04, 0.06]
+
+
+def two_profiled(walls, seed, *known):
+    """The survey of two profilers on one hand."""
+    stations, rng = stations_before(walls, seed, MOUNT[:3, 2])
+    x, shots = np.linspace(-0.03, 0.03, 61), []
+    for name, mount in (("s", MOUNT), ("u", OTHER)):
+        z = np.array(
+            [reads(walls, stations, mount[:3] @ [u, 0, 0, 1], mount[:3, 2]) for u in x]
+        ) + 3e-5 * rng.standard_normal((61, len(stations)))
+        station = np.repeat(np.arange(len(stations)), 61)
+        shots.append(hl.Shots.profiler(name, station, np.tile(x, len(stations)), z.T.ravel()))
+    return hl.Survey(stations, tuple(shots), known=known)
+
+
+@pytest.mark.parametrize("seed", first_and_slow(*range(3)))
+@pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
+def test_two_profilers_have_mirror_images_alone_before_upright_walls_only(walls, seed):
+    """A wall that leans ties the two: then a drawing of one of them tells the other, too."""
+    both = hl.calibrate(two_profiled(walls, seed), STATED)
+    assert both.status == "undetermined"
+    for name in "su":
+        assert f"which way up flat sensor {name} is: {IMAGE}" in both.undetermined[0]
+        assert np.isnan(both.sensors[name].rotation_sigma).any()
+    one = hl.calibrate(two_profiled(walls, seed, mounted(5.0)), STATED)
+    assert off(one) < np.radians(1.0)
+    alone = "plane:L" not in walls
+    assert (f"which way up flat sensor u is: {IMAGE}" in one.message) == alone
+    assert "which way up flat sensor s is" not in one.message
+    turn = Rotation.from_matrix(OTHER[:3, :3].T @ one.sensors["u"].rotation).magnitude()
+    assert alone or turn < np.radians(1.0)
+
+
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
 def test_a_drawing_of_the_mount_says_which_way_up_it_is(walls, seed):
