@@ -166,6 +166,24 @@ def test_poses_that_are_inverted_are_said_with_what_the_noise_explains():
     assert np.isnan(found.sensors["profiler"].location_sigma).all()
 
 
+def test_a_rest_that_leaves_something_open_is_named_as_the_user_names_it():
+    """Three profiles of a ball say nine numbers, and a mount with a ball has ten."""
+    survey = cell(0)
+    of, shots = survey.stations, survey.shots[0]
+    stations = hl.StationList(
+        *(x[:12] for x in (of.world_R_hand, of.world_t_hand, of.plane_labels))
+    )
+    some = shots.station < 12
+    few = hl.Shots.profiler(
+        "profiler", shots.station[some], shots.across[some], shots.reading[some], sigma=SIGMA
+    )
+    found = validate_survey(hl.Survey(stations, (few,)), hl.Noise(1e-5, 1e-5, 1e-5), splits=0)
+    (plate,) = (one for one in found.targets if one.name == "plane:plate")
+    assert plate.message.startswith("the motion leaves open ")
+    assert "sensor profiler: " in plate.message
+    assert "[" not in plate.message
+
+
 KINDS_EXCHANGED = {
     "a ball as a plane": ("sphere:ball", "plane:ball", "fit a sphere, and no plane"),
     "a plate as a sphere": ("plane:plate", "sphere:plate", "fit a plane, and no sphere"),

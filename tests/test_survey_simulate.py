@@ -141,6 +141,30 @@ def test_what_cannot_be_simulated_is_refused_and_nothing_written(handlaser, tmp_
     assert not (tmp_path / "new").exists()
 
 
+def test_stations_of_which_no_ray_hits_are_counted_and_stay(handlaser, tmp_path):
+    """A ball is narrower than the field of view of an array, of which a third has to be on it."""
+    rig = rig_of(tmp_path, "array")
+    words = ["simulate", tmp_path / "out", "--rig", rig, "--targets", "sphere:ball", "--seed", "6"]
+    code, out, err = handlaser(*words)
+    assert (code, err) == (0, "")
+    stations = pl.read_csv(tmp_path / "out" / "stations.csv")["station"].to_list()
+    read = set(pl.read_csv(tmp_path / "out" / "a.csv")["station"].to_list())
+    unread = sum(one not in read for one in stations)
+    assert unread > 0
+    assert f"1 target, 11 stations each; at {unread} of 11 stations no ray hits a target" in (
+        " ".join(out.split())
+    )
+
+
+def test_few_stations_are_for_all_sensors_in_turns(handlaser, tmp_path):
+    rig = rig_of(tmp_path, "profiler", "scanner")
+    words = ["simulate", tmp_path / "out", "--rig", rig, "--targets", "plane:A,plane:B"]
+    assert handlaser(*words, "--stations", "1")[0] == 0
+    code, _, err = handlaser(*words[:4], "--targets", "plane:A", "--stations", "1", "--force")
+    assert code == 2
+    assert "no reading of s at any of 1 stations; expected more stations" in err
+
+
 def test_how_logs_are_written_does_not_matter(handlaser, tmp_path):
     """The rig file of a real log serves as it is; what is written is no log."""
     rig = rig_of(tmp_path, "profiler", head='[log]\npose_format = "kuka"\n')

@@ -309,6 +309,20 @@ def test_with_a_free_k1_elevations_are_named(walls, words, beams):
     assert "where k1 is free" in check.undetermined[0]
 
 
+def test_check_and_calibrate_of_noisy_beams_name_the_same_motion(handlaser, tmp_path):
+    """A millimetre of noise leads to walls that lean a little: more moves then than the heights."""
+    path = tmp_path / "vehicle.csv"
+    hl.write_recording(path, scene("planar", "vertical", 2).recording(1e-3))
+    said = [handlaser(verb, path) for verb in ("check", "calibrate")]
+    for code, _, err in said:
+        assert code == 3
+        assert HEIGHTS in err
+        assert "add a board that leans by 20 to 40 degrees" in err
+        assert "location, direction" not in err
+    # No size of the noise was given.
+    assert "given" not in said[1][1]
+
+
 def test_moves_in_height_leave_no_stretch_in_words():
     found = calibrated(scene("SCARA", "one leans", 2), SIGMA, "k1")
     assert "stretch" not in found.message
@@ -463,6 +477,42 @@ def test_a_profiler_in_planar_motion_has_a_mirror_image(walls, seed):
     )
     assert np.isnan(result.sensors["s"].rotation_sigma).all()
     assert np.isnan(result.sensors["s"].covariance[:3]).all()
+
+
+OTHER = np.eye(4)
+OTHER[:3, :3] = MOUNT[:3, :3] @ Rotation.from_euler("xyz", [12, -20, 35], degrees=True).as_matrix()
+OTHER[:3, 3] = MOUNT[:3, 3] + [0.05, -0.04, 0.06]
+
+
+def two_profiled(walls, seed, *known):
+    """The survey of two profilers on one hand."""
+    stations, rng = stations_before(walls, seed, MOUNT[:3, 2])
+    x, shots = np.linspace(-0.03, 0.03, 61), []
+    for name, mount in (("s", MOUNT), ("u", OTHER)):
+        z = np.array(
+            [reads(walls, stations, mount[:3] @ [u, 0, 0, 1], mount[:3, 2]) for u in x]
+        ) + 3e-5 * rng.standard_normal((61, len(stations)))
+        station = np.repeat(np.arange(len(stations)), 61)
+        shots.append(hl.Shots.profiler(name, station, np.tile(x, len(stations)), z.T.ravel()))
+    return hl.Survey(stations, tuple(shots), known=known)
+
+
+@pytest.mark.parametrize("seed", first_and_slow(*range(3)))
+@pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
+def test_two_profilers_have_mirror_images_alone_before_upright_walls_only(walls, seed):
+    """A wall that leans ties the two: then a drawing of one of them tells the other, too."""
+    both = hl.calibrate(two_profiled(walls, seed), STATED)
+    assert both.status == "undetermined"
+    for name in "su":
+        assert f"which way up flat sensor {name} is: {IMAGE}" in both.undetermined[0]
+        assert np.isnan(both.sensors[name].rotation_sigma).any()
+    one = hl.calibrate(two_profiled(walls, seed, mounted(5.0)), STATED)
+    assert off(one) < np.radians(1.0)
+    alone = "plane:L" not in walls
+    assert (f"which way up flat sensor u is: {IMAGE}" in one.message) == alone
+    assert "which way up flat sensor s is" not in one.message
+    turn = Rotation.from_matrix(OTHER[:3, :3].T @ one.sensors["u"].rotation).magnitude()
+    assert alone or turn < np.radians(1.0)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -121,7 +121,32 @@ def test_the_share_of_range_errors_is_what_fixing_them_takes_away(calibration):
     assert found.range_error == pytest.approx(1.0 - fixed / whole, abs=1e-6)
 
 
+@pytest.mark.parametrize("of", ["location", "direction"])
+def test_shares_of_a_beam_are_of_its_own_coordinates(calibration, of):
+    """What fixing the range errors takes from the variance of a location, or of a direction."""
+    joint = calibration.covariance
+    S = joint.matrix(planes=[], ambient=False)
+    mounts = np.flatnonzero(np.arange(len(S)) % 7 < 5)
+    known = np.linalg.inv(np.linalg.inv(S)[np.ix_(mounts, mounts)])
+    own = {"location": slice(0, 3), "direction": slice(3, 5)}[of]
+    fixed, whole = np.trace(known[own, own]), np.trace(S[own, own])
+    found = variance_shares(calibration, "1", 0.015, of)
+    assert found.range_error == pytest.approx(1.0 - fixed / whole, abs=1e-6)
+
+
 # The decision
+
+
+@pytest.mark.parametrize("of", ["location", "direction"])
+def test_the_remedy_is_for_the_limit_that_is_exceeded_most(calibration, of):
+    """Four fifths of the spot's variance lie along one direction, and less than half of a beam's."""
+    poor = replace(calibration, observability=replace(calibration.observability, condition=300.0))
+    assert verdict(poor).best.code == "motion"
+    found = verdict(poor, Limits(**{f"{of}_sigma": 1e-6}))
+    worst = max(found.limits, key=lambda one: one.ratio)
+    shares = variance_shares(poor, worst.subject.removeprefix("beam "), 0.015, of)
+    assert max(shares.poses, shares.range_error, shares.weakest) < 0.5
+    assert found.best.code == "more-stations"
 
 
 def test_usable_within_its_limits(calibration):

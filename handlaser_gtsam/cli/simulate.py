@@ -94,18 +94,18 @@ def simulate(
             labels = list(
                 dict.fromkeys(one.strip() for one in (targets or USUAL_TARGETS).split(","))
             )
-            files, write = simulated_survey(rig, labels, beams or 0, table, rng)
-            each = f"{count(len(labels), 'target')}, {count(stations, 'station')}"
+            files, write, unread = simulated_survey(rig, labels, beams or 0, table, rng)
+            each = f"{count(len(labels), 'target')}, {count(stations, 'station')} each{unread}"
         else:
             if targets is not None:
                 raise InputError(
                     "--targets without --rig", "a rig file that names sensors of many rays"
                 )
             files, write = _of_scene(table, rng)
-            each = f"{planes} planes, {stations} stations"
+            each = f"{planes} planes, {stations} stations each"
         _written(folder, files, write, force=force)
     if not quiet:
-        print_wrapped([f"wrote {', '.join(files)} to {printable(str(folder))}: {each} each"])
+        print_wrapped([f"wrote {', '.join(files)} to {printable(str(folder))}: {each}"])
 
 
 def _of_scene(

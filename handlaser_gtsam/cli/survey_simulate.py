@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..quantities import MM
-from ..text import shown
+from ..text import count, shown
 
 if TYPE_CHECKING:
     import numpy as np
@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 def simulated_survey(
     rig: Path, labels: Sequence[str], beams: int, table: "SceneTable", rng: "np.random.Generator"
-) -> tuple[tuple[str, ...], Callable[[Path], None]]:
+) -> tuple[tuple[str, ...], Callable[[Path], None], str]:
     """Return the files of a survey with the sensors of a rig file, and what writes them to a folder.
+
+    The last result says at how many stations no ray hits a target; it is empty where there is none.
 
     Parameters
     ----------
@@ -41,7 +43,7 @@ def simulated_survey(
     from ..files.rig_toml import read_rig
     from ..files.survey_writing import table_names, write_simulated
     from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene
-    from ..validation.survey_simulate import simulate_survey
+    from ..validation.survey_simulate import simulate_survey, unread_stations
 
     known = read_rig(rig)
     tables = () if known.survey is None else known.survey.sensors
@@ -94,4 +96,8 @@ def simulated_survey(
     def write(folder: Path) -> None:
         write_simulated(folder, survey, truth, tables, zones, noise, sensor)
 
-    return tuple(files), write
+    unread = unread_stations(survey)
+    words = (
+        f"; at {unread} of {count(len(stations), 'station')} no ray hits a target" if unread else ""
+    )
+    return tuple(files), write, words

@@ -313,6 +313,19 @@ def minimum(
     return best
 
 
+def descended(
+    problem: BlockProblem, blocks: Sequence[Block], start: Values, iterations: int
+) -> dict[str, FloatArray] | None:
+    """Return where a search of at most so many iterations ends, at rest or not; None where nowhere.
+
+    Along what is undetermined a search may wander without end, while chi2 has settled long before.
+    """
+    task = _least_squares(problem, blocks, 1, start)
+    options = LevenbergOptions(max_iterations=iterations, least_damping=SINGULAR)
+    ended = search(task, start, options)
+    return dict(ended.values) if np.isfinite(ended.cost[0]) else None
+
+
 def _least_squares(
     problem: BlockProblem, blocks: Sequence[Block], K: int, values: Values
 ) -> LeastSquares:

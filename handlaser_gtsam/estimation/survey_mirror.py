@@ -26,8 +26,9 @@ from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..observability.poor_motion import COUNTED_TURN, PoorMotion, poor_motion
+from ..observability.rank import ObservabilityOptions
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS
-from .estimate import Estimate
+from .estimate import Estimate, descended
 from .survey_rows import Rows
 
 if TYPE_CHECKING:
@@ -37,6 +38,13 @@ Entity = tuple[str, int]
 """A family, and the number of a member."""
 
 
+SAME_CHI2 = 0.01
+"""An image whose chi2 differs by less is that of a minimum, where all that counts is symmetric: it is
+one itself, and to search for it would only wander along undetermined heights. A relation that tells
+images apart makes chi2 differ by the square of standard deviations."""
+STEPS_TO_AN_IMAGE = 100
+"""Walls that noise makes lean a little are not quite their own images: a search from the image of one
+sensor alone has chi2 at rest within thirty steps, and its undetermined height perhaps never."""
 TURNS = {SENSOR.name: slice(0, 3), BEAM.name: DIRECTION, PLANE.name: slice(0, 2)}
 """Tangent coordinates of rotations, directions and normals, by family."""
 
@@ -98,10 +106,12 @@ def best_image(
         here, least, best, others = _chi2(state), -(FAR_SIGMAS**2), None, []
         for values in _images(state.rows, state.values, motion):
             trial = replace(state, values=values)
-            # A search may fail along undetermined heights: then the image counts where it is.
-            if not trial.minimize() or trial.rows is not state.rows:
-                trial = replace(state, values=values)
             more = _chi2(trial) - here
+            if abs(more) > SAME_CHI2:
+                problem, _ = trial.problem()
+                lower = descended(problem, problem.blocks, values, STEPS_TO_AN_IMAGE)
+                trial = trial if lower is None else replace(state, values=lower)
+                more = _chi2(trial) - here
             if more < least:
                 least, best = more, trial.values
             elif abs(more) <= FAR_SIGMAS**2:
@@ -126,8 +136,12 @@ def with_images(
     for other in others:
         for family, member, part, difference in _differences(found.values, other):
             S = found.marginal(family, member)[part, part]
-            far = np.isfinite(S).all() and difference @ np.linalg.solve(S, difference)
-            if far > FAR_SIGMAS**2:
+            if np.isfinite(S).all():
+                far = float(difference @ np.linalg.solve(S, difference)) > FAR_SIGMAS**2
+            else:  # it moves with what is undetermined, by no more than what counts as such
+                turned_by = float(np.linalg.norm(difference)) if part == TURNS.get(family) else 0.0
+                far = turned_by > FAR_SIGMAS * ObservabilityOptions().most_sigma
+            if far:
                 first = f"{family}[{member}]."
                 start = next(i for i, n in enumerate(found.names) if n.startswith(first))
                 index = np.arange(start + part.start, start + part.stop)

@@ -167,9 +167,12 @@ def named(
         return undetermined(parts), advice(parts)
     rest = [part for part in parts if not _explained(part, motion)]
     located = [part for part in parts if part.quantity == "location"]
-    if located and all(part in rest for part in located):
-        return undetermined(parts), advice(parts)
     turning = motion.kind in ("planar", "one axis")
+    if located and all(part in rest for part in located):
+        if not turning or not all(_along(part, motion) for part in located):
+            return undetermined(parts), advice(parts)
+        # Where walls are found to lean with an undetermined height, everything moves with the heights.
+        rest = []
     if turning:
         what, cures = _of_turns(motion, leans, k1_free, mount)
     else:
@@ -226,5 +229,10 @@ def _explained(part: OpenPart, motion: PoorMotion) -> bool:
         return part.quantity == "location"
     axes: int = part.axes.shape[1]
     if part.quantity == "location":
-        return axes < len(part.axes) and float(np.linalg.norm(motion.axis @ part.axes)) >= ALONG
+        return axes < len(part.axes) and _along(part, motion)
     return part.quantity != "turn" and axes == 1
+
+
+def _along(part: OpenPart, motion: PoorMotion) -> bool:
+    """Tell whether what is undetermined of a location holds the axis of the turns."""
+    return float(np.linalg.norm(motion.axis @ part.axes)) >= ALONG

@@ -47,7 +47,8 @@ def leverages(
     h = _product(rows_of_beams, beams[readings.beam], rows_of_beams)
     h -= 2.0 * _product(rows_of_beams, across[readings.plane, readings.beam], plane)
     h += _product(plane, rest[readings.plane], plane)
-    return h
+    # It is a variance: where hardly anything is determined, differences of large numbers are rounding.
+    return np.maximum(h, 0.0)
 
 
 def _product(a: FloatArray, matrix: FloatArray, b: FloatArray) -> FloatArray:

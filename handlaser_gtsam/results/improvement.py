@@ -1,9 +1,9 @@
 """The one thing that would improve a calibration most, decided from its numbers.
 
 What makes the stated numbers wrong comes first: a systematic error, many outliers, given sigmas that
-the residuals contradict, a systematic error that may hide. Then what the spot error is made of: its
-largest share, where that is more than half; otherwise, and where the residuals alone say how noisy the
-readings are, more stations.
+the residuals contradict, a systematic error that may hide. Then what the error is made of that exceeds
+its limit most, or else that of the spot: its largest share, where that is more than half; otherwise,
+and where the residuals alone say how noisy the readings are, more stations.
 """
 
 import math
@@ -63,7 +63,8 @@ def improvement(
     ----------
     calibration : CalibrationData
     shares : VarianceShares or None
-        Of the spot of the worst beam.
+        Of the location or direction that exceeds its limit most; of the spot of the worst beam where
+        none does.
     harmful : SystematicError or None
         The systematic error found that harms most.
     failed : tuple of LimitCheck

@@ -111,7 +111,7 @@ def spot_radii(calibration: CalibrationData, reading: float) -> dict[str, float]
 
 @dataclass(frozen=True, slots=True)
 class VarianceShares:
-    """Parts of the variance of a laser spot, each between 0 and 1; they overlap.
+    """Parts of the variance of a laser spot, or of a beam, each between 0 and 1; they overlap.
 
     Attributes
     ----------
@@ -132,18 +132,33 @@ class VarianceShares:
 
 
 def variance_shares(
-    calibration: CalibrationData, beam: str, reading: float
+    calibration: CalibrationData,
+    beam: str,
+    reading: float,
+    of: Literal["spot", "location", "direction"] = "spot",
 ) -> VarianceShares | None:
-    """Return what the spot error of `beam` at `reading` [m] is made of; None without a covariance.
+    """Return what the error of a beam is made of; None without a covariance.
 
     The share of the poses needs the recording of the calibration.
+
+    Parameters
+    ----------
+    calibration : CalibrationData
+    beam : str
+    reading : float
+        The working distance [m].
+    of : "spot", "location" or "direction"
+        Whose variance it is: of the spot at that distance, or of the beam's own coordinates.
     """
     if calibration.covariance is None:
         return None
     S = calibration.covariance.matrix(planes=[])
     rows = BEAM.size * list(calibration.beams).index(beam) + np.arange(BEAM.size)
     J = np.zeros((3, len(S)))
-    J[:, rows] = spot_at(calibration, calibration.beams[beam], reading)[1]
+    if of == "spot":
+        J[:, rows] = spot_at(calibration, calibration.beams[beam], reading)[1]
+    else:
+        J[np.arange(3), rows[{"location": slice(0, 3), "direction": slice(3, 6)}[of]]] = 1.0
     whole = float(np.trace(J @ S @ J.T))
     if whole <= 0.0:
         return VarianceShares(0.0, 0.0, 0.0)

@@ -10,15 +10,20 @@ from ..estimation.survey_mirror import motion_of, numbers_of
 from ..estimation.survey_rows import Rows
 from ..model.families import BEAM, FAMILIES, PLANE, bases
 from ..model.known import BODY
+from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
 from ..observability.poor_motion import COUNTED_TURN, SIGNIFICANT, PoorMotion, named
-from ..observability.wording import WORTH_A_WORD, Kind, OpenPart, vector_words
+from ..observability.wording import MOUNTED, WORTH_A_WORD, Kind, OpenPart, vector_words
 from ..quantities import FAR_SIGMAS, IN_DEG
 from ..text import some
+from .lines import NAMES_IN_LINE
 
 ON_ONE_CIRCLE = 0.02
 """Normals are on one circle about a direction if their spread along it is below this."""
+NEARLY_LEVEL = np.radians(5.0)
+"""Rays that lean less than this [rad] out of the plane of a motion may be level: where the lean is
+undetermined, noise alone makes it appear so large."""
 CURE_OF_A_CIRCLE = "tilt it by another angle, or add a second plane"
 """What determines a sensor whose normals lie on one circle."""
 
@@ -58,6 +63,13 @@ def open_words(
     circles = tuple(_on_one_circle(rows, found.values)) if motion is None else ()
     if len(circles) == null.shape[1]:
         return circles, (CURE_OF_A_CIRCLE,)
+    level = {} if motion is None else _level(rows, found, motion, images)
+    if motion is not None and level:
+        moving, others = _of_level_sensors(level, motion)
+        parts = tuple(part for part in parts if part.kind in MOUNTED and part.name not in level)
+        if not parts:
+            return (*moving, *what), (*cures, *others)
+        what, cures = (*moving, *what), (*cures, *others)
     errors = any(part.quantity == "range error" for part in parts)
     leans = motion is None or _leans(rows, found, motion, images)
     mount = SENSOR.name if rows.survey.shots else BEAM.name
@@ -79,15 +91,64 @@ def _words_of_images(
     if not names and images:
         planes = some([_name_of(rows, *target) for target in images], 6)
         return (f"which way planes {planes} lean: {image}",), (
-            'state one of them in [[known]] (relation = "plane")',
+            'against the mirror image, state one of them in [[known]] (relation = "plane")',
         )
     # A relation tells the images apart where it makes chi2 of the false one far larger.
     cures = [
-        f'state the mount of {name} in [[known]] (relation = "mount") with a sigma_deg below '
+        f'against the mirror image, state the mount of {name} in [[known]] (relation = "mount") with '
+        "a sigma_deg below "
         f"{images[mount] * IN_DEG / FAR_SIGMAS:.2g}"
         for mount, name in names.items()
     ]
     return tuple(f"which way up {name} is: {image}" for name in names.values()), tuple(cures)
+
+
+def _level(
+    rows: Rows,
+    found: Estimate,
+    motion: PoorMotion,
+    images: Mapping[tuple[str, int], float],
+) -> dict[str, str]:
+    """Return the flat sensors whose rays lie in the plane of a planar motion, with their kinds.
+
+    They cut planes at one height, wherever that is and however the planes lean. A sensor that leans a
+    little shows it by the square of its lean.
+    """
+    if motion.kind != "planar":
+        return {}
+    level: dict[str, str] = {}
+    for member, shots in enumerate(rows.survey.shots):
+        own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
+        kind = KINDS[shots.kind]
+        if not kind.flat or any(i.target[0] != PLANE.name for i in own):
+            continue
+        across = found.values[SENSOR.name][member, :9].reshape(3, 3)[:, kind.across]
+        lean = float(np.arccos(np.clip(abs(across @ motion.axis), 0.0, 1.0)))
+        C = found.marginal(SENSOR.name, member)[:3, :3]
+        # It is NaN where the lean is undetermined, or where the mirror image fits as well.
+        sigma = float(np.sqrt(np.delete(np.diagonal(C), kind.across).max()))
+        known = lean > SIGNIFICANT * sigma or (SENSOR.name, member) in images
+        if lean < COUNTED_TURN or (lean < NEARLY_LEVEL and not known):
+            level[shots.name] = shots.kind
+    return level
+
+
+def _of_level_sensors(
+    level: Mapping[str, str], motion: PoorMotion
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what level sensors leave undetermined in planar motion, and what cures it."""
+    names = some([f"{kind} {name}" for name, kind in level.items()], NAMES_IN_LINE)
+    up, one = vector_words(motion.axis), len(level) == 1
+    return (
+        f"the height of {names} (location along {up}), and how {'it leans' if one else 'they lean'} "
+        f"(turns about axes across {up}), because the motion is planar and all rays lie in its plane: "
+        "walls look the same from any height, and whether they lean does not show",
+    ), (
+        f"mount {'it' if one else 'them'} so that the rays lean by 10 to 20 degrees out of that plane, "
+        "and add a board that leans by 20 to 40 degrees, which leaves one common height; take height "
+        'and lean from a drawing (relation = "mount" in [[known]]); or turn the hand about an axis '
+        f"across {up}, as over a ramp",
+    )
 
 
 def _leans(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -139,13 +140,18 @@ def verdict(
     hiding = hidden_errors(calibration)  # where a plausible size is known
     hidden = max(hiding, key=lambda one: one.moved(reading, unnoticed=True), default=None)
     beyond = None if hidden is None else hidden.moved(reading, unnoticed=True)
-    doubtful = hidden if (beyond or 0.0) > max(radii.values(), default=np.inf) else None
+    limiting = max((one for one in failed if one.subject), key=lambda one: one.ratio, default=None)
+    # Where noise alone would hold the limit, what may hide is the cause.
+    hides = limiting is not None and limiting.random <= limiting.limit
+    hides = hides or (beyond or 0.0) > max(radii.values(), default=np.inf)
+    doubtful = hidden if hides else None
     code = "usable-with-care" if harmful or calibration.warnings or doubtful else "usable"
     if failed:
         code = "outside-limits"
     elif excess > 1.0:
         code = "systematic-error"
-    best = improvement(calibration, shares, harmful, failed, doubtful)
+    asked = shares if limiting is None else _shares_of(limiting, calibration, reading)
+    best = improvement(calibration, asked, harmful, failed, doubtful)
     found = Verdict(
         code,
         (),
@@ -229,6 +235,16 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     if found.code == "usable-with-care" and warnings:
         yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
     yield best_improvement(found.best)
+
+
+def _shares_of(
+    limiting: LimitCheck, calibration: CalibrationData, reading: float
+) -> VarianceShares | None:
+    """Return what the value of a beam that exceeds its limit most is made of."""
+    of: Literal["location", "direction"] = "location"
+    if limiting.quantity == "direction_sigma":
+        of = "direction"
+    return variance_shares(calibration, limiting.subject.removeprefix("beam "), reading, of)
 
 
 def best_improvement(best: Improvement) -> str:

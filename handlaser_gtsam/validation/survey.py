@@ -273,7 +273,7 @@ def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> Surv
     except HandlaserError as error:
         return SurveyLeftOut(name, len(test), message=str(error))
     if found.estimate.status != "converged":
-        return SurveyLeftOut(name, len(test), message=found.estimate.message)
+        return SurveyLeftOut(name, len(test), message=survey_calibration(found).message)
     values = _values_of(whole, found)
     problem, groups = whole.at(values, found.noise).problem()
     rows = problem.rows(problem.blocks, values)

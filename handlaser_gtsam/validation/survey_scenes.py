@@ -122,11 +122,13 @@ def survey_scene(
     radius = 0.8 * max(wide, default=0.3 * working)
     targets = {label: _target(label, radius, working, rng) for label in labels}
     R, t, names = [], [], []
+    turns = {False: 0, True: 0}  # go on from target to target: few stations are for all sensors
     for label in labels:
         of_beams = kind_of(label) == "point"
         viewers = range(len(fans) if of_beams else 0, len(lines))
-        for k in range(count):
-            i = viewers[k % len(viewers)]
+        for _ in range(count):
+            i = viewers[turns[of_beams] % len(viewers)]
+            turns[of_beams] += 1
             pose = _looking(label, targets[label], lines[i], mounts[i], working, rng)
             R.append(pose[0])
             t.append(pose[1])

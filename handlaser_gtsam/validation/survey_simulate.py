@@ -63,6 +63,8 @@ def simulate_survey(
 ) -> Survey:
     """Read every sensor and beam at every station; what does not look at the target reads nothing.
 
+    A station at which nothing is read stays among the stations: `unread_stations` counts them.
+
     Parameters
     ----------
     truth : SurveyTruth
@@ -92,6 +94,16 @@ def simulate_survey(
     if truth.beams:
         ranges = _read_beams(values, labels, number, truth, half_angle, errors, rng)
     return Survey(stations, tuple(shots), ranges, tuple(truth.beams), half_angle=half_angle)
+
+
+def unread_stations(survey: Survey) -> int:
+    """Return the number of stations at which no ray of any sensor or beam hits a target."""
+    read = np.zeros(len(survey.stations), dtype=bool)
+    for shots in survey.shots:
+        read[shots.station] = True
+    if survey.ranges is not None:
+        read |= ~np.isnan(survey.ranges).all(axis=1)
+    return int((~read).sum())
 
 
 def _values(
@@ -144,7 +156,9 @@ def _read(
     station, ray = np.nonzero(np.isfinite(s))
     if not len(station):
         raise InputError(
-            f"no reading of {fan.name}", "a plane, or a sphere as wide as its field of view"
+            f"no reading of {fan.name} at any of {len(labels)} stations",
+            "more stations, since sensors look at targets in turns; a plane, or a sphere as wide as "
+            "its field of view",
         )
     k = np.broadcast_to(truth.range_error, (len(station), 2))
     sigma = errors.range_sigma if fan.sigma is None else fan.sigma

@@ -261,7 +261,7 @@ def noise_words(result: CalibrationData) -> str:
         how = "given" if result.fit.range_sigma_given else "estimated"
         parts = [f"a reading {small_mm(result.fit.range_sigma, 3)} ({how})"]
     parts += [_estimate(component) for component in estimated if component.quantity != "range"]
-    return ", ".join([*parts, *_given_poses(result)])
+    return ", ".join([*parts, *_fixed_poses(result)])
 
 
 def _estimate(one: NoiseComponent) -> str:
@@ -273,19 +273,21 @@ def _estimate(one: NoiseComponent) -> str:
     return f"{owner} {one.sigma * scale:.2g}{error} {unit} ({how})"
 
 
-def _given_poses(result: CalibrationData) -> list[str]:
-    """Return the pose sigmas that were not estimated."""
+def _fixed_poses(result: CalibrationData) -> list[str]:
+    """Return the pose sigmas that were not estimated: as given, or as their priors have them."""
     pose = None if result.variances is None else result.variances.pose
     if result.fit.poses == "exact" or pose is None:
         variables = result.fit.poses == "estimated"
         return ["hand poses as variables of the graph" if variables else "hand poses exact"]
     variance, estimated = np.einsum("sii->si", pose).mean(axis=0), result.noise_estimate
-    given = {
+    sizes = {
         "pose translation": f"{math.sqrt(float(variance[3:].mean())) * IN_MM:.2g} mm",
         "pose rotation": f"{math.sqrt(float(variance[:3].mean())) * IN_DEG:.2g} deg",
     }
     found = {one.quantity for one in estimated}
-    return [f"{KINDS[one]} {size} (given)" for one, size in given.items() if one not in found]
+    return [
+        f"{KINDS[one]} {size} (not estimated)" for one, size in sizes.items() if one not in found
+    ]
 
 
 def zero_excluded(result: CalibrationData, beam: str) -> tuple[bool, bool]:
