@@ -1,7 +1,7 @@
 """One block of readings as the error function of one GTSAM factor.
 
 All readings that share their variables form one block: fifty rows cost hardly more than one. This
-is the only place where a `CustomFactor` is made and the only one that fills its Jacobians: a slot
+is the only place where a `CustomFactor` of ranges is made, and where its Jacobians are filled: a slot
 that is left empty, one-dimensional or short of rows ends the process, not just the solve.
 """
 

@@ -149,7 +149,7 @@ class SolverError(HandlaserError):
 
 
 class NotConvergedError(HandlaserError):
-    """A calibration cannot be used: the recording leaves it open, or the solver gave up."""
+    """A calibration cannot be used: the recording leaves it open, or its readings do not fit."""
 
     def __init__(self, status: str, message: str) -> None:
         self.status, self.message = status, message

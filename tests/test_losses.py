@@ -107,3 +107,17 @@ def test_without_outliers_a_robust_loss_costs_little(name):
     ]
     # 95 % efficiency asymptotically; a factor of the residuals' own scatter on top.
     assert np.allclose(sigma[1] / sigma[0], 1.0, atol=0.25)
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_poses_as_variables_leave_a_robust_covariance_as_it_is(name):
+    """It follows the residuals, of noise that is understated by half, too."""
+    recording, _ = simulated("arm", Layout(2, 2, 20), SIGMA)
+    stated = hl.Noise(SIGMA / 2.0, pose_translation_sigma=SIGMA / 10.0, pose_rotation_sigma=1e-6)
+    marginal, variable = (
+        hl.calibrate(
+            recording, stated, hl.CalibrationOptions("none", "keep", loss=name, poses=poses)
+        ).beams["1"]
+        for poses in ("marginalised", "estimated")
+    )
+    assert np.allclose(variable.location_sigma, marginal.location_sigma, rtol=0.1)

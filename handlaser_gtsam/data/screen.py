@@ -1,6 +1,7 @@
 """What is seen in a recording before anything is solved, and the recording that is left to be solved.
 
-Among that are codes: a sensor without an echo, or at its limit, says the same number each time.
+Stations that repeat are merged, columns that were logged twice are refused, and codes are no readings:
+a sensor without an echo, or at its limit, says the same number each time.
 
 A number that stands several times, to the last digit, at one end of every column in which it occurs, is
 no distance where it lies far from all other readings, or stands far more often than any other: then it

@@ -103,12 +103,14 @@ class Solution:
     prior : RangeErrorPrior or None
         Prior of the range errors, at the most probable scales.
     posterior : Posterior or None
-        The estimate with the scales integrated over; None where only a common sigma is unknown.
+        The estimate with the scales integrated over; None where none but a common sigma is unknown,
+        under a robust loss, and where the solution is not fully determined or fits exactly.
     scales : tuple of ScaleEstimate
         Scales of the noise that were estimated, beside a common one of all readings.
     joint : JointCovariance or None
         GTSAM's covariance for `at.sigma`, offsets in the frames of the readings; None where GTSAM has
-        not eliminated, because something is undetermined or the loss is robust.
+        not eliminated: something is undetermined, the loss is robust, its last search did not
+        converge, or its Cholesky calls a sound system indeterminate.
     """
 
     at: Minimum
@@ -132,7 +134,7 @@ class Solution:
 
     @property
     def scales_estimated(self) -> bool:
-        """Whether there are any."""
+        """Whether scales of the noise were estimated."""
         return bool(self.scales)
 
     @property

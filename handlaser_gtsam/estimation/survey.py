@@ -27,10 +27,10 @@ from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
 from ..quantities import MM, MOST_ROUNDS
-from .components import Components, Inside, components
 from .dense import dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
 from .survey_mirror import best_image, numbers_of, with_images
+from .survey_noise import Components, Inside, components
 from .survey_rows import (
     AIMING,
     AIMING_SIGMA,

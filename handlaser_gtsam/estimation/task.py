@@ -252,6 +252,8 @@ class SolutionTask:
         if at.status != "converged" or not solution.observability.full:
             return solution
         if at.estimates_poses and at.graph is not None and at.values is not None:
+            if at.loss != GAUSSIAN:  # the covariance of an M-estimate is not that of its weights
+                return solution
             return replace(solution, joint=covariance_by_gtsam(at.graph, at.values))
         noise = at.sigma if solution.whitening is None else solution.whitening
         # The rows that factors would hand out may be more than GTSAM should hold once more.

@@ -42,7 +42,7 @@ def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
 
 
 def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
-    """Do as `read_with`; with sensors of many rays, relations or other targets, return a survey.
+    """Do as `read_with`; with sensors of many rays, cones, relations or other targets return a survey.
 
     Raises
     ------

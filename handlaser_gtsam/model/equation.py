@@ -1,4 +1,7 @@
-r"""The measurement equation, vectorised over readings; the only place where it is written.
+r"""The measurement equation, vectorised over readings.
+
+This is its plain form, which factors use. `beams_on_planes` has it fused for the search, and
+`targets.plane` for any ray; tests compare them. The SciPy references write it again on purpose.
 
 Symbols, as everywhere in this package: beam location r [m] and unit direction v, hand frame;
 plane n . x + b = 0, world frame; hand pose R, t (world_T_hand); reading d [m]; range error k.

@@ -1,4 +1,7 @@
-"""Relations: rows that tie a few variables, such as an angle between two planes that is known."""
+"""Relations: rows that tie a few variables, such as an angle between two planes that is known.
+
+This is what a relation is; those that `[[known]]` states are in `known`.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

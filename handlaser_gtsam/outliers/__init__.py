@@ -1,1 +1,1 @@
-"""Readings and labels that do not belong: the test of a reading, starts among gross errors."""
+"""Readings and labels that do not belong: which agree, the test of one, and why one was rejected."""

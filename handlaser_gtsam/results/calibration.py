@@ -33,7 +33,8 @@ class Calibration(CalibrationData):
     ----------
     status : str
         `converged`; `unobservable` when the recording leaves something open: numbers are then
-        one of many solutions and have no covariance; `not_converged` when the solver gave up.
+        one of many solutions and have no covariance; `not_converged` when no solver converged, or
+        when the readings do not fit each other.
     message : str
         The same in words.
     warnings : tuple of CalibrationWarning

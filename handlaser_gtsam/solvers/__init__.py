@@ -1,4 +1,4 @@
-"""Solvers: Levenberg-Marquardt on the graph, the paper's reduction in NumPy, SciPy as reference."""
+"""Solvers: the factor graph, Levenberg-Marquardt and iSAM2 on it, and SciPy as reference."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Starts that nobody has to guess: closed form from pure translations, and a sweep for any motion."""
+"""Starts that nobody has to guess: closed forms, sweeps for any motion, and a search among outliers."""
 
 from .choice import Effort, Start, find_start
 

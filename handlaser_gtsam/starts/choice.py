@@ -1,7 +1,7 @@
 """Which start: all that apply are tried, refined a few steps, and compared by cost.
 
 Cheap starts come first. The search ends early only on evidence: when the residuals are as small as
-the given range sigma says, or, where no sigma is given, when several starts agree on the optimum.
+the given range sigma says, or when several starts agree on an optimum that is not poor.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -107,8 +107,8 @@ def find_start(
     terms : int
         Most range-error terms the solution will have.
     effort : {"glance", "quick", "normal", "thorough"}
-        What follows where the first starts do not convince: nothing, finer sweeps, or finer sweeps and
-        random starts. At a glance no start is refined to the end.
+        What follows where the first starts do not convince: nothing (`glance`, `quick`), finer
+        sweeps, or finer sweeps and random starts. At a glance no start is refined to the end.
     certain : bool
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     accepts : callable, optional

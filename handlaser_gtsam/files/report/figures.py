@@ -1,4 +1,7 @@
-"""All figures of a subject, in the order of the report: a further one is a line of `flat_figures`."""
+"""All flat figures of a calibration of beams, in the order of the report.
+
+A further one is a line of `flat_figures`. `page` adds the scenes, and `survey` has those of surveys.
+"""
 
 import math
 from collections.abc import Sequence

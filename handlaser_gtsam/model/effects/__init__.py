@@ -1,7 +1,7 @@
 """Systematic errors that the model does not hold, one a file, and the list of them all.
 
-What is added here is tested for in every recording, counted with its plausible size in the verdict, and
-named in every view.
+What is added here is counted with its plausible size in the verdict, and named in every view. What a
+recording can show is tested for; what none can (`unseen`) is only counted.
 """
 
 from .beam_on_plane import BEAM_ON_PLANE
