@@ -143,6 +143,7 @@ def named(
     leans: bool,
     k1_free: bool | None,
     mount: str = "beam",
+    enough: bool = True,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Say what is undetermined, and what would determine it.
 
@@ -157,6 +158,8 @@ def named(
         Whether range errors are estimated without a prior; None where that is not known yet.
     mount : "beam" or "sensor"
         What sits in the hand: beams see planes, sensors of a survey any targets.
+    enough : bool
+        Whether there are as many readings as unknowns: with fewer, not the motion alone is to blame.
 
     Returns
     -------
@@ -169,7 +172,7 @@ def named(
     located = [part for part in parts if part.quantity == "location"]
     turning = motion.kind in ("planar", "one axis")
     if located and all(part in rest for part in located):
-        if not turning or not all(_along(part, motion) for part in located):
+        if not (enough and turning and all(_along(part, motion) for part in located)):
             return undetermined(parts), advice(parts)
         # Where walls are found to lean with an undetermined height, everything moves with the heights.
         rest = []

@@ -238,7 +238,11 @@ def _determined_by(
     if motion is not None:
         leans = some_plane_leans(motion, parameters, used, sigma, how)
     words, help_ = named(
-        motion, parts, leans=leans, k1_free=solution.terms > 0 and solution.prior is None
+        motion,
+        parts,
+        leans=leans,
+        k1_free=solution.terms > 0 and solution.prior is None,
+        enough=len(used) >= found.unknowns,
     )
     if found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
