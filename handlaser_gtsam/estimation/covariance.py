@@ -5,8 +5,9 @@ eliminated from the linear graph, and what is left is the information of the bea
 noise are unknown this is the covariance at the most probable ones: what a calibration states is then
 the mean over all scales and the scatter between them (`posterior`). Where rank is short or the loss
 robust, or where GTSAM's Cholesky calls a sound system indeterminate (it compares pivots of different
-units), it comes from the reduced information of `observability.rank`, restricted to what is determined: the covariance
-of a determined coordinate does not depend on how the undetermined ones are fixed.
+units), it comes from the reduced information of `observability.rank`, restricted to what is
+determined: the covariance of a determined coordinate does not depend on how the undetermined ones are
+fixed.
 """
 
 import gtsam
