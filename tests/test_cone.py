@@ -41,8 +41,10 @@ def nearest_in_cone(r: Array, v: Array, distance_along: object) -> float:
     return min(float(minimize(along, x, method="Nelder-Mead", options=options).fun) for x in starts)
 
 
-def survey(seed: int, tilt: float, stations: int = 20) -> tuple[hl.Survey, Array, Array]:
-    """Return a survey of one cone before two planes, with its location and direction."""
+def survey(
+    seed: int, tilt: float, stations: int = 20, ball: bool = False
+) -> tuple[hl.Survey, Array, Array]:
+    """Return a survey of one cone before two planes and a ball, with its location and direction."""
     rng = np.random.default_rng(seed)
     r, v = rng.normal(scale=0.05, size=3), rng.normal(size=3)
     v /= np.linalg.norm(v)
@@ -62,6 +64,24 @@ def survey(seed: int, tilt: float, stations: int = 20) -> tuple[hl.Survey, Array
             t.append(o - hand @ r)
             labels.append(label)
             d.append(D / math.cos(max(theta - HALF, 0.0)) + SIGMA * rng.normal())
+    centre, radius = rng.normal(size=3), 0.15
+    while ball and labels.count("sphere:ball") < stations:
+        towards = rng.normal(size=3)
+        towards /= np.linalg.norm(towards)
+        aside = np.linalg.svd(towards[None])[2][1]
+        theta, L = rng.uniform(0.0, tilt), radius + rng.uniform(0.3, 0.6)
+        beyond = max(theta - HALF, 0.0)
+        under = radius**2 - (L * math.sin(beyond)) ** 2
+        if under < 0.0:  # it hears nothing
+            continue
+        to_axis = Rotation.align_vectors(
+            [math.cos(theta) * towards + math.sin(theta) * aside], [v]
+        )[0]
+        hand = to_axis.as_matrix()
+        R.append(hand)
+        t.append(centre - L * towards - hand @ r)
+        labels.append("sphere:ball")
+        d.append(L * math.cos(beyond) - math.sqrt(under) + SIGMA * rng.normal())
     listed = hl.StationList(np.array(R), np.array(t), tuple(labels))
     made = hl.Survey(listed, (), np.array(d)[:, None], ("sonar",), half_angle=HALF)
     return made, r, v
@@ -119,9 +139,9 @@ def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
 
 
 def test_a_cone_is_found_from_nothing() -> None:
-    """Twenty cones: errors are as large as their covariances say, and SciPy finds the same."""
+    """Ten cones: errors are as large as their covariances say, and SciPy finds the same."""
     squares = []
-    for seed in range(20):
+    for seed in range(10):
         made, r, v = survey(seed, 2.0 * HALF)
         result = hl.calibrate(made, STATED)
         assert result.status == "converged"
@@ -131,7 +151,28 @@ def test_a_cone_is_found_from_nothing() -> None:
         assert math.acos(min(1.0, float(v @ beam.direction))) < 5.0 * beam.direction_sigma
         if seed < 3:
             assert hl.validation.cross_check_survey(result).largest < 1e-4
-    assert 0.6 < np.mean(squares) < 1.5
+    assert 0.5 < np.mean(squares) < 1.8
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_readings_that_graze_a_ball_end_no_search(seed):
+    """With noise the truth may have a ray that misses: such a reading is left out, and said to be."""
+    made, r, _ = survey(seed, 2.2 * HALF, 15, ball=True)
+    result = hl.calibrate(made, STATED)
+    assert result.usable, result.verdict
+    beam = result.beams["sonar"]
+    assert (np.abs(beam.location - r) < 4.0 * beam.location_sigma).all()
+    assert len(result.rejected) < 4
+
+
+@pytest.mark.parametrize("noise", [STATED, replace(STATED, range_sigma=None)])
+def test_a_wrong_half_angle_is_named(noise):
+    """With estimated noise it was usable, and fourteen standard deviations off."""
+    made, *_ = survey(2, 2.0 * HALF, 15, ball=True)
+    result = hl.calibrate(replace(made, half_angle=HALF / 0.6), noise)
+    assert not result.usable
+    warning = next(one for one in result.warnings if one.code == "half-angle")
+    assert warning.values["half_angle"] == pytest.approx(HALF)
 
 
 def test_within_the_cone_its_direction_is_open_and_its_location_is_not() -> None:

@@ -213,7 +213,7 @@ class SurveyState:
         if again is None:
             fewer = without_grazing(self.rows, self.values)
             if fewer is not None:
-                self.rows = fewer
+                self.rows, self.used = fewer, self.used & ~grazing(fewer)
                 problem, _ = self.problem()
                 again = minimum(problem, list(problem.blocks), self.values)
         if again is not None and (again.get(SPHERE.name, np.ones((1, 0, 4)))[..., 3] < 0.0).any():
@@ -448,6 +448,7 @@ def _leave_out_gross(state: SurveyState) -> None:
             kept |= own & state.used & (misfit < FIRST_OUT * largest)
             if kept[own].mean() < 1.0 - MOST_LEFT_OUT:
                 kept[own] = state.used[own]
+        kept &= ~grazing(state.rows)
         if (kept == state.used).all() or kept.mean() < 1.0 - MOST_LEFT_OUT:
             return
         state.used = kept
@@ -485,6 +486,11 @@ def _started_from_halves(state: SurveyState) -> bool:
     state.values = values
     state.used = misfits(state) <= GROSS * max(least, 1.0)
     return True
+
+
+def grazing(rows: Rows) -> BoolArray:
+    """Return which items have been found to graze their sphere."""
+    return np.array([item.grazing for item in rows.items])
 
 
 def misfits(state: SurveyState) -> FloatArray:
@@ -570,7 +576,7 @@ def _worst_changed(state: SurveyState) -> bool:
         state.used = state.used.copy()
         state.used[tested[worst]] = False
         return True
-    out = np.flatnonzero(~state.used)
+    out = np.flatnonzero(~state.used & ~grazing(state.rows))
     if not len(out):
         return False
     misfit = misfits(state)[out]

@@ -62,6 +62,8 @@ class Item:
         Of a beam [m].
     half_angle : float
         Of the cone of a beam that has one [rad].
+    grazing : bool
+        Whether a beam has been found to graze or miss its sphere: it never counts then.
     """
 
     family: str
@@ -72,6 +74,7 @@ class Item:
     points: IntArray | None = None
     reading: float = np.nan
     half_angle: float = 0.0
+    grazing: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,12 +235,18 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
 def without_grazing(rows: Rows, values: Values) -> Rows | None:
     """Return the rows without single readings that graze or miss their sphere; None where none does.
 
-    Of a shot with few readings each is a row, because its own shape does not say which of them graze.
-    Near the minimum one whose ray just misses the sphere ends the search.
+    These are readings of beams, and of shots with few readings, whose own shape does not say which of
+    them graze. Near the minimum one whose ray just misses the sphere ends the search.
     """
     items = list(rows.items)
     for i, item in enumerate(items):
-        if item.shot is None or item.target[0] != SPHERE.name or not of_single_readings(item.shot):
+        if item.target[0] != SPHERE.name or item.grazing:
+            continue
+        if item.shot is None:
+            if _grazes(item, values):
+                items[i] = replace(item, grazing=True)
+            continue
+        if not of_single_readings(item.shot):
             continue
         sensor, rays = values[SENSOR.name][0, item.member], item.shot.rays
         X, place = sensor[:9].reshape(3, 3), sensor[9:12]
@@ -255,6 +264,23 @@ def without_grazing(rows: Rows, values: Values) -> Rows | None:
             items[i] = replace(item, shot=shot, points=points)
     same = all(one is other for one, other in zip(items, rows.items, strict=True))
     return None if same else replace(rows, items=tuple(items))
+
+
+def _grazes(item: Item, values: Values) -> bool:
+    """Tell whether a beam, or the nearest ray of a cone, grazes or misses its sphere."""
+    block = Ranges(
+        _beam_or_cone(np.array([item.member]), item.half_angle),
+        Sphere(np.array([item.target[1]])),
+        PoseVariables(np.array([item.station])),
+        np.full((1, 1, 1), item.reading),
+    )
+    rows = block.evaluate(values)
+    by_location = rows.columns[:3, 0, 0, 0]
+    return rows.impossible is not None or bool(np.linalg.norm(by_location) >= MOST_SLANTED)
+
+
+def _beam_or_cone(member: IntArray, half_angle: float) -> Beam | Cone:
+    return Cone(member, half_angle) if half_angle else Beam(member)
 
 
 def blocks_of(
@@ -284,8 +310,7 @@ def blocks_of(
         robot = PoseVariables(station)
         if family == BEAM.name:
             reading = np.array([item.reading for item in some])[None, :, None]
-            cone = some[0].half_angle
-            sensor = Cone(member, cone) if cone else Beam(member)
+            sensor = _beam_or_cone(member, some[0].half_angle)
             if target == POINT.name:
                 across = sigmas[AIMING]
                 blocks.append(_on_points(Beam(member), robot, seen, reading, sigma, across, values))

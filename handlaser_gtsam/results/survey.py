@@ -32,7 +32,7 @@ from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .significance import SINGLE_LEVEL
 from .spot_error import radius
-from .survey_misfit import MISREAD, NO_FIT, misread, no_fit
+from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit
 from .survey_motion import open_words
 from .warnings import MANY_OUTLIERS
 
@@ -179,7 +179,7 @@ class RejectedShot(Value):
     ----------
     sensor, station, target : str
     reason : str
-        `contradicted` by the others, or `too-few-points`.
+        `contradicted` by the others, `grazing` its sphere, or `too-few-points`.
     """
 
     sensor: str
@@ -431,7 +431,8 @@ def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
         if not used:
             name = _source(rows, item.family, item.member)
             station = stations.station_names[item.station]
-            yield RejectedShot(name, station, rows.label(item.target), "contradicted")
+            reason = "grazing" if item.grazing else "contradicted"
+            yield RejectedShot(name, station, rows.label(item.target), reason)
     for member, at in rows.lost:
         yield RejectedShot(
             rows.survey.shots[member].name,
@@ -493,7 +494,7 @@ def _warnings(
                 f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
             )
             yield CalibrationWarning("relation-contradicted", words, {"p": tested.p_value})
-    causes = tuple(misread(found.rows, found.given))
+    causes = (*misread(found.rows, found.given), *misheard(found))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
     yield from causes

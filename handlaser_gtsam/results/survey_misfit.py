@@ -6,7 +6,7 @@ labelled a plane, or a plane that is labelled a sphere. Under the wrong reading 
 shape, so that shots alone decide: the sum of squares within them, with a fixed price for readings that
 no shape fits. The other way has to cost less than half, and to fit nearly all readings: where shots
 show more than their target, neither way says anything. The other kind of a target has to fit the whole
-survey, too.
+survey, too. Cones are tried with other angles once all is solved.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,13 +18,22 @@ from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
-from ..estimation.survey import GROSS, FirstFit, first_state, misfits
+from ..estimation.estimate import SIGNIFICANCE
+from ..estimation.survey import (
+    GROSS,
+    FirstFit,
+    SurveyEstimate,
+    estimate_survey,
+    first_state,
+    misfits,
+)
 from ..estimation.survey_rows import Rows, rows_of
+from ..model.distributions import f_sf
 from ..model.lines import condensed_shots
 from ..model.sensors.kinds import KINDS
 from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL
 from ..model.targets.sphere import SPHERE
-from ..quantities import IN_DEG, IN_MM
+from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
 from ..text import some
 from .lines import NAMES_IN_LINE
 
@@ -34,8 +43,12 @@ KIND = "target-kind"
 """Code of the warning that a target is of another kind than its label says."""
 NO_FIT = "no-fit"
 """Code of the warning that most shots do not fit each other."""
-MISREAD = (CONVENTION, KIND)
+HALF_ANGLE = "half-angle"
+"""Code of the warning that cones are wider, or narrower, than is stated."""
+MISREAD = (CONVENTION, KIND, HALF_ANGLE)
 """Codes of mistakes with which no result is usable, and no advice on the motion means anything."""
+HALF_ANGLES_TRIED = (0.5, 0.6, 0.8, 1.25, 1.6, 2.0)
+"""Times the half angle that is stated: a datum of a data sheet, or the whole angle in its place."""
 OTHER_KIND = {"plane": "sphere", "sphere": "plane"}
 """What a target may be in place of what its label says: shots of grooves are split before."""
 SHOTS_TRIED = 60
@@ -72,6 +85,43 @@ def misread(rows: Rows, noise: Noise) -> Iterator[CalibrationWarning]:
             "whether its stations have the label of another target"
         )
         yield CalibrationWarning(KIND, words, {"target": label})
+
+
+def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of cones whose readings fit far better with another half angle, by an F test.
+
+    Each reading that does not fit costs as much as one that just does.
+    """
+    stated = found.rows.survey.half_angle
+    if not stated or found.estimate.status not in ("converged", "contradicted"):
+        return
+
+    noise = replace(found.given, range_sigma=float(found.noise.sigma[-2]))
+    if noise.pose_covariance is None:
+        turn, shift = found.noise.pose
+        noise = replace(noise, pose_rotation_sigma=turn, pose_translation_sigma=shift)
+
+    def squares(part: float) -> float:
+        again = estimate_survey(replace(found.rows.survey, half_angle=part * stated), noise)
+        if again.estimate.status not in ("converged", "contradicted"):
+            return np.inf
+        return again.estimate.chi2 + FAR_SIGMAS**2 * float((~again.used).sum())
+
+    tried = [part for part in HALF_ANGLES_TRIED if part * stated <= WIDEST_CONE]
+    found_at = [squares(part) for part in tried]
+    least = min(found_at, default=np.inf)
+    dof = found.estimate.dof
+    if not np.isfinite(least) or least <= 0.0 or dof < 1:
+        return
+    gain = (squares(1.0) - least) / (least / dof)
+    if np.isfinite(gain) and f_sf(max(gain, 0.0), 1, dof) < SIGNIFICANCE / len(tried):
+        better = tried[found_at.index(least)] * stated
+        words = (
+            f"the readings fit far better with a cone of {better * IN_DEG:.2g} degrees than with one of "
+            f"{stated * IN_DEG:.3g}: set half_angle_deg, half the opening angle, near "
+            f"{better * IN_DEG:.2g}"
+        )
+        yield CalibrationWarning(HALF_ANGLE, words, {"half_angle": better})
 
 
 def no_fit(
