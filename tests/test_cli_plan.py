@@ -1,6 +1,7 @@
 """handlaser plan: from nothing, from a recording, from a result; what is refused."""
 
 import json
+import re
 from xml.etree import ElementTree
 
 import numpy as np
@@ -73,6 +74,19 @@ def test_json_alone_on_stdout(handlaser, tmp_path, rig):
     assert set(found["stations"][0]) == {
         *("station", "plane", "position_m", "quaternion_xyzw", "ranges_m", "range_sigmas_m")
     }
+
+
+def test_a_plan_that_is_not_written_shows_its_stations(handlaser, rig):
+    """A few with their poses; of more the command says how to get them."""
+    plan = ("plan", RECORDING, "--rig", rig, "--stations")
+    _, text, _ = handlaser(*plan, 3)
+    shown = text.split("stations, hand poses world_T_hand (--out FILE writes them):\n")[1]
+    pose = re.compile(r"  \d+ before plane [A-D]: \(.*\) mm, qx qy qz qw \(.*\)")
+    assert len(shown.splitlines()) == 3
+    assert all(map(pose.fullmatch, shown.splitlines()))
+    _, text, _ = handlaser(*plan, 11)
+    assert "qx qy qz qw" not in text
+    assert text.splitlines()[-1] == "--out FILE writes the poses of the 11 stations"
 
 
 def test_from_a_result_and_with_the_plate_put_anew(handlaser, tmp_path, rig):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
@@ -208,10 +209,31 @@ def test_cones_are_made_and_read_by_the_command(handlaser, tmp_path):
     code, out, _ = handlaser("calibrate", made / "stations.csv", "--rig", made / "rig.toml")
     assert code == 0
     assert "Usable: beam 1 located to" in out
+    rays = '[[sensors]]\nname = "s"\nkind = "profiler"\npoints = "p.csv"\n'
+    rig.write_text(f"{rays}half_angle_deg = 12\n")
+    code, _, err = handlaser("calibrate", made / "stations.csv", "--rig", rig)
+    assert code == 2
+    assert err.rstrip().endswith("; half_angle_deg stands in [sensor], which is of single beams")
     rig.write_text("[sensor]\nhalf_angle_deg = 95\n")
     code, _, err = handlaser("calibrate", made / "stations.csv", "--rig", rig)
     assert code == 2
     assert "half_angle" in err
+
+
+def test_a_cone_that_no_beam_has_is_refused(handlaser, tmp_path):
+    """A half angle counts for single beams only: a survey of a profiler has none."""
+    folder = ROOT / "examples/profiler"
+    for name in ("poses.csv", "profiles.csv"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    rig = tmp_path / "rig.toml"
+    rig.write_text((folder / "rig.toml").read_text() + "\n[sensor]\nhalf_angle_deg = 12\n")
+    code, out, err = handlaser("calibrate", tmp_path / "poses.csv", "--rig", rig)
+    assert (code, out) == (2, "")
+    assert "found half_angle_deg in [sensor], and no single beam" in err
+    words = ("simulate", tmp_path / "made", "--rig", rig, "--targets", "plane:A,sphere:S")
+    code, _, err = handlaser(*words)
+    assert code == 2
+    assert "half_angle_deg in [sensor] without single beams" in err
 
 
 def test_a_cone_is_not_aimed_at_a_point() -> None:

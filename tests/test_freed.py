@@ -1,6 +1,7 @@
 """Systematic errors as unknowns: against SciPy and dense algebra, recovered, judged, and refused."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +14,13 @@ from handlaser_gtsam.model.effects import EFFECTS, OF_STATIONS
 from handlaser_gtsam.planning.advice import advice_lines
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.information import station_rows, updated
+from handlaser_gtsam.results.description.description import Description
+from handlaser_gtsam.results.description.screen import LINES, screen_lines
 from handlaser_gtsam.results.freed import MOST_FREED
+from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.projection import FreedColumns, LinearRows, Projection
 from handlaser_gtsam.results.score_tests import ScoreTests
+from handlaser_gtsam.results.verdict import verdict
 from handlaser_gtsam.solvers.reference_errors import ERRORS
 from handlaser_gtsam.validation.cross_check import cross_check
 from handlaser_gtsam.validation.simulate import Stations
@@ -222,6 +227,26 @@ def test_what_the_readings_do_not_tell_is_said():
     assert np.hypot(before, one.prior_sigma) == pytest.approx(grown, rel=0.05)
 
 
+def test_the_remedy_of_an_undetermined_error_is_whole_on_any_screen():
+    """The warning, the headline and the facts say the same, however much else there is to say."""
+    recording, rig = hl.read_recording(GRIPPER / "recording.csv"), hl.read_rig(GRIPPER / "rig.toml")
+    found = freed(recording, "lag", "incidence", noise=rig.noise)
+    (one,) = [effect for effect in found.effects if not effect.determined]
+    assert re.fullmatch(r"-?\d\.\d+ \+- 0\.\d+ mm", one.brief)
+    remedy = f"({one.brief}, hardly better than its prior), {EFFECTS['incidence'].reveal}"
+    judged = verdict(found, limits=Limits(rms=5e-5, location_sigma=1e-4, direction_sigma=1e-3))
+    assert judged.best.code == "effect-undetermined"
+    assert EFFECTS["incidence"].reveal in judged.sentence
+    described = Description(found, judged)
+    # Next best stations, a cross-check and files that are written keep up to 8 lines for themselves.
+    for closing in range(9):
+        screen = screen_lines(described, closing=closing)
+        assert len(screen) + closing <= LINES
+        text = " ".join(line.strip() for line in screen)
+        assert f"WARNING: to determine incidence {remedy}" in text
+        assert f"undetermined: incidence {one.brief}" in text
+
+
 def test_a_determined_size_is_an_unknown_as_every_other():
     found = freed(recorded(Scene(3), 0, "lag", 0.05), "lag", range_error="none")
     assert found.effects[0].determined
@@ -272,7 +297,11 @@ def test_errors_of_planes_and_of_the_tool_have_an_unknown_each():
 REFUSED = {
     "a code that is none": (("lags",), {}, "'lags'"),
     "an error that nothing shows": (("tilt",), {}, "free tilt, which no recording tells from"),
-    "no plausible size": (("incidence",), {"sensor": hl.Sensor()}, "no plausible size"),
+    "no plausible size": (
+        ("incidence",),
+        {"sensor": hl.Sensor()},
+        'no plausible size; .*kind = "triangulation" or .*, or incidence_mm in .plausible.',
+    ),
     "a size of zero": (("incidence",), {"sensor": hl.Sensor(kind="other")}, "size of zero"),
     "a robust loss": (("lag",), {"loss": "huber"}, "free errors with a huber loss"),
     "a text": ("lag", {}, "'lag'"),

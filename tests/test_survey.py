@@ -22,6 +22,8 @@ from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import Mounted
 from handlaser_gtsam.model.shots import condensed
 from handlaser_gtsam.model.targets.plane import Plane
+from handlaser_gtsam.results.description.survey import facts
+from handlaser_gtsam.results.survey import RejectedShot
 
 EXACT = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 GENERATORS = {"rays": rigs_by_rays, "distance": rigs_by_distance}
@@ -93,6 +95,19 @@ def test_wrong_shots_are_left_out_as_wholes():
     out = {int(one.station) - 1 for one in result.rejected}
     assert wrong
     assert wrong == out
+
+
+def test_what_is_left_out_is_named_with_its_kind():
+    """A number may be the name of a beam as well as of a station."""
+    survey = survey_of(rigs_by_rays.mixed(101))
+    ranges = survey.ranges.copy()
+    row = int(np.flatnonzero(~np.isnan(ranges[:, 0]))[4])
+    ranges[row, 0] += 0.05
+    result = hl.calibrate(replace(survey, ranges=ranges), hl.Noise())
+    station, beam = survey.stations.station_names[row], survey.beam_names[0]
+    assert f"beam {beam} at station {station} (contradicted)" in dict(facts(result))["left out"]
+    lost = RejectedShot("s", "2", "plane:A", "too-few-points")
+    assert lost.words(result.beams) == "sensor s at station 2"
 
 
 def test_a_cone_is_refused_with_what_is_undetermined():

@@ -206,6 +206,11 @@ def test_beams_beside_sensors_and_poses_that_do_not_fit_are_said():
     survey = survey_of(rig)
     lines = list(check_lines(check_survey(survey)))
     assert any(line.startswith("beam beam: ") for line in lines)
+    (noise,) = [line for line in lines if "follow from the noise" in line]
+    assert noise.endswith("beams 0.1 mm assumed, hand 0.1 mm and 0.02 deg assumed")
+    stated = check_survey(survey, hl.Noise(2e-4, 1e-4, None))
+    assert stated.noise[-2] == "beams 0.2 mm as stated"
+    assert stated.noise[-1] == "hand 0.1 mm as stated and 0.02 deg assumed"
     R = np.swapaxes(survey.stations.world_R_hand, 1, 2)
     of = survey.stations
     wrong = hl.StationList(R, of.world_t_hand, of.plane_labels, of.station_names)

@@ -150,6 +150,11 @@ def test_the_command(handlaser, tmp_path):
     assert code == 0
     assert said.startswith("3 stations: spots within")
     assert len(hl.read_stations(out).station_names) == 3
+    assert "qx qy qz qw" not in said
+    _, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3")
+    x, y, z = hl.read_stations(out).world_t_hand[0] * 1e3
+    assert "stations, hand poses world_T_hand (--out FILE writes them):" in said
+    assert f"  1 before sphere:ball: ({x:.1f}, {y:.1f}, {z:.1f}) mm, qx qy qz qw" in said
     _, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3", "--json")
     answer = json.loads(said)
     errors = [answer["spot_error_m"], *(one["spot_error_m"] for one in answer["stations"])]

@@ -85,7 +85,7 @@ def plan(
     from ..files.writing import require_outputs, write_text
     from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan
-    from .plan_tables import plan_lines, scene_lines
+    from .plan_tables import plan_lines, scene_lines, station_lines
     from .survey import survey_plan_gaps, survey_plan_lines
 
     with Working():
@@ -107,6 +107,8 @@ def plan(
                 lines += scene_lines(rig.workspace.robot)
         if out is not None:
             write_stations(out, planned.stations)
+        else:
+            lines += station_lines(planned.stations)
         if picture is not None and not isinstance(planned, SurveyPlan):
             write_text(picture, forecast_svg(planned.forecast, rig.goal))
         lines += wrote(out, picture)

@@ -4,14 +4,17 @@ import math
 from collections import Counter
 from collections.abc import Iterator
 
+from ..data.station_list import StationList
+from ..planning.advice import pose_words
 from ..planning.goal import Goal
 from ..planning.robot import Robot
 from ..planning.route import VIA, Plan
 from ..quantities import IN_DEG, IN_MM
 from ..text import count
 
-FORECAST_ROWS = 10
-"""Rows of the forecast, evenly over the stations: they fit on a screen beside the rest."""
+SHOWN_ROWS = 10
+"""Rows of the forecast, evenly over the stations, and stations whose poses are shown at most: they fit
+on a screen beside the rest."""
 UNKNOWN_ABOVE = 999.0
 """Larger standard deviations are shown as unknown [mm], [deg]: nothing has determined them."""
 
@@ -50,6 +53,18 @@ def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
     yield from _enough(plan, goal)
 
 
+def station_lines(stations: StationList) -> Iterator[str]:
+    """Yield where the stations of a plan are that is not written; of many, that --out writes them."""
+    if len(stations) > SHOWN_ROWS:
+        yield f"--out FILE writes the poses of the {len(stations)} stations"
+    elif len(stations):
+        yield "stations, hand poses world_T_hand (--out FILE writes them):"
+        named = zip(stations.station_names, stations.plane_labels, strict=True)
+        for (name, label), pose in zip(named, pose_words(stations), strict=True):
+            target = label if ":" in label else f"plane {label}"
+            yield f"  {name} before {target}: {pose}"
+
+
 def scene_lines(robot: Robot) -> Iterator[str]:
     """Yield what the ways of an arm were checked against, and what they were not."""
     within = ["the arm itself", "the plate"]
@@ -76,7 +91,7 @@ def _forecast(plan: Plan) -> Iterator[str]:
     )
     yield "stations  location mm  direction deg  spot mm"
     last = len(forecast)
-    shown = {round(last * index / (FORECAST_ROWS - 1)) for index in range(FORECAST_ROWS)}
+    shown = {round(last * index / (SHOWN_ROWS - 1)) for index in range(SHOWN_ROWS)}
     for number in sorted(shown | {last}):
         yield (
             f"{number:8}  {_cell(forecast.location_sigma[number] * IN_MM):>11}  "

@@ -50,6 +50,9 @@ def simulated_survey(
     if not tables and not (known.half_angle and beams):
         expected = "one for each sensor to simulate, or half_angle_deg in [sensor], with --beams"
         raise InputError("no table [[sensors]]", expected, rig)
+    if known.half_angle and not beams:
+        expected = "--beams, which it counts for, or a rig file without it"
+        raise InputError("half_angle_deg in [sensor] without single beams", expected, rig)
     unused: dict[str, object] = {"[[known]]": known.survey is not None and known.survey.known}
     unused["pose_covariance"] = known.noise.pose_covariance is not None
     for name, stated in unused.items():

@@ -134,6 +134,11 @@ def _first_fault(
         several = [getattr(one, "model_fields", ()) for one in (table, *get_args(table))]
         names = ", ".join(next(filter(None, several), ())) if len(place) <= 2 else ""
         expected = f"one of {names}" if names else "a field of the format"
+        expected += "".join(
+            f"; {place[-1]} stands in [{name}]{f', {of.description}' if of.description else ''}"
+            for name, of in schema.model_fields.items()
+            if place[-1] in getattr(of.annotation, "model_fields", ())
+        )
         return InputError(f"the unknown field {shown(field)[1:-1]}", expected, path)
     if fault["type"] == "missing":
         kind = expected.split(",")[0]

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
-from pydantic import Strict, create_model
+from pydantic import Field, Strict, create_model
 
 from ..checks import require_number
 from ..data.noise import Noise
@@ -91,7 +91,7 @@ class _Limits(numbers("rms_mm location_sigma_mm direction_sigma_deg")):  # type:
 
 class _Rig(SurveyRig):
     noise: NoiseTable = NoiseTable()
-    sensor: _Sensor = _Sensor()
+    sensor: Annotated[_Sensor, Field(description="which is of single beams")] = _Sensor()
     plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
     log: LogTable = LogTable()

@@ -1,5 +1,6 @@
 """Surveys read from files: stations with their targets, tables of points, and a rig file."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -66,16 +67,16 @@ def describe_survey(
     if is_bag(path):
         refuse_of_a_bag(rig.log, path, OF_READINGS)
         stations, shots = rig.survey.bag(path, rig.log)
-        return Survey(stations, shots, known=known, **_of_beams(rig)), (), ()
+        return Survey(stations, shots, known=known, **_of_beams(rig, (), path)), (), ()
     if is_log(path, rig.log, readings=False):
         stations, numbers, way, words = _of_log(path, rig.log)
         shots = rig.survey.shots(stations.station_names)
-        survey = Survey(stations, shots, known=known, **_of_beams(rig))
+        survey = Survey(stations, shots, known=known, **_of_beams(rig, (), path))
         doubts = refuse_wrong_poses(survey, numbers, way, rig.log, path) if shots else ()
         return survey, (words,), doubts
     stations, ranges, beams = _of_recording(path, rig)
     shots = rig.survey.shots(stations.station_names)
-    survey = Survey(stations, shots, ranges, beams, known, **_of_beams(rig))
+    survey = Survey(stations, shots, ranges, beams, known, **_of_beams(rig, beams, path))
     return survey, (), ()
 
 
@@ -88,11 +89,24 @@ def survey_of(recording: Recording, rig: Rig) -> Survey:
         recording.station_names,
     )
     ranges = _within(recording.ranges, rig)
-    return Survey(stations, (), ranges, recording.beam_names, **_of_beams(rig))
+    beams = recording.beam_names
+    return Survey(stations, (), ranges, beams, **_of_beams(rig, beams))
 
 
-def _of_beams(rig: Rig) -> dict[str, Any]:
-    """Return what a rig file says of single beams, as arguments of `Survey`."""
+def _of_beams(rig: Rig, beams: Sequence[str], path: Path | None = None) -> dict[str, Any]:
+    """Return what a rig file says of single beams, as arguments of `Survey`.
+
+    Raises
+    ------
+    InputError
+        A cone, and no beam that reads what is nearest in it.
+    """
+    if rig.half_angle and not beams:
+        found = "half_angle_deg in [sensor], and no single beam that it would count for"
+        expected = (
+            "columns range_NAME of single beams in the table of stations, or no half_angle_deg"
+        )
+        raise InputError(found, expected, path)
     return {"half_angle": rig.half_angle, "linearity": rig.sensor.linearity}
 
 

@@ -1,10 +1,13 @@
 """The next best stations of a calibration, found at once: the last word of a verdict."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..data.noise import Noise
 from ..data.recording import Recording
+from ..data.station_list import StationList
 from ..errors import HandlaserError
 from ..model.sensor import Sensor
 from ..quantities import IN_MM
@@ -75,14 +78,18 @@ def advice_lines(plan: Plan) -> list[str]:
         f"{plan.forecast.words(number)} (now {plan.forecast.words(0)})"
         + "".join(f"; {words}" for words in plan.assumed)
     ]
+    read = [not np.isnan(ranges).all() for ranges in plan.ranges]
+    named = zip(stations.plane_labels, pose_words(stations), read, strict=True)
+    return [*lines, *(f"  before plane {plane}: {pose}" for plane, pose, one in named if one)]
+
+
+def pose_words(stations: StationList) -> Iterator[str]:
+    """Yield the hand pose world_T_hand of each station in words [mm; unit quaternion]."""
     quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
-    for j, plane in enumerate(stations.plane_labels):
-        if np.isnan(plan.ranges[j]).all():
-            continue
-        x, y, z = stations.world_t_hand[j] * IN_MM
-        q = ", ".join(f"{value:.4f}" for value in quaternions[j])
-        lines.append(f"  before plane {plane}: ({x:.1f}, {y:.1f}, {z:.1f}) mm, qx qy qz qw ({q})")
-    return lines
+    for position, quaternion in zip(stations.world_t_hand * IN_MM, quaternions, strict=True):
+        t = ", ".join(f"{value:.1f}" for value in position)
+        q = ", ".join(f"{value:.4f}" for value in quaternion)
+        yield f"({t}) mm, qx qy qz qw ({q})"
 
 
 def advice_within(plan: Plan, most: int, width: int) -> list[str]:

@@ -10,6 +10,7 @@ from ..checks import require_kind, require_number, require_word
 from ..data.value import Value
 from ..errors import InputError
 from ..model.effects import OF_READINGS
+from ..model.effects.plausible import how_to_state
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
@@ -89,7 +90,7 @@ class Goal:
             if not known.get(code, 0.0) > 0.0:
                 raise InputError(
                     f"a goal that tells {code}, of which no plausible size is stated",
-                    "kind in [sensor] of the rig file, or a size in [plausible]",
+                    f"in the rig file, {how_to_state(code)}",
                 )
         known["cubic"] = known.get("cubic", 0.0) / largest**3
         return {code: known[code] for code in dict.fromkeys(self.tells)}

@@ -33,6 +33,7 @@ from ..estimation.selection import Selection, select
 from ..estimation.task import WEIGHTS_SETTLED
 from ..model.effects import EFFECTS
 from ..model.effects.effect import OnPlanes, SeenStations
+from ..model.effects.plausible import how_to_state
 from ..model.equation import residuals_or_infinite
 from ..model.families import BEAM, PLANE, modelled
 from ..model.geometry import skew, tangent_basis
@@ -170,8 +171,8 @@ def prior_sizes(free: tuple[str, ...], sensor: Sensor, largest: float) -> dict[s
         size = plausible.get(code, EFFECTS[code].of_cell)
         if not size:
             known = "no plausible size" if size is None else "a plausible size of zero"
-            expected = "[sensor] kind, or its plausible size in [plausible]"
-            raise InputError(f"free {code}, of which there is {known}", expected)
+            found = f"free {code}, of which there is {known}"
+            raise InputError(found, f"in the rig file, {how_to_state(code)}")
         sizes[code] = size / math.sqrt(3.0)
     return sizes
 

@@ -1,9 +1,10 @@
 """The one thing that would improve a calibration most, decided from its numbers.
 
 What makes the stated numbers wrong comes first: a systematic error, many outliers, given sigmas that
-the residuals contradict, a systematic error that may hide. Then what the error is made of that exceeds
-its limit most, or else that of the spot: its largest share, where that is more than half; otherwise,
-and where the residuals alone say how noisy the readings are, more stations.
+the residuals contradict, a freed error that the readings do not determine, a systematic error that
+may hide. Then what the error is made of that exceeds its limit most, or else that of the spot: its
+largest share, where that is more than half; otherwise, and where the residuals alone say how noisy the
+readings are, more stations.
 """
 
 import math
@@ -36,8 +37,8 @@ class Improvement:
     Attributes
     ----------
     code : str
-        `systematic`, `hidden`, `outliers`, `sigmas`, `limit-rms`, `stops`, `poses`, `range-span`,
-        `motion`, `more-stations`, `more-motion` or `recording`.
+        `systematic`, `effect-undetermined`, `hidden`, `outliers`, `sigmas`, `limit-rms`, `stops`,
+        `poses`, `range-span`, `motion`, `more-stations`, `more-motion` or `recording`.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -86,6 +87,10 @@ def improvement(
     if any(one.quantity == "rms" for one in failed):
         words = "less noise of sensor or robot (more stations do not lower residuals)"
         return Improvement("limit-rms", words)
+    undetermined = next((one for one in calibration.effects if not one.determined), None)
+    if undetermined is not None:
+        words = f"to determine {undetermined.code}, {EFFECTS[undetermined.code].reveal}"
+        return Improvement("effect-undetermined", words)
     if doubtful is not None:
         return Improvement("hidden", f"to see it, {EFFECTS[doubtful.code].reveal}")
     if "correlated-in-time" in codes:

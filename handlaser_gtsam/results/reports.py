@@ -17,6 +17,8 @@ from ..model.losses import LossName
 from ..model.sensor import BY_LIMITS, Rejected
 from ..observability.rank import Indices
 from ..observability.wording import OpenPart
+from ..quantities import IN_MM
+from .lines import decimals
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -272,17 +274,24 @@ class FreedEffect(Value):
     of_mounts: FloatArray
 
     @property
+    def brief(self) -> str:
+        """The size with its standard deviation."""
+        scale, unit = (IN_MM, "mm") if self.unit == "m" else (100.0, "%")
+        places = decimals(self.sigma * scale, 4)
+        return f"{self.size * scale:.{places}f} +- {self.sigma * scale:.{places}f} {unit}"
+
+    @property
     def words(self) -> str:
-        """What was found, in words."""
+        """What was found, in words; how to determine it first, where the readings do not."""
         effect = EFFECTS[self.code]
         whose = self.subject if "{subject}" in effect.phrase else ""
         part = f" ({self.subject})" if self.subject and not whose else ""
         if not self.determined:
             what = effect.without_size(self.subject or None)
-            counted = size_in_words(self.prior_sigma, self.unit)
             return (
-                f"the readings do not determine {what}{part}: what is plausible of it, +- {counted}, "
-                f"is counted in all standard deviations. To determine it: {effect.reveal}"
+                f"to determine {self.code} ({self.brief}, hardly better than its prior), "
+                f"{effect.reveal}: the readings do not determine {what}{part}; all standard deviations "
+                "count what is plausible of it"
             )
         sigma = size_in_words(self.sigma, self.unit)
         return f"{effect.with_size(self.size, whose)}{part} (+- {sigma})"

@@ -1,7 +1,7 @@
 """The result of a survey: where sensors sit, what they looked at, and how far to trust it."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -186,6 +186,11 @@ class RejectedShot(Value):
     station: str
     target: str
     reason: str
+
+    def words(self, beams: Container[str]) -> str:
+        """Return which it is, as "beam 1 at station 2", given the names of the beams."""
+        kind = BEAM.name if self.sensor in beams else SENSOR.name
+        return f"{kind} {self.sensor} at station {self.station}"
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -514,9 +519,10 @@ def _warnings(
             yield CalibrationWarning(
                 "range-error", words, {"sensor": sensor.name, "size": first.size}
             )
+    beams = found.rows.survey.beam_names
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
-        names = some([f"{one.sensor} at {one.station}" for one in out], NAMES_IN_LINE)
+        names = some([one.words(beams) for one in out], NAMES_IN_LINE)
         words = (
             f"{len(out)} of {len(found.rows.items)} shots contradict the others and are left out: "
             f"{names}; are their labels right?"
@@ -536,7 +542,9 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         yield CalibrationWarning("stations-left-out", words, sizes)
     if rows.lost:
         names = survey.stations.station_names
-        lost = [f"{survey.shots[member].name} at {names[at]}" for member, at in rows.lost]
+        lost = [
+            f"sensor {survey.shots[member].name} at station {names[at]}" for member, at in rows.lost
+        ]
         words = (
             f"{count(len(lost), 'shot')} with too few points on their target, or most of them on "
             "something else behind or beside it: "

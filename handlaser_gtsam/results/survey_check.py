@@ -24,7 +24,7 @@ from ..observability.motion import PlaneMotion, motion_before
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
 from .survey import unread_stations
-from .survey_misfit import KIND, NO_FIT, misread, no_fit
+from .survey_misfit import KIND, NO_FIT, first_noise, misread, no_fit
 from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
 NOT_OF_MOTION = frozenset((*ERRORS, *BEAM.coordinates[RANGE_ERROR]))
@@ -79,6 +79,9 @@ class SurveyCheck(Value):
         Whether all of it is undetermined whatever the noise is; else some, or all, at this noise only.
     advice : tuple of str
         What would determine it.
+    noise : tuple of str
+        The standard deviations that those of the sensors follow from, and whether each is stated,
+        assumed or from within shots; empty where no start was found.
     misfit : float
         Typical misfit of a shot in standard deviations; NaN where no start was found.
     warnings : tuple of CalibrationWarning
@@ -93,6 +96,7 @@ class SurveyCheck(Value):
     undetermined: tuple[str, ...]
     exactly: bool
     advice: tuple[str, ...]
+    noise: tuple[str, ...]
     misfit: float
     warnings: tuple[CalibrationWarning, ...]
 
@@ -134,7 +138,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     except InputError as error:
         if not rows.items:
             raise
-        said = ((error.found,), True, (error.expected,), np.nan, warnings)
+        said = ((error.found,), True, (error.expected,), (), np.nan, warnings)
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
     others = first_image(state)
     first = first_fit(state)
@@ -162,6 +166,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         # On a cone, only the noise in the tilt of the target makes it look determined.
         not weak.any() or CURE_OF_A_CIRCLE in advice,
         advice,
+        first_noise(rows, first, noise),
         first.misfit,
         warnings,
     )
@@ -221,6 +226,8 @@ def check_lines(check: SurveyCheck) -> Iterator[str]:
             )
             words += f"; to be known to {sigmas} (1 sigma)"
         yield words
+    if any(np.isfinite(one.location_sigma) for one in check.sensors):
+        yield f"these standard deviations follow from the noise: {', '.join(check.noise)}"
     names = [one.name for one in check.sensors]
     for target in check.targets:
         unread = [name for name, n in zip(names, target.readings, strict=True) if n == 0]

@@ -128,30 +128,38 @@ def no_fit(
     rows: Rows, fit: FirstFit, causes: Sequence[CalibrationWarning], given: Noise
 ) -> CalibrationWarning:
     """Say by how much shots miss their targets, in lengths and against the noise, and what to do."""
-    estimated = [one.sigma is None for one in rows.survey.shots]
-    sigma = fit.noise.sigma.tolist()
-    parts = [
-        f"{shots.name} {sigma[i] * IN_MM:.2g} mm {'from its shots' if own else 'as stated'}"
-        for i, (shots, own) in enumerate(zip(rows.survey.shots, estimated, strict=True))
-    ]
-    if rows.survey.beam_names:
-        how = "assumed" if given.range_sigma is None else "as stated"
-        parts.append(f"beams {sigma[-2] * IN_MM:.2g} mm {how}")
-    hand = "hand as its covariances state"
-    if given.pose_covariance is None:
-        turn, shift = fit.noise.pose
-        sizes = given.pose_translation_sigma, given.pose_rotation_sigma
-        how = "assumed" if None in sizes else "as stated"
-        hand = f"hand {shift * IN_MM:.2g} mm and {turn * IN_DEG:.2g} deg {how}"
     what = "; ".join(one.message for one in causes if one.code in MISREAD) or CHECKS
     if what is CHECKS and rows.known:
         what += "; leave out [[known]] to see whether one of them is false"
     words = (
         f"most shots do not fit each other: a typical one misses its target by "
         f"{fit.distance * IN_MM:.2g} mm, {fit.misfit:.0f} times what the noise says "
-        f"({some([*parts, hand], NAMES_IN_LINE)}); {what}"
+        f"({some(first_noise(rows, fit, given), NAMES_IN_LINE)}); {what}"
     )
     return CalibrationWarning(NO_FIT, words, {"misfit": fit.misfit, "distance_m": fit.distance})
+
+
+def first_noise(rows: Rows, fit: FirstFit, given: Noise) -> tuple[str, ...]:
+    """Return the standard deviations of readings and hand at a first fit, and where each is from."""
+    sigma = fit.noise.sigma.tolist()
+    parts = [
+        f"{shots.name} {sigma[i] * IN_MM:.2g} mm "
+        f"{'from its shots' if shots.sigma is None else 'as stated'}"
+        for i, shots in enumerate(rows.survey.shots)
+    ]
+    if rows.survey.beam_names:
+        parts.append(f"beams {sigma[-2] * IN_MM:.2g} mm {_how(given.range_sigma)}")
+    if given.pose_covariance is not None:
+        return (*parts, "hand as its covariances state")
+    turn, shift = fit.noise.pose
+    hows = _how(given.pose_translation_sigma), _how(given.pose_rotation_sigma)
+    of_shift = "" if hows[0] == hows[1] else f" {hows[0]}"
+    hand = f"hand {shift * IN_MM:.2g} mm{of_shift} and {turn * IN_DEG:.2g} deg {hows[1]}"
+    return (*parts, hand)
+
+
+def _how(stated: float | None) -> str:
+    return "assumed" if stated is None else "as stated"
 
 
 def better_convention(shots: Shots, labels: tuple[str, ...]) -> str | None:

@@ -65,6 +65,14 @@ CODES = {field.name.replace("_", "-"): field.name for field in fields(Plausible)
 """The field of `Plausible` by the code of a systematic error."""
 
 
+def how_to_state(code: str) -> str:
+    """Return which fields of a rig file state the plausible size of a systematic error."""
+    unit = "mm" if EFFECTS[code].unit == "m" else "percent"
+    field = f"{CODES[code]}_{unit} in [plausible]"
+    kinds = [f'"{kind}"' for kind, part in EFFECTS[code].of_sensor.items() if part > 0.0]
+    return f"kind in [sensor], as kind = {' or '.join(kinds)}, or {field}" if kinds else field
+
+
 def plausible_sizes(
     kind: str | None, stated: Plausible, measuring_range: float
 ) -> dict[str, float]:

@@ -323,7 +323,7 @@ def effect_words(result: CalibrationData) -> str:
     """Return the systematic errors that were unknowns, with their estimates."""
     determined = [effect.words for effect in result.effects if effect.determined]
     others = [
-        f"{effect.code} {effect.subject}".strip()
+        " ".join(filter(None, (effect.code, effect.subject, effect.brief)))
         for effect in result.effects
         if not effect.determined
     ]

@@ -16,17 +16,36 @@ LINES = 30
 """Lines of the whole answer, which then stands on one screen."""
 BRIEF = ("rms residual", "largest residual", "sigma0", "degrees of freedom")
 """Facts of the fit that stand on the screen."""
+EVIDENCE_LINES = 3
+"""Lines of observability and of systematic errors each, at most; all that they say takes more."""
 
 
 def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH) -> list[str]:
     """Return the default screen; `closing` lines of the 30 are kept for what follows it.
 
-    A screen of less than 100 columns has more lines: as many letters.
+    A screen of less than 100 columns has more lines: as many letters. Where the first warning would
+    not fit, what is said of observability, systematic errors and the other facts is cut before it is.
+    """
+    first = wrapped("".join(_warning_texts(described)[:1]), None, width)
+    lines, room = [], 0
+    for most in (EVIDENCE_LINES, 2, 1):
+        lines = _above_warnings(described, most, width)
+        room = as_many(LINES, width) - closing - len(lines)
+        if len(first) <= room:
+            break
+    return lines + _warnings(described, room, width)
+
+
+def _above_warnings(described: Description, evidence: int, width: int) -> list[str]:
+    """Return the screen up to the warnings.
+
+    Observability and systematic errors have `evidence` lines each, at most, and other facts at most two
+    of them; freed errors, which warnings are of, have three.
     """
     calibration, verdict = described.calibration, described.verdict
     lines = wrapped(verdict.sentence, None, width)
 
-    def add(name: str, words: str, most: int = 2) -> None:
+    def add(name: str, words: str, most: int = min(2, evidence)) -> None:
         lines.extend(wrapped(f"{name}: {words}".translate(PLAIN), as_many(most, width), width))
 
     lines += wrapped(_head(described), as_many(1, width), width)
@@ -36,20 +55,24 @@ def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH
     if any(beam.sigma is not None for beam in calibration.beams.values()):
         for name in ("range errors", "freed errors", "noise"):
             if name in fit:
-                add(name, fit[name])
+                add(name, fit[name], 3 if name == "freed errors" else min(2, evidence))
     add("fit", ", ".join(f"{name} {fit[name]}" for name in BRIEF if name in fit))
-    add("observability", " ".join(described.observability[:3]), 3)
+    add("observability", " ".join(described.observability[:3]), evidence)
     if verdict.exceeded:
         add("limits exceeded", "; ".join(verdict.exceeded))
     elif verdict.limits:
         add("limits held", ", ".join(check.comparison for check in verdict.worst_limits))
     if described.solved:
-        add("systematic errors", _systematic(calibration.systematic, described.verdict.reading), 3)
+        add(
+            "systematic errors",
+            _systematic(calibration.systematic, described.verdict.reading),
+            evidence,
+        )
     if calibration.fit.rejected:
         names = [f"station {it.station} beam {it.beam}" for it in calibration.fit.rejected]
         listed = some(names, NAMES_IN_LINE - 1)  # a station and its beam take the room of two names
         add("rejected", f"{count(len(names), 'reading')}: {listed} (--verbose)")
-    return lines + _warnings(described, as_many(LINES, width) - closing - len(lines), width)
+    return lines
 
 
 def full_lines(described: Description, width: int = WIDTH) -> list[str]:
@@ -76,7 +99,11 @@ def full_lines(described: Description, width: int = WIDTH) -> list[str]:
         lines += _fact_lines(described.systematic_facts, width)
     if described.rejected is not None:
         lines += full_table("rejected readings", described.rejected, width)
-    return lines + text_lines([f"WARNING: {words}" for words in described.warnings], width)
+    return lines + text_lines(_warning_texts(described), width)
+
+
+def _warning_texts(described: Description) -> list[str]:
+    return [f"WARNING: {words}" for words in described.warnings]
 
 
 def _fact_lines(facts: Facts, width: int) -> list[str]:
@@ -124,7 +151,7 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
 
 def _warnings(described: Description, room: int, width: int) -> list[str]:
     """Return as many warnings as there is room for, whole; the first one is cut if need be."""
-    warnings = [f"WARNING: {words}" for words in described.warnings]
+    warnings = _warning_texts(described)
     lines: list[str] = []
     for number, warning in enumerate(warnings):
         rest = len(warnings) - number - 1

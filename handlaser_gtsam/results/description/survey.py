@@ -173,7 +173,7 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
         found.append((one.known.words, f"{words} (p = {one.p_value:.2g})"))
     if result.rejected:
-        names = [f"{one.sensor} at {one.station} ({one.reason})" for one in result.rejected]
+        names = [f"{one.words(result.beams)} ({one.reason})" for one in result.rejected]
         found.append(("left out", f"{count(len(names), 'shot')}: {some(names, NAMES_IN_LINE)}"))
     return tuple(found)
 
