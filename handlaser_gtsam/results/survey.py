@@ -179,7 +179,8 @@ class RejectedShot(Value):
     ----------
     sensor, station, target : str
     reason : str
-        `contradicted` by the others, or `too-few-points`.
+        `contradicted` by the others, `too-few-points`, or `no-edge` of a groove of which no profile
+        shows one.
     """
 
     sensor: str
@@ -437,7 +438,7 @@ def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
             rows.survey.shots[member].name,
             stations.station_names[at],
             stations.plane_labels[at],
-            "too-few-points",
+            "no-edge" if stations.plane_labels[at] in rows.edgeless else "too-few-points",
         )
 
 
@@ -525,7 +526,7 @@ def _warnings(
 
 
 def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
-    """Warn of stations without a reading, and of shots with too few points on their target."""
+    """Warn of stations without a reading, of grooves without an edge, and of lost shots."""
     survey, stations = rows.survey, len(rows.survey.stations)
     read = {item.station for item in rows.items} | {at for _, at in rows.lost}
     unread = stations - len(read)
@@ -533,9 +534,21 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         words = f"{unread} of {stations} stations have no reading, and were left out"
         sizes = {"stations": unread, "total": stations}
         yield CalibrationWarning("stations-left-out", words, sizes)
-    if rows.lost:
-        names = survey.stations.station_names
-        lost = [f"{survey.shots[member].name} at {names[at]}" for member, at in rows.lost]
+    labels = survey.stations.plane_labels
+    for label in rows.edgeless:
+        shots = sum(labels[at] == label for _, at in rows.lost)
+        words = (
+            f"no profile of {label} has an edge between two straight sides; look at both sides at "
+            f"once, or label it plane:{label.partition(':')[2]} if it is one plane"
+        )
+        yield CalibrationWarning("no-edge", words, {"target": label, "shots": shots})
+    names = survey.stations.station_names
+    lost = [
+        f"{survey.shots[member].name} at {names[at]}"
+        for member, at in rows.lost
+        if labels[at] not in rows.edgeless
+    ]
+    if lost:
         words = (
             f"{count(len(lost), 'shot')} with too few points on their target, or most of them on "
             "something else behind or beside it: "
