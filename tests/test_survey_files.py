@@ -145,6 +145,20 @@ def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser):
     assert "radius of sphere:ball" in err
 
 
+@pytest.mark.parametrize("noise", [{}, {"translation": 5e-5, "rotation": 9e-5}])
+def test_of_a_false_relation_the_headline_says_nothing_else(folder, noise):
+    """With the noise estimated its search ends nowhere; with it stated a range error shows, too."""
+    row = '\n[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\nsigma_mm = 0.01\n'
+    survey = known(folder, row + "value_mm = 38.647\n")
+    given = {f"pose_{name}_sigma": sigma for name, sigma in noise.items()}
+    result = hl.calibrate(survey, hl.Noise(**given))
+    (words,) = (one.message for one in result.warnings if one.code == "relation-contradicted")
+    assert result.status == ("contradicted" if noise else "not_converged")
+    assert result.message == words
+    assert result.verdict == f"Not usable: {words}."
+    assert noise == {} or "range-error" in {one.code for one in result.warnings}
+
+
 def test_relations_of_the_page_go_with_its_example(folder):
     page = (ROOT / "docs" / "sensors.md").read_text()
     (block,) = re.findall(r"```toml\n(\[\[known.*?)```", page, flags=re.DOTALL)

@@ -160,9 +160,9 @@ def rows_of(survey: Survey) -> Rows:
         stations, first = np.unique(shots.station[order], return_index=True)
         parts = []
         for station, rows in zip(stations.tolist(), np.split(order, first[1:]), strict=True):
-            seen = _parts(shots, rows, labels[station])
-            parts += [(station, label, part) for label, part in seen]
-            if not seen:
+            own = _parts(shots, rows, labels[station])
+            parts += [(station, label, part) for label, part in own]
+            if not own:
                 lost.append((member, station))
         for (station, label, part), shot in zip(parts, _condensed(shots, parts), strict=True):
             if shot is None:

@@ -37,8 +37,13 @@ from .survey_motion import open_words
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
-CAUSES = (*MISREAD, "relation-contradicted", "sigmas-too-small", "range-error")
-"""Codes of warnings that say why shots do not fit each other."""
+FALSE_RELATION = "relation-contradicted"
+"""Code of the warning that readings contradict what is said to be known."""
+CAUSES = (*MISREAD, FALSE_RELATION, "sigmas-too-small", "range-error")
+"""Codes of warnings that say why shots do not fit each other.
+
+A false relation looks like errors of readings, too, so that the last two are no causes beside it.
+"""
 NOTABLE_SIGMA = 1.5
 """Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
 
@@ -252,7 +257,9 @@ class SurveyCalibration(Value):
         if self.status != "converged":
             why = self.undetermined[:2] if self.undetermined else (self.message,)
             if not any(one.code == NO_FIT for one in self.warnings):  # which names its causes
-                causes = [one.message for one in self.warnings if one.code in CAUSES]
+                codes = {one.code for one in self.warnings}
+                among = (*MISREAD, FALSE_RELATION) if FALSE_RELATION in codes else CAUSES
+                causes = [one.message for one in self.warnings if one.code in among]
                 why = tuple(dict.fromkeys((*causes, *why)))
             return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
         parts = [
@@ -320,6 +327,9 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     elif estimate.undetermined or found.images:
         undetermined = tuple(_undetermined(found))
         message = undetermined[0]
+    elif status != "converged" and any(one.contradicted for one in relations):
+        # Labels and noise may be right, and rows do not fit because of the relation.
+        message = next(one.message for one in warnings if one.code == FALSE_RELATION)
     return SurveyCalibration(
         status,
         message,
@@ -493,7 +503,7 @@ def _warnings(
                 f"the readings contradict what is said to be known: {tested.known.words} "
                 f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
             )
-            yield CalibrationWarning("relation-contradicted", words, {"p": tested.p_value})
+            yield CalibrationWarning(FALSE_RELATION, words, {"p": tested.p_value})
     causes = tuple(misread(found.rows, found.given))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
