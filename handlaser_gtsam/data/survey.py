@@ -203,7 +203,8 @@ class Known(Value):
     Raises
     ------
     InputError
-        A relation that is none, or not of so many variables or of their kinds.
+        A relation that is none, or not of so many variables or of their kinds; a field that it needs
+        and has not, or that says nothing of it.
     """
 
     relation: str
@@ -290,8 +291,8 @@ class Survey(Value):
     Raises
     ------
     InputError
-        Stations that are not there, names that stand twice, labels of kinds that are none, or nothing
-        that was read.
+        Stations that are not there, names that stand twice, labels of kinds that are none, targets that
+        a sensor cannot read, relations of what is not there, or nothing that was read.
     """
 
     stations: StationList

@@ -8,6 +8,8 @@ near or far
 [[known]]    relation; of: labels of targets, sensor:NAME or beam:NAME; value_mm or value_deg;
 sigma_mm, sigma_deg; direction; position_mm; pose_mm_deg: x, y, z, A, B, C with
 R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
+
+`RELATIONS` of `data.survey` says which of these a relation has: all of them are needed, and no others.
 """
 
 from collections.abc import Mapping

@@ -443,12 +443,13 @@ def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
             name = _source(rows, item.family, item.member)
             station = stations.station_names[item.station]
             yield RejectedShot(name, station, rows.label(item.target), "contradicted")
+    edgeless = rows.edgeless
     for member, at in rows.lost:
         yield RejectedShot(
             rows.survey.shots[member].name,
             stations.station_names[at],
             stations.plane_labels[at],
-            "no-edge" if stations.plane_labels[at] in rows.edgeless else "too-few-points",
+            "no-edge" if stations.plane_labels[at] in edgeless else "too-few-points",
         )
 
 
@@ -545,7 +546,8 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         sizes = {"stations": unread, "total": stations}
         yield CalibrationWarning("stations-left-out", words, sizes)
     labels = survey.stations.plane_labels
-    for label in rows.edgeless:
+    edgeless = rows.edgeless
+    for label in edgeless:
         shots = sum(labels[at] == label for _, at in rows.lost)
         words = (
             f"no profile of {label} has an edge between two straight sides; look at both sides at "
@@ -556,7 +558,7 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
     lost = [
         f"{survey.shots[member].name} at {names[at]}"
         for member, at in rows.lost
-        if labels[at] not in rows.edgeless
+        if labels[at] not in edgeless
     ]
     if lost:
         words = (
