@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -406,6 +407,61 @@ def test_a_range_error_that_is_held_is_found_and_freed():
     assert far(rig, free) > 1e-4
 
 
+def before(label, *, beam, **options):
+    """A survey of one station, read by a profiler, or by a beam."""
+    stations = hl.StationList(np.eye(3)[None], np.zeros((1, 3)), (label,))
+    if beam:
+        return hl.Survey(stations, (), [[0.3]], ("1",), **options)
+    return hl.Survey(stations, (hl.Shots.profiler("p", [0], [0.0], [1.0]),), **options)
+
+
+LABELS = ("A", "plane:A", "sphere:A", "point:A", "groove:A", "sensor:A", "beam:A")
+OF_KINDS = {
+    "angle": {("A", "plane:B"), ("plane:A", "plane:B"), ("beam:A", "beam:B")},
+    "parallel": {("A", "plane:B"), ("plane:A", "plane:B")},
+    "along": {("A",), ("plane:A",)},
+    "upright": {("A",), ("plane:A",)},
+    "plane": {("A",), ("plane:A",)},
+    "radius": {("sphere:A",)},
+    "position": {("sphere:A",), ("point:A",)},
+    "distance": set(product(("sphere:A", "point:A"), ("sphere:B", "point:B"))),
+    "body": {("A", "plane:B"), ("plane:A", "plane:B")},
+    "mount": {("sensor:A",), ("beam:A",)},
+    "mounts": {("sensor:A", "sensor:B")},
+}
+"""What each relation can be of, among the labels of LABELS and of the same named B."""
+
+
+@pytest.mark.parametrize("relation", OF_KINDS)
+def test_a_relation_takes_variables_of_its_kinds_and_no_others(relation):
+    """Numbers of another family used to be taken: the radius of a plane moved that of a ball."""
+    fields = {
+        "angle": {"value": 1.0, "sigma_angle": 1e-3},
+        "parallel": {"value": 1.0, "sigma": 1e-3, "sigma_angle": 1e-3},
+        "along": {"direction": [0, 0, 1], "sigma_angle": 1e-3},
+        "upright": {"direction": [0, 0, 1], "sigma_angle": 1e-3},
+        "plane": {"direction": [0, 0, 1], "sigma": 1e-3, "sigma_angle": 1e-3},
+        "radius": {"value": 0.1, "sigma": 1e-3},
+        "position": {"direction": [0, 0, 1], "sigma": 1e-3},
+        "distance": {"value": 0.1, "sigma": 1e-3},
+        "body": {"faces": np.eye(2, 4), "sigma": 1e-3, "sigma_angle": 1e-3},
+        "mount": {"pose": np.eye(4), "sigma": 1e-3, "sigma_angle": 1e-3},
+        "mounts": {"pose": np.eye(4), "sigma": 1e-3, "sigma_angle": 1e-3},
+    }[relation]
+    right = OF_KINDS[relation]
+    others = [(one,) for one in LABELS]
+    if len(next(iter(right))) == 2:
+        second = ("plane:B", "sphere:B", "point:B", "groove:B", "sensor:B", "beam:B")
+        others = list(product(LABELS, second))
+    assert right < set(others)
+    for of in others:
+        if of in right:
+            assert hl.Known(relation, of, **fields).of == of
+        else:
+            with pytest.raises(hl.InputError, match=rf"found {relation} of .*; expected .*:NAME"):
+                hl.Known(relation, of, **fields)
+
+
 BAD = {
     "another kind": (lambda: hl.Shots("a", "lidar", [0], [[0.0]], [1.0]), "kind"),
     "not finite": (lambda: hl.Shots.profiler("a", [0], [0.0], [np.nan]), "not finite"),
@@ -413,7 +469,24 @@ BAD = {
     "a range of zero": (lambda: hl.Shots.scanner("a", [0], [0.0], [0.0]), "above zero"),
     "stations that are no numbers": (lambda: hl.Shots.profiler("a", ["x"], [0.0], [1.0]), "whole"),
     "directions behind": (lambda: hl.Shots.array("a", [0], [[0, 0, -1.0]], [1.0]), "above zero"),
-    "a relation of one": (lambda: hl.Known("angle", ("plane:A",), 1.0, 0.0, 1.0), "of 2"),
+    "a relation of one": (lambda: hl.Known("angle", ("plane:A",), 1.0, 0.0, 1.0), "2 planes"),
+    "a relation to itself": (
+        lambda: hl.Known("distance", ("sphere:S", "sphere:S"), 1.0, 1e-3),
+        "every label once",
+    ),
+    "a sigma that a relation has not": (
+        lambda: hl.Known("radius", ("sphere:S",), 0.1, 1e-3, 1e-3),
+        "a sigma_angle with radius of sphere:S; expected value, sigma",
+    ),
+    "a groove before a beam": (lambda: before("groove:V", beam=True), "a beam that reads groove:V"),
+    "a groove before a cone": (
+        lambda: before("groove:V", beam=True, half_angle=0.2),
+        "a cone that reads groove:V; expected planes and spheres: only a profile",
+    ),
+    "a point before no beam": (
+        lambda: before("point:tip", beam=False),
+        "point:tip, which p reads and no beam; expected a beam aimed at it",
+    ),
     "a station that is not there": (
         lambda: hl.Survey(
             hl.StationList(np.eye(3)[None], np.zeros((1, 3)), ("A",)),

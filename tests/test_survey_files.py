@@ -1,6 +1,7 @@
 """Surveys from files: the page on sensors runs as written, and what is wrong with a file is said."""
 
 import json
+import re
 import shutil
 import xml.etree.ElementTree as ET
 
@@ -144,6 +145,32 @@ def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser):
     assert "radius of sphere:ball" in err
 
 
+@pytest.mark.parametrize("noise", [{}, {"translation": 5e-5, "rotation": 9e-5}])
+def test_of_a_false_relation_the_headline_says_nothing_else(folder, noise):
+    """With the noise estimated its search ends nowhere; with it stated a range error shows, too."""
+    row = '\n[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\nsigma_mm = 0.01\n'
+    survey = known(folder, row + "value_mm = 38.647\n")
+    given = {f"pose_{name}_sigma": sigma for name, sigma in noise.items()}
+    result = hl.calibrate(survey, hl.Noise(**given))
+    (words,) = (one.message for one in result.warnings if one.code == "relation-contradicted")
+    assert result.status == ("contradicted" if noise else "not_converged")
+    assert result.message == words
+    assert result.verdict == f"Not usable: {words}."
+    assert noise == {} or "range-error" in {one.code for one in result.warnings}
+
+
+def test_relations_of_the_page_go_with_its_example(folder):
+    page = (ROOT / "docs" / "sensors.md").read_text()
+    (block,) = re.findall(r"```toml\n(\[\[known.*?)```", page, flags=re.DOTALL)
+    result = hl.calibrate(known(folder, "\n" + block))
+    assert [one.known.words for one in result.relations] == [
+        "radius of sphere:ball",
+        "along of plane:plate",
+    ]
+    assert not any(one.contradicted for one in result.relations)
+    assert result.usable
+
+
 BAD = {
     "a kind that is none": ('kind = "profiler"', 'kind = "lidar"', "sensors.0.kind = 'lidar'"),
     "no table of points": ('"profiles.csv"', '"other.csv"', "no readable file"),
@@ -154,13 +181,36 @@ BAD = {
     "a field that is none": ("[[sensors]]", "[[sensors]]\nscale = 2", "unknown field"),
     "a relation of nothing": (
         "[[sensors]]",
-        '[[known]]\nrelation = "radius"\nof = ["sphere:x"]\nsigma_mm = 1\n[[sensors]]',
+        '[[known]]\nrelation = "radius"\nof = ["sphere:x"]\nvalue_mm = 38\nsigma_mm = 1\n[[sensors]]',
         "no 'sphere:x'",
     ),
     "a relation without a sigma": (
         "[[sensors]]",
-        '[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\n[[sensors]]',
-        "no sigma of radius",
+        '[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\nvalue_mm = 38\n[[sensors]]',
+        "rig.toml: found no sigma_mm of radius of sphere:ball in known.0; expected value_mm and",
+    ),
+    "a relation without a value": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\nsigma_mm = 1\n[[sensors]]',
+        "found no value_mm of radius of sphere:ball in known.0",
+    ),
+    "an angle of a radius": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\n'
+        "value_deg = 38\nsigma_mm = 1\n[[sensors]]",
+        "found value_deg with radius of sphere:ball in known.0",
+    ),
+    "a relation of another kind": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "radius"\nof = ["plane:plate"]\n'
+        "value_mm = 38\nsigma_mm = 1\n[[sensors]]",
+        "radius of plane:plate in known.0; expected a sphere (sphere:NAME)",
+    ),
+    "a position of a plane": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "position"\nof = ["plane:plate"]\n'
+        "position_mm = [0, 0, 1]\nsigma_mm = 1\n[[sensors]]",
+        "position of plane:plate in known.0; expected a point (point:NAME) or a sphere",
     ),
     "a relation that is none": (
         "[[sensors]]",

@@ -230,6 +230,33 @@ def test_stations_without_a_reading_are_said():
     assert "1 of 18 stations have no reading" in found.warnings[0].message
 
 
+def test_a_plate_that_is_labelled_a_groove_is_said_to_have_no_edge():
+    survey = cell(1)
+    of = survey.stations
+    labels = tuple(one.replace("plane:plate", "groove:plate") for one in of.plane_labels)
+    stations = hl.StationList(of.world_R_hand, of.world_t_hand, labels)
+    named = hl.Survey(stations, survey.shots)
+    found = hl.calibrate(named)
+    words = "no profile of groove:plate has an edge"
+    for warnings in (found.warnings, check_survey(named).warnings):
+        # Of the ball a few profiles may be lost: that is not said of the plate.
+        (edge,) = (one for one in warnings if one.code == "no-edge")
+        assert edge.message.startswith(words)
+        assert edge.values["shots"] == 9
+        assert "stations-left-out" not in {one.code for one in warnings}
+    assert {one.station for one in found.rejected if one.reason == "no-edge"} == {
+        str(number) for number in range(1, 10)
+    }
+    plate = survey.shots[0].station < 9
+    alone = hl.Shots.profiler(
+        "profiler",
+        *(x[plate] for x in (survey.shots[0].station, survey.shots[0].across[:, 0])),
+        survey.shots[0].reading[plate],
+    )
+    with pytest.raises(hl.InputError, match="no profile of groove:plate with an edge"):
+        hl.calibrate(hl.Survey(stations, (alone,)))
+
+
 @pytest.mark.parametrize(
     ("units", "words"), [("mm", "lengths of scanner up to"), ("m", "lengths of scanner of some")]
 )

@@ -12,12 +12,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray, IntArray, frozen, frozen_indices
+from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices
 from ..checks import number_array, require_kind, require_number, require_word
 from ..errors import InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
-from .recording_checks import names_of, require_once
+from .recording_checks import first_repeated, names_of, require_once
 from .station_list import StationList
 from .value import Value
 
@@ -29,20 +29,23 @@ ERRORS = {
 }
 """Range errors that may be unknown, by the kind of the sensor: k0 + k1 d + k2 d^2, and the scale of x,
 of the angles, or of the tangents of the directions."""
-RELATIONS = {
-    "angle": 2,
-    "parallel": 2,
-    "along": 1,
-    "upright": 1,
-    "plane": 1,
-    "radius": 1,
-    "position": 1,
-    "distance": 2,
-    "body": 0,
-    "mount": 1,
-    "mounts": 2,
+RELATIONS: dict[str, tuple[int, tuple[tuple[str, ...], ...], tuple[str, ...]]] = {
+    "angle": (2, (("plane",), ("beam",)), ("value", "sigma_angle")),
+    "parallel": (2, (("plane",),), ("value", "sigma", "sigma_angle")),
+    "along": (1, (("plane",),), ("direction", "sigma_angle")),
+    "upright": (1, (("plane",),), ("direction", "sigma_angle")),
+    "plane": (1, (("plane",),), ("direction", "value", "sigma", "sigma_angle")),
+    "radius": (1, (("sphere",),), ("value", "sigma")),
+    "position": (1, (("point", "sphere"),), ("direction", "sigma")),
+    "distance": (2, (("point", "sphere"),), ("value", "sigma")),
+    "body": (0, (("plane",),), ("faces", "sigma", "sigma_angle")),
+    "mount": (1, (("sensor", "beam"),), ("pose", "sigma", "sigma_angle")),
+    "mounts": (2, (("sensor",),), ("pose", "sigma", "sigma_angle")),
 }
-"""Relations, with how many variables each is of; zero for any number."""
+"""Relations: of how many variables, zero for any number; of which kinds; with which fields of `Known`.
+
+All variables of one relation are of kinds in one of the groups.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -200,7 +203,8 @@ class Known(Value):
     Raises
     ------
     InputError
-        A relation that is none, or not of these variables.
+        A relation that is none, or not of so many variables or of their kinds; a field that it needs
+        and has not, or that says nothing of it.
     """
 
     relation: str
@@ -216,38 +220,49 @@ class Known(Value):
         require_word("relation", self.relation, RELATIONS)
         names_of("a label", self.of)
         object.__setattr__(self, "of", tuple(self.of))
-        count = RELATIONS[self.relation]
-        if count and len(self.of) != count:
-            raise InputError(f"{self.relation} of {', '.join(self.of)}", f"of {count}")
+        count, groups, fields = RELATIONS[self.relation]
+        kinds = {normal_label(label).partition(":")[0] for label in self.of}
+        right = any(kinds <= set(group) for group in groups)
+        if not right or not kinds or (count and len(self.of) != count):
+            raise InputError(self.words, _variables_of(self.relation))
+        if first_repeated([normal_label(label) for label in self.of]) is not None:
+            raise InputError(self.words, "every label once")
         require_number("value", self.value, -LARGEST_LENGTH, LARGEST_LENGTH)
-        lengths = self.relation not in ("angle", "along", "upright")
-        angles = self.relation not in ("radius", "position", "distance")
-        for name, needed in (("sigma", lengths), ("sigma_angle", angles)):
+        for name in ("sigma", "sigma_angle"):
             require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH)
-            if needed and not getattr(self, name) > 0.0:
+            if name in fields and not getattr(self, name) > 0.0:
                 raise InputError(f"no {name} of {self.words}", "how well it is known")
-        shapes = {
-            "direction": ((3,), ("along", "upright", "plane", "position")),
-            "pose": ((4, 4), ("mount", "mounts")),
-            "faces": ((len(self.of), 4), ("body",)),
-        }
-        for name, (shape, relations) in shapes.items():
+        shapes = {"direction": (3,), "pose": (4, 4), "faces": (len(self.of), 4)}
+        for name, shape in shapes.items():
             given = getattr(self, name)
-            if (given is None) == (self.relation in relations):
-                raise InputError(
-                    f"{'no' if given is None else 'a'} {name} with {self.words}",
-                    f"it with {', '.join(relations)} only",
-                )
+            if (given is None) == (name in fields):
+                found = f"{'no' if given is None else 'a'} {name} with {self.words}"
+                raise InputError(found, some(fields, len(fields)))
             if given is not None:
                 array = number_array(name, given)
                 if array.shape != shape or not np.isfinite(array).all():
                     raise InputError(f"{name} of shape {array.shape} of {self.words}", f"{shape}")
                 object.__setattr__(self, name, frozen(array))
+        for name in ("value", "sigma", "sigma_angle"):
+            if name not in fields and getattr(self, name):
+                raise InputError(f"a {name} with {self.words}", some(fields, len(fields)))
 
     @property
     def words(self) -> str:
         """What it is of, in words."""
-        return f"{self.relation} of {' and '.join(self.of)}"
+        return f"{self.relation} of {' and '.join(map(normal_label, self.of)) or 'nothing'}"
+
+
+def _variables_of(relation: str) -> str:
+    """Return what a relation is of, in words."""
+    count, groups, _ = RELATIONS[relation]
+    kinds = [kind for group in groups for kind in group]
+    if count == 1:
+        return " or ".join(f"a {kind} ({kind}:NAME)" for kind in kinds)
+    number = f"{count} " if count else ""
+    # Of one group the kinds may be mixed, of two they may not.
+    between = f" or {number}" if len(groups) > 1 else " or "
+    return number + between.join(f"{kind}s ({kind}:NAME)" for kind in kinds)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -276,8 +291,8 @@ class Survey(Value):
     Raises
     ------
     InputError
-        Stations that are not there, names that stand twice, labels of kinds that are none, or nothing
-        that was read.
+        Stations that are not there, names that stand twice, labels of kinds that are none, targets that
+        a sensor cannot read, relations of what is not there, or nothing that was read.
     """
 
     stations: StationList
@@ -321,12 +336,31 @@ class Survey(Value):
         self._check_labels()
 
     def _check_labels(self) -> None:
-        kinds = np.array([kind_of(label) for label in self.stations.plane_labels])
-        if self.half_angle and self.ranges is not None:
-            aimed = (kinds == "point") & ~np.isnan(self.ranges).all(axis=1)
-            if aimed.any():
-                found = f"a cone that reads {self.stations.plane_labels[int(aimed.argmax())]}"
-                raise InputError(found, "planes and spheres: only a beam is aimed at a point")
+        labels = self.stations.plane_labels
+        kinds = np.array([kind_of(label) for label in labels])
+        read: BoolArray = np.zeros(len(labels), dtype=bool)
+        if self.ranges is not None:
+            read |= ~np.isnan(self.ranges).all(axis=1)
+        single = "cone" if self.half_angle else "beam"
+        refused = {
+            "groove": "planes, spheres and points: only a profile shows the edge of a groove"
+        }
+        if self.half_angle:
+            refused = {
+                "point": "planes and spheres: only a beam is aimed at a point",
+                "groove": "planes and spheres: only a profile shows the edge of a groove",
+            }
+        for kind, expected in refused.items():
+            wrong = read & (kinds == kind)
+            if wrong.any():
+                found = f"a {single} that reads {labels[int(wrong.argmax())]}"
+                raise InputError(found, expected)
+        aimed = {label for label, some_beam in zip(labels, read, strict=True) if some_beam}
+        for shots in self.shots:
+            for station in np.unique(shots.station).tolist():
+                if kinds[station] == "point" and labels[station] not in aimed:
+                    found = f"{labels[station]}, which {shots.name} reads and no beam"
+                    raise InputError(found, "a beam aimed at it")
         targets = set(map(normal_label, self.stations.plane_labels))
         grooves = {label for label in targets if label.startswith("groove:")}
         for groove in grooves:

@@ -268,7 +268,8 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     Raises
     ------
     InputError
-        No shot has enough points on a target; a sensor, or a beam, that nothing leads to a start of.
+        No shot has enough points on a target, or shows the edge of its groove; a sensor, or a beam,
+        that nothing leads to a start of.
     """
     rows = rows_of(survey)
     state = first_state(rows, noise)
@@ -339,6 +340,9 @@ def first_state(rows: Rows, noise: Noise) -> SurveyState:
         As `estimate_survey`.
     """
     if not rows.items:
+        if rows.edgeless:
+            found = f"no profile of {rows.edgeless[0]} with an edge between two straight sides"
+            raise InputError(found, "profiles of both sides at once, or the label of a plane")
         raise InputError("no shot with enough points on its target", "a few points a shot")
     inside = _inside(rows)
     stated = _stated(rows, noise)

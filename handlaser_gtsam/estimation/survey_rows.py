@@ -90,7 +90,7 @@ class Rows:
     known : tuple of Known
         Relations, but none of a target that no shot has seen.
     lost : tuple of (sensor, station)
-        Shots with too few points on their target.
+        Shots with too few points on their target, or of a groove whose edge does not show.
     length : float
         Typical range [m].
     """
@@ -106,6 +106,14 @@ class Rows:
     def bodies(self) -> tuple[Known, ...]:
         """Relations of whole bodies, one a body."""
         return tuple(one for one in self.known if one.relation == "body")
+
+    @property
+    def edgeless(self) -> tuple[str, ...]:
+        """Labels of the grooves of which no profile shows an edge, or enough of both sides."""
+        labels = self.survey.stations.plane_labels
+        seen = {labels[item.station] for item in self.items}
+        lost = sorted({labels[at] for _, at in self.lost} - seen)
+        return tuple(label for label in lost if kind_of(label) == "groove")
 
     def counts(self) -> dict[str, int]:
         """Return the members of each family."""
@@ -153,11 +161,12 @@ def rows_of(survey: Survey) -> Rows:
     for member, shots in enumerate(survey.shots):
         order = np.argsort(shots.station, kind="stable")
         stations, first = np.unique(shots.station[order], return_index=True)
-        parts = [
-            (station, label, part)
-            for station, rows in zip(stations.tolist(), np.split(order, first[1:]), strict=True)
-            for label, part in _parts(shots, rows, labels[station])
-        ]
+        parts = []
+        for station, rows in zip(stations.tolist(), np.split(order, first[1:]), strict=True):
+            own = _parts(shots, rows, labels[station])
+            parts += [(station, label, part) for label, part in own]
+            if not own:
+                lost.append((member, station))
         for (station, label, part), shot in zip(parts, _condensed(shots, parts), strict=True):
             if shot is None:
                 lost.append((member, station))

@@ -8,6 +8,8 @@ near or far
 [[known]]    relation; of: labels of targets, sensor:NAME or beam:NAME; value_mm or value_deg;
 sigma_mm, sigma_deg; direction; position_mm; pose_mm_deg: x, y, z, A, B, C with
 R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
+
+`RELATIONS` of `data.survey` says which of these a relation has: all of them are needed, and no others.
 """
 
 from collections.abc import Mapping
@@ -20,8 +22,9 @@ from pydantic import Strict
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
+from ..checks import require_word
 from ..data.station_list import StationList
-from ..data.survey import Known, Shots
+from ..data.survey import RELATIONS, Known, Shots
 from ..errors import InputError
 from ..quantities import DEG, IN_MM, MM
 from .checked_text import FileRecord, in_file
@@ -59,8 +62,8 @@ class KnownTable(FileRecord):
     of: Words
     value_mm: float | None = None
     value_deg: float | None = None
-    sigma_mm: float = 0.0
-    sigma_deg: float = 0.0
+    sigma_mm: float | None = None
+    sigma_deg: float | None = None
     direction: Floats | None = None
     position_mm: Floats | None = None
     pose_mm_deg: Floats | None = None
@@ -152,11 +155,17 @@ class SurveyRig(FileRecord):
         Raises
         ------
         InputError
-            A relation that is none, or fields that do not go with it.
+            A relation that is none, or not of its labels, or a field that it lacks or has too much.
         """
         if not self.sensors and not self.known:
             return None
-        return SurveyTables(self.sensors, tuple(map(_known, self.known)), folder)
+        known = []
+        for i, table in enumerate(self.known):
+            try:
+                known.append(_known(table))
+            except InputError as error:
+                raise InputError(f"{error.found} in known.{i}", error.expected) from error
+        return SurveyTables(self.sensors, tuple(known), folder)
 
 
 def _require_lengths(shots: Shots) -> None:
@@ -230,8 +239,25 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
 
 
 def _known(table: KnownTable) -> Known:
-    if table.value_mm is not None and table.value_deg is not None:
-        raise InputError("value_mm and value_deg in a table [[known]]", "one of the two")
+    require_word("relation", table.relation, RELATIONS)
+    called = {
+        "value": "value_deg" if table.relation == "angle" else "value_mm",
+        "sigma": "sigma_mm",
+        "sigma_angle": "sigma_deg",
+        "direction": "position_mm" if table.relation == "position" else "direction",
+        "pose": "pose_mm_deg",
+        "faces": "faces",
+    }
+    fields = [called[field] for field in RELATIONS[table.relation][2]]
+    stated = [field for field, given in table if given is not None]
+    what = f"{table.relation} of {' and '.join(table.of)}"
+    expected = f"{', '.join(fields[:-1])} and {fields[-1]}"
+    for field in stated:
+        if field not in ("relation", "of", *fields):
+            raise InputError(f"{field} with {what}", expected)
+    for field in fields:
+        if field not in stated:
+            raise InputError(f"no {field} of {what}", expected)
     value = (table.value_mm or 0.0) * MM + (table.value_deg or 0.0) * DEG
     direction = None if table.direction is None else np.array(table.direction)
     if table.position_mm is not None:
@@ -254,8 +280,8 @@ def _known(table: KnownTable) -> Known:
         table.relation,
         table.of,
         value,
-        table.sigma_mm * MM,
-        table.sigma_deg * DEG,
+        (table.sigma_mm or 0.0) * MM,
+        (table.sigma_deg or 0.0) * DEG,
         direction,
         pose,
         faces,

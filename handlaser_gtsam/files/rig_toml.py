@@ -253,7 +253,7 @@ def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
 def write_rig(
     path: Path | str, noise: Noise, sensor: Sensor, more: str = "", half_angle: float = 0.0
 ) -> None:
-    """Write the noise, the sensor's range and cone, and more tables; what is unknown is left out."""
+    """Write the noise, the sensor's range and cone, and more tables; but nothing that is unknown."""
     lines = ["[noise]"]
     for name, value, unit in (
         ("range_sigma_mm", noise.range_sigma, IN_MM),

@@ -47,7 +47,8 @@ class Rays:
         alone makes k1 tend to -1.
     towards : callable, optional
         Of sensors that choose their ray within a cone: takes their axes and the directions in which a
-        target is nearest, in the hand, and returns those of the rays. `direction` is the axis before.
+        target is nearest, in the hand, and returns the directions of the rays. `direction` is the
+        axis before.
     """
 
     origin: FloatArray

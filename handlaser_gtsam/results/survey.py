@@ -37,8 +37,13 @@ from .survey_motion import open_words
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
-CAUSES = (*MISREAD, "relation-contradicted", "sigmas-too-small", "range-error")
-"""Codes of warnings that say why shots do not fit each other."""
+FALSE_RELATION = "relation-contradicted"
+"""Code of the warning that readings contradict what is said to be known."""
+CAUSES = (*MISREAD, FALSE_RELATION, "sigmas-too-small", "range-error")
+"""Codes of warnings that say why shots do not fit each other.
+
+A false relation looks like errors of readings, too, so that the last two are no causes beside it.
+"""
 NOTABLE_SIGMA = 1.5
 """Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
 
@@ -179,7 +184,8 @@ class RejectedShot(Value):
     ----------
     sensor, station, target : str
     reason : str
-        `contradicted` by the others, `grazing` its sphere, or `too-few-points`.
+        `contradicted` by the others, `grazing` its sphere, `too-few-points`, or `no-edge` of a groove
+        of which no profile shows one.
     """
 
     sensor: str
@@ -256,7 +262,9 @@ class SurveyCalibration(Value):
         if self.status != "converged":
             why = self.undetermined[:2] if self.undetermined else (self.message,)
             if not any(one.code == NO_FIT for one in self.warnings):  # which names its causes
-                causes = [one.message for one in self.warnings if one.code in CAUSES]
+                codes = {one.code for one in self.warnings}
+                among = (*MISREAD, FALSE_RELATION) if FALSE_RELATION in codes else CAUSES
+                causes = [one.message for one in self.warnings if one.code in among]
                 why = tuple(dict.fromkeys((*causes, *why)))
             return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
         parts = [
@@ -324,6 +332,9 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     elif estimate.undetermined or found.images:
         undetermined = tuple(_undetermined(found))
         message = undetermined[0]
+    elif status != "converged" and any(one.contradicted for one in relations):
+        # Labels and noise may be right, and rows do not fit because of the relation.
+        message = next(one.message for one in warnings if one.code == FALSE_RELATION)
     return SurveyCalibration(
         status,
         message,
@@ -438,12 +449,13 @@ def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
             station = stations.station_names[item.station]
             reason = "grazing" if item.grazing else "contradicted"
             yield RejectedShot(name, station, rows.label(item.target), reason)
+    edgeless = rows.edgeless
     for member, at in rows.lost:
         yield RejectedShot(
             rows.survey.shots[member].name,
             stations.station_names[at],
             stations.plane_labels[at],
-            "too-few-points",
+            "no-edge" if stations.plane_labels[at] in edgeless else "too-few-points",
         )
 
 
@@ -498,7 +510,7 @@ def _warnings(
                 f"the readings contradict what is said to be known: {tested.known.words} "
                 f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
             )
-            yield CalibrationWarning("relation-contradicted", words, {"p": tested.p_value})
+            yield CalibrationWarning(FALSE_RELATION, words, {"p": tested.p_value})
     causes = (*misread(found.rows, found.given), *misheard(found))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
@@ -532,7 +544,7 @@ def _warnings(
 
 
 def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
-    """Warn of stations without a reading, and of shots with too few points on their target."""
+    """Warn of stations without a reading, of grooves without an edge, and of lost shots."""
     survey, stations = rows.survey, len(rows.survey.stations)
     read = {item.station for item in rows.items} | {at for _, at in rows.lost}
     unread = stations - len(read)
@@ -540,11 +552,22 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         words = f"{unread} of {stations} stations have no reading, and were left out"
         sizes = {"stations": unread, "total": stations}
         yield CalibrationWarning("stations-left-out", words, sizes)
-    if rows.lost:
-        names = survey.stations.station_names
-        lost = [
-            f"sensor {survey.shots[member].name} at station {names[at]}" for member, at in rows.lost
-        ]
+    labels = survey.stations.plane_labels
+    edgeless = rows.edgeless
+    for label in edgeless:
+        shots = sum(labels[at] == label for _, at in rows.lost)
+        words = (
+            f"no profile of {label} has an edge between two straight sides; look at both sides at "
+            f"once, or label it plane:{label.partition(':')[2]} if it is one plane"
+        )
+        yield CalibrationWarning("no-edge", words, {"target": label, "shots": shots})
+    names = survey.stations.station_names
+    lost = [
+        f"sensor {survey.shots[member].name} at station {names[at]}"
+        for member, at in rows.lost
+        if labels[at] not in edgeless
+    ]
+    if lost:
         words = (
             f"{count(len(lost), 'shot')} with too few points on their target, or most of them on "
             "something else behind or beside it: "

@@ -52,7 +52,7 @@ HALF_ANGLES_TRIED = (0.5, 0.6, 0.8, 1.25, 1.6, 2.0)
 OTHER_KIND = {"plane": "sphere", "sphere": "plane"}
 """What a target may be in place of what its label says: shots of grooves are split before."""
 SHOTS_TRIED = 60
-"""So many shots, spread over all, decide: an array of nine zones says it with ten."""
+"""Shots, spread over all, that decide: an array of nine zones says it with ten."""
 MUCH_DEARER = 2.0
 """Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
@@ -117,8 +117,8 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     if np.isfinite(gain) and f_sf(max(gain, 0.0), 1, dof) < SIGNIFICANCE / len(tried):
         better = tried[found_at.index(least)] * stated
         words = (
-            f"the readings fit far better with a cone of {better * IN_DEG:.2g} degrees than with one of "
-            f"{stated * IN_DEG:.3g}: set half_angle_deg, half the opening angle, near "
+            f"the readings fit far better with a cone of {better * IN_DEG:.2g} degrees than with one "
+            f"of {stated * IN_DEG:.3g}: set half_angle_deg, half the opening angle, near "
             f"{better * IN_DEG:.2g}"
         )
         yield CalibrationWarning(HALF_ANGLE, words, {"half_angle": better})

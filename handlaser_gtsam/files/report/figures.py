@@ -1,6 +1,7 @@
 """All flat figures of a calibration of beams, in the order of the report.
 
-A further one is a line of `flat_figures`. `page` adds the scenes, and `survey` has those of surveys.
+A further one is a line of `flat_figures`. `page` adds the scenes, and `survey` has the figures of
+surveys.
 """
 
 import math

@@ -6,7 +6,7 @@ the apex, is read at D where theta is below alpha, and at D / cos(theta - alpha)
 nothing tells v.
 
 The shortest ray moves along the cone when v turns, but its range does not change by that, as it is the
-shortest: the derivatives are those of a ray that is fixed to the cone.
+shortest: its derivatives are as of a ray that is fixed to the cone.
 """
 
 from dataclasses import dataclass, replace
