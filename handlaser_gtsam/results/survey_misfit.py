@@ -95,14 +95,16 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     stated = found.rows.survey.half_angle
     if not stated or found.estimate.status not in ("converged", "contradicted"):
         return
-
     noise = replace(found.given, range_sigma=float(found.noise.sigma[-2]))
     if noise.pose_covariance is None:
         turn, shift = found.noise.pose
         noise = replace(noise, pose_rotation_sigma=turn, pose_translation_sigma=shift)
 
     def squares(part: float) -> float:
-        again = estimate_survey(replace(found.rows.survey, half_angle=part * stated), noise)
+        try:
+            again = estimate_survey(replace(found.rows.survey, half_angle=part * stated), noise)
+        except InputError:  # a start with this angle
+            return np.inf
         if again.estimate.status not in ("converged", "contradicted"):
             return np.inf
         return again.estimate.chi2 + FAR_SIGMAS**2 * float((~again.used).sum())
