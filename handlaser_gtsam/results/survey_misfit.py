@@ -103,7 +103,7 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     def squares(part: float) -> float:
         try:
             again = estimate_survey(replace(found.rows.survey, half_angle=part * stated), noise)
-        except InputError:  # a start with this angle
+        except InputError:  # no start with this angle
             return np.inf
         if again.estimate.status not in ("converged", "contradicted"):
             return np.inf
