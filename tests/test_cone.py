@@ -9,6 +9,7 @@ from helpers import ROOT
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.errors import InputError
@@ -139,23 +140,25 @@ def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
             first += FAMILIES[name].dim
 
 
-def test_a_cone_is_found_from_nothing() -> None:
-    """Ten cones: errors are as large as their covariances say, and SciPy finds the same."""
+@pytest.mark.parametrize("cones", [2, pytest.param(20, marks=pytest.mark.slow)])
+def test_a_cone_is_found_from_nothing(cones):
+    """Errors are as large as their covariances say, and SciPy finds the same."""
     squares = []
-    for seed in range(10):
+    for seed in range(cones):
         made, r, v = survey(seed, 2.0 * HALF)
         result = hl.calibrate(made, STATED)
         assert result.status == "converged"
         beam = result.beams["sonar"]
         error = beam.location - r
-        squares.append(error @ np.linalg.solve(beam.covariance[:3, :3], error) / 3.0)
+        squares.append(error @ np.linalg.solve(beam.covariance[:3, :3], error))
         assert math.acos(min(1.0, float(v @ beam.direction))) < 5.0 * beam.direction_sigma
-        if seed < 3:
+        if seed == 0:
             assert hl.validation.cross_check_survey(result).largest < 1e-4
-    assert 0.5 < np.mean(squares) < 1.8
+    least, most = chi2.ppf([1e-3, 1.0 - 1e-3], 3 * cones)
+    assert least < sum(squares) < most
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+@pytest.mark.parametrize("seed", [0, 2])
 def test_readings_that_graze_a_ball_end_no_search(seed):
     """With noise the truth may have a ray that misses: such a reading is left out, and said to be."""
     made, r, _ = survey(seed, 2.2 * HALF, 15, ball=True)
