@@ -208,15 +208,16 @@ class SurveyState:
 
         Readings of a sphere have the square of its radius only: it is taken above zero.
         """
+        self.used = self.used & ~grazing(self.rows)
         problem, _ = self.problem()
         again = minimum(problem, list(problem.blocks), self.values)
         if again is None:
             fewer = without_grazing(self.rows, self.values)
-            if fewer is not None:
-                self.rows, self.used = fewer, self.used & ~grazing(fewer)
-                problem, _ = self.problem()
-                again = minimum(problem, list(problem.blocks), self.values)
-        if again is not None and (again.get(SPHERE.name, np.ones((1, 0, 4)))[..., 3] < 0.0).any():
+            if fewer is None:
+                return False
+            self.rows = fewer
+            return self.minimize()
+        if (again.get(SPHERE.name, np.ones((1, 0, 4)))[..., 3] < 0.0).any():
             again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
             again = minimum(problem, list(problem.blocks), again)
         if again is None:
@@ -391,7 +392,7 @@ def _blames_relations(state: SurveyState) -> bool:
     problem, _ = tied.problem()
     if not any(test.contradicted for test in _tested(tied, problem)):
         return False
-    state.values, state.sizes, state.used = tied.values, tied.sizes, tied.used
+    state.rows, state.values, state.sizes, state.used = tied.rows, tied.values, tied.sizes, tied.used
     return True
 
 
