@@ -206,6 +206,25 @@ def test_a_wrong_half_angle_is_named(noise):
     assert warning.values["half_angle"] == pytest.approx(HALF)
 
 
+@pytest.mark.slow
+def test_cones_on_a_hand_are_honest_and_their_half_angle_is_known_to_be_wrong():
+    """Right ones are all usable, within chi2 of their truth; wrong half angles are all named."""
+    squares, cones = 0.0, 40
+    for seed in range(cones):
+        made, locations = two_cones(seed)
+        result = hl.calibrate(made, STATED)
+        assert result.usable, (seed, result.verdict)
+        for beam, r in zip(result.beams.values(), locations, strict=True):
+            error = beam.location - r
+            squares += error @ np.linalg.solve(beam.covariance[:3, :3], error)
+        if seed < 10:
+            unstated = replace(STATED, range_sigma=None)
+            wrong = hl.calibrate(replace(made, half_angle=HALF / 0.6), unstated)
+            assert "half-angle" in {one.code for one in wrong.warnings}
+    least, most = chi2.ppf([1e-3, 1.0 - 1e-3], 2 * 3 * cones)
+    assert least < squares < most
+
+
 def test_within_the_cone_its_direction_is_open_and_its_location_is_not() -> None:
     """What cures it is said; a stated mount does."""
     made, r, v = survey(1, 0.95 * HALF, stations=40)
