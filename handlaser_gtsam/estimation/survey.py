@@ -392,7 +392,12 @@ def _blames_relations(state: SurveyState) -> bool:
     problem, _ = tied.problem()
     if not any(test.contradicted for test in _tested(tied, problem)):
         return False
-    state.rows, state.values, state.sizes, state.used = tied.rows, tied.values, tied.sizes, tied.used
+    state.rows, state.values, state.sizes, state.used = (
+        tied.rows,
+        tied.values,
+        tied.sizes,
+        tied.used,
+    )
     return True
 
 
