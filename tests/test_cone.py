@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import ROOT, first_and_slow
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
@@ -167,7 +167,8 @@ def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
             first += FAMILIES[name].dim
 
 
-@pytest.mark.parametrize("cones", [2, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("cones", [2, 20])
 def test_a_cone_is_found_from_nothing(cones):
     """Errors are as large as their covariances say, and SciPy finds the same."""
     squares = []
@@ -185,7 +186,7 @@ def test_a_cone_is_found_from_nothing(cones):
     assert least < sum(squares) < most
 
 
-@pytest.mark.parametrize("seed", [2, 7])
+@pytest.mark.parametrize("seed", first_and_slow(2, 7))
 def test_readings_that_graze_a_ball_end_no_search(seed):
     """On the way, or with noise, a ray misses: such a reading is left out, and said to be."""
     made, locations = two_cones(seed)
@@ -196,6 +197,7 @@ def test_readings_that_graze_a_ball_end_no_search(seed):
     assert "grazing" in {one.reason for one in result.rejected}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [STATED, replace(STATED, range_sigma=None)])
 def test_a_wrong_half_angle_is_named(noise):
     """With estimated noise it was usable, and fourteen standard deviations off."""
@@ -243,6 +245,7 @@ def test_within_the_cone_its_direction_is_open_and_its_location_is_not() -> None
     assert hl.calibrate(replace(made, known=(known,)), STATED).usable
 
 
+@pytest.mark.slow
 def test_cones_are_made_and_read_by_the_command(handlaser, tmp_path):
     """From a rig file to a calibration; what is no cone is refused."""
     rig, made, targets = tmp_path / "rig.toml", tmp_path / "made", "plane:A,plane:B,sphere:S"

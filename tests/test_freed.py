@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, codes, simulated
+from helpers import GRIPPER, codes, first_and_slow, simulated
 from test_systematic import Scene
 
 import handlaser_gtsam as hl
@@ -66,7 +66,7 @@ def state(found):
 
 
 @pytest.mark.parametrize("range_error", ["none", "k1", "auto"])
-@pytest.mark.parametrize("code", SIZES)
+@pytest.mark.parametrize("code", first_and_slow(*SIZES))
 def test_scipy_agrees_by_formulas_of_its_own(code, range_error):
     noise = NOISE if range_error == "none" else hl.Noise(SIGMA, 1e-4, 1e-4)
     scene = Scene(3)
@@ -83,7 +83,9 @@ def agrees(found):
     assert check.largest_sigma < 1e-6, check
 
 
-@pytest.mark.parametrize("code", ["sag", "lag", "drift", "displaced", "tool-displaced"])
+@pytest.mark.parametrize(
+    "code", first_and_slow("lag", "sag", "drift", "displaced", "tool-displaced")
+)
 def test_scipy_agrees_where_readings_of_which_an_error_is_made_are_rejected(code):
     recording = recorded(Scene(3), 0, code, SIZES[code])
     ranges = recording.ranges.copy()
@@ -94,6 +96,7 @@ def test_scipy_agrees_where_readings_of_which_an_error_is_made_are_rejected(code
     agrees(found)
 
 
+@pytest.mark.slow
 def test_scipy_knows_every_error_and_all_of_them_at_once():
     assert set(ERRORS) == {code for code, effect in EFFECTS.items() if effect.can_show}
     found = freed(recorded(Scene(3), 0, "lag", 0.05), *ERRORS)
@@ -349,6 +352,7 @@ def test_a_plan_counts_the_errors_as_a_calibration_with_its_stations_will(codes,
         assert np.abs(forecast(wrong) - 1.0).max() > 0.15
 
 
+@pytest.mark.slow
 def test_a_plan_says_which_errors_its_stations_are_taken_to_be_without(tmp_path, handlaser):
     scene = Scene(3)
     found = freed(recorded(scene, 0, "lag", 0.05), "lag", "incidence", "drift", range_error="none")

@@ -12,7 +12,9 @@ import handlaser_gtsam as hl
 DOCS = ROOT / "docs"
 
 
-@pytest.mark.parametrize("page", ["tutorial", "trust", "sensors"])
+@pytest.mark.parametrize(
+    "page", ["tutorial", "trust", pytest.param("sensors", marks=pytest.mark.slow)]
+)
 def test_commands_of_a_page_run_in_order(page, handlaser, monkeypatch, tmp_path):
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)

@@ -88,6 +88,7 @@ def test_results_are_equal_and_pickled_as_others_are():
     assert (hl.planning.plan_survey(kept, 2).spot_errors > 0.0).all()
 
 
+@pytest.mark.slow
 def test_wrong_shots_are_left_out_as_wholes():
     options = {"wrong_shots": 0.1, "wrong_by": "station", "stations": 15, "planes": 2}
     rig = rigs_by_rays.profiler(3, **options)
@@ -334,6 +335,7 @@ def test_parallel_planes_have_right_derivatives_where_they_are_parallel():
             assert np.abs(columns[slot.columns.start + c] - slope).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_body_ties_its_planes_and_one_wrong_face_is_named():
     rig = rigs_by_rays.profiler(2, targets="body")
     (body,) = body_of(rig)

@@ -40,6 +40,7 @@ def rough(seed, *, stations=40, sigma=8e-3, stated="radial"):
     return hl.Survey(at, (hl.Shots.array("tof", station, directions, d, stated),)), mount, place
 
 
+@pytest.mark.slow
 def test_noise_of_a_rough_array_is_no_range_error():
     """Residuals are in units of the reading: else k1 would be found near -1 in each."""
     exact = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)

@@ -10,7 +10,7 @@ import shutil
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import ROOT, first_and_slow
 from scipy.spatial.transform import Rotation
 from test_survey_arrays import rough
 
@@ -83,7 +83,7 @@ VEHICLES = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "motion", "walls", "words"), VEHICLES)
+@pytest.mark.parametrize(("kind", "motion", "walls", "words"), first_and_slow(*VEHICLES))
 def test_vehicles_with_sensors_of_many_rays(kind, motion, walls, words):
     check = check_survey(vehicle(kind, motion, walls))
     # Moves along the axis tell a leaning wall from its image.
@@ -106,6 +106,7 @@ def test_vehicles_with_sensors_of_many_rays(kind, motion, walls, words):
         assert check.sensors[0].rotation_sigma < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [20.0, 30.0])
 def test_an_open_height_takes_no_sigma_from_the_other_coordinates(tilt):
     """A mount that is roughly known closes what is open, and says nothing of x and y."""
@@ -129,6 +130,7 @@ def test_an_open_height_takes_no_sigma_from_the_other_coordinates(tilt):
     assert row["sigma [mm]"].value == pytest.approx(1e3 * mount.location_sigma[:2].max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("walls", ["vertical", "one leans"])
 def test_a_level_scanner_on_a_flat_floor_sees_no_wall_lean(walls):
     """Walls that lean look the same to rays in the plane of the motion: no board that leans helps."""
@@ -201,6 +203,7 @@ def test_too_few_stations_are_said(tmp_path, handlaser):
     assert json.loads(handlaser(*words, "--json")[1])["undetermined"]
 
 
+@pytest.mark.slow
 def test_beams_beside_sensors_and_poses_that_do_not_fit_are_said():
     rig = rigs_by_rays.mixed(101)
     survey = survey_of(rig)
@@ -253,6 +256,7 @@ def test_poses_in_a_wrong_format_end_with_exit_code_3(tmp_path, handlaser):
     assert (code, err.removeprefix("handlaser: ").strip()) == (3, words)
 
 
+@pytest.mark.slow
 def test_what_was_not_read_is_counted_as_by_a_calibration():
     """One station has no point, and those of another fit no ball."""
     survey = hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml")

@@ -41,6 +41,7 @@ def test_a_log_becomes_stations_that_its_own_rig_file_reads(handlaser, folder):
     assert again.plane_labels == log.stations.plane_labels
 
 
+@pytest.mark.slow
 def test_options_stand_in_for_the_table_and_become_one(handlaser, folder):
     text = (folder / "rig.toml").read_text()
     (folder / "rig.toml").write_text(text[text.index("[[sensors]]") :])
@@ -52,6 +53,7 @@ def test_options_stand_in_for_the_table_and_become_one(handlaser, folder):
     assert hl.calibrate(survey).status == "converged"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["convert", "calibrate"])
 def test_poses_in_another_convention_are_refused_with_the_one_that_fits(handlaser, folder, command):
     stated(folder, 'pose_format = "kuka"', 'pose_format = "mitsubishi"')
@@ -63,6 +65,7 @@ def test_poses_in_another_convention_are_refused_with_the_one_that_fits(handlase
     assert len(err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_inverted_poses_are_named_and_who_insists_is_only_warned(handlaser, folder):
     words = ["convert", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
     code, _, err = handlaser(*words, "--inverted")
@@ -74,6 +77,7 @@ def test_inverted_poses_are_named_and_who_insists_is_only_warned(handlaser, fold
     assert "WARNING: the readings fit" in err
 
 
+@pytest.mark.slow
 def test_a_right_log_with_wrong_labels_is_not_accused(folder):
     """Two stations of the ball are said to look at the plate, and one shot is of something else."""
     text = (folder / "poses.csv").read_text()

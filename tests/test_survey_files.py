@@ -125,6 +125,7 @@ def known(folder, text):
     return hl.read_survey(folder / "poses.csv", rig)
 
 
+@pytest.mark.slow
 def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser):
     radius = json.loads((FOLDER / "truth.json").read_text())["ball"]["radius"] * 1e3
     plain = hl.calibrate(hl.read_survey(folder / "poses.csv", folder / "rig.toml"))
@@ -145,6 +146,7 @@ def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser):
     assert "radius of sphere:ball" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [{}, {"translation": 5e-5, "rotation": 9e-5}])
 def test_of_a_false_relation_the_headline_says_nothing_else(folder, noise):
     """With the noise estimated its search ends nowhere; with it stated a range error shows, too."""
@@ -337,6 +339,7 @@ def test_what_does_not_count_is_refused(table, folder, handlaser):
     assert STATED[table] in err
 
 
+@pytest.mark.slow
 def test_limits_hold_for_sensors(folder, handlaser):
     rig = folder / "rig.toml"
     for limit, expected in (("0.0001", 4), ("10", 0)):

@@ -87,6 +87,7 @@ def left_out(found):
     return {int(one.station) - 1 for one in found.rejected}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", first_and_slow(*range(6)))
 def test_a_wrong_label_is_left_out_and_nothing_else(seed):
     found = hl.calibrate(cell(seed, labels=[(12, "plane:plate")]))
@@ -94,6 +95,7 @@ def test_a_wrong_label_is_left_out_and_nothing_else(seed):
     assert left_out(found) == {12}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "pair"), first_and_slow(*product((1, 0, 2), ((1, 2), (13, 14)))))
 def test_two_exchanged_stations_are_left_out_and_nothing_else(seed, pair):
     found = hl.calibrate(cell(seed, exchanged=[pair]))
@@ -101,6 +103,7 @@ def test_two_exchanged_stations_are_left_out_and_nothing_else(seed, pair):
     assert left_out(found) == set(pair)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma", first_and_slow(5e-5, 5e-4))
 def test_a_radius_that_is_roughly_known_is_no_contradiction(sigma):
     survey = cell(2, labels=[(12, "plane:plate")])
@@ -112,7 +115,7 @@ def test_a_radius_that_is_roughly_known_is_no_contradiction(sigma):
     assert not found.relations[0].contradicted
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", first_and_slow(*range(4)))
 def test_a_table_behind_the_ball_is_not_the_ball(seed):
     found = hl.calibrate(cell(seed, background=True))
     require_right(found)
@@ -121,6 +124,7 @@ def test_a_table_behind_the_ball_is_not_the_ball(seed):
     assert found.targets["sphere:ball"].values["radius"] == pytest.approx(RADIUS, abs=2e-4)
 
 
+@pytest.mark.slow
 def test_a_search_that_does_not_come_to_rest_states_no_sigma(monkeypatch):
     survey = cell(0)
     assert hl.calibrate(survey).usable
@@ -166,6 +170,7 @@ def test_poses_that_are_inverted_are_said_with_what_the_noise_explains():
     assert np.isnan(found.sensors["profiler"].location_sigma).all()
 
 
+@pytest.mark.slow
 def test_a_rest_that_leaves_something_open_is_named_as_the_user_names_it():
     """Three profiles of a ball say nine numbers, and a mount with a ball has ten."""
     survey = cell(0)
@@ -190,6 +195,7 @@ KINDS_EXCHANGED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "seed"), first_and_slow(*product(KINDS_EXCHANGED, (0, 1, 2))))
 def test_a_target_of_the_other_kind_is_named(case, seed):
     right, wrong, words = KINDS_EXCHANGED[case]

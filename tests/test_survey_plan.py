@@ -103,6 +103,7 @@ def test_a_plan_ends_where_its_goal_is_reached():
     assert whole.reached is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("largest", "code"), [(30.0, 0), (1e-3, 3)])
 def test_the_command_says_what_is_open_and_whether_the_stations_mend_it(
     largest, code, handlaser, tmp_path
@@ -143,6 +144,7 @@ def test_the_command_says_what_is_open_and_whether_the_stations_mend_it(
     assert (answer["stations"][-1]["spot_error_m"] is None) == (code == 3)
 
 
+@pytest.mark.slow
 def test_the_command(handlaser, tmp_path):
     poses, rig = (str(ROOT / "examples/profiler" / name) for name in ("poses.csv", "rig.toml"))
     out = tmp_path / "next.csv"

@@ -6,7 +6,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import ROOT, first_and_slow
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
@@ -31,7 +31,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", first_and_slow(*CASES))
 def test_scipy_finds_the_same_from_all_points_by_themselves(case):
     kind, options, noise, bound = CASES[case]
     rig = getattr(rigs_by_rays, kind)(3, **options)
@@ -81,6 +81,7 @@ def covariance_without_relations():
     return hl.calibrate(survey_of(cell()), EXACT)._found.estimate.covariance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", list(some_relations()))
 def test_scipy_counts_every_relation_alike(known):
     with_it = hl.calibrate(survey_of(cell(), [known]), EXACT)
@@ -90,6 +91,7 @@ def test_scipy_counts_every_relation_alike(known):
     assert (np.diagonal(held) < (1.0 - 1e-9) * np.diagonal(free)).any()
 
 
+@pytest.mark.slow
 def test_scipy_counts_a_relation_of_two_sensors_alike():
     rig = rigs_by_distance.mixed(4)
     survey = survey_of(rig)
@@ -117,6 +119,7 @@ def test_scipy_counts_relations_of_beams_alike():
     assert cross_check_survey(found).largest < ROUND
 
 
+@pytest.mark.slow
 def test_range_errors_that_are_free_are_found_alike():
     survey = survey_of(rigs_by_rays.scanner(2, planes=3))
     shots = replace(survey.shots[0], free=("scale", "k1"))
@@ -138,6 +141,7 @@ def test_what_is_left_out_is_predicted_as_well_as_it_should_be():
     assert 0.25 < np.median(p_values) < 0.85
 
 
+@pytest.mark.slow
 def test_a_target_that_reads_otherwise_is_not_predicted():
     survey = survey_of(rigs_by_distance.profiler(1, planes=3, stations=40))
     shots = survey.shots[0]
@@ -164,6 +168,7 @@ def test_a_relation_of_what_no_shot_sees_counts_for_nothing():
     assert not found.relations[0].contradicted
 
 
+@pytest.mark.slow
 def test_the_command(handlaser):
     poses, rig = (str(ROOT / "examples/profiler" / name) for name in ("poses.csv", "rig.toml"))
     code, out, _ = handlaser("validate", poses, "--rig", rig, "--splits", "1")

@@ -48,6 +48,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_simulated_is_calibrated_within_its_covariance(handlaser, tmp_path, case):
     kinds, targets, more = CASES[case]

@@ -34,6 +34,7 @@ def calibrator(folder, **more):
     return Calibrator(Watched(folder / "poses.csv", folder / "rig.toml", True, **more))
 
 
+@pytest.mark.slow
 def test_a_survey_is_calibrated_again_as_it_grows(folder):
     one = calibrator(folder)
     first(folder, 4)
@@ -55,6 +56,7 @@ def test_a_survey_is_calibrated_again_as_it_grows(folder):
     assert json.loads(answer.messages["section:systematic"])["html"] == ""
 
 
+@pytest.mark.slow
 def test_a_row_of_points_that_is_not_whole_waits(folder):
     one = calibrator(folder)
     text = (folder / "profiles.csv").read_text()
@@ -66,6 +68,7 @@ def test_a_row_of_points_that_is_not_whole_waits(folder):
     assert answer.error == ""
 
 
+@pytest.mark.slow
 def test_what_is_missing_or_wrong_is_said_of_the_file_itself(folder):
     one = calibrator(folder)
     points = (folder / "profiles.csv").read_text()

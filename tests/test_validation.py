@@ -33,6 +33,7 @@ def test_every_plane_is_left_out_in_turn(validation):
         assert one.result.rms < 2 * 3e-5
 
 
+@pytest.mark.slow
 def test_splits_err_as_their_own_sigmas_say(validation):
     assert len(validation.splits) == 4
     mean = np.mean([one.standardized**2 for one in validation.splits])

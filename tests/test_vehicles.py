@@ -243,8 +243,8 @@ COMMON = "one common height of all beams and planes (location along (0.00, 0.00,
 SHIFT = "a common shift of all beams and planes"
 SIGMA = 1e-3
 NOISE_AND_BEAMS = [
-    *((SIGMA, 1), (SIGMA, 2), (SIGMA, 4)),
-    *first_and_slow((0.0, 2), (0.0, 1), (0.0, 3), (0.0, 4), (SIGMA, 3)),
+    *first_and_slow((SIGMA, 2), (SIGMA, 1), (SIGMA, 3), (SIGMA, 4)),
+    *first_and_slow((0.0, 2), (0.0, 1), (0.0, 3), (0.0, 4)),
 ]
 
 
@@ -291,7 +291,7 @@ def test_check_and_result_name_the_row_of_the_table(motion, walls, words, cure, 
             ).all()
 
 
-@pytest.mark.parametrize("beams", [2, 4])
+@pytest.mark.parametrize("beams", first_and_slow(2, 4))
 @pytest.mark.parametrize(
     ("walls", "words"),
     [("vertical", "its elevation against k1"), ("one leans", "vertical stretch")],
@@ -309,6 +309,7 @@ def test_with_a_free_k1_elevations_are_named(walls, words, beams):
     assert "where k1 is free" in check.undetermined[0]
 
 
+@pytest.mark.slow
 def test_check_and_calibrate_of_noisy_beams_name_the_same_motion(handlaser, tmp_path):
     """A millimetre of noise leads to walls that lean a little: more moves then than the heights."""
     path = tmp_path / "vehicle.csv"
@@ -329,6 +330,7 @@ def test_moves_in_height_leave_no_stretch_in_words():
     assert all(np.isfinite(beam.range_error_sigma).all() for beam in found.beams.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", ["plane without turns", "linear axis"])
 def test_a_linear_axis_is_named(motion):
     at = scene(motion, "two lean", 2)
@@ -340,6 +342,7 @@ def test_a_linear_axis_is_named(motion):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beams", first_and_slow(2, 3))
 @pytest.mark.parametrize(
     ("motion", "walls", "words"),
@@ -466,7 +469,7 @@ def off(result):
     return turn.magnitude()
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", first_and_slow(*range(5)))
 @pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
 def test_a_profiler_in_planar_motion_has_a_mirror_image(walls, seed):
     result = hl.calibrate(profiled(walls, seed), STATED)
@@ -497,6 +500,7 @@ def two_profiled(walls, seed, *known):
     return hl.Survey(stations, tuple(shots), known=known)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", first_and_slow(*range(3)))
 @pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
 def test_two_profilers_have_mirror_images_alone_before_upright_walls_only(walls, seed):
@@ -515,6 +519,7 @@ def test_two_profilers_have_mirror_images_alone_before_upright_walls_only(walls,
     assert alone or turn < np.radians(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
 def test_a_drawing_of_the_mount_says_which_way_up_it_is(walls, seed):
@@ -531,8 +536,8 @@ def test_a_drawing_of_the_mount_says_which_way_up_it_is(walls, seed):
     assert np.isfinite(vague.sensors["s"].location_sigma).all()
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("sigma_deg", [2.0, 180.0])
+@pytest.mark.parametrize("seed", first_and_slow(*range(3)))
+@pytest.mark.parametrize("sigma_deg", first_and_slow(2.0, 180.0))
 @pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
 def test_a_beam_of_a_survey_has_a_mirror_image(walls, sigma_deg, seed):
     v = MOUNT[:3, 2] + [0.0, 0.0, 0.3]

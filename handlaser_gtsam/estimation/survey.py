@@ -467,8 +467,8 @@ def _leave_out_gross(state: SurveyState) -> None:
 def _started_from_halves(state: SurveyState) -> bool:
     """Look for a start that most shots agree with, from random halves of the shots of each target.
 
-    A few wrong labels, which pull a start of all shots elsewhere, are in some of these halves only.
-    Tell whether one was found.
+    A few wrong labels, which pull a start of all shots elsewhere, are in some of these halves only;
+    the others need no random mounts as a last resort. Tell whether one was found.
     """
     items, rng = state.rows.items, np.random.default_rng(len(state.rows.items))
     numbers = numbers_of(state.rows)
@@ -480,7 +480,7 @@ def _started_from_halves(state: SurveyState) -> bool:
             own = rng.permutation(np.flatnonzero(target == one))
             some[own[: max(len(own) // 2, 3)]] = True
         half = tuple(item for item, taken in zip(items, some, strict=True) if taken)
-        started = start_of(replace(state.rows, items=half), state.sigmas())
+        started = start_of(replace(state.rows, items=half), state.sigmas(), last_resort=False)
         if started.values is None:
             continue
         trial = replace(state, values=started.values, used=some)
