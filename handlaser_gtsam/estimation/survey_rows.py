@@ -9,11 +9,10 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import Known, Shots, Survey, kind_of, normal_label
 from ..model import known as relations
-from ..model.block import Block, Values, Weights
+from ..model.block import Block, Values, VectorPrior, Weights
 from ..model.condensed import Mixed, Unexplained
 from ..model.families import BEAM, PLANE, POSE
 from ..model.lines import condensed_shots
-from ..model.priors import VectorPrior
 from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
 from ..model.sensors.beam import Beam

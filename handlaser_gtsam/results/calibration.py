@@ -99,8 +99,7 @@ class Calibration(CalibrationData):
         InputError
             The calibration does not hold its recording: it was read from a graph.
         """
-        from ..solvers.graph import build_graph
-        from ..solvers.poses import pose_priors
+        from ..solvers.graph import build_graph, pose_priors
 
         recording, fit, variances = self.recording, self.fit, self.variances
         if recording is None:

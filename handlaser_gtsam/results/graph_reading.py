@@ -20,7 +20,7 @@ from ..model.joint import JointCovariance
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE
 from ..solvers.graph import parameters_of
-from ..solvers.values import require_values
+from ..solvers.levenberg import require_values
 from .calibration import Calibration
 from .calibration_fields import Status
 from .correlations import strong_correlations

@@ -24,10 +24,9 @@ from ..quantities import MOST_ROUNDS
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
 from ..results.problem import Problem
-from ..solvers.beam_state import BeamState
-from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
+from ..solvers.graph import CalibrationGraph, PosePriors, build_graph, pose_priors, read_parameters
+from ..solvers.isam import BeamState
 from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
-from ..solvers.poses import PosePriors, pose_priors
 from .config import SessionConfig
 from .contents import Contents
 from .drift import DriftHistory

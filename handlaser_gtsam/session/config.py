@@ -20,9 +20,8 @@ from ..model.families import BEAM
 from ..model.weighting import Variances
 from ..quantities import KNOWN
 from ..results.calibration import Calibration
-from ..solvers.beam_state import BeamState, GraphPart
 from ..solvers.graph import range_error_priors, start_values
-from ..solvers.isam import IncrementalOptions
+from ..solvers.isam import BeamState, GraphPart, IncrementalOptions
 from .reports import Change
 
 SCALES_KEPT = 0.02

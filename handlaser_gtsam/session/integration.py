@@ -18,7 +18,7 @@ from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
 from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beams_lift
-from ..solvers.beam_state import BeamState
+from ..solvers.isam import BeamState
 from .config import SessionConfig
 from .drift import DriftHistory, turns
 from .fitted import FittedPlane

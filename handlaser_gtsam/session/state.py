@@ -14,9 +14,8 @@ from ..estimation.information import Information
 from ..factors import RangeBlock
 from ..factors.keys import plane_key, pose_key
 from ..quantities import MOST_ROUNDS
-from ..solvers.beam_state import BeamState, GraphPart
 from ..solvers.graph import parameters_of
-from ..solvers.isam import IncrementalGraph
+from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
