@@ -94,7 +94,7 @@ def _known(
 ) -> "tuple[LogFormat, Sensor, float | None, Rig | None]":
     """Return how the log is written, the sensor, a reading's sigma if known, and the rig if given."""
     from ..files.logs.format import LogFormat
-    from ..files.rig_log import with_stated
+    from ..files.rig_toml import with_stated
     from ..model.sensor import Sensor
 
     if rig is not None:

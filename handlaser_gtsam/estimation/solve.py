@@ -22,10 +22,9 @@ from ..quantities import MOST_ROUNDS
 from .learned import ScaleProblem
 from .options import CalibrationOptions
 from .posterior import ScaleEstimate, posterior
-from .scales import Scales, with_scales
+from .scales import Scales, start_of, unknown_scales, with_scales
 from .solution import Solution
 from .task import STEPS_SETTLED, WEIGHTS_SETTLED, SolutionTask
-from .unknowns import start_of, unknown_scales
 
 LEAST_WEIGHT = 0.5
 """Readings to which a robust loss gives less weight say nothing about the scales."""

@@ -4,9 +4,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..estimation.survey import RelationTest as RelationTest
-    from .correlations import Coordinate as Coordinate
-    from .correlations import Correlation as Correlation
-    from .improvement import Improvement as Improvement
+    from ..model.joint import Coordinate as Coordinate
+    from ..model.joint import Correlation as Correlation
     from .limits import LimitCheck as LimitCheck
     from .measuring import MeasuredPlane as MeasuredPlane
     from .measuring import Spot as Spot
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from .survey import SurveyCalibration as SurveyCalibration
     from .survey import SurveyTarget as SurveyTarget
     from .systematic import SystematicError as SystematicError
+    from .verdict import Improvement as Improvement
     from .verdict import Verdict as Verdict
 else:
     from ..lazy import lazy_names

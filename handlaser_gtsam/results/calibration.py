@@ -12,9 +12,8 @@ from ..model.families import BEAM, PLANE, Family
 from ..model.losses import Loss
 from ..model.weighting import whitening
 from ..quantities import UNIT_SIGMA
-from .calibration_fields import CalibrationData
 from .limits import Limits
-from .reports import Beam, Plane
+from .reports import Beam, CalibrationData, Plane
 from .verdict import Verdict
 from .verdict import verdict as verdict_on
 

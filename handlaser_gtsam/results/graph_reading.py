@@ -16,17 +16,15 @@ from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..factors.keys import BeamKeys
 from ..model.families import DIRECTION, LOCATION
-from ..model.joint import JointCovariance
+from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE
 from ..solvers.graph import parameters_of
 from ..solvers.levenberg import require_values
 from .calibration import Calibration
-from .calibration_fields import Status
-from .correlations import strong_correlations
 from .fit import fit_of_rows
 from .problem import named_estimates
-from .reports import Determined, Fit, StartReport
+from .reports import Determined, Fit, StartReport, Status
 from .significance import SINGLE_LEVEL
 
 OPTIMAL = 0.1

@@ -16,8 +16,7 @@ from ..errors import InputError
 from ..model.families import BEAM
 from ..model.joint import JointCovariance, plane_lift
 from ..quantities import NEGLIGIBLE
-from .calibration_fields import CalibrationData
-from .reports import Beam
+from .reports import Beam, CalibrationData
 from .spot_error import spot_at
 
 

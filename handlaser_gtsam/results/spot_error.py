@@ -44,8 +44,7 @@ from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, SINGULAR
 from ..solvers.beam_problem import linearized
-from .calibration_fields import CalibrationData
-from .reports import Beam
+from .reports import Beam, CalibrationData
 from .significance import CONFIDENCE
 
 Quantity = Literal["location", "direction", "range error"]

@@ -11,9 +11,9 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...model.families import BEAM
+from ...model.joint import STRONG, correlation_matrix
 from ...planning.picture import logarithmic_ticks
 from ...quantities import IN_DEG, IN_MM
-from ...results.correlations import STRONG, correlation_matrix
 from ..json_text import Record
 from .figure import (
     COLOURS,

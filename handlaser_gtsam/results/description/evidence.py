@@ -10,14 +10,13 @@ import numpy as np
 
 from ...model.effects.effect import size_in_words
 from ...model.families import BEAM, RANGE_ERROR
+from ...model.joint import STRONG
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
-from ..calibration_fields import CalibrationData
-from ..correlations import STRONG
-from ..improvement import WELL_CONDITIONED
 from ..lines import NAMES_IN_LINE, small_mm
-from ..reports import NoiseComponent
+from ..reports import CalibrationData, NoiseComponent
 from ..systematic import SystematicError
+from ..verdict import WELL_CONDITIONED
 from .tables import (
     NONE,
     Cell,
