@@ -16,7 +16,7 @@ from handlaser_gtsam.outliers.snooping import leverages, price
 from handlaser_gtsam.results import rereading
 from handlaser_gtsam.solvers.refine import Refined
 from handlaser_gtsam.starts import choice, robust
-from handlaser_gtsam.starts.excerpt import excerpt_of
+from handlaser_gtsam.starts.growing import excerpt_of
 from handlaser_gtsam.starts.search import Candidate, Round, search
 from handlaser_gtsam.validation.scenes import Layout
 

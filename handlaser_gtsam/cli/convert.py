@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped, wrote
+from .answer import Answer, Working, print_wrapped, wrote
 from .log_options import Log
 from .options import QuietOption
-from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..files.logs.format import LogFormat

@@ -9,9 +9,8 @@ import typer
 
 from ..files.exports.formats import BEAMS, STATIONS, TAKEN
 from ..quantities import MM
-from .answer import print_wrapped, wrote
+from .answer import Working, print_wrapped, wrote
 from .options import QuietOption
-from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..data.station_list import StationList

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped, wrote
+from .answer import Answer, Working, print_wrapped, wrote
 from .options import Given, JsonOption, Model, QuietOption
-from .progress_line import Working
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped
+from .answer import Answer, Working, print_wrapped
 from .options import JsonOption, QuietOption
-from .progress_line import Working
 
 if TYPE_CHECKING:
     from polars import DataFrame

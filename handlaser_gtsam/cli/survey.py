@@ -155,7 +155,7 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
     import numpy as np
 
     from ..files.survey_json import survey_validation_text
-    from ..results.significance import SINGLE_LEVEL
+    from ..model.distributions import SINGLE_LEVEL
     from ..validation.survey import validate_survey
 
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))

@@ -7,17 +7,151 @@ A number that stands several times, to the last digit, at one end of every colum
 no distance where it lies far from all other readings, or stands far more often than any other: then it
 means "no reading", or "beyond my limit". Files say the same with words (`nan`, `overflow`) and with
 numbers that no range has (0, -1); those are found when a file is read.
+
+Two columns are one channel logged twice where they are equal, rounded, jittered, or in another unit.
+Two sensors never read the same: their mounts differ, so that their readings differ from station to
+station as the hand turns, and their noise is independent. Columns d and d' are taken for one channel
+where, at nearly all stations at which both read, d' = a d to within the smaller of the rounding and of
+an agreement that two sensors could never reach. The recording does not show whose readings they are: it
+is refused.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..errors import CalibrationWarning
-from .columns import BY_CHANCE, refuse_repeated_columns
+from ..errors import CalibrationWarning, InputError
+from ..quantities import ROWS_AT_ONCE
 from .recording import Recording
-from .stations import merged_stations
+from .stations import FINEST_STEP, merged_stations
+
+NEARLY_ALL = 0.9
+"""The part of the common stations at which two columns must read the same."""
+BY_CHANCE = 3
+"""Fewer coincidences, of columns at a station or of a number in a table, may be chance: among numbers
+near it, fewer than this multiple of any other."""
+ENOUGH_STATIONS = 8
+"""With this many common stations, agreement within rounding or a part of the noise is no chance."""
+PART_OF_SIGMA = 0.4
+"""The difference of two sensors has sqrt(2) sigma: it stays within 0.4 sigma once in four."""
+PART_OF_SPREAD = 5e-3
+"""Columns that differ by more of their spread are not alike, however generous the sigma or coarse the
+rounding."""
+DECIMALS = range(2, 8)
+"""Decimals of metres to which a column may have been rounded, the coarsest first."""
+SAME_UNIT = 0.01
+"""Columns whose ratio differs from one by less are in one unit."""
+
+
+class RepeatedColumnError(InputError):
+    """Two columns are one channel logged twice.
+
+    Attributes
+    ----------
+    code : str
+    beams : (str, str)
+    stations, common : int
+        At how many stations they read the same, and at how many both read.
+    factor : float
+        Unit of the second column over the unit of the first.
+    """
+
+    code = "column-twice"
+
+    def __init__(self, beams: tuple[str, str], stations: int, common: int, factor: float) -> None:
+        self.beams, self.stations, self.common, self.factor = beams, stations, common, factor
+        times = "" if factor == 1.0 else f", times {factor:.6g},"
+        super().__init__(
+            f"beams {beams[0]} and {beams[1]} that{times} read the same at {stations} of {common} "
+            f"stations: one channel logged twice",
+            "every beam once; find out whose readings they are, and leave the other out",
+        )
+
+
+def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
+    """Refuse a recording with a channel that was logged twice.
+
+    Parameters
+    ----------
+    recording : Recording
+    sigma : float, optional
+        Standard deviation of a reading, if given [m].
+
+    Raises
+    ------
+    RepeatedColumnError
+    """
+    d = recording.ranges
+    for i, j in _candidates(d):
+        both = np.flatnonzero(~np.isnan(d[:, i]) & ~np.isnan(d[:, j]))
+        if len(both) < BY_CHANCE:
+            continue
+        a, b = d[both, i], d[both, j]
+        factor = float(_factors(a[:, None], b[:, None])[0])
+        same = _agreeing(a, b, factor, sigma)
+        if same >= NEARLY_ALL * len(both):
+            names = recording.beam_names[i], recording.beam_names[j]
+            raise RepeatedColumnError(names, same, len(both), factor)
+
+
+def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
+    """Yield all pairs of columns of (M, B) that may be alike, in order; many are compared at once.
+
+    With the widest limit that `_agreeing` could have: of different sensors hardly a pair is left. Pairs
+    that share few of the stations looked at, though not of all, are left to `_agreeing`.
+    """
+    step = max(len(d) // (2 * ENOUGH_STATIONS), 1)  # of the stations at which all are compared
+    x = d[::step]
+    firsts, seconds = np.triu_indices(d.shape[1], 1)
+    for begin in range(0, len(firsts), ROWS_AT_ONCE):
+        i, j = firsts[begin : begin + ROWS_AT_ONCE], seconds[begin : begin + ROWS_AT_ONCE]
+        a, b = x[:, i], x[:, j]
+        a = np.where(np.isnan(b), np.nan, a)
+        factor = _factors(a, b)
+        spread = np.fmax.reduce(a) - np.fmin.reduce(a)
+        limit = np.maximum(FINEST_STEP * np.abs(factor), PART_OF_SPREAD * spread)
+        off = np.abs(b - factor * a)
+        common = (~np.isnan(off)).sum(axis=0)
+        alike = (off <= limit).sum(axis=0) >= 0.5 * common
+        alike |= (common < ENOUGH_STATIONS) & (step > 1)
+        yield from zip(i[alike].tolist(), j[alike].tolist(), strict=True)
+
+
+def _factors(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the unit (q,) of columns of b (M, q) over the unit of a; 1 where they nearly agree."""
+    size = np.abs(a)
+    large = (size >= 0.1 * _medians(size)) & (size > 0.0)
+    factor = _medians(np.divide(b, a, out=np.full(a.shape, np.nan), where=large))
+    return np.where(np.abs(factor - 1.0) > SAME_UNIT, factor, 1.0)
+
+
+def _medians(x: FloatArray) -> FloatArray:
+    """Return the median (q,) of each column of (M, q) without its NaN; NaN where there is no other."""
+    count = (~np.isnan(x)).sum(axis=0)
+    low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, len(x) - 1)
+    x, column = np.sort(x, axis=0), np.arange(x.shape[1])
+    return np.asarray(0.5 * (x[low, column] + x[high, column]))
+
+
+def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) -> int:
+    """Return at how many stations b is `factor` times a."""
+    off = np.abs(b - factor * a)
+    limit = FINEST_STEP * abs(factor)
+    if factor == 1.0 and len(a) >= ENOUGH_STATIONS:
+        most = max(rounding(a), rounding(b), PART_OF_SIGMA * (sigma or 0.0))
+        limit = np.maximum(limit, min(most, PART_OF_SPREAD * float(np.ptp(a))))
+    return int((off <= limit).sum())
+
+
+def rounding(d: FloatArray) -> float:
+    """Return half the last decimal of readings that were rounded [m]; zero where they were not."""
+    for decimals in DECIMALS:
+        step = 10.0**-decimals
+        if (np.abs(d - np.round(d, decimals)) < 1e-3 * step).all():
+            return 0.5 * step
+    return 0.0
 
 
 def screened(

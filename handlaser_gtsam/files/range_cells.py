@@ -7,8 +7,7 @@ import numpy as np
 import polars as pl
 
 from ..arrays import BoolArray, FloatArray
-from ..data.columns import BY_CHANCE
-from ..data.screen import code_warning, coded_numbers
+from ..data.screen import BY_CHANCE, code_warning, coded_numbers
 from ..errors import CalibrationWarning
 from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH, MM

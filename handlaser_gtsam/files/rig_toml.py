@@ -33,7 +33,7 @@ from pydantic import Field, Strict, create_model
 from ..checks import require_number
 from ..data.noise import Noise
 from ..errors import InputError
-from ..model.effects.plausible import Plausible
+from ..model.effects import Plausible
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, WIDEST_CONE
 from ..results.limits import Limits

@@ -15,6 +15,7 @@ from ..arrays import FloatArray
 from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..factors.keys import BeamKeys
+from ..model.distributions import SINGLE_LEVEL
 from ..model.families import DIRECTION, LOCATION
 from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
@@ -25,7 +26,6 @@ from .calibration import Calibration
 from .fit import fit_of_rows
 from .problem import named_estimates
 from .reports import Determined, Fit, StartReport, Status
-from .significance import SINGLE_LEVEL
 
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""

@@ -19,7 +19,7 @@ from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.learned import LearnedScales
 from ..estimation.mixture import mixture_quantiles
-from ..model.distributions import chi2_sf, gaussian_quantile, student_quantile
+from ..model.distributions import CONFIDENCE, chi2_sf, gaussian_quantile, student_quantile
 from ..model.effects import EFFECTS
 from ..model.effects.effect import size_in_words
 from ..model.joint import Correlation, JointCovariance
@@ -30,7 +30,6 @@ from ..observability.rank import Indices
 from ..observability.wording import OpenPart
 from ..quantities import IN_MM
 from .lines import decimals
-from .significance import CONFIDENCE
 from .systematic import SystematicError
 
 Status = Literal["converged", "unobservable", "not_converged"]

@@ -17,13 +17,20 @@ from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..model.distributions import gaussian_cdf, gaussian_sf, needed, two_sided
+from ..model.distributions import (
+    CONFIDENCE,
+    FAMILY_LEVEL,
+    gaussian_cdf,
+    gaussian_sf,
+    holm,
+    needed,
+    two_sided,
+)
 from ..model.effects import EFFECTS
 from ..model.effects.effect import Everywhere, OnPlanes
 from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..quantities import NEGLIGIBLE
 from .projection import SQUARE_ROUNDING, LinearRows, Projection
-from .significance import CONFIDENCE, FAMILY_LEVEL, holm
 
 UNKNOWN_SIZE = 0.02
 """An error is confounded, too, where the standard deviation of its size is above this part of its

@@ -38,14 +38,13 @@ from ..arrays import FloatArray
 from ..checks import require_number
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
-from ..model.distributions import chi2_quantile, f_quantile
+from ..model.distributions import CONFIDENCE, chi2_quantile, f_quantile
 from ..model.families import BEAM, MOUNT_DIM, OF_RANGE_ERROR, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, SINGULAR
 from ..solvers.beam_problem import linearized
 from .reports import Beam, CalibrationData
-from .significance import CONFIDENCE
 
 Quantity = Literal["location", "direction", "range error"]
 QUANTITIES: tuple[Quantity, ...] = ("location", "direction", "range error")

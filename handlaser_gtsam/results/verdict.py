@@ -15,13 +15,13 @@ from typing import Literal
 import numpy as np
 
 from ..errors import CalibrationWarning
+from ..model.distributions import FEW_DEGREES
 from ..model.effects import EFFECTS, may_also_be
 from ..quantities import IN_MM
 from ..text import count, some
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import NAMES_IN_LINE
 from .reports import CalibrationData
-from .significance import FEW_DEGREES
 from .spot_error import Quantity, VarianceShares, freedom, spot_radii, variance_shares
 from .systematic import SystematicError
 from .warnings import MANY_OUTLIERS

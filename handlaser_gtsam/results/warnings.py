@@ -10,16 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..data.columns import rounding
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
+from ..data.screen import rounding
 from ..errors import CalibrationWarning
 from ..estimation.posterior import ScaleEstimate
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
 from ..estimation.task import NO_FIT
-from ..model.distributions import chi2_cdf, chi2_sf
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf
 from ..model.equation import cosines, plausible_range_errors, residuals, scene
 from ..model.families import MOUNT_DIM
 from ..model.joint import JointCovariance
@@ -33,7 +33,6 @@ from ..starts.search import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .dependence import Dependence
 from .reports import Fit
-from .significance import FEW_DEGREES, SINGLE_LEVEL
 
 SUSPICIOUS_FIT = 0.06
 """An rms residual above this part of the readings' spread is suspicious: a file read wrongly has

@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ...arrays import IntArray
+from ...model.distributions import FAMILY_LEVEL, chance
 from ...quantities import FAR_SIGMAS, IN_MM
 from ...results.description.tables import (
     NONE,
@@ -19,7 +20,6 @@ from ...results.description.tables import (
     of_words,
     significant,
 )
-from ...results.significance import FAMILY_LEVEL, chance
 from ...text import count
 from ...validation.hold_out import HoldOut
 from ...validation.prediction import pooled
