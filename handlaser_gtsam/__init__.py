@@ -81,14 +81,14 @@ if TYPE_CHECKING:
     from .files.logs.reading import describe_log as describe_log
     from .files.logs.reading import read_log as read_log
     from .files.recording_csv import read_recording as read_recording
+    from .files.recording_csv import read_stations as read_stations
     from .files.recording_csv import write_recording as write_recording
+    from .files.recording_csv import write_stations as write_stations
     from .files.report.options import ReportOptions as ReportOptions
     from .files.report.page import write_report as write_report
     from .files.report.pictures import plot as plot
     from .files.report.pictures import write_pictures as write_pictures
     from .files.rig_toml import read_rig as read_rig
-    from .files.stations_csv import read_stations as read_stations
-    from .files.stations_csv import write_stations as write_stations
     from .files.study_results import write_study_picture as write_study_picture
     from .files.study_toml import read_study as read_study
     from .files.survey_json import write_survey as write_survey

@@ -134,7 +134,7 @@ def export(
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     """Return what a format takes of a file: stations, a calibration or the result of a survey."""
     from ..files.calibration_reading import read_calibration
-    from ..files.stations_csv import read_stations
+    from ..files.recording_csv import read_stations
     from ..files.survey_json import is_survey_result, read_survey_result
 
     if to in STATIONS:

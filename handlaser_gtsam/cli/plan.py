@@ -80,7 +80,7 @@ def plan(
     """
     from ..errors import InputError
     from ..files.plan_json import plan_text, survey_plan_text
-    from ..files.stations_csv import write_stations
+    from ..files.recording_csv import write_stations
     from ..files.writing import require_outputs, write_text
     from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan

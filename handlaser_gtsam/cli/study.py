@@ -45,8 +45,7 @@ def study(
     from ..files.study_toml import read_study
     from ..files.writing import require_outputs
     from ..validation.runs import count_warnings, summarize_runs
-    from ..validation.study import run_study
-    from ..validation.workers import workers
+    from ..validation.study import run_study, workers
 
     declared = read_study(file)
     if runs is not None:

@@ -122,7 +122,7 @@ def converted_survey(
         Also a bag, which has no table of points that would stay as it is.
     """
     from ..files.logs.bags import is_bag
-    from ..files.stations_csv import write_stations
+    from ..files.recording_csv import write_stations
     from ..files.survey_reading import describe_survey
     from ..files.writing import require_outputs
 

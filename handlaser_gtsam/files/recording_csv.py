@@ -5,9 +5,14 @@ metres), then `range_NAME` for every beam (metres; empty = no reading), and opti
 where readings are means: how many independent readings each is worth. The separator is a comma, a
 semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_columns`. How lines
 become rows stands in `table`.
+
+Stations to drive to are a recording without readings: `plane`, `station`, `x, y, z, qx, qy, qz, qw`,
+and with an arm `joint_NAME` for each of its joints (radians; metres where it slides). Who fills in
+`range_NAME` for every beam has a recording; columns of ranges are ignored there.
 """
 
 import re
+from dataclasses import replace
 from difflib import SequenceMatcher
 from pathlib import Path
 
@@ -34,6 +39,8 @@ QUATERNION_TOLERANCE = 1e-3
 """Largest difference of a quaternion's length from 1: controllers write six digits or fewer."""
 MISSPELT = 0.75
 """Likeness to `range` (difflib) above which the name of a column is a misspelt beam and not ignored."""
+JOINT = "joint_"
+"""Before the names of joints; a recording ignores such columns."""
 
 
 def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
@@ -199,3 +206,41 @@ def _refuse_unread(
     unread = np.array([plane not in read for plane in planes])
     found = f"plane {planes[unread.argmax()]!r} without any reading"
     table.refuse(unread, "plane", "at least one reading of every plane", found)
+
+
+def write_stations(path: Path | str, stations: StationList) -> None:
+    """Write stations; every number reads back as it was.
+
+    Raises
+    ------
+    InputError
+        What is no `StationList`, or a file that cannot be written.
+    """
+    require_kind("stations", stations, StationList)
+    table = station_columns(stations)
+    if stations.joints is not None:
+        names = [JOINT + name for name in stations.joint_names]
+        table = table.hstack(pl.DataFrame(stations.joints, schema=names, orient="row"))
+    write_text(path_of(path), table.write_csv())
+
+
+def read_stations(path: Path | str) -> StationList:
+    """Read the stations of a file, in their order; a recording is such a file, too.
+
+    Raises
+    ------
+    InputError
+        The first fault of the file: its line and column, what was found, what was expected.
+    """
+    table = read_table(path_of(path), ("plane", *POSE))
+    table.require("plane", *POSE)
+    last = table.frame.columns[-1]
+    if last in POSE or last.startswith(JOINT):
+        table.refuse_cut()
+    stations = stations_of(table)
+    columns = [name for name in table.frame.columns if name.startswith(JOINT)]
+    if not columns:
+        return stations
+    joints = np.stack([column_numbers(table, name) for name in columns], axis=1)
+    names = tuple(name.removeprefix(JOINT) for name in columns)
+    return replace(stations, joints=joints, joint_names=names)

@@ -24,14 +24,16 @@ from .figure import GREY, MOST_POINTS, Figure, evenly, label, numbers
 from .page import page_of, script_of, sections_of
 from .scene import AXIS_SIZE, Geometry, plate, scene_figure
 from .survey_figures import (
+    Seen,
     along_the_rays,
     by_station,
     by_target,
     in_hand,
+    labels_of,
     on_targets,
     profiles,
+    seen_by_all,
 )
-from .survey_seen import Seen, labels_of, seen_by_all
 
 SECTIONS = {
     "verdict": "",
