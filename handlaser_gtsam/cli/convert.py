@@ -95,11 +95,12 @@ def _known(
     from ..files.logs.format import LogFormat
     from ..files.rig_toml import with_stated
     from ..model.sensor import Sensor
+    from ..quantities import MM
 
     if rig is not None:
         from ..files.rig_toml import known_rig  # loads GTSAM, which needs memory of its own
 
         known = known_rig(rig, {"range_mm": range_mm} | log.stated())
         return known.log, known.sensor, known.noise.range_sigma, known
-    sensor = Sensor() if range_mm is None else Sensor(1e-3 * range_mm[0], 1e-3 * range_mm[1])
+    sensor = Sensor() if range_mm is None else Sensor(MM * range_mm[0], MM * range_mm[1])
     return with_stated(LogFormat(), log.stated()), sensor, None, None

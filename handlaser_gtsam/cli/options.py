@@ -167,12 +167,13 @@ class Model:
 def metres(at_range_mm: float | None) -> float | None:
     """Return the reading of --at-range-mm in metres."""
     from ..checks import require_number
-    from ..quantities import LARGEST_LENGTH
+    from ..quantities import IN_MM, LARGEST_LENGTH, MM
 
     if at_range_mm is None:
         return None
-    require_number("--at-range-mm", at_range_mm, -1e3 * LARGEST_LENGTH, 1e3 * LARGEST_LENGTH)
-    return 1e-3 * at_range_mm
+    most = LARGEST_LENGTH * IN_MM
+    require_number("--at-range-mm", at_range_mm, -most, most)
+    return at_range_mm * MM
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from ..quantities import IN_MM
+from ..quantities import IN_MM, IN_PERCENT
 from ..text import count
 from .answer import Answer, print_wrapped, text_width, wrote
 from .stopping import NOT_USABLE, UNDETERMINED, left_open
@@ -233,7 +233,7 @@ def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
     yield result.calibration.verdict
     yield (
         f"SciPy, point by point, differs by {reference.largest:.2g} standard deviations at most "
-        f"({reference.parameter}); standard deviations by {100.0 * reference.largest_sigma:.2g} %"
+        f"({reference.parameter}); standard deviations by {IN_PERCENT * reference.largest_sigma:.2g} %"
     )
     groups = ("without ", result.targets), ("without 30 % of the stations, draw ", result.splits)
     for words, some in groups:

@@ -22,13 +22,14 @@ from ..estimation.mixture import mixture_quantiles
 from ..model.distributions import CONFIDENCE, chi2_sf, gaussian_quantile, student_quantile
 from ..model.effects import EFFECTS
 from ..model.effects.effect import size_in_words
+from ..model.families import OF_DIRECTION
 from ..model.joint import Correlation, JointCovariance
 from ..model.losses import LossName
 from ..model.sensor import BY_LIMITS, Rejected
 from ..model.weighting import Variances
 from ..observability.rank import Indices
 from ..observability.wording import OpenPart
-from ..quantities import IN_MM
+from ..quantities import IN_MM, IN_PERCENT
 from .lines import decimals
 from .systematic import SystematicError
 
@@ -79,7 +80,7 @@ class Beam(Value):
     @property
     def direction_sigma(self) -> float | None:
         """Largest standard deviation over the tangent plane [rad]; infinite if open."""
-        return _largest_sigma(self.sigma, self.covariance, slice(3, 6))
+        return _largest_sigma(self.sigma, self.covariance, OF_DIRECTION)
 
     @property
     def range_error_sigma(self) -> FloatArray | None:
@@ -290,7 +291,7 @@ class FreedEffect(Value):
     @property
     def brief(self) -> str:
         """The size with its standard deviation."""
-        scale, unit = (IN_MM, "mm") if self.unit == "m" else (100.0, "%")
+        scale, unit = (IN_MM, "mm") if self.unit == "m" else (IN_PERCENT, "%")
         places = decimals(self.sigma * scale, 4)
         return f"{self.size * scale:.{places}f} +- {self.sigma * scale:.{places}f} {unit}"
 

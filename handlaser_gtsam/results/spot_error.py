@@ -39,7 +39,15 @@ from ..checks import require_number
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
 from ..model.distributions import CONFIDENCE, chi2_quantile, f_quantile
-from ..model.families import BEAM, MOUNT_DIM, OF_RANGE_ERROR, PLANE, modelled
+from ..model.families import (
+    BEAM,
+    MOUNT_DIM,
+    OF_DIRECTION,
+    OF_LOCATION,
+    OF_RANGE_ERROR,
+    PLANE,
+    modelled,
+)
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, SINGULAR
@@ -156,7 +164,7 @@ def variance_shares(
     if of == "spot":
         J[:, rows] = spot_at(calibration, calibration.beams[beam], reading)[1]
     else:
-        J[np.arange(3), rows[{"location": slice(0, 3), "direction": slice(3, 6)}[of]]] = 1.0
+        J[np.arange(3), rows[{"location": OF_LOCATION, "direction": OF_DIRECTION}[of]]] = 1.0
     whole = float(np.trace(J @ S @ J.T))
     if whole <= 0.0:
         return VarianceShares(0.0, 0.0, 0.0)

@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import CalibrationWarning
 from ..model.distributions import FEW_DEGREES
 from ..model.effects import EFFECTS, may_also_be
-from ..quantities import IN_MM
+from ..quantities import IN_MM, IN_PERCENT
 from ..text import count, some
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import NAMES_IN_LINE
@@ -146,7 +146,7 @@ def _largest_share(
     if not share > 0.5:  # a cause of more than half of the variance is worth the first word
         return None
     return Improvement(
-        code, words.format(f"{100.0 * min(share, 0.99):.0f} % of the variance"), share
+        code, words.format(f"{IN_PERCENT * min(share, 0.99):.0f} % of the variance"), share
     )
 
 

@@ -22,7 +22,7 @@ from ...data.recording import Recording
 from ...data.screen import FINEST_STEP, worth_of_mean
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
-from ...quantities import MEDIAN_TO_SIGMA
+from ...quantities import IN_MM, MEDIAN_TO_SIGMA
 from ...text import count
 from .format import Average, LogFormat
 from .joining import Stations
@@ -102,7 +102,7 @@ def assembled(
     if repeated:
         words = f"{repeated} repeated readings became their {given.average}s"
         if scatter is not None:
-            words += f"; one reading scatters by {1e3 * scatter:.3g} mm"
+            words += f"; one reading scatters by {IN_MM * scatter:.3g} mm"
             words += (
                 ", which is taken as range sigma where none is given"
                 if given.range_sigma_from_scatter
