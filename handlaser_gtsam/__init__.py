@@ -100,9 +100,9 @@ if TYPE_CHECKING:
     from .results.calibration import Calibration as Calibration
     from .results.graph_reading import read_graph as read_graph
     from .results.limits import Limits as Limits
-    from .results.measuring import measured_plane as measured_plane
-    from .results.measuring import spot as spot
     from .results.mounts import Mounts as Mounts
+    from .results.spot_error import measured_plane as measured_plane
+    from .results.spot_error import spot as spot
     from .session.session import Session as Session
     from .solvers.levenberg import optimize as optimize
     from .validation import scenes as scenes

@@ -15,8 +15,7 @@ from handlaser_gtsam.model.distributions import chance, contradicted
 from handlaser_gtsam.model.effects import EFFECTS
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
-from handlaser_gtsam.results.measuring import spot
-from handlaser_gtsam.results.spot_error import VarianceShares, radius, variance_shares
+from handlaser_gtsam.results.spot_error import VarianceShares, radius, spot, variance_shares
 from handlaser_gtsam.results.verdict import improvement, verdict
 from handlaser_gtsam.validation.leave_out import verdict_of_validation
 from handlaser_gtsam.validation.scenes import Layout

@@ -26,8 +26,8 @@ from ..solvers.graph import PosePriors, build_graph, pose_priors
 from ..solvers.levenberg import Status, levenberg_marquardt
 from ..solvers.sums import eliminated_sums
 from ..text import count
-from .covariance import covariance_by_gtsam, numbered
 from .options import CalibrationOptions
+from .posterior import covariance_by_gtsam, numbered
 from .solution import Minimum, Solution
 
 WEIGHTS_SETTLED = 1e-5

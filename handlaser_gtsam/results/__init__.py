@@ -7,8 +7,6 @@ if TYPE_CHECKING:
     from ..model.joint import Coordinate as Coordinate
     from ..model.joint import Correlation as Correlation
     from .limits import LimitCheck as LimitCheck
-    from .measuring import MeasuredPlane as MeasuredPlane
-    from .measuring import Spot as Spot
     from .reports import Beam as Beam
     from .reports import BeamMixture as BeamMixture
     from .reports import Determined as Determined
@@ -19,6 +17,8 @@ if TYPE_CHECKING:
     from .reports import RangeErrorScales as RangeErrorScales
     from .reports import ScaledSolution as ScaledSolution
     from .reports import StartReport as StartReport
+    from .spot_error import MeasuredPlane as MeasuredPlane
+    from .spot_error import Spot as Spot
     from .spot_error import VarianceShares as VarianceShares
     from .survey import BeamMount as BeamMount
     from .survey import RejectedShot as RejectedShot

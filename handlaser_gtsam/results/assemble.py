@@ -11,8 +11,7 @@ import numpy as np
 from ..data.parameters import RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from ..estimation.covariance import covariance_of_determined
-from ..estimation.posterior import ScaleEstimate
+from ..estimation.posterior import ScaleEstimate, covariance_of_determined
 from ..estimation.scales import RANGE
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution

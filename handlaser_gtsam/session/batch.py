@@ -9,9 +9,8 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording, join
-from ..estimation.covariance import covariance, covariance_by_gtsam
 from ..estimation.learned import LearnedScales, ScaleProblem
-from ..estimation.posterior import posterior
+from ..estimation.posterior import covariance, covariance_by_gtsam, posterior
 from ..estimation.selection import Selection
 from ..estimation.solution import Minimum, Solution
 from ..estimation.task import WEIGHTS_SETTLED

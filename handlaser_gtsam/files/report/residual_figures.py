@@ -9,7 +9,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...model.distributions import CONFIDENCE, beta_quantile, gaussian_quantile
 from ...quantities import IN_DEG, IN_MM
-from ..json_text import Record
+from ..checked_text import Record
 from .figure import (
     COLOURS,
     GREY,

@@ -19,7 +19,7 @@ from ...results.description.tables import (
 )
 from ...results.limits import LimitCheck
 from ...results.survey import SurveyCalibration
-from ..json_text import Record
+from ..checked_text import Record
 from .figure import GREY, MOST_POINTS, Figure, evenly, label, numbers
 from .page import page_of, script_of, sections_of
 from .scene import AXIS_SIZE, Geometry, plate, scene_figure

@@ -17,7 +17,7 @@ from ...model.families import BEAM, bases
 from ...model.sensors.kinds import KINDS
 from ...quantities import IN_MM
 from ...results.survey import SensorMount, SurveyCalibration, SurveyTarget
-from ..json_text import Record
+from ..checked_text import Record
 from .figure import (
     GREY,
     MOST_POINTS,
