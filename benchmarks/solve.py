@@ -43,7 +43,7 @@ from rich.table import Table
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings, Recording
-from handlaser_gtsam.estimation.covariance import covariance
+from handlaser_gtsam.estimation.posterior import covariance
 from handlaser_gtsam.estimation.solution import Solution
 from handlaser_gtsam.estimation.task import SolutionTask
 from handlaser_gtsam.pipeline import calibrate

@@ -18,7 +18,7 @@ from typing import Self, TypeVar
 
 from rich.progress import Progress
 
-from handlaser_gtsam.validation.workers import run_blocks, workers
+from handlaser_gtsam.validation.study import run_blocks, workers
 
 PARTS = 200
 """Most parts of a study that are handed to workers, and written, by themselves."""

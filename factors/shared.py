@@ -3,6 +3,10 @@
 While Python owns the Values, a driver evaluates every reading at once in NumPy and the factors only
 hand out their rows. The sharing is scoped: it holds inside `with shared.handed_out(evaluation)` and
 only for the Values of that evaluation; a factor met anywhere else evaluates its own block.
+
+iSAM2 owns its Values and decides itself which factors to relinearise: two of them, or all. Within
+one update they are all linearised at the same Values. So blocks evaluate themselves at first, and once
+more than a few have been asked for, all of them are evaluated at once (`Gathering`).
 """
 
 from collections.abc import Hashable, Iterator, Sequence
@@ -19,25 +23,29 @@ from handlaser_gtsam.arrays import FloatArray, IntArray, gathered
 from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.model.families import DIRECTION, LOCATION, RANGE_ERROR
-from handlaser_gtsam.model.weighting import Whitening
+from handlaser_gtsam.model.weighting import Whitening, joined
 
-from .block import RangeBlock, range_error
-from .evaluation import (
+from .block import (
     NORMAL_COLUMNS,
     OFFSET_COLUMN,
     PLANE_COLUMNS,
     POSE_COLUMNS,
     Evaluation,
+    RangeBlock,
     Share,
     beam_columns,
     evaluation,
     other_columns,
+    range_error,
 )
 
 Item = TypeVar("Item", bound=Hashable)
 
 SLAB = 4096
 """Rows evaluated at once: their intermediate arrays stay in the processor's cache."""
+
+FEW_BLOCKS = 10
+"""Blocks that evaluate themselves before all are evaluated together: for few that takes longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,3 +244,42 @@ def _unique(items: Sequence[Item]) -> tuple[list[Item], IntArray]:
     """Return the different items and, for each of `items`, its index among them."""
     number = {item: i for i, item in enumerate(dict.fromkeys(items))}
     return list(number), np.array([number[item] for item in items], dtype=np.intp)
+
+
+class Gathering:
+    """Counts how many blocks are asked for, and evaluates all of them when they are many."""
+
+    def __init__(self, blocks: Sequence[RangeBlock]) -> None:
+        self.blocks, self._asked, self._together = blocks, 0, False
+
+    def share(self, block: RangeBlock, values: gtsam.Values) -> Share | None:
+        """Return the rows of `block`, or None where it is to evaluate itself."""
+        self._asked += 1
+        if self._asked <= FEW_BLOCKS or len(self.blocks) <= 2 * FEW_BLOCKS:
+            return None
+        if not self._together:
+            self._evaluate(values)
+        return block.prepared
+
+    def _evaluate(self, values: gtsam.Values) -> None:
+        whitenings = []
+        for block in self.blocks:
+            rows = np.arange(len(block.distance))
+            plain = Whitening(np.ones(len(rows)), 1.0, rows)
+            whitenings.append(plain if block.whitening is None else block.whitening)
+        shared = SharedEvaluation(self.blocks, joined(whitenings))
+        shared.hand_out(shared.evaluate(values))
+        self._together = True
+
+
+@contextmanager
+def evaluated_together(blocks: Sequence[RangeBlock]) -> Iterator[None]:
+    """Let the blocks evaluate together inside the context; the Values must not change in it."""
+    gathering = Gathering(blocks)
+    try:
+        for block in blocks:
+            block.gathering = gathering
+        yield
+    finally:
+        for block in blocks:
+            block.gathering = block.prepared = None

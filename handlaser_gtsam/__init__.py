@@ -81,28 +81,28 @@ if TYPE_CHECKING:
     from .files.logs.reading import describe_log as describe_log
     from .files.logs.reading import read_log as read_log
     from .files.recording_csv import read_recording as read_recording
+    from .files.recording_csv import read_stations as read_stations
     from .files.recording_csv import write_recording as write_recording
+    from .files.recording_csv import write_stations as write_stations
     from .files.report.options import ReportOptions as ReportOptions
     from .files.report.page import write_report as write_report
     from .files.report.pictures import plot as plot
     from .files.report.pictures import write_pictures as write_pictures
     from .files.rig_toml import read_rig as read_rig
-    from .files.stations_csv import read_stations as read_stations
-    from .files.stations_csv import write_stations as write_stations
     from .files.study_results import write_study_picture as write_study_picture
     from .files.study_toml import read_study as read_study
     from .files.survey_json import write_survey as write_survey
     from .files.survey_reading import read_survey as read_survey
-    from .model.effects.plausible import Plausible as Plausible
+    from .model.effects import Plausible as Plausible
     from .model.sensor import Sensor as Sensor
     from .pipeline import calibrate as calibrate
     from .planning.plan import plan as plan
     from .results.calibration import Calibration as Calibration
     from .results.graph_reading import read_graph as read_graph
     from .results.limits import Limits as Limits
-    from .results.measuring import measured_plane as measured_plane
-    from .results.measuring import spot as spot
     from .results.mounts import Mounts as Mounts
+    from .results.spot_error import measured_plane as measured_plane
+    from .results.spot_error import spot as spot
     from .session.session import Session as Session
     from .solvers.levenberg import optimize as optimize
     from .validation import scenes as scenes

@@ -7,9 +7,8 @@ import numpy as np
 
 from .checks import require_kind
 from .data.noise import Noise
-from .data.ordering import sorted_readings
 from .data.parameters import Parameters
-from .data.recording import Recording
+from .data.recording import Recording, sorted_readings
 from .data.screen import screened
 from .data.survey import Survey, beyond_planes
 from .errors import CalibrationWarning, InputError

@@ -16,6 +16,8 @@ IN_MM = 1e3
 """A metre in millimetres."""
 IN_DEG = 180.0 / math.pi
 """A radian in degrees."""
+IN_PERCENT = 100.0
+"""The whole in percent."""
 KNOWN = 0.1
 """What is known worse than to this part of its natural unit, the range or 1, is not determined."""
 WIDEST_CONE = math.pi / 3.0

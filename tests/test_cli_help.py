@@ -13,7 +13,7 @@ from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.examples import EXAMPLES
-from handlaser_gtsam.cli.log_level import LogLevel, logging_at
+from handlaser_gtsam.cli.options import LogLevel, logging_at
 from handlaser_gtsam.cli.verbs import VERBS
 
 RECORDING = GRIPPER / "recording.csv"

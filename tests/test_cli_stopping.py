@@ -10,7 +10,7 @@ import time
 import pytest
 from helpers import first_and_slow, simulated
 
-from handlaser_gtsam.cli.progress_line import QUIET_S, Working
+from handlaser_gtsam.cli.answer import QUIET_S, Working
 from handlaser_gtsam.cli.stopping import CtrlC
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.progress import tell
@@ -32,12 +32,12 @@ main()
 COMPUTING = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from handlaser_gtsam.cli import main, progress_line
-listen = progress_line.Working._listen
+from handlaser_gtsam.cli import answer, main
+listen = answer.Working._listen
 def listened(self, told):
     print("ready", flush=True)
     listen(self, told)
-progress_line.Working._listen = listened
+answer.Working._listen = listened
 main()
 """
 """Says so when the computation has begun."""

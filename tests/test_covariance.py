@@ -8,12 +8,11 @@ import pytest
 from helpers import simulated
 
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.estimation.covariance import covariance, covariance_of_determined
+from handlaser_gtsam.estimation.posterior import covariance, covariance_of_determined
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.rank import observability
-from handlaser_gtsam.solvers.graph import build_graph, read_parameters
+from handlaser_gtsam.solvers.graph import build_graph, pose_priors, read_parameters
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt, linearize
-from handlaser_gtsam.solvers.poses import pose_priors
 from handlaser_gtsam.validation.scenes import Layout
 
 SIGMA = 3e-5

@@ -8,7 +8,7 @@ from helpers import GRIPPER, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.planning.history import history
-from handlaser_gtsam.solvers import objectives
+from handlaser_gtsam.solvers import levenberg
 from handlaser_gtsam.validation.held_out import USUAL_SPLITS, WholeSolution, held_out
 from handlaser_gtsam.validation.scenes import Layout
 
@@ -55,9 +55,9 @@ def test_nothing_is_calibrated_anew(gripper, monkeypatch):
     noise, options = CASES["exact poses"]
     calibration, solved = hl.calibrate(gripper, noise, options), []
     monkeypatch.setattr(
-        objectives,
+        levenberg,
         "damped_step",
-        lambda *of, solve=objectives.damped_step: solved.append(1) or solve(*of),
+        lambda *of, solve=levenberg.damped_step: solved.append(1) or solve(*of),
     )
     held_out(calibration)
     assert not solved

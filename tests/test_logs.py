@@ -27,8 +27,7 @@ from benchmarks.log_conventions import (
     study,
 )
 from handlaser_gtsam.cli.log_options import Log
-from handlaser_gtsam.files.rig_log import LogTable
-from handlaser_gtsam.files.rig_toml import with_log_table
+from handlaser_gtsam.files.rig_toml import LogTable, with_log_table
 from handlaser_gtsam.model.conventions import FORMATS, formats_of
 
 

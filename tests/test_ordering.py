@@ -7,7 +7,7 @@ import pytest
 from helpers import simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.data.ordering import sorted_readings
+from handlaser_gtsam.data.recording import sorted_readings
 from handlaser_gtsam.validation.scenes import Layout
 
 

@@ -10,8 +10,7 @@ import handlaser_gtsam as hl
 from benchmarks.garbage import distance, with_garbage
 from handlaser_gtsam import model
 from handlaser_gtsam.observability.rank import observability
-from handlaser_gtsam.outliers.leverage import leverages, standardized
-from handlaser_gtsam.outliers.snooping import screen
+from handlaser_gtsam.outliers.snooping import leverages, screen, standardized
 from handlaser_gtsam.starts.directions import direction_starts
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import robust_search

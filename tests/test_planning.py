@@ -23,8 +23,8 @@ from handlaser_gtsam.planning.information import outlook, station_rows, updated
 from handlaser_gtsam.planning.task import goal_rows, spot_rows
 from handlaser_gtsam.planning.way import divided, shortest
 from handlaser_gtsam.planning.workspace import candidates, inside, joined, safe
-from handlaser_gtsam.results.measuring import spot
 from handlaser_gtsam.results.mounts import Mounts
+from handlaser_gtsam.results.spot_error import spot
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Stations, simulate
 

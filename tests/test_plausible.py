@@ -8,8 +8,7 @@ from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 from benchmarks.cell_mistakes import make_cell
-from handlaser_gtsam.model.effects import EFFECTS
-from handlaser_gtsam.model.effects.plausible import KINDS
+from handlaser_gtsam.model.effects import EFFECTS, KINDS
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.information import recorded_rows, with_errors
 from handlaser_gtsam.results.limits import Limits

@@ -6,8 +6,8 @@ from scipy.special import ndtr
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.mixture import mixture_quantiles
-from handlaser_gtsam.results.correlations import Coordinate, Correlation, strong_correlations
-from handlaser_gtsam.results.measuring import measured_plane, spot
+from handlaser_gtsam.model.joint import Coordinate, Correlation, strong_correlations
+from handlaser_gtsam.results.spot_error import measured_plane, spot
 
 READING = 0.015
 

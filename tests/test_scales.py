@@ -13,7 +13,6 @@ import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.estimation import learned
-from handlaser_gtsam.estimation.contrasts import worst_known
 from handlaser_gtsam.estimation.information import Information, LinearReadings, NoiseSet
 from handlaser_gtsam.estimation.learned import ScaleProblem
 from handlaser_gtsam.estimation.mixture import BeamPosterior
@@ -25,6 +24,7 @@ from handlaser_gtsam.estimation.range_error_grid import (
     near_largest,
     refined_grid,
     widest_grid,
+    worst_known,
 )
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
 from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS

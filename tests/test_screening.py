@@ -10,9 +10,13 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.odd_readings import logged
-from handlaser_gtsam.data.columns import RepeatedColumnError, refuse_repeated_columns
-from handlaser_gtsam.data.screen import without_codes
-from handlaser_gtsam.data.stations import merged_stations, pose_groups
+from handlaser_gtsam.data.screen import (
+    RepeatedColumnError,
+    merged_stations,
+    pose_groups,
+    refuse_repeated_columns,
+    without_codes,
+)
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 

@@ -12,12 +12,11 @@ from handlaser_gtsam import model
 from handlaser_gtsam.model import search as damped
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers import consensus
-from handlaser_gtsam.outliers.leverage import leverages
-from handlaser_gtsam.outliers.snooping import price
+from handlaser_gtsam.outliers.snooping import leverages, price
 from handlaser_gtsam.results import rereading
 from handlaser_gtsam.solvers.refine import Refined
 from handlaser_gtsam.starts import choice, robust
-from handlaser_gtsam.starts.excerpt import excerpt_of
+from handlaser_gtsam.starts.growing import excerpt_of
 from handlaser_gtsam.starts.search import Candidate, Round, search
 from handlaser_gtsam.validation.scenes import Layout
 

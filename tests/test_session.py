@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.factors import RangeBlock, gathered
+from handlaser_gtsam.factors import RangeBlock, evaluated_together
 from handlaser_gtsam.model import tangent_basis
 from handlaser_gtsam.model.joint import beams_lift
 from handlaser_gtsam.session.fitted import fit_plane
@@ -409,7 +409,7 @@ def test_many_blocks_evaluate_together_as_each_does_alone():
         return found
 
     alone = rows()
-    with gathered(blocks):
+    with evaluated_together(blocks):
         together = rows()
         assert blocks[-1].prepared is not None
     assert blocks[-1].prepared is None

@@ -22,8 +22,7 @@ from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.blocks import lifted_starts, sweep_starts
 from handlaser_gtsam.starts.choice import mean_squares_at_a_glance
 from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
-from handlaser_gtsam.starts.excerpt import excerpt_of
-from handlaser_gtsam.starts.growing import PartialStart, grow
+from handlaser_gtsam.starts.growing import PartialStart, excerpt_of, grow
 from handlaser_gtsam.starts.translations import (
     translation_start,
     translation_start_with_range_errors,

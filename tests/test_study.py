@@ -22,8 +22,7 @@ from handlaser_gtsam import run_study
 from handlaser_gtsam.validation import Case, Study
 from handlaser_gtsam.validation.scenes import Layout, draw_scene
 from handlaser_gtsam.validation.simulate import Errors
-from handlaser_gtsam.validation.study import solve_runs
-from handlaser_gtsam.validation.workers import ATTEMPTS, run_blocks
+from handlaser_gtsam.validation.study import ATTEMPTS, run_blocks, solve_runs
 
 EXACT = hl.Noise(3e-5, 0.0, 0.0)
 PAPER = partial(draw_scene, layout=Layout(2, 3, 11), errors=Errors(3e-5))
@@ -343,7 +342,7 @@ def test_a_dask_cluster_gives_the_same_rows_though_a_worker_dies(tmp_path):
 
 @pytest.mark.skipif(not HAS_DASK, reason="needs dask.distributed")
 def test_no_scheduler_is_said_in_one_line(tmp_path, handlaser, monkeypatch):
-    monkeypatch.setattr("handlaser_gtsam.validation.workers.CONNECTS_WITHIN", 0.5)
+    monkeypatch.setattr("handlaser_gtsam.validation.study.CONNECTS_WITHIN", 0.5)
     path = declared(tmp_path, STUDY)
     code, _, err = handlaser("study", path, "--scheduler", "tcp://127.0.0.1:1")
     assert code == 2

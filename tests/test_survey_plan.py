@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.rigs import EXACT
-from handlaser_gtsam.files.stations_csv import write_stations
+from handlaser_gtsam.files.recording_csv import write_stations
 from handlaser_gtsam.planning.survey import plan_survey
 from handlaser_gtsam.planning.workspace import Workspace
 

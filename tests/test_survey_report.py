@@ -18,8 +18,8 @@ from handlaser_gtsam.files.report.survey_figures import (
     in_hand,
     on_targets,
     profiles,
+    seen_by_all,
 )
-from handlaser_gtsam.files.report.survey_seen import seen_by_all
 
 FOLDER = ROOT / "examples" / "profiler"
 WRONG = 4

@@ -12,17 +12,16 @@ from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings
 from handlaser_gtsam.estimation.options import CalibrationOptions
-from handlaser_gtsam.estimation.solve import settle
-from handlaser_gtsam.model.distributions import needed, two_sided
+from handlaser_gtsam.estimation.selection import settle
+from handlaser_gtsam.model.distributions import FAMILY_LEVEL as LEVEL
+from handlaser_gtsam.model.distributions import holm, needed, two_sided
 from handlaser_gtsam.model.effects import EFFECTS
-from handlaser_gtsam.model.effects.tool_displaced import DIRECTIONS
+from handlaser_gtsam.model.effects.of_robot import DIRECTIONS
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import BeamAndPlaneNames
 from handlaser_gtsam.quantities import POWER
 from handlaser_gtsam.results.projection import LinearRows
 from handlaser_gtsam.results.score_tests import ScoreTests, alike
-from handlaser_gtsam.results.significance import FAMILY_LEVEL as LEVEL
-from handlaser_gtsam.results.significance import holm
 from handlaser_gtsam.results.systematic import systematic_errors
 
 SIGMA = 1e-4

@@ -9,7 +9,7 @@ from helpers import bench, by_reading, motion, recording_of
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
-from handlaser_gtsam.estimation.covariance import covariance
+from handlaser_gtsam.estimation.posterior import covariance
 from handlaser_gtsam.model import search as searching
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.reduction import damped_step

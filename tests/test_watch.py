@@ -28,7 +28,7 @@ pytest.importorskip("uvicorn", reason="needs the extra watch")
 from watching import HOSTILE_BEAMS, Client, Sent, answer, until, watching, write_hostile
 
 from handlaser_gtsam.files.report.page import SECTIONS
-from handlaser_gtsam.files.watch import patience
+from handlaser_gtsam.files.watch import server as serving_module
 from handlaser_gtsam.files.watch.follower import Follower
 from handlaser_gtsam.files.watch.guard import HostNames, names_of
 from handlaser_gtsam.files.watch.hub import Hub
@@ -159,7 +159,7 @@ def test_who_stops_reading_costs_little_and_holds_up_nobody(server, look_on):
 
 
 def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
-    monkeypatch.setattr(patience, "READ_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(serving_module, "READ_TIMEOUT_S", 0.3)
     stopped, live = look_on(server.port, buffer=4 * KIB, begin=False), look_on(server.port)
     until(lambda: server.clients == 2)
     for number in range(30):
@@ -174,7 +174,7 @@ def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
 
 def test_who_does_not_finish_a_request_is_hung_up_on(server, monkeypatch, look_on):
     """One byte a while would hold a connection for ever."""
-    monkeypatch.setattr(patience, "HEAD_TIMEOUT_S", 0.4)
+    monkeypatch.setattr(serving_module, "HEAD_TIMEOUT_S", 0.4)
     live = look_on(server.port)
     until(lambda: server.clients == 1)
     with socket.create_connection(("127.0.0.1", server.port)) as slow:
@@ -188,7 +188,7 @@ def test_who_does_not_finish_a_request_is_hung_up_on(server, monkeypatch, look_o
 
 
 def test_connections_are_limited(server, monkeypatch, look_on):
-    monkeypatch.setattr(patience, "MOST_CLIENTS", 1)
+    monkeypatch.setattr(serving_module, "MOST_CLIENTS", 1)
     live = look_on(server.port)
     until(lambda: server.clients == 1)
     with contextlib.ExitStack() as stack:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped, text_width, wrote
+from .answer import Answer, Working, print_wrapped, text_width, wrote
 from .options import (
     AtRangeOption,
     Given,
@@ -21,7 +21,6 @@ from .options import (
     how_option,
     metres,
 )
-from .progress_line import Working
 from .stopping import INTERRUPTED, NOT_USABLE, UNDETERMINED
 
 if TYPE_CHECKING:

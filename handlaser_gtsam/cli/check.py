@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped
+from .answer import Answer, Working, print_wrapped
 from .options import JsonOption, RecordingArgument
-from .progress_line import Working
 from .stopping import left_open
 
 if TYPE_CHECKING:

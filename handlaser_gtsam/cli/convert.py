@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped, wrote
+from .answer import Answer, Working, print_wrapped, wrote
 from .log_options import Log
 from .options import QuietOption
-from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..files.logs.format import LogFormat
@@ -94,13 +93,14 @@ def _known(
 ) -> "tuple[LogFormat, Sensor, float | None, Rig | None]":
     """Return how the log is written, the sensor, a reading's sigma if known, and the rig if given."""
     from ..files.logs.format import LogFormat
-    from ..files.rig_log import with_stated
+    from ..files.rig_toml import with_stated
     from ..model.sensor import Sensor
+    from ..quantities import MM
 
     if rig is not None:
         from ..files.rig_toml import known_rig  # loads GTSAM, which needs memory of its own
 
         known = known_rig(rig, {"range_mm": range_mm} | log.stated())
         return known.log, known.sensor, known.noise.range_sigma, known
-    sensor = Sensor() if range_mm is None else Sensor(1e-3 * range_mm[0], 1e-3 * range_mm[1])
+    sensor = Sensor() if range_mm is None else Sensor(MM * range_mm[0], MM * range_mm[1])
     return with_stated(LogFormat(), log.stated()), sensor, None, None

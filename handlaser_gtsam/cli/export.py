@@ -9,9 +9,8 @@ import typer
 
 from ..files.exports.formats import BEAMS, STATIONS, TAKEN
 from ..quantities import MM
-from .answer import print_wrapped, wrote
+from .answer import Working, print_wrapped, wrote
 from .options import QuietOption
-from .progress_line import Working
 
 if TYPE_CHECKING:
     from ..data.station_list import StationList
@@ -135,7 +134,7 @@ def export(
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     """Return what a format takes of a file: stations, a calibration or the result of a survey."""
     from ..files.calibration_reading import read_calibration
-    from ..files.stations_csv import read_stations
+    from ..files.recording_csv import read_stations
     from ..files.survey_json import is_survey_result, read_survey_result
 
     if to in STATIONS:

@@ -12,7 +12,7 @@ from ..errors import CalibrationWarning
 from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from ..progress import tell
-from ..quantities import IN_MM
+from ..quantities import IN_MM, IN_PERCENT
 from ..results.calibration import Calibration
 from ..results.description.tables import Cell, Column, Table, number, text
 from ..session.reports import Comparison, Moved, Update
@@ -101,7 +101,7 @@ def comparison_line(comparison: Comparison) -> str:
     """Say how far plane by plane and all at once are apart."""
     return (
         f"plane by plane and all at once agree to {comparison.largest:.2g} standard deviations; the "
-        f"standard deviations agree to {100.0 * comparison.largest_sigma:.2g} %"
+        f"standard deviations agree to {IN_PERCENT * comparison.largest_sigma:.2g} %"
     )
 
 

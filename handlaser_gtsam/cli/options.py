@@ -1,10 +1,14 @@
 """Options that several verbs share, in groups, and what becomes of them.
 
-A verb takes a group as one argument; `expanded` gives the command line one option a field.
+A verb takes a group as one argument; `expanded` gives the command line one option a field. With
+--log-level, what the package logs goes to stderr, a line each; without it, nothing does.
 """
 
 import functools
 import inspect
+import logging
+import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, is_dataclass
@@ -14,7 +18,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .log_level import LogLevel, LogLevelOption, logging_at
+from ..progress import LOGGER
+from .stopping import CLEAR
 
 if TYPE_CHECKING:
     from ..estimation.options import CalibrationOptions
@@ -51,6 +56,11 @@ KNOWN, HOW = "Noise and sensor, instead of the rig file", "How it is calibrated"
 """Sections of the help, behind the options that most people need."""
 known_option = functools.partial(typer.Option, rich_help_panel=KNOWN)
 how_option = functools.partial(typer.Option, rich_help_panel=HOW)
+LogLevel = StrEnum("LogLevel", "debug info warning error")
+LogLevelOption = Annotated[
+    LogLevel | None,
+    typer.Option(help="Log to stderr: info, the stages; debug, every step of the solver, too."),
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,12 +167,13 @@ class Model:
 def metres(at_range_mm: float | None) -> float | None:
     """Return the reading of --at-range-mm in metres."""
     from ..checks import require_number
-    from ..quantities import LARGEST_LENGTH
+    from ..quantities import IN_MM, LARGEST_LENGTH, MM
 
     if at_range_mm is None:
         return None
-    require_number("--at-range-mm", at_range_mm, -1e3 * LARGEST_LENGTH, 1e3 * LARGEST_LENGTH)
-    return 1e-3 * at_range_mm
+    most = LARGEST_LENGTH * IN_MM
+    require_number("--at-range-mm", at_range_mm, -most, most)
+    return at_range_mm * MM
 
 
 @contextmanager
@@ -219,3 +230,40 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     flat.__annotations__ = {one.name: one.annotation for one in parameters}
     return flat
+
+
+class _Lines(logging.Formatter):
+    """Time since the beginning, level, and what is said, as one printable line.
+
+    On a terminal, behind what takes away the sign of life that may stand in the line.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._began = time.time()
+        self._clear = CLEAR if sys.stderr.isatty() else ""
+
+    def format(self, record: logging.LogRecord) -> str:
+        from ..text import printable
+
+        elapsed = max(record.created - self._began, 0.0)
+        line = f"{elapsed:9.3f} s {record.levelname.lower():7} {record.getMessage()}"
+        return self._clear + printable(line)
+
+
+@contextmanager
+def logging_at(level: LogLevel | None) -> Iterator[None]:
+    """Log to stderr meanwhile."""
+    if level is None or sys.stderr is None:
+        yield
+        return
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(_Lines())
+    before = LOGGER.level
+    LOGGER.addHandler(handler)
+    LOGGER.setLevel(level.value.upper())
+    try:
+        yield
+    finally:
+        LOGGER.removeHandler(handler)
+        LOGGER.setLevel(before)

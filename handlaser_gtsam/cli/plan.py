@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped, wrote
+from .answer import Answer, Working, print_wrapped, wrote
 from .options import Given, JsonOption, Model, QuietOption
-from .progress_line import Working
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -81,7 +80,7 @@ def plan(
     """
     from ..errors import InputError
     from ..files.plan_json import plan_text, survey_plan_text
-    from ..files.stations_csv import write_stations
+    from ..files.recording_csv import write_stations
     from ..files.writing import require_outputs, write_text
     from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan

@@ -9,7 +9,7 @@ from ..planning.advice import pose_words
 from ..planning.goal import Goal
 from ..planning.robot import Robot
 from ..planning.route import VIA, Plan
-from ..quantities import IN_DEG, IN_MM
+from ..quantities import IN_DEG, IN_MM, IN_PERCENT
 from ..text import count
 
 SHOWN_ROWS = 10
@@ -46,8 +46,8 @@ def plan_lines(plan: Plan, goal: Goal) -> Iterator[str]:
         )
     if plan.safe is not None:
         yield (
-            f"all readings are within the sensor's limits for {100.0 * plan.safe:.1f} % of the mounts "
-            "within the bounds"
+            f"all readings are within the sensor's limits for {IN_PERCENT * plan.safe:.1f} % of the "
+            "mounts within the bounds"
         )
     yield from _forecast(plan)
     yield from _enough(plan, goal)

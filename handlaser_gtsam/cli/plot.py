@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped, wrote
+from .answer import Answer, Working, print_wrapped, wrote
 from .options import Given, Model
-from .progress_line import Working
 from .stopping import UNDETERMINED
 
 if TYPE_CHECKING:

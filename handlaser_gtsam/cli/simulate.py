@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import print_wrapped
-from .progress_line import Working
+from .answer import Working, print_wrapped
 
 if TYPE_CHECKING:
     import numpy as np

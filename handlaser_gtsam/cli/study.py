@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped
+from .answer import Answer, Working, print_wrapped
 from .options import JsonOption, QuietOption
-from .progress_line import Working
 
 if TYPE_CHECKING:
     from polars import DataFrame
@@ -46,8 +45,7 @@ def study(
     from ..files.study_toml import read_study
     from ..files.writing import require_outputs
     from ..validation.runs import count_warnings, summarize_runs
-    from ..validation.study import run_study
-    from ..validation.workers import workers
+    from ..validation.study import run_study, workers
 
     declared = read_study(file)
     if runs is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from ..quantities import IN_MM
+from ..quantities import IN_MM, IN_PERCENT
 from ..text import count
 from .answer import Answer, print_wrapped, text_width, wrote
 from .stopping import NOT_USABLE, UNDETERMINED, left_open
@@ -122,7 +122,7 @@ def converted_survey(
         Also a bag, which has no table of points that would stay as it is.
     """
     from ..files.logs.bags import is_bag
-    from ..files.stations_csv import write_stations
+    from ..files.recording_csv import write_stations
     from ..files.survey_reading import describe_survey
     from ..files.writing import require_outputs
 
@@ -155,7 +155,7 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
     import numpy as np
 
     from ..files.survey_json import survey_validation_text
-    from ..results.significance import SINGLE_LEVEL
+    from ..model.distributions import SINGLE_LEVEL
     from ..validation.survey import validate_survey
 
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
@@ -233,7 +233,7 @@ def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
     yield result.calibration.verdict
     yield (
         f"SciPy, point by point, differs by {reference.largest:.2g} standard deviations at most "
-        f"({reference.parameter}); standard deviations by {100.0 * reference.largest_sigma:.2g} %"
+        f"({reference.parameter}); standard deviations by {IN_PERCENT * reference.largest_sigma:.2g} %"
     )
     groups = ("without ", result.targets), ("without 30 % of the stations, draw ", result.splits)
     for words, some in groups:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, print_wrapped
+from .answer import Answer, Working, print_wrapped
 from .options import Given, JsonOption, Model, RecordingArgument
-from .progress_line import Working
 from .stopping import NOT_USABLE
 
 if TYPE_CHECKING:
@@ -99,10 +98,10 @@ def _tested(
     from ..files.calibration_reading import read_mounts
     from ..files.rig_reading import read_with
     from ..files.validation_json import hold_out_text
+    from ..model.distributions import SINGLE_LEVEL
     from ..model.sensor import within
     from ..pipeline import calibrate
     from ..results.mounts import Mounts
-    from ..results.significance import SINGLE_LEVEL
     from ..validation.hold_out import hold_out
     from .validation_tables import hold_out_lines
 

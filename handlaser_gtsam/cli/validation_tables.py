@@ -3,11 +3,11 @@
 import math
 from collections.abc import Iterator
 
+from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..quantities import IN_MM
 from ..results.description.description import Description
 from ..results.description.rendering import full_table
 from ..results.reports import Fit
-from ..results.significance import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import Validation

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from .answer import Working
 from .options import AtRangeOption, Given, Model, metres
-from .progress_line import Working
 
 LOOPBACK = "127.0.0.1"
 EXTRA = ("starlette", "uvicorn")

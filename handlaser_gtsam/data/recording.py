@@ -2,6 +2,11 @@
 
 A station is one hand pose in front of one plane. Columns, not objects: one array a quantity,
 one row a station.
+
+Sums, eliminations and random starts depend on the order of their terms, if only in the last digits. So
+that results do not depend on the order in a file, `sorted_readings` sorts stations by what they hold,
+beams by what they read, and planes by their first station; results are named, and listed, in the order
+of the recording again.
 """
 
 from collections.abc import Sequence
@@ -265,3 +270,26 @@ def join(recordings: Sequence[Recording]) -> Recording:
         samples=samples if averaged else None,
         range_min=min(part.range_min for part in recordings),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Order(Value):
+    """Index in the recording of every station, beam and plane of sorted readings."""
+
+    stations: IntArray
+    beams: IntArray
+    planes: IntArray
+
+
+def sorted_readings(recording: Recording) -> tuple[Readings, Order]:
+    """Return the readings of `recording` in the order that only their content decides."""
+    ranges = np.where(np.isnan(recording.ranges), np.inf, recording.ranges)
+    poses = np.hstack((recording.world_t_hand, recording.world_R_hand.reshape(-1, 9)))
+    content = np.hstack((poses, np.sort(ranges, axis=1)))
+    stations = np.lexsort(content.T[::-1])
+    beams = np.lexsort(ranges[stations][::-1])
+    labels = recording.plane_of_station[stations]
+    seen, first = np.unique(labels, return_index=True)
+    planes = seen[np.argsort(first)]
+    order = Order(frozen_indices(stations), frozen_indices(beams), frozen_indices(planes))
+    return recording.readings_in(order.stations, order.beams, order.planes), order

@@ -6,9 +6,9 @@ For given scales everything is Gaussian. With the typical range D, the range err
 
 sensors of one kind err alike, and the robot's scale does so to all of them. All that may also stand
 along the axes of each beam that readings know least and best; scales and axes have priors, too
-(`range_error_grid`). The means
-over the beams and the contrasts between them make the prior diagonal (`contrasts`). With the widest
-prior let k have the estimate k^ and the covariance V = T T', and let all other unknowns follow it,
+(`range_error_grid`). The means over the beams and the contrasts between them make the prior diagonal
+(`Contrasts`). With the widest prior let k have the estimate k^ and the covariance V = T T', and let all
+other unknowns follow it,
 
     x = m + G (k - k^),   with the covariance P where k is known.
 
@@ -32,9 +32,8 @@ from ..arrays import FloatArray, IntArray
 from ..model.distributions import gaussian_quantile
 from ..model.elimination import LARGE_MATRIX, inverse_and_log_det
 from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, ROUNDING, TINY
-from .contrasts import Contrasts, worst_known
 from .information import Information
-from .range_error_grid import RangeErrorGrid
+from .range_error_grid import Contrasts, RangeErrorGrid, worst_known
 
 LOST_WEIGHT = 1e-4
 """The smallest components, of this weight together, are not kept: quantiles hardly move."""

@@ -17,12 +17,12 @@ from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block
-from ..model.condensed import Mixed, Unexplained
 from ..model.distributions import chi2_quantile, chi2_sf, f_sf
 from ..model.families import BEAM
 from ..model.known import BODY, held
 from ..model.relations import Relation
 from ..model.sensors.mounted import SENSOR
+from ..model.shots import Mixed, Unexplained
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots

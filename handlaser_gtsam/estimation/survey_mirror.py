@@ -45,7 +45,7 @@ images apart makes chi2 differ by the square of standard deviations."""
 STEPS_TO_AN_IMAGE = 100
 """Walls that noise makes lean a little are not quite their own images: a search from the image of one
 sensor alone has chi2 at rest within thirty steps, and its undetermined height perhaps never."""
-TURNS = {SENSOR.name: slice(0, 3), BEAM.name: DIRECTION, PLANE.name: slice(0, 2)}
+TURNS = {SENSOR.name: slice(0, 3), BEAM.name: DIRECTION, PLANE.name: PLANE.tangents[0]}
 """Tangent coordinates of rotations, directions and normals, by family."""
 
 

@@ -9,19 +9,16 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import Known, Shots, Survey, kind_of, normal_label
 from ..model import known as relations
-from ..model.block import Block, Values, Weights
-from ..model.condensed import Mixed, Unexplained
+from ..model.block import Block, Values, VectorPrior, Weights
 from ..model.families import BEAM, PLANE, POSE
 from ..model.lines import condensed_shots
-from ..model.priors import VectorPrior
 from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
-from ..model.sensors.fans import Rayset
-from ..model.sensors.kinds import KINDS
+from ..model.sensors.kinds import KINDS, Rayset
 from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
-from ..model.shots import MOST_SLANTED, Condensed, of_single_readings, some_of
+from ..model.shots import MOST_SLANTED, Condensed, Mixed, Unexplained, of_single_readings, some_of
 from ..model.targets.plane import Plane
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere

@@ -22,13 +22,12 @@ from ..observability.rank import Observability, observability
 from ..progress import Trial, tell_trial
 from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
 from ..solvers.beam_problem import beam_problem, newton_step, require_steep
-from ..solvers.graph import build_graph
+from ..solvers.graph import PosePriors, build_graph, pose_priors
 from ..solvers.levenberg import Status, levenberg_marquardt
-from ..solvers.poses import PosePriors, pose_priors
 from ..solvers.sums import eliminated_sums
 from ..text import count
-from .covariance import covariance_by_gtsam, numbered
 from .options import CalibrationOptions
+from .posterior import covariance_by_gtsam, numbered
 from .solution import Minimum, Solution
 
 WEIGHTS_SETTLED = 1e-5

@@ -12,12 +12,12 @@ from ..model.families import BEAM, OF_RANGE_ERROR
 from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.limits import Limits
-from ..results.measuring import spot
 from ..results.reports import Beam, Fit, NoiseComponent
+from ..results.spot_error import spot
 from ..results.verdict import Verdict
 from ..results.verdict import verdict as verdict_on
 from . import calibration_file as schema
-from .json_text import Record, json_text, record
+from .checked_text import Record, json_text, record
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:

@@ -1,7 +1,11 @@
-"""Text files read, and checked against a schema: the first fault is refused in one line."""
+"""Text files with a schema: read and checked, the first fault refused in one line; and written as JSON.
+
+JSON as this package writes it has SI units, finite numbers only, and two blanks a level.
+"""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self, TypeVar, get_args
@@ -19,6 +23,8 @@ from .writing import path_of
 
 UNITS = {"mm": MM, "deg": DEG, "percent": 0.01}
 """Units that names of fields end with."""
+Record = dict[str, object]
+Json = dict[str, "Json"] | list["Json"] | str | float | int | None
 
 
 class FileRecord(BaseModel):
@@ -225,3 +231,42 @@ def square_matrix(rows: Sequence[Sequence[float]], size: int, field: str) -> Flo
         found = f"{field} of {len(rows)} rows of {sorted(set(lengths))}"
         raise InputError(found, f"{size} rows of {size} numbers")
     return np.array(rows, dtype=np.float64)
+
+
+def json_text(kind: str, content: Record) -> str:
+    """Return a record as JSON text of version 1 of the format `handlaser-KIND`."""
+    whole = {"format": f"handlaser-{kind}", "version": 1, **content}
+    return json.dumps(_plain(whole), indent=2, allow_nan=False) + "\n"
+
+
+def record(source: object, fields: type[BaseModel] | str, **others: object) -> Record:
+    """Return fields of a schema, or of names separated by blanks, in that order.
+
+    A field is one of the `others`, or the attribute of `source` that has its name, or its name but for
+    the unit at the end.
+    """
+    names = fields.split() if isinstance(fields, str) else fields.model_fields
+    return {
+        name: others[name]
+        if name in others
+        else getattr(source, name if hasattr(source, name) else name.rpartition("_")[0])
+        for name in names
+    }
+
+
+def _plain(value: object) -> Json:
+    """Return numbers, arrays, sequences and mappings as JSON has them.
+
+    The infinite standard deviation of what is undetermined, and what is no number, are null.
+    """
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | int):
+        return value
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(name): _plain(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    raise TypeError(f"{type(value).__name__} has no form in JSON")

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from ..planning.route import Plan
 from ..planning.survey import SurveyPlan
-from .json_text import Record, json_text, record
+from .checked_text import Record, json_text, record
 
 
 def plan_text(plan: Plan) -> str:

@@ -15,7 +15,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ..text import shown, some
 from .logs.tables import PARQUET
-from .range_cells import known_numbers
+from .recording_csv import known_numbers
 from .table import Table
 
 if TYPE_CHECKING:

@@ -5,9 +5,18 @@ metres), then `range_NAME` for every beam (metres; empty = no reading), and opti
 where readings are means: how many independent readings each is worth. The separator is a comma, a
 semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_columns`. How lines
 become rows stands in `table`.
+
+Stations to drive to are a recording without readings: `plane`, `station`, `x, y, z, qx, qy, qz, qw`,
+and with an arm `joint_NAME` for each of its joints (radians; metres where it slides). Who fills in
+`range_NAME` for every beam has a recording; columns of ranges are ignored there.
+
+Cells of ranges are readings, or say that there is none: by words, or by numbers that no range has.
 """
 
+import math
 import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from difflib import SequenceMatcher
 from pathlib import Path
 
@@ -18,14 +27,14 @@ from scipy.spatial.transform import Rotation
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
 from ..data.recording import Recording, first_repeated
+from ..data.screen import BY_CHANCE, code_warning, coded_numbers
 from ..data.station_list import StationList
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..model.sensor import Sensor
-from ..quantities import LARGEST_LENGTH
+from ..quantities import LARGEST_LENGTH, MM
 from ..text import A_NAME, name_fault
-from .range_cells import code_warnings, range_numbers
+from .table import Table, column_numbers, labels, read_table
 from .table import Table as _Table
-from .table import column_numbers, labels, read_table
 from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -34,6 +43,10 @@ QUATERNION_TOLERANCE = 1e-3
 """Largest difference of a quaternion's length from 1: controllers write six digits or fewer."""
 MISSPELT = 0.75
 """Likeness to `range` (difflib) above which the name of a column is a misspelt beam and not ignored."""
+JOINT = "joint_"
+"""Before the names of joints; a recording ignores such columns."""
+NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
+"""Words, with a sign or without, by which sensors and programs say that there is no reading."""
 
 
 def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
@@ -199,3 +212,145 @@ def _refuse_unread(
     unread = np.array([plane not in read for plane in planes])
     found = f"plane {planes[unread.argmax()]!r} without any reading"
     table.refuse(unread, "plane", "at least one reading of every plane", found)
+
+
+def write_stations(path: Path | str, stations: StationList) -> None:
+    """Write stations; every number reads back as it was.
+
+    Raises
+    ------
+    InputError
+        What is no `StationList`, or a file that cannot be written.
+    """
+    require_kind("stations", stations, StationList)
+    table = station_columns(stations)
+    if stations.joints is not None:
+        names = [JOINT + name for name in stations.joint_names]
+        table = table.hstack(pl.DataFrame(stations.joints, schema=names, orient="row"))
+    write_text(path_of(path), table.write_csv())
+
+
+def read_stations(path: Path | str) -> StationList:
+    """Read the stations of a file, in their order; a recording is such a file, too.
+
+    Raises
+    ------
+    InputError
+        The first fault of the file: its line and column, what was found, what was expected.
+    """
+    table = read_table(path_of(path), ("plane", *POSE))
+    table.require("plane", *POSE)
+    last = table.frame.columns[-1]
+    if last in POSE or last.startswith(JOINT):
+        table.refuse_cut()
+    stations = stations_of(table)
+    columns = [name for name in table.frame.columns if name.startswith(JOINT)]
+    if not columns:
+        return stations
+    joints = np.stack([column_numbers(table, name) for name in columns], axis=1)
+    names = tuple(name.removeprefix(JOINT) for name in columns)
+    return replace(stations, joints=joints, joint_names=names)
+
+
+def range_numbers(
+    table: Table, columns: Sequence[str], sensor: Sensor, unit: float = 1.0
+) -> tuple[FloatArray, BoolArray]:
+    """Return the ranges (M, C) of columns [m], NaN where there is no reading, and which were codes.
+
+    Parameters
+    ----------
+    table : Table
+    columns : C names
+    sensor : Sensor
+        Its range, where it is stated, tells codes from readings.
+    unit : float
+        Of the cells [m].
+
+    Raises
+    ------
+    InputError
+        A cell that is neither a range nor a code.
+    """
+    each, coded_by_words = zip(*(known_numbers(table, name) for name in columns), strict=True)
+    d, words = np.column_stack(each), np.column_stack(coded_by_words)
+    if unit != 1.0:
+        d = unit * d
+    with np.errstate(invalid="ignore"):
+        impossible = ~sensor.can_read(d) & ~np.isnan(d) if sensor.range_stated else d <= 0.0
+        impossible = (impossible & (d <= 0.0)) | (np.abs(d) > LARGEST_LENGTH)
+    coded = impossible & sensor.range_stated
+    coded |= coded_numbers(d, impossible)
+    least = "a range" if sensor.range_min < 0.0 else "a positive range"
+    units = "millimetres" if unit == MM else "metres"
+    expected = (
+        f"{least} in {units} up to {LARGEST_LENGTH / unit:.0f}, or an empty cell for no reading; "
+        "if the sensor can read this, or says so that it reads nothing, state its range: "
+        "--range-mm MIN MAX, or range_mm in the rig file"
+    )
+    for i, name in enumerate(columns):
+        table.refuse((impossible & ~coded)[:, i], name, expected)
+    d[coded] = np.nan
+    return d, np.asarray(coded | words)
+
+
+def known_numbers(table: Table, name: str) -> tuple[FloatArray, BoolArray]:
+    """Return a column as numbers (M,), NaN where there is none, and where a word says so.
+
+    Raises
+    ------
+    InputError
+        A cell that is no number, not empty, and none of the words for "no reading".
+    """
+    words = _word_codes(table.frame[name])
+    numbers = column_numbers(table, name, empty=True, but=words)
+    numbers[words] = np.nan
+    return numbers, words
+
+
+def code_warnings(
+    table: Table, whose: Mapping[str, Sequence[str]], coded: BoolArray
+) -> tuple[CalibrationWarning, ...]:
+    """Return a warning for every code, as it is written, with its beams and its count.
+
+    Numbers that are no codes, and no distances because the stated range excludes them, share one.
+
+    Parameters
+    ----------
+    table : Table
+    whose : {column: names}
+        The beams of each of C columns: of every cell, or one that holds for the column.
+    coded : (M, C)
+    """
+    found: dict[str, list[str]] = {}
+    for i, (column, names) in enumerate(whose.items()):
+        for row in np.flatnonzero(coded[:, i]).tolist():
+            beam = names[row if len(names) > 1 else 0]
+            found.setdefault(str(table.frame[column][row]), []).append(beam)
+    outside = sorted((cell for cell in found if _is_rare_number(cell, found)), key=float)
+    warnings = [
+        code_warning(f"{cell[:40]!r}", list(dict.fromkeys(every)), len(every))
+        for cell, every in found.items()
+        if cell not in outside
+    ]
+    if outside:
+        ends = [f"{cell[:40]!r}" for cell in dict.fromkeys((outside[0], outside[-1]))]
+        every = [beam for cell in outside for beam in found[cell]]
+        named = list(dict.fromkeys(every))
+        warnings.append(code_warning(" to ".join(ends), named, len(every), stated=True))
+    return tuple(warnings)
+
+
+def _is_rare_number(cell: str, found: Mapping[str, Sequence[str]]) -> bool:
+    """Tell whether a cell is a number that stands too seldom for a code of its own."""
+    try:
+        return math.isfinite(float(cell)) and len(found[cell]) < BY_CHANCE
+    except ValueError:
+        return False
+
+
+def _word_codes(column: pl.Series) -> BoolArray:
+    """Return which cells say in a word, or as no finite number, that there is no reading."""
+    if column.dtype != pl.String:
+        return np.asarray((~column.is_finite()).fill_null(value=False).to_numpy(), dtype=bool)
+    word = column.str.to_lowercase().str.strip_chars_start("+-")
+    return np.asarray(word.is_in(NO_READING).fill_null(value=False).to_numpy(), dtype=bool)

@@ -12,8 +12,7 @@ from ..text import shown
 from .logs.format import LogFormat
 from .logs.report import LogReport
 from .recording_csv import read_recording
-from .rig_log import as_fields
-from .rig_toml import Rig
+from .rig_toml import Rig, as_fields
 
 NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
 BEAMS_BEFORE_PLANES = "beams before planes only"

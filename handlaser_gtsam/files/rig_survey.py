@@ -30,7 +30,7 @@ from ..quantities import DEG, IN_MM, MM
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
 from .points_table import Echo, read_frame, read_points
-from .range_cells import known_numbers
+from .recording_csv import known_numbers
 
 SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
 """All lengths below a millimetre, or readings of more than a hundred metres, are a wrong unit [m]."""

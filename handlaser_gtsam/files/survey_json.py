@@ -10,8 +10,7 @@ from ..results.survey import SurveyCalibration
 from ..results.survey_check import SurveyCheck
 from ..validation.survey import SurveyValidation
 from .calibration_file import Known, Many, Numbers, Vector, Version, WarningRecord
-from .checked_text import FileRecord, json_value, read_checked
-from .json_text import Record, json_text, record
+from .checked_text import FileRecord, Record, json_text, json_value, read_checked, record
 from .writing import path_of, write_text
 
 Matrix = Annotated[Many[Numbers], Field(min_length=3, max_length=3)]

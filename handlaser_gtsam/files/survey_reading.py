@@ -21,8 +21,7 @@ from .logs.reading import OF_READINGS, is_log, refuse_of_a_bag
 from .logs.rows import rows_of
 from .logs.survey_suspicion import refuse_wrong_poses
 from .logs.tables import read_log_table
-from .range_cells import range_numbers
-from .recording_csv import POSE, PREFIX, read_recording, stations_of
+from .recording_csv import POSE, PREFIX, range_numbers, read_recording, stations_of
 from .rig_toml import Rig, read_rig
 from .table import read_table
 from .writing import path_of

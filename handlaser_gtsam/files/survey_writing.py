@@ -15,7 +15,7 @@ from ..model.sensor import Sensor
 from ..model.sensors.kinds import KINDS
 from ..quantities import IN_DEG, IN_MM
 from ..validation.survey_simulate import SurveyTruth
-from .json_text import Record, json_text
+from .checked_text import Record, json_text
 from .points_table import COLUMNS
 from .recording_csv import PREFIX, station_columns
 from .rig_survey import SensorTable

@@ -3,7 +3,7 @@
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import Validation
 from ..validation.prediction import Prediction
-from .json_text import Record, json_text, record
+from .checked_text import Record, json_text, record
 
 
 def validation_text(validation: Validation) -> str:

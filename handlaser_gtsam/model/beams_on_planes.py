@@ -26,8 +26,9 @@ from .weighting import Whitening
 
 CHUNK_SLOTS = 32
 """Slots of a chunk; a plane with more stations has several chunks, so that few slots stay empty."""
-OF_NORMAL, HEIGHT, CENTRE = slice(0, 3), 3, slice(4, 7)
+OF_NORMAL, OF_HEIGHT, CENTRE = PLANE.places
 """Parts of a plane's numbers."""
+HEIGHT: int = OF_HEIGHT.start
 
 
 class BeamsOnPlanes:

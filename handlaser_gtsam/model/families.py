@@ -9,10 +9,10 @@ The natural unit of a tangent coordinate is a power of the typical range L: L fo
 angle, 1 / L for a curvature of the range error.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Protocol
 
 import numpy as np
@@ -157,19 +157,29 @@ class Family:
         return sum(part.dim for part in self.parts)
 
     @cached_property
-    def _slices(self) -> list[tuple[Part, slice, slice]]:
-        ends = np.cumsum([(0, 0), *((part.size, part.dim) for part in self.parts)], axis=0).tolist()
-        cuts = [(slice(a, c), slice(b, d)) for (a, b), (c, d) in pairwise(ends)]
-        return [(part, *cut) for part, cut in zip(self.parts, cuts, strict=True)]
+    def places(self) -> tuple[slice, ...]:
+        """Where the numbers of each part stand in a member."""
+        return _cuts(part.size for part in self.parts)
+
+    @cached_property
+    def tangents(self) -> tuple[slice, ...]:
+        """Where the tangent coordinates of each part stand."""
+        return _cuts(part.dim for part in self.parts)
 
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Return members (..., size) moved by steps (..., dim)."""
-        moved = [part.retract(x[..., a], step[..., b]) for part, a, b in self._slices]
+        cuts = zip(self.parts, self.places, self.tangents, strict=True)
+        moved = [part.retract(x[..., a], step[..., b]) for part, a, b in cuts]
         return moved[0] if len(moved) == 1 else np.concatenate(moved, axis=-1)
 
     def natural_units(self, length: float) -> FloatArray:
         """Return the natural units (dim,) of the tangent coordinates for a typical range [m]."""
         return float(length) ** np.array(self.powers, dtype=float)
+
+
+def _cuts(lengths: Iterable[int]) -> tuple[slice, ...]:
+    """Return slices of some lengths, one behind the other."""
+    return tuple(slice(*ends) for ends in pairwise(accumulate(lengths, initial=0)))
 
 
 SUFFIXES = {1: "_m", 0: "", -1: "_per_m"}
@@ -212,12 +222,12 @@ BEAM = register(
     )
 )
 """Location and direction in the hand, then the range error (k1, k2)."""
-MOUNT_DIM = 5
-"""Tangent coordinates of location and direction; range errors follow them."""
-LOCATION, DIRECTION, RANGE_ERROR = slice(0, 3), slice(3, MOUNT_DIM), slice(MOUNT_DIM, BEAM.dim)
+LOCATION, DIRECTION, RANGE_ERROR = BEAM.tangents
 """Tangent coordinates of a beam by what they are of."""
-OF_LOCATION, OF_DIRECTION, OF_RANGE_ERROR = slice(0, 3), slice(3, 6), slice(6, 8)
+OF_LOCATION, OF_DIRECTION, OF_RANGE_ERROR = BEAM.places
 """Numbers of a beam by what they are of."""
+MOUNT_DIM: int = DIRECTION.stop
+"""Tangent coordinates of location and direction; range errors follow them."""
 PLANE = register(
     Family(
         "plane",

@@ -14,6 +14,7 @@ from .families import (
     DIRECTION,
     LOCATION,
     MOUNT_DIM,
+    OF_DIRECTION,
     PLANE,
     POSE,
     Family,
@@ -29,9 +30,9 @@ from .targets.sphere import SPHERE
 
 BODY = register(Family("body", (Motion(),), POSE.coordinates, POSE.powers))
 """The pose of a rigid body whose planes are known in its own frame."""
-DIRECTIONS = {PLANE.name: slice(0, 3), BEAM.name: slice(3, 6)}
+DIRECTIONS = {PLANE.name: PLANE.places[0], BEAM.name: OF_DIRECTION}
 """Where the unit vector stands among the numbers of a variable."""
-TURNS = {PLANE.name: slice(0, 2), BEAM.name: slice(3, 5)}
+TURNS = {PLANE.name: PLANE.tangents[0], BEAM.name: DIRECTION}
 """Its tangent coordinates."""
 CENTRES = {SPHERE.name: SPHERE.dim, POINT.name: POINT.dim}
 """Families whose first three numbers are a position, and their dimension."""

@@ -10,8 +10,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, TINY
-from .sensors.fans import Rayset
-from .sensors.kinds import Kind
+from .sensors.kinds import Kind, Rayset
 from .shots import (
     FAR_FROM_SHAPE,
     FEW_TOO_CLOSE,

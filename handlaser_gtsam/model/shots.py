@@ -9,9 +9,12 @@ plane, known noise of x or none) this is exact for every mount, and else to firs
 
 Noise across the rays, of x in a profile, is counted by the slope of the shape: each point is first
 moved to where its ray most probably was, so that noise in x makes no slope too small.
+
+Blocks of shots have a few rows each: ranges whose noise is correlated (`Mixed`), and what range errors
+leave (`Unexplained`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -19,9 +22,11 @@ from scipy.linalg import qr
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, TINY
+from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
-from .sensors.fans import Rayset
-from .sensors.kinds import Kind
+from .ranges import Ranges
+from .sensors.kinds import Kind, Rayset
+from .sensors.mounted import ERRORS, SENSOR
 
 FAR_FROM_SHAPE = 4.5
 """Points farther than this many standard deviations from the shape of their shot are rejected."""
@@ -441,3 +446,79 @@ def _stacked(rays: Rayset, sets: IntArray | None) -> Rayset:
 def _solved(rows: FloatArray, right: FloatArray) -> FloatArray:
     """Return the least-squares solutions (H, q) of rows (H, m, q)."""
     return np.asarray((np.linalg.pinv(rows, rcond=SHAPE_SETTLED) @ right[..., None])[..., 0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixed:
+    """Ranges whose readings within a group are correlated.
+
+    Attributes
+    ----------
+    ranges : Ranges
+    mix : (G, S, T)
+        Residuals times this matrix are independent; columns of zeros stand for no row.
+    weights : Weights
+        Of the mixed rows.
+    """
+
+    ranges: Ranges
+    mix: FloatArray
+    weights: Weights = field(default_factory=Weights)
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the slots of the ranges."""
+        return self.ranges.slots()
+
+    def evaluate(self, values: Values) -> Rows:
+        """Return the mixed rows."""
+        rows = self.ranges.evaluate(values)
+        impossible = rows.impossible
+        if impossible is not None:
+            impossible = np.broadcast_to(
+                impossible.any(axis=2, keepdims=True),
+                (*impossible.shape[:2], self.mix.shape[2]),
+            )
+        return Rows((rows.columns[..., None, :] @ self.mix)[..., 0, :], impossible)
+
+    def picked(self, problems: IntArray) -> "Mixed":
+        """Return the block of some problems."""
+        ranges, weights = self.ranges.picked(problems), self.weights.picked(problems)
+        return replace(self, ranges=ranges, weights=weights)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unexplained:
+    """What the range error of a sensor does to a shot beside moving its shape.
+
+    Attributes
+    ----------
+    member : (G,)
+        Sensors.
+    residual : (G, T)
+        Without range errors.
+    by_error : (G, T, 4)
+        Their derivatives.
+    weights : Weights
+    """
+
+    member: IntArray
+    residual: FloatArray
+    by_error: FloatArray
+    weights: Weights = field(default_factory=Weights)
+
+    def slots(self) -> tuple[Slot, ...]:
+        """Return the sensors."""
+        return (Slot(SENSOR.name, self.member, slice(0, SENSOR.dim)),)
+
+    def evaluate(self, values: Values) -> Rows:
+        """Return the rows."""
+        errors = values[SENSOR.name][:, self.member][..., -len(ERRORS) :]
+        e = self.residual + np.einsum("kgi,gti->kgt", errors, self.by_error)
+        columns = np.zeros((SENSOR.dim + 1, *e.shape))
+        columns[-1 - len(ERRORS) : -1] = np.moveaxis(self.by_error, 2, 0)[:, None]
+        columns[-1] = e
+        return Rows(columns)
+
+    def picked(self, problems: IntArray) -> "Unexplained":
+        """Return the block of some problems."""
+        return replace(self, weights=self.weights.picked(problems))

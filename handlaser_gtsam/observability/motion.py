@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import FloatArray, IntArray
-from ..data.ordering import sorted_readings
 from ..data.parameters import Parameters
-from ..data.recording import Readings, Recording
+from ..data.recording import Readings, Recording, sorted_readings
 from ..errors import GrazingBeamError
 from ..model.families import count_unknowns
 from ..quantities import SINGULAR

@@ -28,9 +28,8 @@ from ..model.equation import plausible_range_errors
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..solvers.beam_problem import linearized
 from ..solvers.refine import refine, refine_many
-from ..starts import excerpt
 from ..starts.directions import direction_starts, random_starts
-from ..starts.growing import grow
+from ..starts.growing import EXCERPT_READINGS, grow
 from .held import Judge, held, upright
 from .rank import Observability
 
@@ -109,7 +108,7 @@ def least_observed(
         readings are alike, any beam would fit.
     """
     readings, margin = judge.readings, CHI2_MARGIN * judge.range_sigma**2
-    if len(readings) > excerpt.EXCERPT_READINGS:
+    if len(readings) > EXCERPT_READINGS:
         return held(
             parameters, observed, replace(judge, most_squares=judge.squares(parameters) + margin)
         )

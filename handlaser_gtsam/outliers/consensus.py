@@ -21,7 +21,7 @@ from ..solvers.refine import Refined, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
 from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms
-from ..starts.excerpt import Excerpt, excerpt_of
+from ..starts.growing import Excerpt, excerpt_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
 from ..starts.search import FINALISTS, LAST_STEPS, Candidate, Round, agreeing
 from .snooping import Screening, beyond_chance, enough, quick_evidence, screen

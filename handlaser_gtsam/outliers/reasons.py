@@ -16,7 +16,7 @@ from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import Observability, observability
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import FAR_SIGMAS, IN_MM, ROUNDING
-from .leverage import leverages
+from .snooping import leverages
 
 OUTLIER = "outlier"
 REPEATED = "pose of another station repeated"

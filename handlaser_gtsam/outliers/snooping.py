@@ -7,6 +7,16 @@ evidence for "Gaussian among m readings, anything within the span W for the othe
     2 N ln sigma + RSS / sigma^2 + 2 (N - m) price - 2 ln(share of each)
 
 so that rejecting a reading has its price, ln(W / (sqrt(2 pi) sigma)): about 4 standard deviations.
+
+How much a reading pulls the solution to itself is its leverage: with unit weights the variance of a
+predicted range is h = J inv(J'J) J'. The residual of a reading that was used has variance
+sigma^2 (1 - h), and sigma^2 (1 + h) if it was not. With S the covariance of the beams, W_p the response
+of a plane and P_p its covariance for known beams, a reading with the derivatives a by its beam i and c
+by its plane has
+
+    h = a' S_ii a - 2 a' (S W_p')_i c + c' (W_p S W_p' + P_p) c
+
+so that nothing grows with the readings times the unknowns.
 """
 
 from dataclasses import dataclass
@@ -21,11 +31,11 @@ from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import MOUNT_DIM, count_unknowns
-from ..observability.rank import observability
-from ..quantities import EXACT, FAR_SIGMAS, MAJORITY, MOST_ROUNDS
+from ..observability.rank import Observability, observability
+from ..quantities import EXACT, FAR_SIGMAS, MAJORITY, MOST_ROUNDS, NEGLIGIBLE
+from ..solvers.beam_problem import jacobian_columns
 from ..solvers.refine import refine
 from ..starts.search import LAST_STEPS
-from .leverage import LARGEST_LEVERAGES, leverages, standardized
 
 LEAST_CUT = 3.0
 """The cut in standard deviations is at least this: Gaussian errors exceed it once in 370. It is
@@ -38,6 +48,9 @@ the span of good readings: far from the spots of its plane, or along it, that te
 and the fit would follow them."""
 PRICE_OF_UNKNOWN = 2.0
 """Logarithm of how many different values of an unknown a search may have tried, to be safe."""
+LARGEST_LEVERAGES = 50_000_000
+"""Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
+there, and the information takes too long to invert."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,3 +268,46 @@ def _evidence(
     outside = 2.0 * bad * price(readings.distance, range_sigma)
     shares = sum(m * np.log(m / total) for m in (good, bad) if m)
     return float(2.0 * total * np.log(range_sigma) + inside + outside - 2.0 * shares)
+
+
+def leverages(
+    parameters: Parameters, readings: Readings, observability: Observability
+) -> FloatArray:
+    """Return h (N,) of all readings for the information `observability` of the readings in use."""
+    active = observability.active.reshape(readings.beams, -1)
+    width = active.shape[1]
+    columns = jacobian_columns(parameters, readings, width - 5, observability.centres)
+    unit = observability.padded(observability.beam_unit).reshape(active.shape)
+    rows_of_beams = columns[:width].T * unit[readings.beam]
+    plane = columns[width : width + 3].T * observability.plane_unit
+    S, W = observability.covariance(), observability.information.local_response
+    follow = S @ np.swapaxes(W, 1, 2)
+    rest = observability.information.local_inverse + W @ follow
+    beams = np.zeros((readings.beams, width, width))
+    across = np.zeros((readings.planes, readings.beams, width, 3))
+    ends = np.cumsum(active.sum(axis=1))
+    for i, end in enumerate(ends.tolist()):
+        rows, has = slice(end - int(active[i].sum()), end), np.flatnonzero(active[i])
+        beams[i][np.ix_(has, has)] = S[rows, rows]
+        across[:, i, has] = follow[:, rows]
+    h = _product(rows_of_beams, beams[readings.beam], rows_of_beams)
+    h -= 2.0 * _product(rows_of_beams, across[readings.plane, readings.beam], plane)
+    h += _product(plane, rest[readings.plane], plane)
+    # It is a variance: where hardly anything is determined, differences of large numbers are rounding.
+    return np.maximum(h, 0.0)
+
+
+def _product(a: FloatArray, matrix: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a' M b (N,) for rows a (N, i) and b (N, j) and matrices (N, i, j)."""
+    products: FloatArray = ((a[:, None] @ matrix)[:, 0] * b).sum(axis=1)
+    return products
+
+
+def standardized(
+    residual: FloatArray, leverage: FloatArray, used: BoolArray, range_sigma: float
+) -> FloatArray:
+    """Return residuals (N,) in their own standard deviations; zero where a reading checks nothing."""
+    variance = np.where(used, 1.0 - leverage, 1.0 + leverage)
+    checks = variance > NEGLIGIBLE
+    scale = range_sigma * np.sqrt(np.where(checks, variance, 1.0))
+    return np.where(checks, residual / scale, 0.0)

@@ -9,8 +9,7 @@ from ..arrays import FloatArray
 from ..checks import require_kind, require_number, require_word
 from ..data.value import Value
 from ..errors import InputError
-from ..model.effects import OF_READINGS
-from ..model.effects.plausible import how_to_state
+from ..model.effects import OF_READINGS, how_to_state
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits

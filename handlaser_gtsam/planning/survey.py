@@ -22,8 +22,7 @@ from ..estimation.estimate import information_axes, least_information
 from ..estimation.survey_rows import Item, rays_on
 from ..model.families import FAMILIES, PLANE, POSE, bases
 from ..model.geometry import skew
-from ..model.sensors.fans import Rayset
-from ..model.sensors.kinds import KINDS
+from ..model.sensors.kinds import KINDS, Rayset
 from ..model.sensors.mounted import SENSOR
 from ..model.weighting import covariance_roots
 from ..results.spot_error import radius

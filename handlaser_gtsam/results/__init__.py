@@ -4,12 +4,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ..estimation.survey import RelationTest as RelationTest
-    from .correlations import Coordinate as Coordinate
-    from .correlations import Correlation as Correlation
-    from .improvement import Improvement as Improvement
+    from ..model.joint import Coordinate as Coordinate
+    from ..model.joint import Correlation as Correlation
     from .limits import LimitCheck as LimitCheck
-    from .measuring import MeasuredPlane as MeasuredPlane
-    from .measuring import Spot as Spot
     from .reports import Beam as Beam
     from .reports import BeamMixture as BeamMixture
     from .reports import Determined as Determined
@@ -20,6 +17,8 @@ if TYPE_CHECKING:
     from .reports import RangeErrorScales as RangeErrorScales
     from .reports import ScaledSolution as ScaledSolution
     from .reports import StartReport as StartReport
+    from .spot_error import MeasuredPlane as MeasuredPlane
+    from .spot_error import Spot as Spot
     from .spot_error import VarianceShares as VarianceShares
     from .survey import BeamMount as BeamMount
     from .survey import RejectedShot as RejectedShot
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from .survey import SurveyCalibration as SurveyCalibration
     from .survey import SurveyTarget as SurveyTarget
     from .systematic import SystematicError as SystematicError
+    from .verdict import Improvement as Improvement
     from .verdict import Verdict as Verdict
 else:
     from ..lazy import lazy_names

@@ -1,17 +1,25 @@
-"""From a solution to the result people see."""
+"""From a solution to the result people see, with how well it is known.
+
+That is its covariance, its scales of noise, and its mixture over them.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from ..data.parameters import RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
+from ..estimation.posterior import ScaleEstimate, covariance_of_determined
+from ..estimation.scales import RANGE
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
-from ..model.joint import JointCovariance
+from ..model.families import BEAM
+from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.sensor import BY_LIMITS
+from ..model.weighting import Variances
 from ..observability.other_solutions import mirror_image_fits
 from ..observability.poor_motion import named, poor_motion, some_plane_leans
 from ..observability.rank import observability
@@ -27,17 +35,25 @@ from ..outliers.reasons import Reasons
 from ..progress import tell
 from ..quantities import NEGLIGIBLE
 from .calibration import Calibration
-from .calibration_fields import Status
-from .correlations import strong_correlations
 from .dependence import INDEPENDENT, Dependence
-from .fit import fit_of, linear_rows
+from .fit import fit_of, linear_rows, unit_sigma
 from .freed import Freed
 from .lines import NAMES_IN_LINE
 from .problem import Problem, named_estimates
-from .reports import Beam, Determined, Fit, FreedEffect, Plane, StartReport
-from .rivals import rival_warnings
+from .reports import (
+    Beam,
+    BeamMixture,
+    Determined,
+    Fit,
+    FreedEffect,
+    NoiseComponent,
+    Plane,
+    RangeErrorScales,
+    ScaledSolution,
+    StartReport,
+    Status,
+)
 from .systematic import SystematicError, systematic_errors
-from .uncertainty import joint_covariance, with_scales
 from .warnings import (
     COARSE,
     IMPLAUSIBLE,
@@ -48,6 +64,7 @@ from .warnings import (
     misfit,
     noise_advice,
     poor_fit,
+    rival_warnings,
     suspicious,
 )
 
@@ -290,3 +307,124 @@ def _status_of(
             f"To determine it: {'; '.join(determined.advice)}"
         )
     return "converged" if ended == "converged" else "not_converged", solution.at.message
+
+
+def joint_covariance(
+    problem: Problem, solution: Solution, fit: Fit, freed: Freed | None = None
+) -> JointCovariance:
+    """Return the covariance of what is determined, in the order of the recording, world frame.
+
+    Freed errors add theirs.
+    """
+    at, origins = solution.at, problem.origins
+    sigma = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
+    if solution.posterior is not None and solution.observability.full:
+        joint = solution.posterior.joint
+    elif solution.joint is not None:
+        joint = solution.joint.scaled((sigma / at.sigma) ** 2)
+    else:
+        if at.loss != GAUSSIAN:
+            standardized = at.white / at.sigma
+            sigma *= np.sqrt(at.loss.variance_factor(standardized, solution.observability.rank))
+        if solution.whitening is not None:  # the diagnosis eliminates poses beforehand
+            sigma *= solution.whitening.sigma / at.sigma
+        none = np.zeros_like(origins)
+        joint = covariance_of_determined(solution.observability, solution.parameters, sigma, none)
+    joint = joint if freed is None else freed.grown(joint)
+    joint = replace(joint, origins=joint.origins + origins)
+    return joint.arranged(problem.names.beams, problem.names.planes)
+
+
+def with_scales(
+    result: Calibration,
+    problem: Problem,
+    solution: Solution,
+    growth: float | None,
+    freed: Freed | None = None,
+) -> Calibration:
+    """Return a result with the scales of noise and range errors, and what follows from them.
+
+    Parameters
+    ----------
+    result : Calibration
+    problem : Problem
+    solution : Solution
+    growth : float or None
+        By how much the standard deviations of the beams are larger than with independent noise; None
+        where they mean nothing.
+    freed : Freed, optional
+        Systematic errors that were unknowns.
+    """
+    fit, found, at, prior = result.fit, solution.posterior, solution.at, solution.prior
+    beams = np.argsort(problem.order.beams)
+    unit = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
+    if prior is not None:
+        prior = RangeErrorPrior(
+            prior.sigma[beams], None if prior.mean is None else prior.mean[beams]
+        )
+    result = replace(
+        result,
+        variances=_variances(problem, solution, fit),
+        noise_estimate=_noise_estimate(problem, solution),
+        range_error_prior=prior,
+        cost=at.cost * (at.sigma / unit) ** 2 if unit else at.cost,
+    )
+    if found is None:
+        return result
+    scales = None
+    if found.range_error_scales is not None:
+        k1, k2 = found.range_error_scales.tolist()
+        scales = RangeErrorScales(k1, k2, found.learned.linearity or 0.0)
+    result = replace(result, range_error_scales=scales, learned=found.learned)
+    if growth is None:
+        return result
+    at_scales = ScaledSolution(
+        problem.in_world(solution.parameters),
+        joint_covariance(problem, replace(solution, posterior=None), fit, freed),
+        solution.prior,
+    )
+    mixed = found.mixture
+    spread = mixed.sigmas
+    if freed is not None:
+        spread = np.hypot(spread, freed.beam_sigmas(solution.parameters.directions).ravel())
+    means, sigmas = (
+        growth * array.reshape(len(mixed.weight), -1, BEAM.size)[:, beams]
+        for array in (mixed.means, spread)
+    )
+    mixture = BeamMixture(mixed.weight, means, sigmas, mixed.members)
+    return replace(result, mixture=mixture, at_scales=at_scales)
+
+
+def _variances(problem: Problem, solution: Solution, fit: Fit) -> Variances | None:
+    """Return what the weights follow from, in the order of the recording."""
+    found, order = solution.variances, problem.order
+    if found is None:
+        return None
+    ranges, pose = np.empty_like(found.range_sigma), None
+    ranges[order.beams] = found.range_sigma
+    if not fit.range_sigma_given and not solution.scales_estimated:
+        ranges[:] = fit.range_sigma
+    if found.pose is not None:
+        pose = np.zeros((len(order.stations), 6, 6))
+        pose[order.stations[: len(found.pose)]] = found.pose
+    return Variances(ranges, found.incidence_sigma, pose)
+
+
+def _noise_estimate(problem: Problem, solution: Solution) -> tuple[NoiseComponent, ...]:
+    """Name the scales of the noise that were estimated, beams in the order of the recording."""
+    place, names = problem.order.beams, problem.recording.beam_names
+
+    def position(one: ScaleEstimate) -> int:
+        if one.scale.beam is None:
+            return -1 if one.scale.name == RANGE else len(names)
+        return int(place[one.scale.beam])
+
+    return tuple(
+        NoiseComponent(
+            one.scale.name,
+            one.sigma,
+            one.error,
+            None if one.scale.beam is None else names[place[one.scale.beam]],
+        )
+        for one in sorted(solution.scales, key=position)
+    )

@@ -12,9 +12,8 @@ from ..model.families import BEAM, PLANE, Family
 from ..model.losses import Loss
 from ..model.weighting import whitening
 from ..quantities import UNIT_SIGMA
-from .calibration_fields import CalibrationData
 from .limits import Limits
-from .reports import Beam, Plane
+from .reports import Beam, CalibrationData, Plane
 from .verdict import Verdict
 from .verdict import verdict as verdict_on
 
@@ -99,8 +98,7 @@ class Calibration(CalibrationData):
         InputError
             The calibration does not hold its recording: it was read from a graph.
         """
-        from ..solvers.graph import build_graph
-        from ..solvers.poses import pose_priors
+        from ..solvers.graph import build_graph, pose_priors
 
         recording, fit, variances = self.recording, self.fit, self.variances
         if recording is None:

@@ -15,7 +15,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording
 from ..errors import InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
-from ..quantities import INCH, LARGEST_LENGTH, MM
+from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MM
 from ..starts import Effort
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
 from .warnings import MANY_OUTLIERS
@@ -276,9 +276,8 @@ def _on_the_way(recording: Recording) -> Iterator[Rereading]:
         values[share] = _glance(_moved_on(one, share))
     if values[0.0] < PROMISING * values[best] or best == 0.0:
         return
-    where = (
-        f"{100.0 * abs(best):.2g} % of the way {'to the next' if best > 0.0 else 'from the last'}"
-    )
+    way = "to the next" if best > 0.0 else "from the last"
+    where = f"{IN_PERCENT * abs(best):.2g} % of the way {way}"
     words = (
         f"readings look as if taken {where} station: the hand was not at rest, or they came late"
     )

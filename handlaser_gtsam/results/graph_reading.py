@@ -15,19 +15,17 @@ from ..arrays import FloatArray
 from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..factors.keys import BeamKeys
+from ..model.distributions import SINGLE_LEVEL
 from ..model.families import DIRECTION, LOCATION
-from ..model.joint import JointCovariance
+from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE
 from ..solvers.graph import parameters_of
-from ..solvers.values import require_values
+from ..solvers.levenberg import require_values
 from .calibration import Calibration
-from .calibration_fields import Status
-from .correlations import strong_correlations
 from .fit import fit_of_rows
 from .problem import named_estimates
-from .reports import Determined, Fit, StartReport
-from .significance import SINGLE_LEVEL
+from .reports import Determined, Fit, StartReport, Status
 
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""

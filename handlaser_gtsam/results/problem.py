@@ -8,9 +8,8 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..data.noise import Noise
-from ..data.ordering import Order
 from ..data.parameters import Parameters
-from ..data.recording import Readings, Recording
+from ..data.recording import Order, Readings, Recording
 from ..model.families import BEAM, PLANE
 from ..model.joint import JointCovariance
 from ..model.sensor import Sensor

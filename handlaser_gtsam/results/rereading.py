@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..data.ordering import sorted_readings
-from ..data.recording import Readings, Recording
+from ..data.recording import Readings, Recording, sorted_readings
 from ..errors import HandlaserError
 from ..model.families import BEAM, PLANE
 from ..starts import Effort, find_start

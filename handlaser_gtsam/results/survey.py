@@ -20,7 +20,7 @@ from ..estimation.estimate import (
 )
 from ..estimation.survey import RelationTest, SurveyEstimate
 from ..estimation.survey_rows import Rows
-from ..model.distributions import chi2_cdf, chi2_sf, gaussian_sf
+from ..model.distributions import SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf
 from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
@@ -30,7 +30,6 @@ from ..quantities import IN_MM
 from ..text import count, some
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
-from .significance import SINGLE_LEVEL
 from .spot_error import radius
 from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit
 from .survey_motion import open_words

@@ -23,13 +23,13 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
+from ..model.distributions import FAMILY_LEVEL
 from ..model.effects import EFFECTS, may_also_be
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import IN_MM
 from .dependence import INDEPENDENT, Dependence, dependence
 from .projection import LinearRows
 from .score_tests import ScoreTests, alike
-from .significance import FAMILY_LEVEL
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)

@@ -1,28 +1,38 @@
-"""Signs that a result should not be believed, each in a sentence with what to look at."""
+"""Signs that a result should not be believed, each in a sentence with what to look at.
+
+One of them is another mount of a beam that fits nearly as well, farther off than its standard
+deviations reach.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ..data.columns import rounding
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
+from ..data.screen import rounding
 from ..errors import CalibrationWarning
 from ..estimation.posterior import ScaleEstimate
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
 from ..estimation.task import NO_FIT
-from ..model.distributions import chi2_cdf, chi2_sf
-from ..model.equation import cosines, plausible_range_errors, scene
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf
+from ..model.equation import cosines, plausible_range_errors, residuals, scene
+from ..model.families import MOUNT_DIM
+from ..model.joint import JointCovariance
+from ..model.losses import GAUSSIAN
 from ..model.sensor import BY_LIMITS
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM
+from ..quantities import EXACT, FAR_SIGMAS, IN_DEG, IN_MM
+from ..solvers.refine import refine
+from ..starts.beam_minima import beam_minima
+from ..starts.search import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .dependence import Dependence
 from .reports import Fit
-from .significance import FEW_DEGREES, SINGLE_LEVEL
 
 SUSPICIOUS_FIT = 0.06
 """An rms residual above this part of the readings' spread is suspicious: a file read wrongly has
@@ -51,6 +61,13 @@ CHECKS = (
     "check that lengths are metres, the quaternion is qx qy qz qw, poses are world_T_hand and not its "
     "inverse, plane labels are right, and look for outliers"
 )
+WORTH_REFINING = 100.0
+"""Another minimum of one beam, the planes fixed, is refined where its chi2 is larger by at most
+this."""
+RIVAL_BEAMS = 4
+"""Beams whose other minima are refined at most: each takes a solution of all unknowns."""
+NEARLY_AS_WELL = 12.0
+"""Another mount is named where its chi2 is larger by less: it is one 400th as probable or more."""
 
 
 def misfit(
@@ -340,3 +357,51 @@ def _of_the_noise(fit: Fit, redundancy: int) -> Iterator[CalibrationWarning]:
             "neither are the standard deviations; add stations, or give the range sigma"
         )
         yield CalibrationWarning("few-readings", words, {"redundancy": redundancy})
+
+
+def rival_warnings(
+    used: Readings, solution: Solution, joint: JointCovariance | None, names: BeamAndPlaneNames
+) -> Iterator[CalibrationWarning]:
+    """Yield a warning of every mount that is nearly as probable, and not within what is stated."""
+    if joint is None or solution.at.loss != GAUSSIAN:
+        return
+    if not solution.observability.full or solution.redundancy <= 0:
+        return
+    at = solution.parameters
+    e = residuals(scene(at, used), used.distance)
+    size = float(np.sqrt(e @ e / solution.redundancy))
+    if size <= EXACT * used.largest_range():
+        return
+    found = beam_minima(at, used)
+    turned = np.linalg.norm(found.directions - at.directions[:, None], axis=2)
+    each = np.maximum(np.bincount(used.beam, minlength=used.beams) / found.readings, 1.0)
+    worse = each[:, None] * (found.cost - found.now[:, None]) / size**2
+    worse = np.where(turned > SAME_DIRECTION, worse, np.inf)
+    least, listed = worse.min(axis=1), {i: name for name, i in names.beams}
+    # Standard deviations of each direction, along its least certain axis.
+    first = np.cumsum([0, *(MOUNT_DIM + terms for terms in joint.terms[:-1])])
+    rows = first[:, None] + np.array([3, 4])
+    blocks = joint.beams[rows[:, :, None], rows[:, None, :]]
+    sigma = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
+    for beam in np.argsort(least)[:RIVAL_BEAMS].tolist():
+        if least[beam] > WORTH_REFINING:
+            break
+        one = int(np.argmin(worse[beam]))
+        r, v = at.locations.copy(), at.directions.copy()
+        r[beam], v[beam] = found.locations[beam, one], found.directions[beam, one]
+        now = refine(at, used, solution.terms, LAST_STEPS)
+        other = refine(replace(at, locations=r, directions=v), used, solution.terms, LAST_STEPS)
+        if now is None or other is None:
+            continue
+        turn = float(np.linalg.norm(other.parameters.directions[beam] - at.directions[beam]))
+        chi2 = (other.squares - now.squares) / size**2
+        if chi2 > NEARLY_AS_WELL or turn < FAR_SIGMAS * sigma[beam]:
+            continue
+        degrees = float(np.degrees(turn))
+        yield CalibrationWarning(
+            "another-mount",
+            f"beam {listed[beam]} has another mount, turned by {degrees:.3g} degrees, that fits "
+            f"nearly as well (chi2 larger by {max(chi2, 0.0):.2g}): its standard deviations "
+            "hold for this one alone; add stations that turn the hand further, or another plane",
+            {"beam": listed[beam], "turn_deg": degrees, "chi2": chi2},
+        )

@@ -9,9 +9,8 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording, join
-from ..estimation.covariance import covariance, covariance_by_gtsam
 from ..estimation.learned import LearnedScales, ScaleProblem
-from ..estimation.posterior import posterior
+from ..estimation.posterior import covariance, covariance_by_gtsam, posterior
 from ..estimation.selection import Selection
 from ..estimation.solution import Minimum, Solution
 from ..estimation.task import WEIGHTS_SETTLED
@@ -24,10 +23,9 @@ from ..quantities import MOST_ROUNDS
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
 from ..results.problem import Problem
-from ..solvers.beam_state import BeamState
-from ..solvers.graph import CalibrationGraph, build_graph, read_parameters
+from ..solvers.graph import CalibrationGraph, PosePriors, build_graph, pose_priors, read_parameters
+from ..solvers.isam import BeamState
 from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
-from ..solvers.poses import PosePriors, pose_priors
 from .config import SessionConfig
 from .contents import Contents
 from .drift import DriftHistory

@@ -18,11 +18,10 @@ from ..factors import beam_drift
 from ..factors.keys import BeamKeys, beam_keys
 from ..model.families import BEAM
 from ..model.weighting import Variances
-from ..quantities import KNOWN
+from ..quantities import IN_MM, KNOWN
 from ..results.calibration import Calibration
-from ..solvers.beam_state import BeamState, GraphPart
 from ..solvers.graph import range_error_priors, start_values
-from ..solvers.isam import IncrementalOptions
+from ..solvers.isam import BeamState, GraphPart, IncrementalOptions
 from .reports import Change
 
 SCALES_KEPT = 0.02
@@ -186,7 +185,7 @@ class SessionConfig:
             return () if same else (Change("scales", "scales learned again"),)
         if abs(self.sigma / before.sigma - 1.0) < SIGMA_KEPT:
             return ()
-        return (Change("range-sigma", f"range sigma {1e3 * self.sigma:.3g} mm"),)
+        return (Change("range-sigma", f"range sigma {IN_MM * self.sigma:.3g} mm"),)
 
     @property
     def members(self) -> IntArray:

@@ -21,9 +21,8 @@ from ..model.reduction import Normal
 from ..model.weighting import Whitening, whitening
 from ..quantities import KNOWN, NEGLIGIBLE
 from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, moved
-from ..solvers.beam_state import BeamState, GraphPart
-from ..solvers.graph import station_blocks
-from ..solvers.poses import pose_priors
+from ..solvers.graph import pose_priors, station_blocks
+from ..solvers.isam import BeamState, GraphPart
 from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
 from .drift import DriftHistory, turns

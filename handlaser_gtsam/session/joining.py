@@ -9,7 +9,7 @@ from ..data.recording import Recording
 from ..model.families import MOUNT_DIM
 from ..model.sensor import FLAT, Rejected, within_incidence
 from ..outliers.snooping import price
-from ..solvers.beam_state import BeamState, GraphPart
+from ..solvers.isam import BeamState, GraphPart
 from .config import SessionConfig
 from .contents import CONTRADICTED, Contents, named
 from .drift import DriftHistory

@@ -7,11 +7,11 @@ if TYPE_CHECKING:
     from ..progress import Progress as Progress
     from ..progress import Trial as Trial
     from .graph import CalibrationGraph as CalibrationGraph
+    from .graph import PosePriors as PosePriors
     from .graph import build_graph as build_graph
+    from .graph import pose_priors as pose_priors
     from .graph import read_parameters as read_parameters
     from .levenberg import LevenbergResult as LevenbergResult
-    from .poses import PosePriors as PosePriors
-    from .poses import pose_priors as pose_priors
 else:
     from ..lazy import lazy_names
 

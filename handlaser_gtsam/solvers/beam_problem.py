@@ -11,10 +11,9 @@ from ..data.readings import Readings
 from ..errors import GrazingBeamError
 from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tangent_columns
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
-from ..model.block import Block, whitened
+from ..model.block import Block, VectorPrior, whitened
 from ..model.families import BEAM, PLANE, count_unknowns, modelled
 from ..model.losses import GAUSSIAN, Loss
-from ..model.priors import VectorPrior
 from ..model.reduction import Normal, Reduction, damped_step
 from ..model.search import LeastSquares, LossScale, RobustLoss
 from ..model.weighting import Whitening

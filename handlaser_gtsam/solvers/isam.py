@@ -1,4 +1,4 @@
-"""iSAM2 behind a small class that is never left half-updated.
+"""iSAM2 behind a small class that is never left half-updated, and what goes into it and comes out.
 
 Planes join one by one; the beams stay in the root of the Bayes tree, so that an update with one plane
 eliminates little else again. What was measured of GTSAM 4.3, and how it is met:
@@ -22,14 +22,77 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..checks import require_count, require_number
-from ..data.parameters import Parameters
-from ..factors import RangeBlock, gathered, range_factor
+from ..data.parameters import Beams, Parameters
+from ..factors import RangeBlock, evaluated_together, range_factor
 from ..factors.keys import BeamKeys, plane_key
 from ..model.families import BEAM
 from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
-from .beam_state import BeamState, GraphPart
 from .graph import parameters_of
+
+
+@dataclass(frozen=True, slots=True)
+class BeamState:
+    """Beams as iSAM2 has them.
+
+    Attributes
+    ----------
+    locations, directions : (B, 3)
+    range_errors : (B, 2)
+    covariance : (8 B, 8 B)
+        Ambient, over (x, y, z, vx, vy, vz, k1, k2) of every beam.
+    information : float
+        Logarithm of the determinant of the tangent information [nats], up to the units.
+    """
+
+    locations: FloatArray
+    directions: FloatArray
+    range_errors: FloatArray
+    covariance: FloatArray
+    information: float
+
+    @property
+    def beams(self) -> Beams:
+        """The estimate without its covariance."""
+        return self.locations, self.directions, self.range_errors
+
+    def sigmas(self) -> FloatArray:
+        """Return the standard deviations (B, 8)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, BEAM.size)
+
+    def apart(self, beams: Beams, sigmas: FloatArray) -> tuple[float, float]:
+        """Return how far another estimate is: largest difference of a coordinate and of a sigma.
+
+        Parameters
+        ----------
+        beams : Beams
+        sigmas : (B, 8)
+            Standard deviations of that estimate: the unit of the first number; the second is relative.
+        """
+        seen = sigmas > 0.0
+        difference = np.abs(np.hstack(self.beams) - np.hstack(beams))[seen] / sigmas[seen]
+        relative = np.abs(self.sigmas()[seen] / sigmas[seen] - 1.0)
+        return float(difference.max()), float(relative.max())
+
+
+@dataclass(frozen=True, slots=True)
+class GraphPart:
+    """What one plane brings into the graph, or what the beams bring that begin it.
+
+    Attributes
+    ----------
+    blocks : RangeBlocks
+        Each with a whitening; none of the beams.
+    others : factors
+        Priors of the hand poses of a plane; links of the beams.
+    start : gtsam.Values
+        Start of its variables; variables that are in the graph already keep their values.
+    """
+
+    blocks: tuple[RangeBlock, ...]
+    others: tuple[gtsam.NonlinearFactor, ...]
+    start: gtsam.Values
+
 
 FINE_PART = 0.05
 """Once one variable must be relinearised, all are that have moved by this part of their threshold."""
@@ -239,7 +302,7 @@ class IncrementalGraph:
         for key in self._keys:
             groups.insert2(key, 1)  # eliminated last: all other variables are in group 0
         blocks = [block for of_plane in self._blocks.values() for block in of_plane]
-        with gathered(blocks):
+        with evaluated_together(blocks):
             return self._isam.update(graph, start, old, groups, None, None, relinearize)
 
     def _settle(self, part: float) -> None:

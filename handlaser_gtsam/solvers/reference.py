@@ -27,11 +27,10 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import block_diag, csr_array, vstack
 from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from .reference_errors import ReferenceErrors
-from .unit_vectors import UnitVectors
 
 DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""
@@ -46,6 +45,45 @@ NOISE_LIMIT = 4.0
 POSE_STEP = 1e-6
 """Step of the differences by a hand pose [rad, m], or by a shift of a ray [m]: about the cube root of
 the rounding of doubles."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitVectors:
+    """Unit vectors (K, 3) as two components each: which are kept, which one follows, its sign."""
+
+    kept: IntArray
+    follows: IntArray
+    sign: FloatArray
+
+    @classmethod
+    def of(cls, start: FloatArray) -> "UnitVectors":
+        """Return how unit vectors near `start` (K, 3) are written."""
+        follows = np.abs(start).argmax(axis=1)
+        kept = np.array([[i for i in range(3) if i != f] for f in follows], dtype=np.intp)
+        kept = kept.reshape(-1, 2)
+        return cls(kept, follows, np.sign(start[np.arange(len(start)), follows]))
+
+    def pack(self, vectors: FloatArray) -> FloatArray:
+        """Return the pairs (K, 2) of vectors (K, 3)."""
+        return np.take_along_axis(vectors, self.kept, axis=1)
+
+    def unpack(self, pairs: FloatArray) -> FloatArray:
+        """Return the vectors (K, 3) of pairs (K, 2)."""
+        vectors = np.zeros((len(pairs), 3))
+        np.put_along_axis(vectors, self.kept, pairs, axis=1)
+        third = np.sqrt(np.maximum(1.0 - (pairs**2).sum(axis=1), 0.0))
+        vectors[np.arange(len(pairs)), self.follows] = self.sign * third
+        return vectors
+
+    def derivative(self, vectors: FloatArray) -> FloatArray:
+        """Return d vector / d pair, (K, 3, 2)."""
+        rows = np.arange(len(vectors))
+        D = np.zeros((len(vectors), 3, 2))
+        for column in range(2):
+            D[rows, self.kept[:, column], column] = 1.0
+        third = vectors[rows, self.follows]
+        D[rows, self.follows] = -self.pack(vectors) / third[:, None]
+        return D
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 from ..data.survey import Known, Survey
-from .reference import POSE_STEP, REWEIGHTINGS, gauss_newton_end
-from .unit_vectors import UnitVectors
+from .reference import POSE_STEP, REWEIGHTINGS, UnitVectors, gauss_newton_end
 
 START_OFF = 0.005
 """All unknowns begin so far [m], [rad] from the start: far more than their standard deviations."""

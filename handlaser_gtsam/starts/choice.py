@@ -23,8 +23,7 @@ from ..solvers.refine import Refined, refine_many
 from .beam_minima import with_better_beams
 from .blocks import lifted_starts, sweep_starts
 from .directions import direction_starts, random_starts
-from .excerpt import excerpt_of
-from .growing import PartialStart, grow
+from .growing import PartialStart, excerpt_of, grow
 from .search import (
     AGREEING,
     FINALISTS,

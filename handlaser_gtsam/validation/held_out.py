@@ -19,7 +19,7 @@ from ..data.readings import Readings
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import GrazingBeamError, InputError, SolverError
-from ..estimation.covariance import covariance_of_determined
+from ..estimation.posterior import covariance_of_determined
 from ..model.errors_in_variables import weighed
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN

@@ -23,14 +23,13 @@ from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
-from ..model.distributions import chi2_sf, f_sf
+from ..model.distributions import FEW_DEGREES, chi2_sf, f_sf
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, covariance_roots, whitening
 from ..progress import tell
 from ..quantities import KNOWN, MOST_ROUNDS, SINGULAR
 from ..results.mounts import Mounts
-from ..results.significance import FEW_DEGREES
 from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
 

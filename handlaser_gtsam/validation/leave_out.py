@@ -14,13 +14,13 @@ from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
+from ..model.distributions import chance, contradicted
 from ..pipeline import calibrate, calibrate_from
 from ..progress import Listener, tell, told_to
 from ..results.calibration import Calibration
 from ..results.limits import Limits, rms_checked
 from ..results.lines import NAMES_IN_LINE
 from ..results.mounts import Mounts
-from ..results.significance import chance, contradicted
 from ..results.verdict import Verdict, best_improvement, failures, verdict
 from ..text import some
 from .hold_out import HoldOut, hold_out

@@ -22,7 +22,7 @@ from ..model.distributions import gaussian_quantile
 from ..model.families import BEAM, MOUNT_DIM, RANGE_ERROR
 from ..model.joint import beam_lifts
 from ..pipeline import calibrate
-from ..quantities import IN_DEG, IN_MM
+from ..quantities import IN_DEG, IN_MM, IN_PERCENT
 
 FAR = 5.0
 """Standard deviations that no coordinate of an honest study exceeds: 1 in 2 million does by chance."""
@@ -176,18 +176,18 @@ def summarize_runs(runs: pl.DataFrame) -> pl.DataFrame:
     beams = pl.col("beams").sum()
     return runs.group_by("scene", "treatment", maintain_order=True).agg(
         runs=pl.len(),
-        converged=100.0 * (pl.col("status") == "converged").mean(),
-        refused=100.0 * (pl.col("status") == "refused").mean(),
+        converged=IN_PERCENT * (pl.col("status") == "converged").mean(),
+        refused=IN_PERCENT * (pl.col("status") == "refused").mean(),
         location_mm=IN_MM * (pl.col("location_squares").sum() / beams).sqrt(),
         direction_deg=IN_DEG * (pl.col("direction_squares").sum() / beams).sqrt(),
         nees=pl.col("nees").mean(),
         standard_error=pl.col("nees").std() / pl.col("nees").count().sqrt(),
         nees_with_k=pl.col("nees_with_k").mean(),
-        coverage=100.0 * pl.col("covered").sum() / pl.col("coordinates").sum(),
+        coverage=IN_PERCENT * pl.col("covered").sum() / pl.col("coordinates").sum(),
         worst=pl.col("worst").max(),
         beyond_5=(pl.col("worst") > FAR).sum(),
         iterations=pl.col("iterations").median(),
-        warned=100.0 * (pl.col("codes").list.len() > 0).mean(),
+        warned=IN_PERCENT * (pl.col("codes").list.len() > 0).mean(),
     )
 
 
@@ -199,6 +199,6 @@ def count_warnings(runs: pl.DataFrame) -> pl.DataFrame:
         .explode("code")
         .drop_nulls("code")
         .group_by(*case, "code")
-        .agg(percent=100.0 * pl.len() / pl.col("runs").first())
+        .agg(percent=IN_PERCENT * pl.len() / pl.col("runs").first())
         .sort(*case, "code")
     )

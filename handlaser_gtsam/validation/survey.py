@@ -20,7 +20,7 @@ from ..data.value import Value
 from ..errors import HandlaserError, InputError, SolverError
 from ..estimation.survey import SurveyEstimate, estimate_survey
 from ..estimation.survey_rows import Item
-from ..model.distributions import chi2_sf, f_sf
+from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf
 from ..model.families import BEAM, PLANE, POSE, bases
 from ..model.joint import beam_lifts, plane_lift
 from ..model.known import BODY
@@ -28,7 +28,6 @@ from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..quantities import SINGULAR
-from ..results.significance import SINGLE_LEVEL
 from ..results.survey import SurveyCalibration, survey_calibration
 from ..solvers.survey_reference import Observed, SurveyProblem, SurveySolution, solve_survey
 from .cross_check import CrossCheck, compared

@@ -10,6 +10,7 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import FORMATS, TIME_UNITS, poses_of
+from ...quantities import IN_MM
 from .format import LogFormat
 from .format_checks import convention_of
 from .lag import estimated_lag
@@ -122,7 +123,7 @@ def _refuse_other_pose(
     wrong = np.zeros(len(t), dtype=bool)
     wrong[rows[far]] = True
     first = int(far.argmax())
-    off = f"{1e3 * distance[first]:.3g} mm and {np.degrees(angle[first]):.3g} deg away"
+    off = f"{IN_MM * distance[first]:.3g} mm and {np.degrees(angle[first]):.3g} deg away"
     poses.table.refuse(wrong, column, expected, f"{whose[first]} again at a pose {off}")
 
 

@@ -12,7 +12,7 @@ from ...model.conventions import LENGTHS, TIME_UNITS
 from ...model.sensor import Sensor
 from ...quantities import LARGEST_LENGTH
 from ...text import some
-from ..range_cells import code_warnings, range_numbers
+from ..recording_csv import code_warnings, range_numbers
 from ..table import NUMBER, Table, column_numbers, labels
 from .columns import Columns
 from .format import LogFormat

@@ -17,8 +17,8 @@ from ...data.survey import Survey
 from ...errors import CalibrationWarning
 from ...estimation.survey_rows import Rows, blocks_of, rows_of
 from ...estimation.survey_starts import start_of
-from ...model.condensed import Mixed
 from ...model.sensors.mounted import SENSOR
+from ...model.shots import Mixed
 from ...quantities import TINY, UNIT_SIGMA
 from ...results.rereading import misfits
 from ...results.warnings import FAR_BEAM

@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...data.ordering import sorted_readings
-from ...data.recording import Recording, typical_range
+from ...data.recording import Recording, sorted_readings, typical_range
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.conventions import (

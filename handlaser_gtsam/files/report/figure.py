@@ -13,7 +13,7 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ...text import shortened
-from ..json_text import Record
+from ..checked_text import Record
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#b8860b", "#6a51a3", "#6b7280")
 """Colours of beams, which people who see no red or green tell apart, too."""

@@ -11,10 +11,10 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...model.families import BEAM
+from ...model.joint import STRONG, correlation_matrix
 from ...planning.picture import logarithmic_ticks
 from ...quantities import IN_DEG, IN_MM
-from ...results.correlations import STRONG, correlation_matrix
-from ..json_text import Record
+from ..checked_text import Record
 from .figure import (
     COLOURS,
     LEGEND,

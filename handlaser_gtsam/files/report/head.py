@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ... import __version__
-from ...quantities import IN_MM
+from ...quantities import IN_MM, IN_PERCENT
 from ...results.description.evidence import rejected_words
 from ...results.description.tables import (
     Facts,
@@ -110,7 +110,7 @@ def _sensor(subject: Subject) -> str:
         parts.append(f"reads {sensor.range_min * IN_MM:.6g} to {sensor.range_max * IN_MM:.6g} mm")
     if sensor.max_incidence < np.pi / 2.0:
         parts.append(f"up to {np.degrees(sensor.max_incidence):.4g} deg of incidence")
-    parts.append(f"expected linear to {100.0 * sensor.linearity:.3g} % of a reading")
+    parts.append(f"expected linear to {IN_PERCENT * sensor.linearity:.3g} % of a reading")
     return ", ".join(parts)
 
 

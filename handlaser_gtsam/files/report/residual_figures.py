@@ -7,10 +7,9 @@ from itertools import pairwise
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...model.distributions import beta_quantile, gaussian_quantile
+from ...model.distributions import CONFIDENCE, beta_quantile, gaussian_quantile
 from ...quantities import IN_DEG, IN_MM
-from ...results.significance import CONFIDENCE
-from ..json_text import Record
+from ..checked_text import Record
 from .figure import (
     COLOURS,
     GREY,

@@ -12,7 +12,7 @@ from ... import model
 from ...arrays import FloatArray
 from ...data.parameters import Beams
 from ...quantities import IN_MM
-from ..json_text import Record
+from ..checked_text import Record
 from .figure import (
     AXIS_COLOURS,
     FONT,

@@ -8,6 +8,7 @@ import numpy as np
 from ... import model
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
+from ...model.distributions import contradicted
 from ...planning.advice import next_stations
 from ...planning.goal import Forecast
 from ...planning.history import history
@@ -15,7 +16,6 @@ from ...planning.route import Plan
 from ...progress import tell
 from ...results.calibration import Calibration
 from ...results.description.description import Description
-from ...results.significance import contradicted
 from ...results.verdict import verdict
 from ...validation.held_out import HeldOut, held_out
 from .options import ReportOptions

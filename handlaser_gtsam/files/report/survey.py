@@ -19,19 +19,21 @@ from ...results.description.tables import (
 )
 from ...results.limits import LimitCheck
 from ...results.survey import SurveyCalibration
-from ..json_text import Record
+from ..checked_text import Record
 from .figure import GREY, MOST_POINTS, Figure, evenly, label, numbers
 from .page import page_of, script_of, sections_of
 from .scene import AXIS_SIZE, Geometry, plate, scene_figure
 from .survey_figures import (
+    Seen,
     along_the_rays,
     by_station,
     by_target,
     in_hand,
+    labels_of,
     on_targets,
     profiles,
+    seen_by_all,
 )
-from .survey_seen import Seen, labels_of, seen_by_all
 
 SECTIONS = {
     "verdict": "",

@@ -1,4 +1,7 @@
-"""The server of the page, in a thread of its own: starlette finds the answer, uvicorn speaks HTTP."""
+"""The server of the page, in a thread of its own: starlette finds the answer, uvicorn speaks HTTP.
+
+It hangs up on clients that stop reading, leave a request unfinished, or are too many.
+"""
 
 import asyncio
 import errno
@@ -6,18 +9,19 @@ import ipaddress
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
+from typing import cast
 
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 from uvicorn import Config, Server
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ...errors import InputError
 from ..report.page import live_page
 from .guard import Guard, is_loopback, names_of, spelt
 from .hub import Hub
-from .patience import MOST_CLIENTS, PatientProtocol
 
 PORT = 8642
 """The port of the page where none is stated: one that no common server takes."""
@@ -26,6 +30,13 @@ PORTS_TRIED = 20
 EVENTS = "text/event-stream"
 SEND_BUFFER = 1 << 18
 """Bytes that the system holds back at most for a client that does not read: a quarter of a state."""
+READ_TIMEOUT_S = 30.0
+"""Seconds in which a client that is sent something has to read any of it: slow networks take a few."""
+HEAD_TIMEOUT_S = 10.0
+"""Seconds in which a client has to send the whole head of a request, which is one packet."""
+MOST_CLIENTS = 64
+"""Clients that look on at a time: a browser has one a tab, and more would take the time of
+calibrating."""
 
 
 def listening(host: str, port: int | None) -> socket.socket:
@@ -177,3 +188,68 @@ class PageServer:
                 yield await self._hub.news(heard)
         finally:
             self._hub.clients -= 1
+
+
+class PatientProtocol(H11Protocol):
+    """uvicorn's HTTP, which waits for clients, but not for ever."""
+
+    _waiting: asyncio.TimerHandle | None = None
+    _head: asyncio.TimerHandle | None = None
+    _left = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin, and wait for the head of a request."""
+        stream = cast(asyncio.Transport, transport)
+        super().connection_made(stream)
+        if len(self.connections) > 4 * MOST_CLIENTS:  # a browser opens two or three ahead of need
+            stream.abort()
+        else:
+            self._head = self.loop.call_later(HEAD_TIMEOUT_S, stream.abort)
+
+    def data_received(self, data: bytes) -> None:
+        """Take a part of a request; the head has come once there is a cycle that answers it."""
+        super().data_received(data)
+        whole = self.cycle is not None and not self.cycle.response_complete
+        if whole and self._head is not None:
+            self._head.cancel()
+            self._head = None
+        elif not whole and self._head is None:
+            self._head = self.loop.call_later(HEAD_TIMEOUT_S, self._judge_head)
+
+    def _judge_head(self) -> None:
+        """Hang up where the head of a further request is not whole, and nothing is being answered."""
+        self._head = None
+        if self.cycle is None or self.cycle.response_complete:
+            self.transport.abort()
+
+    def pause_writing(self) -> None:
+        """Begin to wait: what was sent fills all buffers on the way."""
+        super().pause_writing()
+        self._wait()
+
+    def resume_writing(self) -> None:
+        """Go on: it has read."""
+        self._rest()
+        super().resume_writing()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        self._rest()
+        if self._head is not None:
+            self._head.cancel()
+        super().connection_lost(exc)
+
+    def _wait(self) -> None:
+        self._left = self.transport.get_write_buffer_size()
+        self._waiting = self.loop.call_later(READ_TIMEOUT_S, self._judge)
+
+    def _judge(self) -> None:
+        if self.transport.get_write_buffer_size() >= self._left:
+            self.transport.abort()
+        else:
+            self._wait()
+
+    def _rest(self) -> None:
+        if self._waiting is not None:
+            self._waiting.cancel()
+            self._waiting = None

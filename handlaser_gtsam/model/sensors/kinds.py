@@ -1,11 +1,65 @@
-"""The kinds of sensors with many rays: what their tables hold, and where their rays are."""
+"""The kinds of sensors with many rays: what their tables hold, and where their rays are.
+
+A line profiler reads z at many x: its profile is in the plane y = 0 of the sensor, and a point
+(x, 0, z) is the reading z of a ray from (x, 0, 0) along the z axis. A 2-D scanner reads a range at many
+angles, in the plane z = 0, as ROS has it: the ray of an angle goes from the origin along (cos, sin, 0),
+so that angle zero is the x axis. ToF arrays and depth cameras read ranges along known directions from
+one point.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from ...arrays import FloatArray
-from . import array, profiler
-from .fans import Rayset
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rayset:
+    """Rays in the frame of their sensor, one a reading.
+
+    Attributes
+    ----------
+    origin, direction : (n, 3)
+        [m], unit vectors.
+    origin_by_scale, direction_by_scale : (n, 3)
+        Their derivatives by the scale of what tells the rays apart.
+    """
+
+    origin: FloatArray
+    direction: FloatArray
+    origin_by_scale: FloatArray
+    direction_by_scale: FloatArray
+
+
+def zone_rays(across: FloatArray) -> Rayset:
+    """Return the rays of directions (n, 3); their scale multiplies the tangents x/z, y/z."""
+    u = across / np.linalg.norm(across, axis=1)[:, None]
+    # Unit vector of (x c, y c, z): its derivative by c is across u.
+    aside = np.column_stack((u[:, :2], np.zeros(len(u))))
+    turning = aside - u * (aside * u).sum(axis=1)[:, None]
+    nothing = np.zeros_like(u)
+    return Rayset(nothing, u, nothing, turning)
+
+
+def profile_rays(across: FloatArray) -> Rayset:
+    """Return the rays of a profiler at the given x (n, 1) [m]."""
+    origin = np.zeros((len(across), 3))
+    origin[:, 0] = across[:, 0]
+    direction = np.zeros_like(origin)
+    direction[:, 2] = 1.0
+    return Rayset(origin, direction, origin, np.zeros_like(origin))
+
+
+def scan_rays(across: FloatArray) -> Rayset:
+    """Return the rays of a scanner at the given angles (n, 1) [rad]."""
+    a = across[:, 0]
+    zero = np.zeros_like(a)
+    along = np.stack((np.cos(a), np.sin(a), zero), axis=1)
+    turning = np.stack((-np.sin(a), np.cos(a), zero), axis=1) * a[:, None]
+    nothing = np.zeros_like(along)
+    return Rayset(nothing, along, nothing, turning)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +92,9 @@ class Kind:
 
 
 KINDS = {
-    "profiler": Kind(profiler.profile_rays, (0, 2), parallel=True),
-    "scanner": Kind(profiler.scan_rays, (0, 1), parallel=False),
-    "array": Kind(array.zone_rays, (0, 1, 2), parallel=False),
-    "points": Kind(array.zone_rays, (0, 1, 2), parallel=False),
+    "profiler": Kind(profile_rays, (0, 2), parallel=True),
+    "scanner": Kind(scan_rays, (0, 1), parallel=False),
+    "array": Kind(zone_rays, (0, 1, 2), parallel=False),
+    "points": Kind(zone_rays, (0, 1, 2), parallel=False),
 }
 """By the word that a rig file has for it."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from ...text import count
-from ..calibration_fields import CalibrationData
+from ..reports import CalibrationData
 from ..verdict import OPENING, Verdict
 from . import evidence, parameters
 from .tables import sentence

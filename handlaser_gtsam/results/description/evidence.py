@@ -10,14 +10,13 @@ import numpy as np
 
 from ...model.effects.effect import size_in_words
 from ...model.families import BEAM, RANGE_ERROR
-from ...quantities import IN_DEG, IN_MM
+from ...model.joint import STRONG
+from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
-from ..calibration_fields import CalibrationData
-from ..correlations import STRONG
-from ..improvement import WELL_CONDITIONED
 from ..lines import NAMES_IN_LINE, small_mm
-from ..reports import NoiseComponent
+from ..reports import CalibrationData, NoiseComponent
 from ..systematic import SystematicError
+from ..verdict import WELL_CONDITIONED
 from .tables import (
     NONE,
     Cell,
@@ -121,13 +120,13 @@ def _shares(described: "Description") -> Iterator[str]:
         return
     weakest = f"lie along the least certain direction, mostly {shares.weakest_quantity}"
     parts = [
-        f"{100.0 * share:.0f} % {words}"
+        f"{IN_PERCENT * share:.0f} % {words}"
         for share, words in (
             (shares.poses, "come from errors of the robot"),
             (shares.range_error, "from not knowing the range errors"),
             (shares.weakest, weakest),
         )
-        if math.isfinite(share) and round(100.0 * share) > 0
+        if math.isfinite(share) and round(IN_PERCENT * share) > 0
     ]
     overlap = "; these overlap" if len(parts) > 1 else ""
     if parts:

@@ -12,9 +12,8 @@ from ...model.families import BEAM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ...quantities import IN_DEG, IN_MM
 from ..limits import LimitCheck
 from ..lines import UNDETERMINED, decimals
-from ..measuring import spot, typical_plane
 from ..reports import Beam, Plane
-from ..spot_error import spot_radii
+from ..spot_error import spot, spot_radii, typical_plane
 from .tables import (
     NONE,
     ROWS_ON_PAGE,
