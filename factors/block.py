@@ -151,10 +151,10 @@ class RangeBlock:
             share = self.gathering.share(self, values)
         if share is None:
             evaluated, columns = self.evaluate(values)
-            share = Share(evaluated.white, evaluated.rows(self.whitening, self.beam_of), columns)
+            rows = evaluated.rows(self.whitening, self.beam_of)
+            share = Share(evaluated.white, gtsam.JacobianVector([rows[:, of] for of in columns]))
         if jacobians is not None:
-            for slot, of_key in enumerate(share.columns):
-                jacobians[slot] = share.rows[:, of_key]  # type: ignore[index]
+            jacobians[:] = share.derivatives  # type: ignore[index]
         return share.white
 
     def evaluate(self, values: gtsam.Values) -> tuple[Evaluation, tuple[slice, ...]]:

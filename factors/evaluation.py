@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from itertools import pairwise
 
+import gtsam
 import numpy as np
 
 from handlaser_gtsam.arrays import FloatArray, IntArray
@@ -54,11 +55,10 @@ class Evaluation:
 
 @dataclass(slots=True)
 class Share:
-    """What one factor hands out: whitened residuals and derivatives, and the columns of its keys."""
+    """What one factor hands out: whitened residuals [m], and their derivatives by each of its keys."""
 
     white: FloatArray
-    rows: FloatArray
-    columns: tuple[slice, ...]
+    derivatives: gtsam.JacobianVector
 
 
 def evaluation(residual: FloatArray, jacobian: FloatArray, how: Whitening | None) -> Evaluation:
