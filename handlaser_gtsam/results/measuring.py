@@ -14,7 +14,7 @@ from ..checks import require_kind
 from ..data.value import Value
 from ..errors import InputError
 from ..model.families import BEAM
-from ..model.joint import JointCovariance, plane_lift
+from ..model.joint import JointCovariance, plane_lifts
 from ..quantities import NEGLIGIBLE
 from .calibration_fields import CalibrationData
 from .reports import Beam
@@ -122,7 +122,7 @@ def measured_plane(calibration: CalibrationData, readings: Mapping[str, float]) 
     A = np.column_stack(((X - middle) @ basis, np.ones(len(names))))
     fit = -np.linalg.pinv(A)
     tangent = fit @ S @ fit.T
-    lift = plane_lift(basis, middle)
+    lift = plane_lifts(basis, middle)
     return MeasuredPlane(
         n,
         float(-n @ middle),

@@ -5,7 +5,7 @@ many members, of which no column is formed: each counts in ranges of the rows in
 beam and time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -40,6 +40,10 @@ class CommonErrors:
         self.codes = np.array(codes, dtype=str)
         self.plane = self.beam = np.full(len(self.codes), -1)
         self.squares = self._squares(rows.how.weighed(self.columns))
+
+    def by_code(self, value: Callable[[str], float]) -> FloatArray:
+        """Return what every member (m,) has by its code."""
+        return np.array([value(code) for code in self.codes.tolist()])
 
     def dot(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
@@ -79,7 +83,7 @@ class PlaneErrors:
     """
 
     def __init__(self, rows: LinearRows, code: str, kind: OnPlanes) -> None:
-        self.rows, self.kind = rows, kind
+        self.rows, self.kind, self.code = rows, kind, code
         self.plane, self.beam, self.position = kind.plane, kind.beam, kind.since
         plane, position = self.plane, self.position
         self.codes, self.column = np.full(len(plane), code), kind.column
@@ -95,6 +99,10 @@ class PlaneErrors:
         self.products = np.zeros((*self.first.shape, rows.J.shape[1]))
         self.squares = np.zeros(len(plane))
         self._sum(rows)
+
+    def by_code(self, value: Callable[[str], float]) -> FloatArray:
+        """Return what every member (m,) has by its code."""
+        return np.full(len(self.plane), value(self.code))
 
     def dot(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""

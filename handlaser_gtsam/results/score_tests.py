@@ -5,7 +5,7 @@ shows by improbable range errors, and not by residuals, widens that prior until 
 a strained member is judged as if range errors had no prior.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,8 +110,12 @@ class ScoreTests:
         self.moved = np.where(self.strained[:, None], loose.moved, bound.moved)
         self._test(scale)
         plausible = plausible or {}
-        most = np.array([plausible.get(code, np.inf) for code in self.codes.tolist()])
+        most = self._by_code(lambda code: plausible.get(code, np.inf))
         self.unnoticed = np.minimum(self.detectable, most)
+
+    def _by_code(self, value: Callable[[str], float]) -> FloatArray:
+        """Return what every member (m,) has by its code."""
+        return np.concatenate([kind.by_code(value) for kind in self.kinds])
 
     def products(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
@@ -140,13 +144,12 @@ class ScoreTests:
         left, whole = self._loose.left, np.concatenate([kind.squares for kind in self.kinds])
         share = left / np.where(whole > 0.0, whole, np.inf)
         unit = {"m": self.rows.readings.typical_range(), "1": 1.0}
-        most = np.array([UNKNOWN_SIZE * unit[EFFECTS[code].unit] for code in self.codes.tolist()])
+        most = self._by_code(lambda code: UNKNOWN_SIZE * unit[EFFECTS[code].unit])
         # An error is confounded where the unknowns explain all of its column but a negligible part.
         # Rounding makes up to 1e-11 of a member; errors that a recording shows have 3e-5 or more.
         determined = (share > NEGLIGIBLE) & (left > (scale / most) ** 2)
         if (self.rows.prior[:, 0] > 0.0).all():
-            is_k1 = [code for code, effect in EFFECTS.items() if effect.is_k1]
-            determined &= ~np.isin(self.codes, is_k1)
+            determined &= self._by_code(lambda code: not EFFECTS[code].is_k1) > 0.0
         return np.asarray(determined)
 
     def _test(self, scale: float) -> None:
