@@ -70,11 +70,10 @@ class Evaluation:
 
 @dataclass(slots=True)
 class Share:
-    """What one factor hands out: whitened residuals and derivatives, and the columns of its keys."""
+    """What one factor hands out: whitened residuals [m], and their derivatives by each of its keys."""
 
     white: FloatArray
-    rows: FloatArray
-    columns: tuple[slice, ...]
+    derivatives: gtsam.JacobianVector
 
 
 def evaluation(residual: FloatArray, jacobian: FloatArray, how: Whitening | None) -> Evaluation:
@@ -224,10 +223,10 @@ class RangeBlock:
             share = self.gathering.share(self, values)
         if share is None:
             evaluated, columns = self.evaluate(values)
-            share = Share(evaluated.white, evaluated.rows(self.whitening, self.beam_of), columns)
+            rows = evaluated.rows(self.whitening, self.beam_of)
+            share = Share(evaluated.white, gtsam.JacobianVector([rows[:, of] for of in columns]))
         if jacobians is not None:
-            for slot, of_key in enumerate(share.columns):
-                jacobians[slot] = share.rows[:, of_key]  # type: ignore[index]
+            jacobians[:] = share.derivatives  # type: ignore[index]
         return share.white
 
     def evaluate(self, values: gtsam.Values) -> tuple[Evaluation, tuple[slice, ...]]:

@@ -49,8 +49,9 @@ class BeamKeys:
     @property
     def variables(self) -> tuple[int, ...]:
         """Keys of location, direction and, if it is estimated, range error."""
-        keys = (self.location, self.direction, self.range_error)
-        return tuple(key for key in keys if key is not None)
+        if self.range_error is None:
+            return self.location, self.direction
+        return self.location, self.direction, self.range_error
 
 
 def integer_key(key: object, of: str) -> int:

@@ -86,9 +86,9 @@ class SharedEvaluation:
         self._R = np.asfortranarray(np.concatenate([block.world_R_hand for block in blocks]))
         self._t = np.asfortranarray(np.concatenate([block.world_t_hand for block in blocks]))
         beams, beam_of = _unique([beam for block in blocks for beam in block.beams])
-        first = np.cumsum([0, *(len(block.beams) for block in blocks)])
-        firsts = zip(first[:-1], blocks, strict=True)
-        beam_of = beam_of[np.concatenate([a + block.beam_of for a, block in firsts])]
+        counts = np.array([len(block.beams) for block in blocks])
+        self.slot = np.concatenate([block.beam_of for block in blocks])
+        beam_of = beam_of[np.repeat(np.cumsum(counts) - counts, sizes) + self.slot]
         none = -1
         errors = [none if beam.range_error is None else beam.range_error for beam in beams]
         self.locations, location = _unique([beam.location for beam in beams])
@@ -100,9 +100,9 @@ class SharedEvaluation:
         self.poses, pose_of = _unique([none if b.pose is None else b.pose for b in blocks])
         self.plane_of, self.pose_of = np.repeat(plane_of, sizes), np.repeat(pose_of, sizes)
         self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
-        self.slot = np.concatenate([block.beam_of for block in blocks])
         self._terms: dict[int, int] = {none: 0}
-        self._columns: list[tuple[slice, ...]] = []
+        self._shares: list[Share] = []
+        self._parts: list[tuple[FloatArray, FloatArray]] = []
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
@@ -117,20 +117,22 @@ class SharedEvaluation:
         return evaluation(residual, jacobian, self.whitening)
 
     def _variables(self, values: gtsam.Values) -> _Variables:
-        direction = [values.atUnit3(key) for key in self.directions]
-        plane = [values.atOrientedPlane3(key) for key in self.planes]
-        normal = [p.normal() for p in plane]
+        directions = [values.atUnit3(key).point3() for key in self.directions]
+        planes = [values.atOrientedPlane3(key).planeCoefficients() for key in self.planes]
+        plane, beams = np.array(planes), len(directions)
+        units = np.concatenate((directions, plane[:, :3]))
+        basis = model.tangent_basis(units)
         R, t = self._hand_poses(values)
         return _Variables(
             R=R,
             t=t,
             r=np.array([values.atPoint3(key) for key in self.locations]),
-            v=np.array([v.point3() for v in direction]),
-            v_basis=np.array([v.basis() for v in direction]),
+            v=units[:beams],
+            v_basis=basis[:beams],
             k=self._range_errors(values),
-            n=np.array([n.point3() for n in normal]),
-            n_basis=np.array([n.basis() for n in normal]),
-            b=np.array([p.distance() for p in plane]),
+            n=units[beams:],
+            n_basis=basis[beams:],
+            b=plane[:, 3],
         )
 
     def _fill(
@@ -181,11 +183,35 @@ class SharedEvaluation:
 
     def hand_out(self, evaluation: Evaluation) -> None:
         """Let every block hand out its rows of `at` until somebody takes them back."""
-        if not self._columns:
-            self._columns = [self._columns_of(block) for block in self.blocks]
-        white, derivatives = evaluation.white, evaluation.rows(self.whitening, self.slot)
-        for block, rows, columns in zip(self.blocks, self.slices, self._columns, strict=True):
-            block.prepared = Share(white[rows], derivatives[rows], columns)
+        rows = evaluation.rows(self.whitening, self.slot)
+        if not self._shares:
+            self._prepare(evaluation.white, rows)
+        self._white[:], self._rows[:] = evaluation.white, rows
+        for matrix, part in self._parts:
+            matrix[...] = part
+        for block, share in zip(self.blocks, self._shares, strict=True):
+            block.prepared = share
+
+    def _prepare(self, white: FloatArray, rows: FloatArray) -> None:
+        """Make what the blocks hand out, for whitened residuals and derivatives of these shapes.
+
+        GTSAM takes a NumPy array as a matrix of its own, which costs more than to copy between
+        matrices. So every block has matrices of GTSAM, which are written through their views.
+        """
+        self._white, self._rows = np.empty_like(white), np.empty_like(rows)
+        beams, none = int(self.slot.max()) + 1, -1
+        empty: dict[tuple[int, tuple[int, ...], bool], gtsam.JacobianVector] = {}
+        for block, of_block in zip(self.blocks, self.slices, strict=True):
+            keys = [none if beam.range_error is None else beam.range_error for beam in block.beams]
+            terms = tuple([self._terms[key] for key in keys])
+            shape = len(block.distance), terms, block.pose is not None
+            columns = _columns_of(terms, beams, block.pose is not None)
+            if shape not in empty:
+                sizes = [(len(block.distance), of_key.stop - of_key.start) for of_key in columns]
+                empty[shape] = gtsam.JacobianVector([np.zeros(size) for size in sizes])
+            derivatives, rows_here = gtsam.JacobianVector(empty[shape]), self._rows[of_block]
+            self._parts += [(derivatives[i], rows_here[:, c]) for i, c in enumerate(columns)]
+            self._shares.append(Share(self._white[of_block], derivatives))
 
     def squared_columns(self, evaluation: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""
@@ -204,16 +230,6 @@ class SharedEvaluation:
                 key: sums[i, : self._terms.get(key)] for i, key in enumerate(keys) if key >= 0
             }
         return total
-
-    def _columns_of(self, block: RangeBlock) -> tuple[slice, ...]:
-        """Return the columns of each key of `block` in the evaluation."""
-        none = -1
-        keys = (none if beam.range_error is None else beam.range_error for beam in block.beams)
-        return _columns_of(
-            tuple(self._terms[key] for key in keys),
-            int(self.slot.max()) + 1,
-            block.pose is not None,
-        )
 
     def _range_errors(self, values: gtsam.Values) -> FloatArray:
         k = np.zeros((len(self.range_errors), 2))
@@ -242,8 +258,9 @@ def _columns_of(terms: tuple[int, ...], beams: int, with_pose: bool) -> tuple[sl
 
 def _unique(items: Sequence[Item]) -> tuple[list[Item], IntArray]:
     """Return the different items and, for each of `items`, its index among them."""
-    number = {item: i for i, item in enumerate(dict.fromkeys(items))}
-    return list(number), np.array([number[item] for item in items], dtype=np.intp)
+    number: dict[Item, int] = {}
+    index = [number.setdefault(item, len(number)) for item in items]
+    return list(number), np.array(index, dtype=np.intp)
 
 
 class Gathering:

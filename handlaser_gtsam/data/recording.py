@@ -281,12 +281,31 @@ class Order(Value):
     planes: IntArray
 
 
+def sorted_rows(table: FloatArray) -> IntArray:
+    """Return the order of the rows (N, D) by the first column, then the second, and so on.
+
+    A row that the columns so far tell from all others is not sorted again.
+    """
+    order = np.arange(len(table))
+    place, group = order.copy(), np.zeros_like(order)
+    for column in table.T:
+        rows = order[place]
+        rows = rows[np.lexsort((column[rows], group))]
+        order[place], x = rows, column[rows]
+        first = np.ones(len(rows) + 1, dtype=bool)
+        first[1:-1] = (group[1:] != group[:-1]) | (x[1:] != x[:-1])
+        shared = ~(first[:-1] & first[1:])
+        place, group = place[shared], np.cumsum(first[:-1])[shared]
+        if not place.size:
+            break
+    return order
+
+
 def sorted_readings(recording: Recording) -> tuple[Readings, Order]:
     """Return the readings of `recording` in the order that only their content decides."""
     ranges = np.where(np.isnan(recording.ranges), np.inf, recording.ranges)
     poses = np.hstack((recording.world_t_hand, recording.world_R_hand.reshape(-1, 9)))
-    content = np.hstack((poses, np.sort(ranges, axis=1)))
-    stations = np.lexsort(content.T[::-1])
+    stations = sorted_rows(np.hstack((poses, np.sort(ranges, axis=1))))
     beams = np.lexsort(ranges[stations][::-1])
     labels = recording.plane_of_station[stations]
     seen, first = np.unique(labels, return_index=True)

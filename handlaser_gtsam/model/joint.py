@@ -185,7 +185,7 @@ class JointCovariance(Value):
             joint[first:, first:] += self.coupling[p][:, :, p].reshape(3 * len(p), -1)
         if not ambient:
             return joint
-        of_beams, of_planes = self.beam_lifts(), self.plane_lifts()
+        of_beams, of_planes = self.beam_lifts(), plane_lifts(self.plane_bases, self.origins)
         lifts = [*(of_beams[k] for k in i), *(of_planes[k] for k in p)]
         return _lifted(_lifted(joint, lifts).T, lifts).T
 
@@ -207,19 +207,16 @@ class JointCovariance(Value):
         ]
         return [lift @ S @ lift.T for lift, S in zip(self.beam_lifts(), blocks, strict=True)]
 
-    def all_planes(self) -> list[FloatArray]:
-        """Return the ambient covariance (4, 4) of every plane."""
+    def all_planes(self) -> FloatArray:
+        """Return the ambient covariances (P, 4, 4) of the planes."""
         tangent = self.planes + self.response @ self.beams @ np.swapaxes(self.response, 1, 2)
-        return [lift @ S @ lift.T for lift, S in zip(self.plane_lifts(), tangent, strict=True)]
+        lifts = plane_lifts(self.plane_bases, self.origins)
+        return np.asarray(lifts @ tangent @ np.swapaxes(lifts, 1, 2))
 
     def beam_lifts(self) -> list[FloatArray]:
         """Return (8, 5 + terms) from tangent to ambient coordinates of every beam."""
         lifts = zip(beam_lifts(self.beam_bases), self.terms, strict=True)
         return [lift[:, : MOUNT_DIM + terms] for lift, terms in lifts]
-
-    def plane_lifts(self) -> list[FloatArray]:
-        """Return (4, 3) from (tangent of n, offset at its origin) to (n, b) of every plane."""
-        return list(map(plane_lift, self.plane_bases, self.origins))
 
     def _columns(self, index: int) -> IntArray:
         first = sum(MOUNT_DIM + terms for terms in self.terms[:index])
@@ -251,12 +248,13 @@ def beams_lift(bases: FloatArray, terms: Sequence[int]) -> FloatArray:
     return lift.reshape(BEAM.size * count, BEAM.dim * count)[:, active]
 
 
-def plane_lift(basis: FloatArray, origin: FloatArray) -> FloatArray:
-    """Return (4, 3) from (tangent of n, offset at `origin`) to (n, b)."""
-    lift = np.zeros((4, 3))
-    lift[:3, :2] = basis
-    lift[3] = (*(-origin @ basis), 1.0)
-    return lift
+def plane_lifts(bases: FloatArray, origins: FloatArray) -> FloatArray:
+    """Return (..., 4, 3) from (tangent of n, offset at `origins` (..., 3)) to (n, b) of planes."""
+    lifts = np.zeros((*origins.shape[:-1], 4, 3))
+    lifts[..., :3, :2] = bases
+    lifts[..., 3, :2] = -(origins[..., None, :] @ bases)[..., 0, :]
+    lifts[..., 3, 2] = 1.0
+    return lifts
 
 
 def _indices(names: tuple[str, ...], wanted: Sequence[str] | None, kind: str) -> list[int]:

@@ -180,17 +180,21 @@ def _parts(
 ) -> tuple[OpenPart, ...]:
     if space[0].shape[-1] == 0:
         return ()
-    rows = _rows(space, parameters)
-    long = {quantity: (_lengths(columns) > share).tolist() for quantity, columns in rows.items()}
-    listed: list[tuple[Kind, str, int, str]] = [
-        *(("beam", name, i, quantity) for name, i in names.beams for quantity in OF_BEAMS),
-        *(("plane", name, p, quantity) for name, p in names.planes for quantity in OF_PLANES),
-    ]
-    spans = {quantity: _spans(columns, share) for quantity, columns in rows.items()}
+    # Of many planes few are open: only these are looked at one by one.
+    spans: dict[str, dict[int, FloatArray]] = {}
+    for quantity, columns in _rows(space, parameters).items():
+        long = np.flatnonzero(_lengths(columns) > share)
+        spans[quantity] = dict(zip(long.tolist(), _spans(columns[long], share), strict=True))
+    kinds: tuple[tuple[Kind, tuple[tuple[str, int], ...], tuple[str, ...]], ...] = (
+        ("beam", names.beams, OF_BEAMS),
+        ("plane", names.planes, OF_PLANES),
+    )
     parts = (
         OpenPart(kind, name, quantity, spans[quantity][i])
-        for kind, name, i, quantity in listed
-        if long[quantity][i]
+        for kind, named, quantities in kinds
+        for name, i in named
+        for quantity in quantities
+        if i in spans[quantity]
     )
     return tuple(part for part in parts if part.axes.shape[1])
 

@@ -278,7 +278,7 @@ def leverages(
     width = active.shape[1]
     columns = jacobian_columns(parameters, readings, width - 5, observability.centres)
     unit = observability.padded(observability.beam_unit).reshape(active.shape)
-    rows_of_beams = columns[:width].T * unit[readings.beam]
+    rows_of_beams = np.ascontiguousarray(columns[:width].T * unit[readings.beam])
     plane = columns[width : width + 3].T * observability.plane_unit
     S, W = observability.covariance(), observability.information.local_response
     follow = S @ np.swapaxes(W, 1, 2)
@@ -290,16 +290,22 @@ def leverages(
         rows, has = slice(end - int(active[i].sum()), end), np.flatnonzero(active[i])
         beams[i][np.ix_(has, has)] = S[rows, rows]
         across[:, i, has] = follow[:, rows]
-    h = _product(rows_of_beams, beams[readings.beam], rows_of_beams)
-    h -= 2.0 * _product(rows_of_beams, across[readings.plane, readings.beam], plane)
-    h += _product(plane, rest[readings.plane], plane)
+    h = np.empty(len(readings))
+    for i, own in enumerate(beams):
+        rows_of_beam = np.flatnonzero(readings.beam == i)
+        a = rows_of_beams[rows_of_beam]
+        h[rows_of_beam] = _dot(a @ own, a)
+    # What a plane says beside the beam and by itself, of which the former counts twice.
+    pulled = rows_of_beams[:, None] @ across[readings.plane, readings.beam]
+    own_pull = plane[:, None] @ rest[readings.plane]
+    h += _dot((own_pull - 2.0 * pulled)[:, 0], plane)
     # It is a variance: where hardly anything is determined, differences of large numbers are rounding.
     return np.maximum(h, 0.0)
 
 
-def _product(a: FloatArray, matrix: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a' M b (N,) for rows a (N, i) and b (N, j) and matrices (N, i, j)."""
-    products: FloatArray = ((a[:, None] @ matrix)[:, 0] * b).sum(axis=1)
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the products (N,) of the rows of a and b (N, i)."""
+    products: FloatArray = np.einsum("ni,ni->n", a, b)
     return products
 
 

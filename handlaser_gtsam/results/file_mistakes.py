@@ -170,11 +170,11 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]
 def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]:
     """Yield planes of which every reading from some station on, or up to it, was rejected."""
     lost: BoolArray = np.asarray((rejected | np.isnan(recording.ranges)).all(axis=1))
-    for plane, name in enumerate(recording.plane_names):
-        own = np.flatnonzero(recording.plane_of_station == plane)
+    labels, names = recording.plane_of_station, recording.plane_names
+    every, gone = (np.bincount(some, minlength=len(names)) for some in (labels, labels[lost]))
+    for plane in np.flatnonzero((gone >= LEAST_REJECTED) & (gone < every)).tolist():
+        name, own = names[plane], np.flatnonzero(labels == plane)
         out = own[lost[own]]
-        if not LEAST_REJECTED <= len(out) < len(own):
-            continue
         first = out[0] if out[-1] == own[-1] else own[np.searchsorted(own, out[-1]) + 1]
         yield Rereading(
             _of_another_plane(name, recording.station_names[first]),

@@ -1,12 +1,12 @@
 """What is to be solved, and what a solver found by the names of beams and planes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, frozen
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Order, Readings, Recording
@@ -112,13 +112,16 @@ def named_estimates(
 
 
 def _known(
-    covariances: list[FloatArray] | None, undetermined: BoolArray
+    covariances: Sequence[FloatArray] | FloatArray | None, undetermined: BoolArray
 ) -> list[tuple[FloatArray | None, FloatArray | None]]:
     """Return covariances, where all coordinates are determined, and standard deviations."""
     if covariances is None:
         return [(None, None)] * len(undetermined)
-    found: list[tuple[FloatArray | None, FloatArray | None]] = []
-    for covariance, mask in zip(covariances, undetermined, strict=True):
-        sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-        found.append((None if mask.any() else covariance, np.where(mask, np.inf, sigma)))
-    return found
+    every = frozen(covariances)
+    variances = np.maximum(np.diagonal(every, axis1=1, axis2=2), 0.0)
+    sigmas = frozen(np.where(undetermined, np.inf, np.sqrt(variances)))
+    opened = undetermined.any(axis=1).tolist()
+    return [
+        (None if is_open else covariance, sigma)
+        for covariance, sigma, is_open in zip(every, sigmas, opened, strict=True)
+    ]

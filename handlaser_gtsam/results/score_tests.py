@@ -9,7 +9,7 @@ families of many members, of which no column is formed: each counts in ranges of
 by plane, beam and time (`PlaneErrors`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,8 +122,12 @@ class ScoreTests:
         self.moved = np.where(self.strained[:, None], loose.moved, bound.moved)
         self._test(scale)
         plausible = plausible or {}
-        most = np.array([plausible.get(code, np.inf) for code in self.codes.tolist()])
+        most = self._by_code(lambda code: plausible.get(code, np.inf))
         self.unnoticed = np.minimum(self.detectable, most)
+
+    def _by_code(self, value: Callable[[str], float]) -> FloatArray:
+        """Return what every member (m,) has by its code."""
+        return np.concatenate([kind.by_code(value) for kind in self.kinds])
 
     def products(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
@@ -152,13 +156,12 @@ class ScoreTests:
         left, whole = self._loose.left, np.concatenate([kind.squares for kind in self.kinds])
         share = left / np.where(whole > 0.0, whole, np.inf)
         unit = {"m": self.rows.readings.typical_range(), "1": 1.0}
-        most = np.array([UNKNOWN_SIZE * unit[EFFECTS[code].unit] for code in self.codes.tolist()])
+        most = self._by_code(lambda code: UNKNOWN_SIZE * unit[EFFECTS[code].unit])
         # An error is confounded where the unknowns explain all of its column but a negligible part.
         # Rounding makes up to 1e-11 of a member; errors that a recording shows have 3e-5 or more.
         determined = (share > NEGLIGIBLE) & (left > (scale / most) ** 2)
         if (self.rows.prior[:, 0] > 0.0).all():
-            is_k1 = [code for code, effect in EFFECTS.items() if effect.is_k1]
-            determined &= ~np.isin(self.codes, is_k1)
+            determined &= self._by_code(lambda code: not EFFECTS[code].is_k1) > 0.0
         return np.asarray(determined)
 
     def _test(self, scale: float) -> None:
@@ -311,6 +314,10 @@ class CommonErrors:
         self.plane = self.beam = np.full(len(self.codes), -1)
         self.squares = self._squares(rows.how.weighed(self.columns))
 
+    def by_code(self, value: Callable[[str], float]) -> FloatArray:
+        """Return what every member (m,) has by its code."""
+        return np.array([value(code) for code in self.codes.tolist()])
+
     def dot(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
         return np.asarray(self.mix.T @ (self.columns.T @ y))
@@ -349,7 +356,7 @@ class PlaneErrors:
     """
 
     def __init__(self, rows: LinearRows, code: str, kind: OnPlanes) -> None:
-        self.rows, self.kind = rows, kind
+        self.rows, self.kind, self.code = rows, kind, code
         self.plane, self.beam, self.position = kind.plane, kind.beam, kind.since
         plane, position = self.plane, self.position
         self.codes, self.column = np.full(len(plane), code), kind.column
@@ -365,6 +372,10 @@ class PlaneErrors:
         self.products = np.zeros((*self.first.shape, rows.J.shape[1]))
         self.squares = np.zeros(len(plane))
         self._sum(rows)
+
+    def by_code(self, value: Callable[[str], float]) -> FloatArray:
+        """Return what every member (m,) has by its code."""
+        return np.full(len(self.plane), value(self.code))
 
     def dot(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""

@@ -53,7 +53,7 @@ from ..model.families import (
     PLANE,
     modelled,
 )
-from ..model.joint import JointCovariance, beams_lift, plane_lift
+from ..model.joint import JointCovariance, beams_lift, plane_lifts
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, NEGLIGIBLE, SINGULAR
 from ..solvers.beam_problem import linearized
@@ -329,7 +329,7 @@ def measured_plane(calibration: CalibrationData, readings: Mapping[str, float]) 
     A = np.column_stack(((X - middle) @ basis, np.ones(len(names))))
     fit = -np.linalg.pinv(A)
     tangent = fit @ S @ fit.T
-    lift = plane_lift(basis, middle)
+    lift = plane_lifts(basis, middle)
     return MeasuredPlane(
         n,
         float(-n @ middle),

@@ -5,7 +5,7 @@ Hand poses can be variables of the graph: then each has a prior with what is kno
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 import gtsam
 import numpy as np
@@ -160,11 +160,11 @@ def build_graph(
         group = readings.plane if priors is None else readings.station
         rows = np.lexsort((readings.beam, readings.station, group))
         blocks = station_blocks(readings, whitening, rows, group, (beams, planes, priors))
-    graph, noise_model = gtsam.NonlinearFactorGraph(), cache(_noise_model)
+    graph, noise_model = gtsam.NonlinearFactorGraph(), cache(partial(_noise_model, sigma, loss))
     for block in blocks:
-        graph.push_back(range_factor(block, noise_model(len(block.distance), sigma, loss)))
+        graph.add(range_factor(block, noise_model(len(block.distance))))
     for factor in range_error_priors(beams, counts, range_errors):
-        graph.push_back(factor)
+        graph.add(factor)
     prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
     values = start_values(start, beams, planes, counts)
     poses: tuple[int, ...] = ()
@@ -209,7 +209,7 @@ def range_error_priors(
     return factors
 
 
-def _noise_model(rows: int, range_sigma: float, loss: Loss) -> gtsam.noiseModel.Base:
+def _noise_model(range_sigma: float, loss: Loss, rows: int) -> gtsam.noiseModel.Base:
     """Return the noise model of a block; GTSAM would weigh the block as a whole by default."""
     isotropic = gtsam.noiseModel.Isotropic.Sigma(rows, range_sigma)
     if loss.name == "gaussian":

@@ -143,7 +143,7 @@ def damped_step(
             unit = gtsam.noiseModel.Unit.Create(dim)
             damped.add(key, np.diag(np.sqrt(damping * size)), np.zeros(dim), unit)
     try:
-        delta = damped.optimize(ordering)
+        delta = damped.eliminateSequential(ordering).optimize()
     except RuntimeError:  # GTSAM's indeterminate linear system
         return None
     decrement = -linear.gradientAtZero().dot(delta)

@@ -64,7 +64,7 @@ def eliminated_sums(normal: Normal, unit: float) -> EliminatedSums:
     border = border * w[..., None] * u
     graph, order = gtsam.GaussianFactorGraph(), [L(i) for i in range(m)]
     if n:
-        graph.push_back(gtsam.HessianFactor(X(0), H, -g, 0.0))
+        graph.add(gtsam.HessianFactor(X(0), H, -g, 0.0))
     nothing, zero = np.zeros((n, n)), np.zeros(n)
     for i in range(m):
         if n:
@@ -72,7 +72,7 @@ def eliminated_sums(normal: Normal, unit: float) -> EliminatedSums:
             factor = gtsam.HessianFactor(X(0), L(i), nothing, E, zero, local[i], -own[i], 0.0)
         else:
             factor = gtsam.HessianFactor(L(i), local[i], -own[i], 0.0)
-        graph.push_back(factor)
+        graph.add(factor)
     net, rest = graph.eliminatePartialSequential(gtsam.Ordering(order))
     conditionals = [net.at(i) for i in range(net.size())]
     d = local.shape[1]

@@ -22,7 +22,7 @@ from ..estimation.survey import SurveyEstimate, estimate_survey
 from ..estimation.survey_rows import Item
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf
 from ..model.families import BEAM, PLANE, POSE, bases
-from ..model.joint import beam_lifts, plane_lift
+from ..model.joint import beam_lifts, plane_lifts
 from ..model.known import BODY
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -254,7 +254,7 @@ def _differences(
         if kind == PLANE.name:
             n, c = own[:3], own[4:]
             own = np.append(n, own[3] - n @ c)
-            lift = plane_lift(bases(n), c)
+            lift = plane_lifts(bases(n), c)
             mine = lift @ mine @ lift.T
         yield name, own - other, mine, theirs.covariances[kind, i], COMPARED_PARTS[kind]
 
