@@ -119,6 +119,61 @@ def test_zones_conventions_and_echoes(tmp_path):
     assert shots.across[0] == pytest.approx([-np.sin(np.radians(10)), 0.0, c])
 
 
+INCH = 25.4
+"""Millimetres."""
+
+
+def in_inches(folder, suffix="", log="", sensor=""):
+    """Write the example in inches, with what its names of columns and its rig file say of them."""
+    for name, columns in (("poses.csv", "XYZ"), ("profiles.csv", "xz")):
+        table = pl.read_csv(folder / name)
+        new = [(pl.col(c) / INCH).alias(c.lower() + suffix) for c in columns]
+        table.select(pl.exclude(list(columns)), *new).write_csv(folder / name)
+    rig = folder / "rig.toml"
+    text = rig.read_text().replace('units = "mm"', sensor)
+    rig.write_text(text.replace('pose_format = "kuka"', f'pose_format = "kuka"\n{log}'))
+    return str(folder / "poses.csv"), "--rig", str(rig)
+
+
+@pytest.mark.parametrize("suffix", ["", "_in", " [inch]"])
+def test_inches_may_be_stated_for_poses_and_points(folder, handlaser, suffix):
+    """With the units in the names of the columns, those of the points need not be stated again."""
+    words = in_inches(folder, suffix, 'units = "in"', "" if suffix else 'units = "in"')
+    code, out, err = handlaser("calibrate", *words, "--out", str(folder / "out.json"))
+    assert (code, err) == (0, "")
+    assert "read: poses of kuka: in, deg, angles ZYX; scanner in inches" in out
+    found = json.loads((folder / "out.json").read_text())
+    plain = hl.calibrate(hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml"))
+    sigma = plain.sensors["scanner"].location_sigma.min()
+    # To a hundredth of a standard deviation: columns were divided and multiplied by 25.4.
+    location = pytest.approx(plain.sensors["scanner"].location, abs=0.01 * sigma)
+    assert found["sensors"][0]["location_m"] == location
+
+
+def test_units_that_nobody_stated_are_said_to_be_assumed(folder, handlaser):
+    """All in inches, taken for millimetres, fits as well: only words can tell."""
+    words = in_inches(folder)
+    for verb in ("check", "calibrate"):
+        code, out, err = handlaser(verb, *words)
+        assert (code, err) == (0, "")
+        said = " ".join(out.split())
+        assert "scanner in millimetres (assumed: units in [[sensors]] states it)" in said
+    _, out, _ = handlaser("check", str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml"))
+    assert "scanner in millimetres" in out
+    assert "assumed:" not in out
+
+
+def test_units_that_contradict_each_other_are_refused(folder, handlaser):
+    code, _, err = handlaser("check", *in_inches(folder, "_in", 'units = "in"', 'units = "m"'))
+    assert code == 2
+    assert "found the unit 'in' in names of columns, and units = 'm' in [[sensors]]" in err
+    shutil.copy(FOLDER / "rig.toml", folder / "rig.toml")
+    code, _, err = handlaser("check", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"))
+    assert code == 2
+    assert "found the unit 'in' in the name of the column, which is read as 'mm'" in err
+    assert "log.units in" in err
+
+
 def known(folder, text):
     rig = folder / "rig.toml"
     rig.write_text(rig.read_text() + text)

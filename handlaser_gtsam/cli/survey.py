@@ -80,7 +80,7 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
         write_text(output.report, page)
     aloud = output.json_ or output.quiet
     warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
-    show = partial(_show, result, checks, output)
+    show = partial(_show, result, checks, output, _read_lines(survey))
     return Answer(text, show, warnings, _failure(result, checks))
 
 
@@ -105,7 +105,7 @@ def survey_check(survey: "Survey", rig: "Rig") -> Answer:
         for one in found.warnings
         if found.doubt is None or one.message not in found.doubt
     ]
-    show = partial(print_wrapped, check_lines(found))
+    show = partial(print_wrapped, [*check_lines(found), *_read_lines(survey)])
     return Answer(survey_check_text(found), show, warnings, failure)
 
 
@@ -123,14 +123,14 @@ def converted_survey(
     """
     from ..files.logs.bags import is_bag
     from ..files.stations_csv import write_stations
-    from ..files.survey_reading import describe_survey
+    from ..files.survey_reading import read_survey
     from ..files.writing import require_outputs
 
     if is_bag(path):
         expected = "a log of poses beside tables of points; the other verbs take bags as they are"
         raise InputError("a bag, with sensors of many rays", expected, path)
     require_outputs({"--out": out}, () if rig.survey is None else rig.survey.files)
-    survey, words, warnings = describe_survey(path, rig)
+    survey = read_survey(path, rig)
     if survey.beam_names:
         found = "a recording with ranges of beams, which is no log of poses"
         raise InputError(found, "it as it is: other verbs take it", path)
@@ -142,7 +142,7 @@ def converted_survey(
         (len(set(survey.stations.plane_labels)), "target"),
         (sum(len(shots.reading) for shots in survey.shots), "point"),
     )
-    return [", ".join(count(n, what) for n, what in counts), *filter(None, words)], warnings
+    return [", ".join(count(n, what) for n, what in counts), *filter(None, survey.lines)], survey.warnings
 
 
 def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:
@@ -248,7 +248,19 @@ def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
                 )
 
 
-def _show(result: "SurveyCalibration", checks: "Sequence[LimitCheck]", output: "Output") -> None:
+def _read_lines(survey: "Survey") -> list[str]:
+    """Return how the files of a survey were read, in a line; none where there is nothing to say."""
+    from ..text import printable
+
+    return [f"read: {printable('; '.join(survey.lines))}"] if survey.lines else []
+
+
+def _show(
+    result: "SurveyCalibration",
+    checks: "Sequence[LimitCheck]",
+    output: "Output",
+    read: Sequence[str],
+) -> None:
     from ..results.description.rendering import full_table, text_lines
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
 
@@ -264,6 +276,7 @@ def _show(result: "SurveyCalibration", checks: "Sequence[LimitCheck]", output: "
     lines += text_lines([f"{name}: {words}" for name, words in facts(result, checks)], width)
     lines += text_lines(list(result.undetermined[1:]), width)
     lines += text_lines([f"WARNING: {one.message}" for one in result.warnings], width)
+    lines += text_lines(read, width)
     print_wrapped([*lines, *wrote(output.out, output.report)])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices
 from ..checks import number_array, require_kind, require_number, require_word
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
 from .recording_checks import first_repeated, names_of, require_once
@@ -287,6 +287,10 @@ class Survey(Value):
     linearity : float
         Of the single beams: standard deviation of k1, and of k2 times the typical range, before any
         reading.
+    lines : tuple of str
+        How its files were read, in words: formats and units, stated or assumed.
+    warnings : tuple of CalibrationWarning
+        What is odd about how they were read.
 
     Raises
     ------
@@ -303,6 +307,8 @@ class Survey(Value):
     aiming_sigma: float | None = None
     half_angle: float = 0.0
     linearity: float = 0.01
+    lines: tuple[str, ...] = ()
+    warnings: tuple[CalibrationWarning, ...] = ()
 
     def __post_init__(self) -> None:
         if self.aiming_sigma is not None:

@@ -541,6 +541,7 @@ def _warnings(
         )
         yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
     yield from unread_stations(found.rows)
+    yield from found.rows.survey.warnings
 
 
 def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:

@@ -86,7 +86,7 @@ class SurveyCheck(Value):
         Typical misfit of a shot in standard deviations; NaN where no start was found.
     warnings : tuple of CalibrationWarning
         Of shots that do not fit each other, of arrays that read in the other convention and targets of
-        another kind, of stations without a reading, and of lost shots.
+        another kind, of stations without a reading, of lost shots, and of how files were read.
     """
 
     sensors: tuple[SensorHeld, ...]
@@ -120,7 +120,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     """
     rows, noise = rows_of(survey), noise or Noise()
     causes = tuple(misread(rows, noise))
-    warnings = (*causes, *unread_stations(rows))
+    warnings = (*causes, *unread_stations(rows), *survey.warnings)
     targets = tuple(_targets(rows))
     numbers = sum(1 if item.shot is None else len(item.shot.reading) for item in rows.items)
     numbers += 2 * sum(item.target[0] == "point" for item in rows.items)
