@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -12,7 +13,8 @@ from helpers import ROOT
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks import rigs_by_rays
+from benchmarks import rigs, rigs_by_distance, rigs_by_rays
+from handlaser_gtsam.files.rig_survey import _refuse_exchanged
 
 FOLDER = ROOT / "examples" / "profiler"
 
@@ -172,6 +174,40 @@ def test_units_that_contradict_each_other_are_refused(folder, handlaser):
     assert code == 2
     assert "found the unit 'in' in the name of the column, which is read as 'mm'" in err
     assert "log.units in" in err
+
+
+def exchanged(folder):
+    """Exchange the names x and z in the header of the example."""
+    table = pl.read_csv(folder / "profiles.csv")
+    table.columns = ["station", "z", "x"]
+    table.write_csv(folder / "profiles.csv")
+    return str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")
+
+
+@pytest.mark.parametrize("verb", ["check", "calibrate"])
+def test_columns_of_a_profiler_that_are_exchanged_are_refused(folder, handlaser, verb):
+    """They fit, by a mount that is turned; here with points far behind the target at some stations."""
+    words = exchanged(folder)
+    with open(folder / "profiles.csv", "a") as file:
+        file.writelines(f"P{i},{x},900.0\n" for i in (13, 15, 17) for x in (-30.0, -20.0, 25.0))
+    code, _, err = handlaser(verb, *words)
+    assert code == 2
+    assert "profiles.csv: found x and z of scanner exchanged" in err
+    assert "exchange their names in the header" in err
+
+
+@pytest.mark.parametrize("generator", [rigs_by_rays, rigs_by_distance])
+@pytest.mark.parametrize("targets", ["planes", "sphere", "planes+sphere"])
+def test_no_right_profile_is_called_exchanged(generator, targets):
+    """Nor with z about the middle of its range, nor with x from the edge of the field of view."""
+    for seed in range(5):
+        (shots,) = rigs.survey_of(generator.profiler(seed, targets=targets)).shots
+        x, z = shots.across[:, 0], shots.reading
+        for across in (x, x - x.min()):
+            for reading in (z, z - np.median(z)):
+                _refuse_exchanged(replace(shots, across=across, reading=reading))
+        with pytest.raises(hl.InputError, match="exchanged"):
+            _refuse_exchanged(replace(shots, across=z, reading=x))
 
 
 def known(folder, text):

@@ -27,7 +27,7 @@ from ..data.station_list import StationList
 from ..data.survey import RELATIONS, Known, Shots
 from ..errors import InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
-from ..quantities import DEG, IN_MM, MM
+from ..quantities import DEG, IN_MM, MAJORITY, MM
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
@@ -221,6 +221,36 @@ def _require_lengths(shots: Shots) -> None:
         raise InputError(found, 'units = "mm", "m" or "in" in [[sensors]], as the lengths are')
 
 
+def _refuse_exchanged(shots: Shots) -> None:
+    """Refuse a profiler whose x and z are exchanged: its shots fit as well, in a frame that is turned.
+
+    Within a shot x changes its sign and z, a distance, does not. Distances about the middle of the
+    range, or an x that is counted from one edge of the field of view, break one half of that. So an x
+    is called a distance only where in most shots it is farther from zero than it spans and z changes
+    its sign, and where the middle of x varies more from shot to shot, against
+    its width, than that of z, which is the field of view.
+    """
+    order = np.argsort(shots.station, kind="stable")
+    first = np.flatnonzero(np.diff(shots.station[order], prepend=-1))
+    x, z = shots.across[order, 0], shots.reading[order]
+    ends = [(np.minimum.reduceat(one, first), np.maximum.reduceat(one, first)) for one in (x, z)]
+    (x_middle, x_width), (z_middle, z_width) = [
+        (0.5 * (low + high), high - low) for low, high in ends
+    ]
+    crossed = (np.abs(x_middle) > x_width) & (np.abs(z_middle) < 0.5 * z_width)
+    varies = x_middle.std() * z_width.mean() > z_middle.std() * x_width.mean()
+    if crossed.mean() > MAJORITY and varies:
+        found = (
+            f"x and z of {shots.name} exchanged: in most shots x is farther from zero than it spans, as "
+            "distances are, and z changes its sign"
+        )
+        expected = (
+            "z, the distance, and x, across it: exchange their names in the header; or count x from "
+            "the middle of the field of view, if they are right"
+        )
+        raise InputError(found, expected)
+
+
 def _shots(
     table: SensorTable,
     folder: Path,
@@ -244,6 +274,7 @@ def _shots(
         first, reading = numbers[:, 0], numbers[:, 1] * length
         if table.kind == "profiler":
             shots = Shots.profiler(table.name, station, first * length, reading, **noise)
+            _refuse_exchanged(shots)
         elif table.kind == "scanner":
             shots = Shots.scanner(table.name, station, first * angle, reading, **noise)
         else:
