@@ -188,7 +188,7 @@ def exchanged(folder):
 def test_columns_of_a_profiler_that_are_exchanged_are_refused(folder, handlaser, verb):
     """They fit, by a mount that is turned; here with points far behind the target at some stations."""
     words = exchanged(folder)
-    with open(folder / "profiles.csv", "a") as file:
+    with (folder / "profiles.csv").open("a") as file:
         file.writelines(f"P{i},{x},900.0\n" for i in (13, 15, 17) for x in (-30.0, -20.0, 25.0))
     code, _, err = handlaser(verb, *words)
     assert code == 2

@@ -142,7 +142,8 @@ def converted_survey(
         (len(set(survey.stations.plane_labels)), "target"),
         (sum(len(shots.reading) for shots in survey.shots), "point"),
     )
-    return [", ".join(count(n, what) for n, what in counts), *filter(None, survey.lines)], survey.warnings
+    lines = [", ".join(count(n, what) for n, what in counts), *survey.lines]
+    return lines, survey.warnings
 
 
 def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:
@@ -276,7 +277,7 @@ def _show(
     lines += text_lines([f"{name}: {words}" for name, words in facts(result, checks)], width)
     lines += text_lines(list(result.undetermined[1:]), width)
     lines += text_lines([f"WARNING: {one.message}" for one in result.warnings], width)
-    lines += text_lines(read, width)
+    lines += text_lines(list(read), width)
     print_wrapped([*lines, *wrote(output.out, output.report)])
 
 

@@ -296,7 +296,8 @@ class Survey(Value):
     ------
     InputError
         Stations that are not there, names that stand twice, labels of kinds that are none, targets that
-        a sensor cannot read, relations of what is not there, or nothing that was read.
+        a sensor cannot read, relations of what is not there, the half angle of cones without cones, or
+        nothing that was read.
     """
 
     stations: StationList
@@ -347,6 +348,11 @@ class Survey(Value):
         read: BoolArray = np.zeros(len(labels), dtype=bool)
         if self.ranges is not None:
             read |= ~np.isnan(self.ranges).all(axis=1)
+        if self.half_angle and not self.beam_names:
+            found = (
+                f"half_angle = {self.half_angle:g} rad, and no single beam that it would count for"
+            )
+            raise InputError(found, "ranges and beam_names of cones, or no half_angle")
         single = "cone" if self.half_angle else "beam"
         refused = {
             "groove": "planes, spheres and points: only a profile shows the edge of a groove"

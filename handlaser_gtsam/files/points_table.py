@@ -1,8 +1,9 @@
 """Points of profilers, scanners, ToF arrays and depth cameras: one row a reading, CSV or Parquet.
 
 Columns, by the kind of the sensor: `station`, and `x, z` (profiler); `angle, reading` (scanner);
-`zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty cells and codes for no reading (not finite, or zero)
-are passed over. An array may have a column `echo` where a zone has several.
+`zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty
+cells and codes for no reading (not finite, or zero) are passed over. An array may have a column `echo`
+where a zone has several.
 """
 
 from pathlib import Path

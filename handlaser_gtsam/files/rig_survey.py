@@ -2,7 +2,8 @@
 
 [[sensors]]  name; kind: profiler, scanner, array or points; points: a table of points (CSV, Parquet),
 or topics of a bag; units: mm, m or in (inches), of which mm is assumed where neither this nor the
-names of the columns say; angles: deg or rad, of which deg is assumed so; sigma_mm, sigma_across_mm; free: range errors that are unknown; zones: a CSV of zone, x, y, z
+names of the columns say; angles: deg or rad, of which deg is assumed so; sigma_mm,
+sigma_across_mm; free: range errors that are unknown; zones: a CSV of zone, x, y, z
 (directions), or zone, x_deg, y_deg; convention: radial or perpendicular; echo: all,
 near or far
 [[known]]    relation; of: labels of targets, sensor:NAME or beam:NAME; value_mm or value_deg;
@@ -241,8 +242,8 @@ def _refuse_exchanged(shots: Shots) -> None:
     varies = x_middle.std() * z_width.mean() > z_middle.std() * x_width.mean()
     if crossed.mean() > MAJORITY and varies:
         found = (
-            f"x and z of {shots.name} exchanged: in most shots x is farther from zero than it spans, as "
-            "distances are, and z changes its sign"
+            f"x and z of {shots.name} exchanged: in most shots x is farther from zero than it spans, "
+            "as distances are, and z changes its sign"
         )
         expected = (
             "z, the distance, and x, across it: exchange their names in the header; or count x from "

@@ -76,7 +76,9 @@ def survey_text(result: SurveyCalibration) -> str:
             for one in result.sensors.values()
         ],
         "beams": [
-            record(one, "name direction location_sigma_m readings rejected covariance")
+            record(
+                one, "name direction location_sigma_m reading_sigma_m readings rejected covariance"
+            )
             | {
                 "location_m": one.location,
                 "direction_sigma_rad": one.direction_sigma,

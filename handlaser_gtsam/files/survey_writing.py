@@ -113,7 +113,8 @@ def _columns(table: SensorTable, shots: Shots, zones: FloatArray | None) -> Floa
 
 def _sensor_text(table: SensorTable) -> str:
     """Return a row of [[sensors]]: what was stated, in millimetres and degrees, with its own files."""
-    fields: dict[str, object] = {"name": table.name, "kind": table.kind, "points": _points(table), "units": "mm"}
+    fields: dict[str, object] = {"name": table.name, "kind": table.kind, "points": _points(table)}
+    fields["units"] = "mm"
     if table.kind == "scanner":
         fields["angles"] = "deg"
     if table.kind == "array":

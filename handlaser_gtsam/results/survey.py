@@ -142,6 +142,8 @@ class BeamMount(Value):
     location_sigma : (3,)
     direction_sigma : float
         The larger one [rad].
+    reading_sigma : float
+        Standard deviation of a reading [m], which all single beams share.
     readings, rejected : int
     """
 
@@ -152,6 +154,7 @@ class BeamMount(Value):
     covariance: FloatArray
     location_sigma: FloatArray
     direction_sigma: float
+    reading_sigma: float
     readings: int
     rejected: int
 
@@ -418,6 +421,7 @@ def _beam(found: SurveyEstimate, member: int) -> BeamMount:
         C,
         np.sqrt(np.diagonal(C)[LOCATION]),
         math.sqrt(float(np.linalg.eigvalsh(turn)[-1])) if known else math.inf,
+        float(found.noise.sigma[-2]),
         *_taken(found, BEAM.name, member),
     )
 

@@ -29,7 +29,10 @@ UNIT_IN_NAME = re.compile(
     r"|_(mm|cm|um|m|inch|deg|rad)$"
     r"|(?:(?<=[xyz])|(?<=reading))_(in)$"
 )
-"""A unit at the end of a column's name: `X [mm]`, `A(deg)`, `x_mm`, `x_in`; but `laser_in` is an input."""
+"""A unit at the end of a column's name: `X [mm]`, `A(deg)`, `x_mm`, `x_in`.
+
+`laser_in` is the input of a laser.
+"""
 TIMES = ("time", "timestamp", "stamp", "t", "time_s")
 RANGE = "range_"
 
@@ -249,7 +252,9 @@ def _check_units(table: Table, found: Columns, given: LogFormat) -> None:
     for name, unit, units, option in wanted:
         stated = unit_of(name)
         if stated and stated != unit and not given.as_stated:
-            remedy = f"{option} {stated}" if stated in units else f"values in {', '.join(map(shown, units))}"
+            remedy = f"values in {', '.join(map(shown, units))}"
+            if stated in units:
+                remedy = f"{option} {stated}"
             raise table.fault(
                 f"the unit {shown(stated)} in the name of the column, which is read as {shown(unit)}",
                 f"{remedy}; or --as-stated if the name is wrong",

@@ -1,12 +1,13 @@
 """What there is to say of the result of a survey: terminal and report render it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ...model.families import BEAM, RANGE_ERROR
 from ...model.sensors.mounted import ERRORS, SENSOR
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
@@ -152,6 +153,8 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
     noise = [
         f"{sensor.name} {sensor.reading_sigma * IN_MM:.2g} mm" for sensor in result.sensors.values()
     ]
+    beams = list(result.beams.values())
+    noise += [f"single beams {beams[0].reading_sigma * IN_MM:.2g} mm"] if beams else []
     turn, shift = result.pose_sigma
     if math.isfinite(turn):
         how = " (estimated)" if result.pose_sigma_estimated else ""
@@ -159,14 +162,14 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
     found.append(("noise, one standard deviation", ", ".join(noise)))
     for sensor in result.sensors.values():
         if sensor.range_error:
-            C = np.sqrt(np.diagonal(sensor.covariance)[6:])
-            parts = [
-                f"{code} {value * UNITS[code][1]:.4g} +- {s * UNITS[code][1]:.2g} {UNITS[code][0]}"
-                for (code, value), s in zip(sensor.range_error.items(), C, strict=True)
-            ]
-            found.append((f"range error of {sensor.name}", ", ".join(parts)))
+            sigmas = np.sqrt(np.diagonal(sensor.covariance)[6:])
+            found.append((f"range error of {sensor.name}", _errors(sensor.range_error, sigmas)))
         if sensor.errors:
             found.append((f"tested of {sensor.name}", _tested(sensor)))
+    for beam in beams:
+        errors = dict(zip(BEAM.coordinates[RANGE_ERROR], beam.range_error, strict=True))
+        sigmas = np.sqrt(np.diagonal(beam.covariance)[RANGE_ERROR])
+        found.append((f"range error of beam {beam.name}", _errors(errors, sigmas)))
     for check in worst_of_each(tuple(checks)):
         found.append(("limit", check.comparison if check.held else check.failure))
     for one in result.relations:
@@ -176,6 +179,20 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
         names = [f"{one.words(result.beams)} ({one.reason})" for one in result.rejected]
         found.append(("left out", f"{count(len(names), 'shot')}: {some(names, NAMES_IN_LINE)}"))
     return tuple(found)
+
+
+def _errors(errors: Mapping[str, float], sigmas: FloatArray) -> str:
+    """Say range errors that were estimated, each with its standard deviation where it has one."""
+    parts = []
+    for (code, size), sigma in zip(errors.items(), sigmas.tolist(), strict=True):
+        unit, factor = UNITS[code]
+        how = (
+            f" +- {sigma * factor:.2g} {unit}"
+            if math.isfinite(sigma)
+            else f" {unit} (undetermined)"
+        )
+        parts.append(f"{code} {size * factor:.4g}{how}")
+    return ", ".join(parts)
 
 
 def _tested(sensor: SensorMount) -> str:
