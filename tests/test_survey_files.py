@@ -229,11 +229,21 @@ def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser):
     wrong = hl.calibrate(known(folder, row + f"value_mm = {radius + 0.2}\n"))
     assert wrong.relations[0].contradicted
     assert not wrong.usable
-    code, _, err = handlaser(
-        "calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"), "--quiet"
-    )
+    assert right.without is None
+    # What is at stake: the mount without it is that of a survey that never had it.
+    assert wrong.without == plain
+    words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
+    code, _, err = handlaser(*words, "--quiet")
     assert code == 4
     assert "radius of sphere:ball" in err
+    _, out, _ = handlaser(*words, "--out", str(folder / "out.json"))
+    said = " ".join(out.split())
+    assert f"without radius of sphere:ball: {plain.verdict}" in said
+    found, old = plain.sensors["scanner"], wrong.sensors["scanner"]
+    shift = 1e3 * np.linalg.norm(found.location - old.location)
+    assert f"scanner without it: moves by {shift:.2g} mm and" in said
+    content = json.loads((folder / "out.json").read_text())["without_contradicted"]
+    assert content["sensors"][0]["location_m"] == pytest.approx(found.location, rel=1e-4)
 
 
 @pytest.mark.parametrize("noise", [{}, {"translation": 5e-5, "rotation": 9e-5}])

@@ -96,12 +96,28 @@ def survey_text(result: SurveyCalibration) -> str:
             record(one.known, "relation of") | record(one, "p_value contradicted")
             for one in result.relations
         ],
+        "without_contradicted": None if result.without is None else _mounts(result.without),
         "rejected": [record(one, "sensor station target reason") for one in result.rejected],
         "undetermined": result.undetermined,
         "chi2": result.chi2,
         "dof": result.dof,
     }
     return json_text("survey", whole)
+
+
+def _mounts(result: SurveyCalibration) -> Record:
+    """Return where sensors and beams sit by a result that is not to be read by itself."""
+    return {
+        "status": result.status,
+        "sensors": [
+            record(one, "name rotation") | {"location_m": one.location}
+            for one in result.sensors.values()
+        ],
+        "beams": [
+            record(one, "name direction") | {"location_m": one.location}
+            for one in result.beams.values()
+        ],
+    }
 
 
 def survey_validation_text(result: SurveyValidation) -> str:

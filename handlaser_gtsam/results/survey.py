@@ -225,6 +225,9 @@ class SurveyCalibration(Value):
     rejected : tuple of RejectedShot
     warnings : tuple of CalibrationWarning
     chi2, dof : float, int
+    without : SurveyCalibration, optional
+        The same without the relations that the readings contradict; None where there are none, or where
+        nothing leads to a start without them.
     """
 
     status: Status
@@ -241,6 +244,7 @@ class SurveyCalibration(Value):
     chi2: float
     dof: int
     _found: SurveyEstimate
+    without: "SurveyCalibration | None" = None
 
     @property
     def usable(self) -> bool:

@@ -1,7 +1,7 @@
 """What there is to say of the result of a survey: terminal and report render it."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -175,10 +175,45 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
         found.append((one.known.words, f"{words} (p = {one.p_value:.2g})"))
+    if result.without is not None:
+        found += _without(result, result.without)
     if result.rejected:
         names = [f"{one.words(result.beams)} ({one.reason})" for one in result.rejected]
         found.append(("left out", f"{count(len(names), 'shot')}: {some(names, NAMES_IN_LINE)}"))
     return tuple(found)
+
+
+def _without(result: SurveyCalibration, other: SurveyCalibration) -> Iterator[tuple[str, str]]:
+    """Yield what follows without the relations that are contradicted: how far each mount moves."""
+    false = " and ".join(one.known.words for one in result.relations if one.contradicted)
+    yield f"without {false}", other.verdict
+    for name, sensor in other.sensors.items():
+        before = result.sensors[name]
+        shift = float(np.linalg.norm(sensor.location - before.location)) * IN_MM
+        turn = Rotation.from_matrix(before.rotation.T @ sensor.rotation).magnitude() * IN_DEG
+        angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
+        x, y, z = _places(sensor.location, sensor.location_sigma)
+        digits = _digits(float(sensor.rotation_sigma.max()) * IN_DEG)
+        A, B, C = (f"{angle:.{digits}f}" for angle in angles.tolist())
+        yield (
+            f"{name} without it",
+            f"moves by {shift:.2g} mm and {turn:.2g} deg, to ({x}, {y}, {z}) mm and A {A} B {B} C {C} deg",
+        )
+    for name, beam in other.beams.items():
+        old = result.beams[name]
+        shift = float(np.linalg.norm(beam.location - old.location)) * IN_MM
+        turn = float(np.linalg.norm(np.cross(beam.direction, old.direction)))
+        turn = math.atan2(turn, float(beam.direction @ old.direction)) * IN_DEG
+        x, y, z = _places(beam.location, beam.location_sigma)
+        yield (
+            f"beam {name} without it",
+            f"moves by {shift:.2g} mm and {turn:.2g} deg, to ({x}, {y}, {z}) mm",
+        )
+
+
+def _places(location: FloatArray, sigma: FloatArray) -> list[str]:
+    """Return a location as the table of its kind has it."""
+    return [cell.text for cell in _located(location, sigma)[:3]]
 
 
 def _errors(errors: Mapping[str, float], sigmas: FloatArray) -> str:
