@@ -209,8 +209,9 @@ class SurveyCalibration(Value):
     Attributes
     ----------
     status : str
-        `converged`; `undetermined`; `contradicted`, where the readings do not fit each other;
-        `not_converged`.
+        `converged`; `undetermined`; `contradicted`, where the readings do not fit each other, or are
+        not what is stated of them: an array reads in the other convention, a target is of another kind
+        than its label says, or cones have another half angle; `not_converged`.
     message : str
         The same in words.
     sensors, beams, targets : mappings by name
@@ -250,9 +251,8 @@ class SurveyCalibration(Value):
     def usable(self) -> bool:
         """Whether it can be used.
 
-        It cannot where a relation is contradicted, where an array reads in the other convention, where
-        a target is of another kind than its label says, or where a range error that was found moves a
-        spot by more than what is stated of it.
+        It cannot where it has not converged, where a relation is contradicted, or where a range error
+        that was found moves a spot by more than what is stated of it.
         """
         contradicted = any(one.contradicted for one in self.relations)
         moved = any(
@@ -260,8 +260,7 @@ class SurveyCalibration(Value):
             for sensor in self.sensors.values()
             for error in sensor.errors
         )
-        wrong = any(one.code in MISREAD for one in self.warnings)
-        return self.status == "converged" and not contradicted and not wrong and not moved
+        return self.status == "converged" and not contradicted and not moved
 
     @property
     def verdict(self) -> str:
@@ -333,9 +332,9 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     warnings = tuple(_warnings(found, sensors, relations, rejected))
     wrong = next((one.message for one in warnings if one.code in (NO_FIT, *MISREAD)), None)
     status, message, undetermined = estimate.status, estimate.message, tuple[str, ...]()
-    if status != "converged" and wrong is not None:
+    if wrong is not None:
         # What is undetermined means nothing where shots are read as what they are not.
-        status, message = "contradicted" if status == "undetermined" else status, wrong
+        status, message = "not_converged" if status == "not_converged" else "contradicted", wrong
     elif estimate.undetermined or found.images:
         undetermined = tuple(_undetermined(found))
         message = undetermined[0]

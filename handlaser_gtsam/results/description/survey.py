@@ -149,7 +149,7 @@ def _sigma(target: SurveyTarget) -> str:
 
 def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts:
     """Return noise, fit, limits, relations and tests as pairs of a name and words."""
-    found = [("fit", f"chi2 {result.chi2:.4g} at {result.dof} degrees of freedom")]
+    found = [("fit", f"chi2 {result.chi2:.4g} at {result.dof} degrees of freedom{_counts(result)}")]
     noise = [
         f"{sensor.name} {sensor.reading_sigma * IN_MM:.2g} mm" for sensor in result.sensors.values()
     ]
@@ -183,32 +183,46 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
     return tuple(found)
 
 
+def _counts(result: SurveyCalibration) -> str:
+    """Say what degrees of freedom are made of, in the counts of `check`; where all of them is determined."""
+    own = result._found
+    if own.estimate.status == "undetermined":
+        return ""
+    numbers = sum(i.numbers for i, used in zip(own.rows.items, own.used, strict=True) if used)
+    unknowns = len(own.estimate.names)
+    more = result.dof + unknowns - numbers
+    return f": {numbers} numbers that shots say, {more} more of errors and relations, {unknowns} unknowns"
+
+
 def _without(result: SurveyCalibration, other: SurveyCalibration) -> Iterator[tuple[str, str]]:
     """Yield what follows without the relations that are contradicted: how far each mount moves."""
     false = " and ".join(one.known.words for one in result.relations if one.contradicted)
     yield f"without {false}", other.verdict
     for name, sensor in other.sensors.items():
         before = result.sensors[name]
-        shift = float(np.linalg.norm(sensor.location - before.location)) * IN_MM
-        turn = Rotation.from_matrix(before.rotation.T @ sensor.rotation).magnitude() * IN_DEG
+        turn = float(Rotation.from_matrix(before.rotation.T @ sensor.rotation).magnitude())
+        moved = _moved(sensor.location - before.location, turn)
         angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
         x, y, z = _places(sensor.location, sensor.location_sigma)
         digits = _digits(float(sensor.rotation_sigma.max()) * IN_DEG)
         A, B, C = (f"{angle:.{digits}f}" for angle in angles.tolist())
         yield (
             f"{name} without it",
-            f"moves by {shift:.2g} mm and {turn:.2g} deg, to ({x}, {y}, {z}) mm and A {A} B {B} C {C} deg",
+            f"{moved}, to ({x}, {y}, {z}) mm and A {A} B {B} C {C} deg",
         )
     for name, beam in other.beams.items():
         old = result.beams[name]
-        shift = float(np.linalg.norm(beam.location - old.location)) * IN_MM
-        turn = float(np.linalg.norm(np.cross(beam.direction, old.direction)))
-        turn = math.atan2(turn, float(beam.direction @ old.direction)) * IN_DEG
+        sine = float(np.linalg.norm(np.cross(beam.direction, old.direction)))
+        turn = math.atan2(sine, float(beam.direction @ old.direction))
         x, y, z = _places(beam.location, beam.location_sigma)
-        yield (
-            f"beam {name} without it",
-            f"moves by {shift:.2g} mm and {turn:.2g} deg, to ({x}, {y}, {z}) mm",
-        )
+        moved = _moved(beam.location - old.location, turn)
+        yield f"beam {name} without it", f"{moved}, to ({x}, {y}, {z}) mm"
+
+
+def _moved(shift: FloatArray, turn: float) -> str:
+    """Say a shift [m] and a turn [rad]."""
+    length = float(np.linalg.norm(shift)) * IN_MM
+    return f"moves by {length:.2g} mm and {turn * IN_DEG:.2g} deg"
 
 
 def _places(location: FloatArray, sigma: FloatArray) -> list[str]:
