@@ -156,15 +156,13 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
     import numpy as np
 
     from ..files.survey_json import survey_validation_text
-    from ..results.significance import SINGLE_LEVEL
     from ..validation.survey import validate_survey
 
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
     failure = _failure(result.calibration, [])
-    against = [one.name for one in result.contradicted]
-    if failure is None and against:
-        words = f"what the rest of the survey does not predict (p below {SINGLE_LEVEL:g}): "
-        failure = NOT_USABLE, words + ", ".join(against)
+    if failure is None and not result.usable:
+        code = NOT_USABLE if result.disagreement is None else UNDETERMINED
+        failure = code, result.verdict
     show = partial(print_wrapped, _validation_lines(result))
     return Answer(survey_validation_text(result), show, failure=failure)
 
@@ -231,7 +229,7 @@ def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] 
 
 def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
     reference = result.reference
-    yield result.calibration.verdict
+    yield result.verdict
     yield (
         f"SciPy, point by point, differs by {reference.largest:.2g} standard deviations at most "
         f"({reference.parameter}); standard deviations by {100.0 * reference.largest_sigma:.2g} %"

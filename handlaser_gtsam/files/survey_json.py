@@ -125,8 +125,8 @@ def survey_validation_text(result: SurveyValidation) -> str:
     left_out = "name shots chi2 dof p_value shift_m message"
     whole: Record = {
         "verdict": {
-            "usable": result.calibration.usable and not result.contradicted,
-            "sentence": result.calibration.verdict,
+            "usable": result.usable,
+            "sentence": result.verdict,
         },
         "reference": record(result.reference, "largest parameter largest_sigma sigma_parameter"),
         "targets_left_out": [record(one, left_out) for one in result.targets],

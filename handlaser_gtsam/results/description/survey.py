@@ -184,14 +184,14 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
 
 
 def _counts(result: SurveyCalibration) -> str:
-    """Say what degrees of freedom are made of, in the counts of `check`; where all of them is determined."""
+    """Say what degrees of freedom are made of, in the counts of `check`; empty of what is open."""
     own = result._found
     if own.estimate.status == "undetermined":
         return ""
     numbers = sum(i.numbers for i, used in zip(own.rows.items, own.used, strict=True) if used)
     unknowns = len(own.estimate.names)
-    more = result.dof + unknowns - numbers
-    return f": {numbers} numbers that shots say, {more} more of errors and relations, {unknowns} unknowns"
+    more = f"{result.dof + unknowns - numbers} more of errors and relations"
+    return f": {numbers} numbers that shots say, {more}, {unknowns} unknowns"
 
 
 def _without(result: SurveyCalibration, other: SurveyCalibration) -> Iterator[tuple[str, str]]:
