@@ -85,13 +85,26 @@ def calibrate(
         noise = Noise() if noise is None else noise
         require_kind("noise", noise, Noise)
         _refuse_unused(recording, noise)
-        from .estimation.survey import estimate_survey
-        from .results.survey import survey_calibration
-
-        return survey_calibration(estimate_survey(recording, noise))
+        return _of_survey(recording, noise)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     return _calibrated(recording, noise, options, None, progress)
+
+
+def _of_survey(survey: Survey, noise: Noise) -> "SurveyCalibration":
+    """Calibrate a survey; once more without relations that are contradicted, to show what they do."""
+    from .estimation.survey import estimate_survey
+    from .results.survey import survey_calibration
+
+    result = survey_calibration(estimate_survey(survey, noise))
+    known = tuple(one.known for one in result.relations if not one.contradicted)
+    if len(known) == len(result.relations):
+        return result
+    try:
+        without = estimate_survey(replace(survey, known=known), noise)
+    except InputError:  # a mount that was stated was the only start
+        return result
+    return replace(result, without=survey_calibration(without))
 
 
 def _refuse_unused(survey: Survey, noise: Noise) -> None:

@@ -1,6 +1,8 @@
 """Ultrasonic sensors: cones that read the nearest thing within them."""
 
+import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -272,6 +274,53 @@ def test_cones_are_made_and_read_by_the_command(handlaser, tmp_path):
     assert "half_angle" in err
 
 
+def test_range_errors_and_noise_of_cones_are_shown(handlaser, tmp_path):
+    """As of any beam: a k1 of 3 % is found, and stands on the screen with its noise."""
+    rig, made = tmp_path / "rig.toml", tmp_path / "made"
+    rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 12\n")
+    words = [
+        "simulate",
+        made,
+        "--rig",
+        rig,
+        "--targets",
+        "plane:A,plane:B,sphere:S",
+        "--beams",
+        "1",
+    ]
+    assert handlaser(*words, "--seed", "3", "--k1", "0.03")[0] == 0
+    words = ["calibrate", made / "stations.csv", "--rig", made / "rig.toml"]
+    code, out, _ = handlaser(*words, "--out", tmp_path / "out.json")
+    assert code == 0
+    said = " ".join(out.split())
+    assert "single beams 1 mm" in said
+    k1, sigma = map(float, re.search(r"range error of beam 1: k1 (\S+) \+- (\S+) %", said).groups())
+    (beam,) = json.loads((tmp_path / "out.json").read_text())["beams"]
+    assert beam["reading_sigma_m"] == 1e-3
+    assert k1 == pytest.approx(100.0 * beam["range_error"][0], rel=1e-3)  # four digits are shown
+    variance = beam["covariance"][5][5]  # of location (3), direction (2), k1 and k2
+    assert sigma == pytest.approx(100.0 * math.sqrt(variance), rel=0.05)  # two digits
+    # The simulated error is of the reading: 3 %, found within four standard deviations.
+    assert abs(k1 - 3.0) < 4.0 * sigma
+
+
+@pytest.mark.parametrize("verb", ["check", "calibrate"])
+def test_ultrasonic_sensors_without_a_half_angle_are_said_to_be_read_as_beams(
+    handlaser, tmp_path, verb
+):
+    """Of planes, and of a survey with a ball; not where the half angle is stated."""
+    rig, made = tmp_path / "rig.toml", tmp_path / "made"
+    rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 5\n")
+    words = ["simulate", made, "--rig", rig, "--targets", "plane:A,sphere:S", "--beams", "1"]
+    assert handlaser(*words, "--seed", "3")[0] == 0
+    for recording in (ROOT / "examples/gripper/recording.csv", made / "stations.csv"):
+        for half_angle in ("", "half_angle_deg = 5\n"):
+            rig.write_text(f'[sensor]\nkind = "ultrasonic"\n{half_angle}')
+            _, out, err = handlaser(verb, recording, "--rig", rig)
+            said = " ".join(f"{out} {err}".split())
+            assert ("in [sensor] without half_angle_deg" in said) == (not half_angle)
+
+
 def test_a_cone_that_no_beam_has_is_refused(handlaser, tmp_path):
     """A half angle counts for single beams only: a survey of a profiler has none."""
     folder = ROOT / "examples/profiler"
@@ -286,6 +335,9 @@ def test_a_cone_that_no_beam_has_is_refused(handlaser, tmp_path):
     code, _, err = handlaser(*words)
     assert code == 2
     assert "half_angle_deg in [sensor] without single beams" in err
+    read = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    with pytest.raises(InputError, match="no single beam that it would count for"):
+        replace(read, half_angle=HALF)
 
 
 def test_a_cone_is_not_aimed_at_a_point() -> None:

@@ -352,7 +352,7 @@ REFUSED = {
     "unit in a name": (
         "X [m],Y [m],Z [m],A,B,C,range_1\n10,20,30,1,2,3,5\n",
         {},
-        "column X [m]: found the unit m in the name of the column, which is read as mm; expected "
+        "column X [m]: found the unit 'm' in the name of the column, which is read as 'mm'; expected "
         "--units m",
     ),
     "other columns": (

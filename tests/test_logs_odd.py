@@ -57,10 +57,10 @@ def renamed(columns, **names):
 @pytest.mark.parametrize(
     ("old", "new", "words", "given"),
     [
-        ("range_a", "range_a [um]", ("unit um", "values in m or mm"), {}),
-        ("range_a", "range_a [V]", ("unit v", "--as-stated"), {}),
-        ("x", "x [cm]", "unit cm", {"pose_columns": ("x [cm]", *NAMES[1:])}),
-        ("x", "x_cm", "unit cm", {}),
+        ("range_a", "range_a [um]", ("unit 'um'", "values in 'm', 'mm', 'in'"), {}),
+        ("range_a", "range_a [V]", ("unit 'v'", "--as-stated"), {}),
+        ("x", "x [cm]", "unit 'cm'", {"pose_columns": ("x [cm]", *NAMES[1:])}),
+        ("x", "x_cm", "unit 'cm'", {}),
     ],
     ids=str,
 )
@@ -193,7 +193,7 @@ def test_times_of_another_unit_are_refused_by_their_name(tmp_path, log):
     path, given = two_files(tmp_path, log, np.arange(8.0))
     for file in (path, given["readings"]):
         file.write_text(file.read_text().replace("time", "time [ms]", 1))
-    refused(path, ("unit ms", "--time-units ms"), **given, tolerance_s=0.1)
+    refused(path, ("unit 'ms'", "--time-units ms"), **given, tolerance_s=0.1)
 
 
 def test_an_interpolated_pose_needs_one_before_and_one_after(tmp_path, log):

@@ -6,6 +6,7 @@ be shifted with all that it looks at.
 """
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -274,3 +275,18 @@ def test_what_was_not_read_is_counted_as_by_a_calibration():
     assert [one.code for one in check.warnings] == codes
     assert check.warnings == tuple(one for one in found.warnings if one.code in codes)
     assert "and 1 shot with too few there" in next(check_lines(check))
+
+
+def test_degrees_of_freedom_are_said_in_the_counts_of_a_check(handlaser):
+    words = (str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml"))
+    counted = re.search(
+        r"(\d+) numbers that shots say for (\d+) unknowns", handlaser("check", *words)[1]
+    )
+    fit = re.search(
+        r"at (\d+) degrees of freedom: (\d+) numbers that shots say, (\d+) more of errors and "
+        r"relations, (\d+) unknowns",
+        " ".join(handlaser("calibrate", *words)[1].split()),
+    )
+    dof, numbers, more, unknowns = map(int, fit.groups())
+    assert (numbers, unknowns) == tuple(map(int, counted.groups()))
+    assert dof == numbers + more - unknowns

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -12,7 +13,8 @@ from helpers import ROOT
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks import rigs_by_rays
+from benchmarks import rigs, rigs_by_distance, rigs_by_rays
+from handlaser_gtsam.files.rig_survey import _refuse_exchanged
 
 FOLDER = ROOT / "examples" / "profiler"
 
@@ -119,6 +121,95 @@ def test_zones_conventions_and_echoes(tmp_path):
     assert shots.across[0] == pytest.approx([-np.sin(np.radians(10)), 0.0, c])
 
 
+INCH = 25.4
+"""Millimetres."""
+
+
+def in_inches(folder, suffix="", log="", sensor=""):
+    """Write the example in inches, with what its names of columns and its rig file say of them."""
+    for name, columns in (("poses.csv", "XYZ"), ("profiles.csv", "xz")):
+        table = pl.read_csv(folder / name)
+        new = [(pl.col(c) / INCH).alias(c.lower() + suffix) for c in columns]
+        table.select(pl.exclude(list(columns)), *new).write_csv(folder / name)
+    rig = folder / "rig.toml"
+    text = rig.read_text().replace('units = "mm"', sensor)
+    rig.write_text(text.replace('pose_format = "kuka"', f'pose_format = "kuka"\n{log}'))
+    return str(folder / "poses.csv"), "--rig", str(rig)
+
+
+@pytest.mark.parametrize("suffix", ["", "_in", " [inch]"])
+def test_inches_may_be_stated_for_poses_and_points(folder, handlaser, suffix):
+    """With the units in the names of the columns, those of the points need not be stated again."""
+    words = in_inches(folder, suffix, 'units = "in"', "" if suffix else 'units = "in"')
+    code, out, err = handlaser("calibrate", *words, "--out", str(folder / "out.json"))
+    assert (code, err) == (0, "")
+    assert "read: poses of kuka: in, deg, angles ZYX; scanner in inches" in out
+    found = json.loads((folder / "out.json").read_text())
+    plain = hl.calibrate(hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml"))
+    sigma = plain.sensors["scanner"].location_sigma.min()
+    # To a hundredth of a standard deviation: columns were divided and multiplied by 25.4.
+    location = pytest.approx(plain.sensors["scanner"].location, abs=0.01 * sigma)
+    assert found["sensors"][0]["location_m"] == location
+
+
+def test_units_that_nobody_stated_are_said_to_be_assumed(folder, handlaser):
+    """All in inches, taken for millimetres, fits as well: only words can tell."""
+    words = in_inches(folder)
+    for verb in ("check", "calibrate"):
+        code, out, err = handlaser(verb, *words)
+        assert (code, err) == (0, "")
+        said = " ".join(out.split())
+        assert "scanner in millimetres (assumed: units in [[sensors]] states it)" in said
+    _, out, _ = handlaser("check", str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml"))
+    assert "scanner in millimetres" in out
+    assert "assumed:" not in out
+
+
+def test_units_that_contradict_each_other_are_refused(folder, handlaser):
+    code, _, err = handlaser("check", *in_inches(folder, "_in", 'units = "in"', 'units = "m"'))
+    assert code == 2
+    assert "found the unit 'in' in names of columns, and units = 'm' in [[sensors]]" in err
+    shutil.copy(FOLDER / "rig.toml", folder / "rig.toml")
+    code, _, err = handlaser("check", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"))
+    assert code == 2
+    assert "found the unit 'in' in the name of the column, which is read as 'mm'" in err
+    assert "log.units in" in err
+
+
+def exchanged(folder):
+    """Exchange the names x and z in the header of the example."""
+    table = pl.read_csv(folder / "profiles.csv")
+    table.columns = ["station", "z", "x"]
+    table.write_csv(folder / "profiles.csv")
+    return str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")
+
+
+@pytest.mark.parametrize("verb", ["check", "calibrate"])
+def test_columns_of_a_profiler_that_are_exchanged_are_refused(folder, handlaser, verb):
+    """They fit, by a mount that is turned; here with points far behind the target at some stations."""
+    words = exchanged(folder)
+    with (folder / "profiles.csv").open("a") as file:
+        file.writelines(f"P{i},{x},900.0\n" for i in (13, 15, 17) for x in (-30.0, -20.0, 25.0))
+    code, _, err = handlaser(verb, *words)
+    assert code == 2
+    assert "profiles.csv: found x and z of scanner exchanged" in err
+    assert "exchange their names in the header" in err
+
+
+@pytest.mark.parametrize("generator", [rigs_by_rays, rigs_by_distance])
+@pytest.mark.parametrize("targets", ["planes", "sphere", "planes+sphere"])
+def test_no_right_profile_is_called_exchanged(generator, targets):
+    """Nor with z about the middle of its range, nor with x from the edge of the field of view."""
+    for seed in range(5):
+        (shots,) = rigs.survey_of(generator.profiler(seed, targets=targets)).shots
+        x, z = shots.across[:, 0], shots.reading
+        for across in (x, x - x.min()):
+            for reading in (z, z - np.median(z)):
+                _refuse_exchanged(replace(shots, across=across, reading=reading))
+        with pytest.raises(hl.InputError, match="exchanged"):
+            _refuse_exchanged(replace(shots, across=z, reading=x))
+
+
 def known(folder, text):
     rig = folder / "rig.toml"
     rig.write_text(rig.read_text() + text)
@@ -139,11 +230,21 @@ def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser):
     wrong = hl.calibrate(known(folder, row + f"value_mm = {radius + 0.2}\n"))
     assert wrong.relations[0].contradicted
     assert not wrong.usable
-    code, _, err = handlaser(
-        "calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"), "--quiet"
-    )
+    assert right.without is None
+    # What is at stake: the mount without it is that of a survey that never had it.
+    assert wrong.without == plain
+    words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
+    code, _, err = handlaser(*words, "--quiet")
     assert code == 4
     assert "radius of sphere:ball" in err
+    _, out, _ = handlaser(*words, "--out", str(folder / "out.json"))
+    said = " ".join(out.split())
+    assert f"without radius of sphere:ball: {plain.verdict}" in said
+    found, old = plain.sensors["scanner"], wrong.sensors["scanner"]
+    shift = 1e3 * np.linalg.norm(found.location - old.location)
+    assert f"scanner without it: moves by {shift:.2g} mm and" in said
+    content = json.loads((folder / "out.json").read_text())["without_contradicted"]
+    assert content["sensors"][0]["location_m"] == pytest.approx(found.location, rel=1e-4)
 
 
 @pytest.mark.slow

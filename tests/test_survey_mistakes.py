@@ -1,5 +1,6 @@
 """What goes wrong at a cell with a profiler, a plate and a ball; by formulas of this file."""
 
+import json
 from itertools import product
 
 import numpy as np
@@ -210,11 +211,33 @@ def test_a_target_of_the_other_kind_is_named(case, seed):
         assert warnings[0].code == "target-kind"
         assert warnings[0].message.startswith(message)
     assert not found.usable
-    assert message in found.verdict
+    assert found.status == "contradicted"
+    assert found.verdict == f"Not usable: {found.message}."
+    assert found.message.startswith(message)
     # Advice on the motion would be of what is not there.
     assert not found.undetermined
     assert not check.undetermined
     assert check.doubt == check.warnings[0].message
+
+
+def test_a_plate_that_is_labelled_a_ball_ends_both_verbs_alike(tmp_path, handlaser):
+    """With one exit code, one sentence, and the same counts of what was read."""
+    folder = ROOT / "examples" / "profiler"
+    poses = (folder / "poses.csv").read_text().replace("plane:plate", "sphere:plate")
+    (tmp_path / "poses.csv").write_text(poses)
+    said = {}
+    for verb in ("check", "calibrate"):
+        words = (verb, tmp_path / "poses.csv", "--rig", tmp_path / "rig.toml", "--json")
+        for name in ("profiles.csv", "rig.toml"):
+            (tmp_path / name).write_bytes((folder / name).read_bytes())
+        code, out, err = handlaser(*words)
+        assert code == 3
+        said[verb] = json.loads(out), err.splitlines()[-1].removeprefix("handlaser: ")
+    check, found = said["check"][0], said["calibrate"][0]
+    assert said["check"][1] == said["calibrate"][1]
+    assert found["status"] == "contradicted"
+    assert check["sensors"][0]["shots"] == found["sensors"][0]["shots"]
+    assert sum(target["stations"] for target in check["targets"]) == found["sensors"][0]["shots"]
 
 
 @pytest.mark.parametrize("background", [False, True])
@@ -274,7 +297,7 @@ def test_a_wrong_unit_of_points_is_named(tmp_path, handlaser, units, words):
         lines[1:] = [f"{name},{float(x) / 1e3},{float(z) / 1e3}" for name, x, z in rows]
     (tmp_path / "profiles.csv").write_text("\n".join(lines) + "\n")
     (tmp_path / "poses.csv").write_text((example / "poses.csv").read_text())
-    rig = (example / "rig.toml").read_text() + f'units = "{units}"\n'
+    rig = (example / "rig.toml").read_text().replace('units = "mm"', f'units = "{units}"')
     (tmp_path / "rig.toml").write_text(rig)
     code, _, err = handlaser("calibrate", tmp_path / "poses.csv", "--rig", tmp_path / "rig.toml")
     assert code == 2

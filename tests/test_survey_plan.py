@@ -103,6 +103,28 @@ def test_a_plan_ends_where_its_goal_is_reached():
     assert whole.reached is None
 
 
+@pytest.mark.parametrize(
+    ("half_angle", "found", "cure"),
+    [
+        ("", "single beams", "a recording of their stations before planes alone"),
+        ("half_angle_deg = 5\n", "cones", "add stations that lean by more than half_angle_deg"),
+    ],
+)
+def test_what_no_stations_are_planned_for_is_told_what_to_do(
+    half_angle, found, cure, handlaser, tmp_path
+):
+    rig, made = tmp_path / "rig.toml", tmp_path / "made"
+    noise = "[noise]\nrange_sigma_mm = 1.0\n[sensor]\n"
+    rig.write_text(f"{noise}half_angle_deg = 5\n")
+    words = ["simulate", made, "--rig", rig, "--targets", "plane:A,sphere:S", "--beams", "1"]
+    assert handlaser(*words, "--seed", "3")[0] == 0
+    rig.write_text(f"{noise}{half_angle}")
+    code, _, err = handlaser("plan", made / "stations.csv", "--rig", rig)
+    assert code == 2
+    assert f"found a survey of {found} alone, which no stations are planned for" in err
+    assert cure in err
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("largest", "code"), [(30.0, 0), (1e-3, 3)])
 def test_the_command_says_what_is_open_and_whether_the_stations_mend_it(

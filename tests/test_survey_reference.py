@@ -12,7 +12,13 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import EXACT, HAND, STATED, body_of, survey_of, truth_of
-from handlaser_gtsam.validation.survey import cross_check_survey, validate_survey
+from handlaser_gtsam.cli.survey import survey_validation
+from handlaser_gtsam.files.rig_toml import Rig
+from handlaser_gtsam.validation.survey import (
+    LARGEST_DIFFERENCE,
+    cross_check_survey,
+    validate_survey,
+)
 
 CONDENSED = 2e-3
 """Shots whose readings are not linear in their shape are condensed to first order in the noise."""
@@ -151,7 +157,29 @@ def test_a_target_that_reads_otherwise_is_not_predicted():
     found = validate_survey(replace(survey, shots=(bent,)), EXACT, splits=0)
     assert found.calibration.status == "converged"
     assert [one.name for one in found.contradicted] == ["plane:A"]
+    assert found.verdict.startswith("Not usable: what the rest of the survey does not predict")
     assert not validate_survey(survey, EXACT, splits=0).contradicted
+
+
+def test_another_solution_of_scipy_is_a_headline_and_an_exit_code():
+    """Of balls on a few zones, each with a noise that bends: no first order is enough of them."""
+    rig = rigs_by_rays.array(40, targets="spheres", sigma=1e-3)
+    found = validate_survey(survey_of(rig), splits=0)
+    assert found.calibration.usable
+    assert found.reference.largest > LARGEST_DIFFERENCE
+    assert not found.usable
+    assert found.verdict.startswith(
+        "Not usable: SciPy, point by point, finds another solution, by 1.1"
+    )
+    answer = survey_validation(survey_of(rig), Rig(), 0, 0)
+    assert answer.failure == (3, found.verdict)
+    assert not json.loads(answer.json)["verdict"]["usable"]
+    # Standard deviations that differ by more than half are a consequence of their own.
+    closer = replace(found, reference=replace(found.reference, largest=0.1))
+    assert "standard deviations that differ by 52 %" in closer.verdict
+    fine = replace(found, reference=replace(closer.reference, largest_sigma=0.1))
+    assert fine.disagreement is None
+    assert fine.verdict == fine.calibration.verdict
 
 
 def test_a_relation_of_what_no_shot_sees_counts_for_nothing():

@@ -33,8 +33,8 @@ def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption
     would be known.
 
     Exit codes: 0 the motion determines everything, for beams and planes in general position, and for
-    other targets where they stand; 2 bad input; 3 it leaves something open, or most shots of sensors of
-    many rays do not fit each other.
+    other targets where they stand; 2 bad input; 3 it leaves something open, or shots of sensors of many
+    rays do not fit each other, or are not what is stated of them.
     """
     from ..data.survey import Survey
     from ..files.rig_reading import read_any_kind

@@ -17,7 +17,7 @@ BAD_INPUT = 2
 """Input, options or files that were refused: the code of shells for a wrong usage."""
 UNDETERMINED = 3
 """No calibration: the recording does not determine what was asked, its readings do not fit each other,
-no solver converged, or another solver disagrees."""
+or are not what is stated of them, no solver converged, or another solver disagrees."""
 NOT_USABLE = 4
 """A calibration that is not to be used."""
 INTERRUPTED = 130

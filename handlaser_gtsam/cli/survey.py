@@ -80,7 +80,7 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
         write_text(output.report, page)
     aloud = output.json_ or output.quiet
     warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
-    show = partial(_show, result, checks, output)
+    show = partial(_show, result, checks, output, _read_lines(survey))
     return Answer(text, show, warnings, _failure(result, checks))
 
 
@@ -105,7 +105,7 @@ def survey_check(survey: "Survey", rig: "Rig") -> Answer:
         for one in found.warnings
         if found.doubt is None or one.message not in found.doubt
     ]
-    show = partial(print_wrapped, check_lines(found))
+    show = partial(print_wrapped, [*check_lines(found), *_read_lines(survey)])
     return Answer(survey_check_text(found), show, warnings, failure)
 
 
@@ -123,14 +123,14 @@ def converted_survey(
     """
     from ..files.logs.bags import is_bag
     from ..files.recording_csv import write_stations
-    from ..files.survey_reading import describe_survey
+    from ..files.survey_reading import read_survey
     from ..files.writing import require_outputs
 
     if is_bag(path):
         expected = "a log of poses beside tables of points; the other verbs take bags as they are"
         raise InputError("a bag, with sensors of many rays", expected, path)
     require_outputs({"--out": out}, () if rig.survey is None else rig.survey.files)
-    survey, words, warnings = describe_survey(path, rig)
+    survey = read_survey(path, rig)
     if survey.beam_names:
         found = "a recording with ranges of beams, which is no log of poses"
         raise InputError(found, "it as it is: other verbs take it", path)
@@ -142,7 +142,8 @@ def converted_survey(
         (len(set(survey.stations.plane_labels)), "target"),
         (sum(len(shots.reading) for shots in survey.shots), "point"),
     )
-    return [", ".join(count(n, what) for n, what in counts), *filter(None, words)], warnings
+    lines = [", ".join(count(n, what) for n, what in counts), *survey.lines]
+    return lines, survey.warnings
 
 
 def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:
@@ -155,15 +156,13 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
     import numpy as np
 
     from ..files.survey_json import survey_validation_text
-    from ..model.distributions import SINGLE_LEVEL
     from ..validation.survey import validate_survey
 
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
     failure = _failure(result.calibration, [])
-    against = [one.name for one in result.contradicted]
-    if failure is None and against:
-        words = f"what the rest of the survey does not predict (p below {SINGLE_LEVEL:g}): "
-        failure = NOT_USABLE, words + ", ".join(against)
+    if failure is None and not result.usable:
+        code = NOT_USABLE if result.disagreement is None else UNDETERMINED
+        failure = code, result.verdict
     show = partial(print_wrapped, _validation_lines(result))
     return Answer(survey_validation_text(result), show, failure=failure)
 
@@ -230,7 +229,7 @@ def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] 
 
 def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
     reference = result.reference
-    yield result.calibration.verdict
+    yield result.verdict
     yield (
         f"SciPy, point by point, differs by {reference.largest:.2g} standard deviations at most "
         f"({reference.parameter}); standard deviations by {IN_PERCENT * reference.largest_sigma:.2g} %"
@@ -248,7 +247,19 @@ def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
                 )
 
 
-def _show(result: "SurveyCalibration", checks: "Sequence[LimitCheck]", output: "Output") -> None:
+def _read_lines(survey: "Survey") -> list[str]:
+    """Return how the files of a survey were read, in a line; none where there is nothing to say."""
+    from ..text import printable
+
+    return [f"read: {printable('; '.join(survey.lines))}"] if survey.lines else []
+
+
+def _show(
+    result: "SurveyCalibration",
+    checks: "Sequence[LimitCheck]",
+    output: "Output",
+    read: Sequence[str],
+) -> None:
     from ..results.description.rendering import full_table, text_lines
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
 
@@ -264,6 +275,7 @@ def _show(result: "SurveyCalibration", checks: "Sequence[LimitCheck]", output: "
     lines += text_lines([f"{name}: {words}" for name, words in facts(result, checks)], width)
     lines += text_lines(list(result.undetermined[1:]), width)
     lines += text_lines([f"WARNING: {one.message}" for one in result.warnings], width)
+    lines += text_lines(list(read), width)
     print_wrapped([*lines, *wrote(output.out, output.report)])
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices
 from ..checks import number_array, require_kind, require_number, require_word
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
 from .recording_checks import first_repeated, names_of, require_once
@@ -287,12 +287,17 @@ class Survey(Value):
     linearity : float
         Of the single beams: standard deviation of k1, and of k2 times the typical range, before any
         reading.
+    lines : tuple of str
+        How its files were read, in words: formats and units, stated or assumed.
+    warnings : tuple of CalibrationWarning
+        What is odd about how they were read.
 
     Raises
     ------
     InputError
         Stations that are not there, names that stand twice, labels of kinds that are none, targets that
-        a sensor cannot read, relations of what is not there, or nothing that was read.
+        a sensor cannot read, relations of what is not there, the half angle of cones without cones, or
+        nothing that was read.
     """
 
     stations: StationList
@@ -303,6 +308,8 @@ class Survey(Value):
     aiming_sigma: float | None = None
     half_angle: float = 0.0
     linearity: float = 0.01
+    lines: tuple[str, ...] = ()
+    warnings: tuple[CalibrationWarning, ...] = ()
 
     def __post_init__(self) -> None:
         if self.aiming_sigma is not None:
@@ -341,6 +348,11 @@ class Survey(Value):
         read: BoolArray = np.zeros(len(labels), dtype=bool)
         if self.ranges is not None:
             read |= ~np.isnan(self.ranges).all(axis=1)
+        if self.half_angle and not self.beam_names:
+            found = (
+                f"half_angle = {self.half_angle:g} rad, and no single beam that it would count for"
+            )
+            raise InputError(found, "ranges and beam_names of cones, or no half_angle")
         single = "cone" if self.half_angle else "beam"
         refused = {
             "groove": "planes, spheres and points: only a profile shows the edge of a groove"

@@ -73,6 +73,12 @@ class Item:
     half_angle: float = 0.0
     grazing: bool = False
 
+    @property
+    def numbers(self) -> int:
+        """How many numbers it says of where its sensor and its target are, whatever errs in it."""
+        own = 1 if self.shot is None else len(self.shot.reading)
+        return own + 2 * (self.target[0] == POINT.name)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:

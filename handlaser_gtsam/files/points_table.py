@@ -1,8 +1,9 @@
 """Points of profilers, scanners, ToF arrays and depth cameras: one row a reading, CSV or Parquet.
 
 Columns, by the kind of the sensor: `station`, and `x, z` (profiler); `angle, reading` (scanner);
-`zone, reading` (array); `x, y, z` (points). Empty cells and codes for no reading (not finite, or zero)
-are passed over. An array may have a column `echo` where a zone has several.
+`zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty
+cells and codes for no reading (not finite, or zero) are passed over. An array may have a column `echo`
+where a zone has several.
 """
 
 from pathlib import Path
@@ -14,6 +15,7 @@ import polars as pl
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ..text import shown, some
+from .logs.columns import plain, unit_of
 from .logs.tables import PARQUET
 from .recording_csv import known_numbers
 from .table import Table
@@ -33,8 +35,10 @@ Echo = Literal["all", "near", "far"]
 
 def read_points(
     path: Path, kind: str, stations: "Sequence[str]", *, echo: Echo = "all"
-) -> tuple[IntArray, FloatArray]:
+) -> tuple[IntArray, FloatArray, dict[str, str]]:
     """Return the station (N,) of each point, from 0, and its columns (N, c) as they stand.
+
+    The third result is the unit in the name of each of these columns, empty where there is none.
 
     Parameters
     ----------
@@ -52,7 +56,8 @@ def read_points(
     """
     wanted = COLUMNS[kind]
     table = read_frame(path, "a table of points, CSV with a header or Parquet")
-    table.require("station", *wanted)
+    table.require("station")
+    found = [_column(table, name) for name in wanted]
     names = table.frame["station"].cast(pl.String)
     table.refuse(names.is_null().to_numpy(), "station", "the name of a station")
     place = {name: i for i, name in enumerate(stations)}
@@ -66,7 +71,7 @@ def read_points(
             "station",
         )
     station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
-    numbers = np.column_stack([known_numbers(table, name)[0] for name in wanted])
+    numbers = np.column_stack([known_numbers(table, name)[0] for name in found])
     good = np.isfinite(numbers).all(axis=1)
     if kind != "profiler":
         good &= (numbers[:, -1] > 0.0) if kind != "points" else (numbers != 0.0).any(axis=1)
@@ -76,7 +81,19 @@ def read_points(
     if echo != "all":
         kept = _one_echo(station, numbers, far=echo == "far")
         station, numbers = station[kept], numbers[kept]
-    return station.astype(np.intp), numbers
+    units = {name: unit_of(column) for name, column in zip(wanted, found, strict=True)}
+    return station.astype(np.intp), numbers, units
+
+
+def _column(table: Table, name: str) -> str:
+    """Return the column of a name, behind which a unit may stand."""
+    with_unit = [one for one in table.frame.columns if unit_of(one) and plain(one) == name]
+    if name in table.frame.columns or not with_unit:
+        table.require(name)
+        return name
+    if len(with_unit) > 1:
+        raise table.fault(f"several columns that may be {name}: {', '.join(with_unit)}", "one")
+    return with_unit[0]
 
 
 def read_frame(path: Path, expected: str) -> Table:

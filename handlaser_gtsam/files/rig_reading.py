@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..data.survey import Survey, beyond_planes
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..model.sensor import Sensor
 from ..text import shown
 from .logs.format import LogFormat
@@ -51,27 +51,47 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
         from .survey_reading import read_survey
 
         with _naming_fields(rig):
-            return read_survey(path, rig)
+            survey = read_survey(path, rig)
+        warnings = (*_as_fields(survey.warnings), *_no_cone(rig, survey.beam_names))
+        return replace(survey, warnings=warnings)
     report, rig = _read_stated(rig, path)
     if not beyond_planes(report.recording.plane_names) and not rig.half_angle:
         return report, rig
     from .survey_reading import survey_of
 
-    return survey_of(report.recording, rig)
+    return replace(survey_of(report.recording, rig), lines=report.lines)
 
 
 def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     with _naming_fields(rig):
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
-    warnings = [replace(one, message=as_fields(one.message)) for one in report.recording.warnings]
+    recording = report.recording
+    warnings = (*_as_fields(recording.warnings), *_no_cone(rig, recording.beam_names))
     report = replace(
         report,
-        recording=replace(report.recording, warnings=tuple(warnings)),
+        recording=replace(recording, warnings=warnings),
         lines=tuple(map(as_fields, report.lines)),
     )
     if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
         rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return report, rig
+
+
+def _no_cone(rig: Rig, beams: tuple[str, ...]) -> tuple[CalibrationWarning, ...]:
+    """Warn of ultrasonic sensors whose readings are taken for those of beams."""
+    if rig.sensor.kind != "ultrasonic" or rig.half_angle or not beams:
+        return ()
+    words = (
+        'kind = "ultrasonic" in [sensor] without half_angle_deg: readings are taken for those along a '
+        "beam, where an ultrasonic sensor reads what is nearest in a cone; state half_angle_deg, half "
+        "the opening angle of the data sheet"
+    )
+    return (CalibrationWarning("no-half-angle", words, {"beams": len(beams)}),)
+
+
+def _as_fields(warnings: tuple[CalibrationWarning, ...]) -> tuple[CalibrationWarning, ...]:
+    """Return warnings that name fields of the table [log] in place of options of `convert`."""
+    return tuple(replace(one, message=as_fields(one.message)) for one in warnings)
 
 
 @contextmanager

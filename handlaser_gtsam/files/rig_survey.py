@@ -1,7 +1,8 @@
 """Tables of a rig file on sensors of many rays, and on what is known beside the readings.
 
 [[sensors]]  name; kind: profiler, scanner, array or points; points: a table of points (CSV, Parquet),
-or topics of a bag; units: mm (the default) or m; angles: deg (the default) or rad; sigma_mm,
+or topics of a bag; units: mm, m or in (inches), of which mm is assumed where neither this nor the
+names of the columns say; angles: deg or rad, of which deg is assumed so; sigma_mm,
 sigma_across_mm; free: range errors that are unknown; zones: a CSV of zone, x, y, z
 (directions), or zone, x_deg, y_deg; convention: radial or perpendicular; echo: all,
 near or far
@@ -26,7 +27,9 @@ from ..checks import require_word
 from ..data.station_list import StationList
 from ..data.survey import RELATIONS, Known, Shots
 from ..errors import InputError
-from ..quantities import DEG, IN_MM, MM
+from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
+from ..quantities import DEG, IN_MM, MAJORITY, MM
+from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
 from .points_table import Echo, read_frame, read_points
@@ -45,8 +48,8 @@ class SensorTable(FileRecord):
     kind: Literal["profiler", "scanner", "array", "points"]
     points: str = ""
     topics: Words = ()
-    units: Literal["mm", "m"] = "mm"
-    angles: Literal["deg", "rad"] = "deg"
+    units: Literal["mm", "m", "in"] | None = None
+    angles: Literal["deg", "rad"] | None = None
     sigma_mm: float | None = None
     sigma_across_mm: float = 0.0
     free: Words = ()
@@ -86,14 +89,17 @@ class SurveyTables:
     known: tuple[Known, ...]
     folder: Path
 
-    def shots(self, stations: tuple[str, ...]) -> tuple[Shots, ...]:
-        """Return what the sensors read at named stations, from their tables of points.
+    def shots(self, stations: tuple[str, ...]) -> tuple[tuple[Shots, ...], tuple[str, ...]]:
+        """Return what the sensors read at named stations, and in which units, a line a sensor.
 
         Raises
         ------
         InputError
+            No table of points, one that cannot be read, or units in the names of its columns that are
+            not those that are stated.
         """
-        return tuple(self._read(table, stations) for table in self.sensors)
+        read = [self._read(table, stations) for table in self.sensors]
+        return tuple(shots for shots, _ in read), tuple(line for _, line in read)
 
     def bag(self, path: Path, given: LogFormat) -> tuple[StationList, tuple[Shots, ...]]:
         """Return the stops of the hand in a bag, and what the sensors published there.
@@ -117,15 +123,20 @@ class SurveyTables:
             ]
         return stations, tuple(shots)
 
-    def _read(self, table: SensorTable, stations: tuple[str, ...]) -> Shots:
+    def _read(self, table: SensorTable, stations: tuple[str, ...]) -> tuple[Shots, str]:
         if table.topics or not table.points:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
         path = self.folder / table.points
-        station, numbers = read_points(path, table.kind, stations, echo=table.echo)
-        length, angle = MM if table.units == "mm" else 1.0, DEG if table.angles == "deg" else 1.0
+        station, numbers, named = read_points(path, table.kind, stations, echo=table.echo)
+        turns = {"angle"} & named.keys()
+        lengths = named.keys() - turns - {"zone"}
         with in_file(path):
-            return _shots(table, self.folder, station, numbers, length, angle)
+            length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
+            angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
+            units = LENGTHS[length], ANGLES[angle]
+            shots = _shots(table, self.folder, station, numbers, *units)
+        return shots, f"{table.name} in {words}{f' and {more}' if turns else ''}"
 
     def reading_from(self, copies: Mapping[Path, Path]) -> "SurveyTables":
         """Return the same with tables of points read from copies of them, by the original."""
@@ -168,6 +179,37 @@ class SurveyRig(FileRecord):
         return SurveyTables(self.sensors, tuple(known), folder)
 
 
+def _unit(field: str, stated: str, named: set[str], usual: str) -> tuple[str, str]:
+    """Return the unit of columns, and how it is known.
+
+    Parameters
+    ----------
+    field : str
+        The field of [[sensors]] that states it.
+    stated : str
+        What it states; empty where it states nothing.
+    named : set of str
+        The units in the names of the columns, empty of a name without one.
+    usual : str
+        What is assumed where nothing says it.
+
+    Raises
+    ------
+    InputError
+        A unit in a name that is not the one that is stated, that others have, or that can be read.
+    """
+    known = LENGTHS if field == "units" else ANGLES
+    written = sorted(named - {""})
+    if any(one not in known for one in written) or len({*written, stated} - {""}) > 1:
+        found = f"the unit {' and '.join(map(shown, written))} in names of columns"
+        found += f", and {field} = {shown(stated)} in [[sensors]]" if stated else ""
+        raise InputError(found, f"one unit, of {', '.join(map(shown, known))}")
+    unit = stated or (written[0] if written else usual)
+    words = UNIT_WORDS.get(unit, unit)
+    assumed = "" if stated or written else f" (assumed: {field} in [[sensors]] states it)"
+    return unit, words + assumed
+
+
 def _require_lengths(shots: Shots) -> None:
     """Refuse shots whose lengths no such sensor has: a wrong unit."""
     sizes = [np.abs(shots.reading), np.abs(shots.across) if shots.kind == "profiler" else 0.0]
@@ -177,7 +219,37 @@ def _require_lengths(shots: Shots) -> None:
         found = (
             f"lengths of {shots.name} {'up to' if largest < SHORTEST_LENGTH else 'of some'} {far}"
         )
-        raise InputError(found, 'units = "mm" or "m" in [[sensors]], as the lengths are')
+        raise InputError(found, 'units = "mm", "m" or "in" in [[sensors]], as the lengths are')
+
+
+def _refuse_exchanged(shots: Shots) -> None:
+    """Refuse a profiler whose x and z are exchanged: its shots fit as well, in a frame that is turned.
+
+    Within a shot x changes its sign and z, a distance, does not. Distances about the middle of the
+    range, or an x that is counted from one edge of the field of view, break one half of that. So an x
+    is called a distance only where in most shots it is farther from zero than it spans and z changes
+    its sign, and where the middle of x varies more from shot to shot, against
+    its width, than that of z, which is the field of view.
+    """
+    order = np.argsort(shots.station, kind="stable")
+    first = np.flatnonzero(np.diff(shots.station[order], prepend=-1))
+    x, z = shots.across[order, 0], shots.reading[order]
+    ends = [(np.minimum.reduceat(one, first), np.maximum.reduceat(one, first)) for one in (x, z)]
+    (x_middle, x_width), (z_middle, z_width) = [
+        (0.5 * (low + high), high - low) for low, high in ends
+    ]
+    crossed = (np.abs(x_middle) > x_width) & (np.abs(z_middle) < 0.5 * z_width)
+    varies = x_middle.std() * z_width.mean() > z_middle.std() * x_width.mean()
+    if crossed.mean() > MAJORITY and varies:
+        found = (
+            f"x and z of {shots.name} exchanged: in most shots x is farther from zero than it spans, "
+            "as distances are, and z changes its sign"
+        )
+        expected = (
+            "z, the distance, and x, across it: exchange their names in the header; or count x from "
+            "the middle of the field of view, if they are right"
+        )
+        raise InputError(found, expected)
 
 
 def _shots(
@@ -203,6 +275,7 @@ def _shots(
         first, reading = numbers[:, 0], numbers[:, 1] * length
         if table.kind == "profiler":
             shots = Shots.profiler(table.name, station, first * length, reading, **noise)
+            _refuse_exchanged(shots)
         elif table.kind == "scanner":
             shots = Shots.scanner(table.name, station, first * angle, reading, **noise)
         else:

@@ -75,7 +75,9 @@ def survey_text(result: SurveyCalibration) -> str:
             for one in result.sensors.values()
         ],
         "beams": [
-            record(one, "name direction location_sigma_m readings rejected covariance")
+            record(
+                one, "name direction location_sigma_m reading_sigma_m readings rejected covariance"
+            )
             | {
                 "location_m": one.location,
                 "direction_sigma_rad": one.direction_sigma,
@@ -93,6 +95,7 @@ def survey_text(result: SurveyCalibration) -> str:
             record(one.known, "relation of") | record(one, "p_value contradicted")
             for one in result.relations
         ],
+        "without_contradicted": None if result.without is None else _mounts(result.without),
         "rejected": [record(one, "sensor station target reason") for one in result.rejected],
         "undetermined": result.undetermined,
         "chi2": result.chi2,
@@ -101,13 +104,28 @@ def survey_text(result: SurveyCalibration) -> str:
     return json_text("survey", whole)
 
 
+def _mounts(result: SurveyCalibration) -> Record:
+    """Return where sensors and beams sit by a result that is not to be read by itself."""
+    return {
+        "status": result.status,
+        "sensors": [
+            record(one, "name rotation") | {"location_m": one.location}
+            for one in result.sensors.values()
+        ],
+        "beams": [
+            record(one, "name direction") | {"location_m": one.location}
+            for one in result.beams.values()
+        ],
+    }
+
+
 def survey_validation_text(result: SurveyValidation) -> str:
     """Return a validation of a survey as JSON text."""
     left_out = "name shots chi2 dof p_value shift_m message"
     whole: Record = {
         "verdict": {
-            "usable": result.calibration.usable and not result.contradicted,
-            "sentence": result.calibration.verdict,
+            "usable": result.usable,
+            "sentence": result.verdict,
         },
         "reference": record(result.reference, "largest parameter largest_sigma sigma_parameter"),
         "targets_left_out": [record(one, left_out) for one in result.targets],

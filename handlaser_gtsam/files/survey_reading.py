@@ -1,6 +1,7 @@
 """Surveys read from files: stations with their targets, tables of points, and a rig file."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from ..arrays import FloatArray
 from ..data.recording import Recording
 from ..data.station_list import StationList
 from ..data.survey import Survey
-from ..errors import CalibrationWarning, InputError
+from ..errors import InputError
 from ..model.sensor import Sensor
 from .logs.bags import is_bag
 from .logs.columns import columns_of
@@ -18,7 +19,7 @@ from .logs.format import LogFormat
 from .logs.motion import Way
 from .logs.poses import hand_poses
 from .logs.reading import OF_READINGS, is_log, refuse_of_a_bag
-from .logs.rows import rows_of
+from .logs.rows import LogRows, rows_of
 from .logs.survey_suspicion import refuse_wrong_poses
 from .logs.tables import read_log_table
 from .recording_csv import POSE, PREFIX, range_numbers, read_recording, stations_of
@@ -41,42 +42,31 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     Raises
     ------
     InputError
-    """
-    return describe_survey(path, rig)[0]
-
-
-def describe_survey(
-    path: Path | str, rig: Rig | Path | str
-) -> tuple[Survey, tuple[str, ...], tuple[CalibrationWarning, ...]]:
-    """Read a survey as `read_survey` does, and say how its log is written, and what is odd about it.
-
-    Raises
-    ------
-    InputError
         Also a log of poses that would fit far better if it were read another way.
     """
     path = path_of(path)
     rig = rig if isinstance(rig, Rig) else read_rig(rig)
     if rig.survey is None:
         if rig.half_angle:
-            return survey_of(read_recording(path, rig.sensor), rig), (), ()
+            return survey_of(read_recording(path, rig.sensor), rig)
         expected = "one of them in the rig file, or half_angle_deg in [sensor]"
         raise InputError("no table [[sensors]] or [[known]]", expected, path)
     known = rig.survey.known
     if is_bag(path):
         refuse_of_a_bag(rig.log, path, OF_READINGS)
         stations, shots = rig.survey.bag(path, rig.log)
-        return Survey(stations, shots, known=known, **_of_beams(rig, (), path)), (), ()
+        return Survey(stations, shots, known=known, **_of_beams(rig, (), path))
     if is_log(path, rig.log, readings=False):
-        stations, numbers, way, words = _of_log(path, rig.log)
-        shots = rig.survey.shots(stations.station_names)
-        survey = Survey(stations, shots, known=known, **_of_beams(rig, (), path))
+        stations, numbers, way, written = _of_log(path, rig.log)
+        shots, lines = rig.survey.shots(stations.station_names)
+        more = {"lines": (written.words, *lines), **_of_beams(rig, (), path)}
+        survey = Survey(stations, shots, known=known, **more)
         doubts = refuse_wrong_poses(survey, numbers, way, rig.log, path) if shots else ()
-        return survey, (words,), doubts
+        return replace(survey, warnings=(*written.warnings, *doubts))
     stations, ranges, beams = _of_recording(path, rig)
-    shots = rig.survey.shots(stations.station_names)
-    survey = Survey(stations, shots, ranges, beams, known, **_of_beams(rig, beams, path))
-    return survey, (), ()
+    shots, lines = rig.survey.shots(stations.station_names)
+    more = {"lines": lines, **_of_beams(rig, beams, path)}
+    return Survey(stations, shots, ranges, beams, known, **more)
 
 
 def survey_of(recording: Recording, rig: Rig) -> Survey:
@@ -89,7 +79,8 @@ def survey_of(recording: Recording, rig: Rig) -> Survey:
     )
     ranges = _within(recording.ranges, rig)
     beams = recording.beam_names
-    return Survey(stations, (), ranges, beams, **_of_beams(rig, beams))
+    more = {"warnings": recording.warnings, **_of_beams(rig, beams)}
+    return Survey(stations, (), ranges, beams, **more)
 
 
 def _of_beams(rig: Rig, beams: Sequence[str], path: Path | None = None) -> dict[str, Any]:
@@ -125,11 +116,10 @@ def _of_recording(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None,
     return stations, _within(ranges, rig), tuple(name.removeprefix(PREFIX) for name in columns)
 
 
-def _of_log(path: Path, given: LogFormat) -> tuple[StationList, FloatArray, Way, str]:
+def _of_log(path: Path, given: LogFormat) -> tuple[StationList, FloatArray, Way, LogRows]:
     """Return the stations of a log of poses that has labels, or one target for all.
 
-    The other results are its numbers (M, k), how stations get their poses from these, and how they are
-    written, in words.
+    The other results are its numbers (M, k), how stations get their poses from these, and its rows.
     """
     table = read_log_table(path, given)
     rows = rows_of(table, columns_of(table, given, readings=False), given, Sensor())
@@ -140,4 +130,4 @@ def _of_log(path: Path, given: LogFormat) -> tuple[StationList, FloatArray, Way,
     if not all(labels):
         expected = "a column plane, --plane-column NAME, or one label for all by --plane"
         raise InputError("no target of the stations", expected, path)
-    return StationList(R, t, tuple(labels), tuple(rows.names)), rows.poses, way, rows.words
+    return StationList(R, t, tuple(labels), tuple(rows.names)), rows.poses, way, rows

@@ -114,6 +114,9 @@ def _columns(table: SensorTable, shots: Shots, zones: FloatArray | None) -> Floa
 def _sensor_text(table: SensorTable) -> str:
     """Return a row of [[sensors]]: what was stated, in millimetres and degrees, with its own files."""
     fields: dict[str, object] = {"name": table.name, "kind": table.kind, "points": _points(table)}
+    fields["units"] = "mm"
+    if table.kind == "scanner":
+        fields["angles"] = "deg"
     if table.kind == "array":
         fields |= {"zones": _zones(table), "convention": table.convention}
     if table.sigma_mm is not None:

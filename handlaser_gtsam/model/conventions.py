@@ -20,12 +20,14 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray
 from ..checks import require_word
 from ..errors import InputError
-from ..quantities import DEG, MM
+from ..quantities import DEG, INCH, MM
 from ..text import shown
 
 QUATERNIONS, MATRICES = ("xyzw", "wxyz"), ("matrix", "matrix-columns")
-LENGTHS = {"m": 1.0, "mm": MM}
-"""Units of length [m]."""
+LENGTHS = {"m": 1.0, "mm": MM, "in": INCH}
+"""Units of length [m]; an inch is 25.4 mm."""
+UNIT_WORDS = {"m": "metres", "mm": "millimetres", "in": "inches"}
+"""What they are called."""
 ANGLES = {"rad": 1.0, "deg": DEG}
 """Units of angle [rad]."""
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -49,7 +51,7 @@ class Convention:
     ----------
     rotation : str
         As above.
-    units : {"m", "mm"}
+    units : {"m", "mm", "in"}
     angles : {"rad", "deg"}
         "rad" where there are none.
     columns : tuples of names

@@ -50,6 +50,21 @@ UNDETERMINED_SIGMA = 1.0
 """Standard deviation [m], [rad] of what is undetermined so far."""
 
 
+OF_BEAMS = {
+    "single beams": (
+        "a sensor of many rays in [[sensors]]; or, for beams, a recording of their stations before "
+        "planes alone, with a rig file without [[known]]; `check` says what the motion before other "
+        "targets leaves open, and what cures it"
+    ),
+    "cones": (
+        "a sensor of many rays in [[sensors]]; for cones add stations that lean by more than "
+        "half_angle_deg, about two axes and at different distances, and see with `check` how well the "
+        "mounts would be known"
+    ),
+}
+"""What to do where there are only single beams, or cones, to plan for."""
+
+
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SurveyPlan(Value):
     """Stations to measure next, the most useful first.
@@ -112,7 +127,10 @@ def plan_survey(
     if calibration.status not in ("converged", "undetermined"):
         raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
     if not calibration.sensors:
-        raise InputError("a survey of single beams", "a sensor of many rays")
+        single = "cones" if found.rows.survey.half_angle else "single beams"
+        raise InputError(
+            f"a survey of {single} alone, which no stations are planned for", OF_BEAMS[single]
+        )
     if rng is not None:
         require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
     rng = np.random.default_rng(0) if rng is None else rng

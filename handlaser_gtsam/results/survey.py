@@ -141,6 +141,8 @@ class BeamMount(Value):
     location_sigma : (3,)
     direction_sigma : float
         The larger one [rad].
+    reading_sigma : float
+        Standard deviation of a reading [m], which all single beams share.
     readings, rejected : int
     """
 
@@ -151,6 +153,7 @@ class BeamMount(Value):
     covariance: FloatArray
     location_sigma: FloatArray
     direction_sigma: float
+    reading_sigma: float
     readings: int
     rejected: int
 
@@ -205,8 +208,9 @@ class SurveyCalibration(Value):
     Attributes
     ----------
     status : str
-        `converged`; `undetermined`; `contradicted`, where the readings do not fit each other;
-        `not_converged`.
+        `converged`; `undetermined`; `contradicted`, where the readings do not fit each other, or are
+        not what is stated of them: an array reads in the other convention, a target is of another kind
+        than its label says, or cones have another half angle; `not_converged`.
     message : str
         The same in words.
     sensors, beams, targets : mappings by name
@@ -221,6 +225,9 @@ class SurveyCalibration(Value):
     rejected : tuple of RejectedShot
     warnings : tuple of CalibrationWarning
     chi2, dof : float, int
+    without : SurveyCalibration, optional
+        The same without the relations that the readings contradict; None where there are none, or where
+        nothing leads to a start without them.
     """
 
     status: Status
@@ -237,14 +244,14 @@ class SurveyCalibration(Value):
     chi2: float
     dof: int
     _found: SurveyEstimate
+    without: "SurveyCalibration | None" = None
 
     @property
     def usable(self) -> bool:
         """Whether it can be used.
 
-        It cannot where a relation is contradicted, where an array reads in the other convention, where
-        a target is of another kind than its label says, or where a range error that was found moves a
-        spot by more than what is stated of it.
+        It cannot where it has not converged, where a relation is contradicted, or where a range error
+        that was found moves a spot by more than what is stated of it.
         """
         contradicted = any(one.contradicted for one in self.relations)
         moved = any(
@@ -252,8 +259,7 @@ class SurveyCalibration(Value):
             for sensor in self.sensors.values()
             for error in sensor.errors
         )
-        wrong = any(one.code in MISREAD for one in self.warnings)
-        return self.status == "converged" and not contradicted and not wrong and not moved
+        return self.status == "converged" and not contradicted and not moved
 
     @property
     def verdict(self) -> str:
@@ -325,9 +331,9 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     warnings = tuple(_warnings(found, sensors, relations, rejected))
     wrong = next((one.message for one in warnings if one.code in (NO_FIT, *MISREAD)), None)
     status, message, undetermined = estimate.status, estimate.message, tuple[str, ...]()
-    if status != "converged" and wrong is not None:
+    if wrong is not None:
         # What is undetermined means nothing where shots are read as what they are not.
-        status, message = "contradicted" if status == "undetermined" else status, wrong
+        status, message = "not_converged" if status == "not_converged" else "contradicted", wrong
     elif estimate.undetermined or found.images:
         undetermined = tuple(_undetermined(found))
         message = undetermined[0]
@@ -417,6 +423,7 @@ def _beam(found: SurveyEstimate, member: int) -> BeamMount:
         C,
         np.sqrt(np.diagonal(C)[LOCATION]),
         math.sqrt(float(np.linalg.eigvalsh(turn)[-1])) if known else math.inf,
+        float(found.noise.sigma[-2]),
         *_taken(found, BEAM.name, member),
     )
 
@@ -540,6 +547,7 @@ def _warnings(
         )
         yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
     yield from unread_stations(found.rows)
+    yield from found.rows.survey.warnings
 
 
 def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:

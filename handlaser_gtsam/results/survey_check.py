@@ -24,7 +24,7 @@ from ..observability.motion import PlaneMotion, motion_before
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
 from .survey import unread_stations
-from .survey_misfit import KIND, NO_FIT, first_noise, misread, no_fit
+from .survey_misfit import MISREAD, NO_FIT, first_noise, misread, no_fit
 from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
 NOT_OF_MOTION = frozenset((*ERRORS, *BEAM.coordinates[RANGE_ERROR]))
@@ -86,7 +86,7 @@ class SurveyCheck(Value):
         Typical misfit of a shot in standard deviations; NaN where no start was found.
     warnings : tuple of CalibrationWarning
         Of shots that do not fit each other, of arrays that read in the other convention and targets of
-        another kind, of stations without a reading, and of lost shots.
+        another kind, of stations without a reading, of lost shots, and of how files were read.
     """
 
     sensors: tuple[SensorHeld, ...]
@@ -103,7 +103,7 @@ class SurveyCheck(Value):
     @property
     def doubt(self) -> str | None:
         """What is wrong where shots do not fit each other, or not what is stated; None elsewhere."""
-        for code in (NO_FIT, KIND):
+        for code in (NO_FIT, *MISREAD):
             for one in self.warnings:
                 if one.code == code:
                     return one.message
@@ -120,10 +120,9 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     """
     rows, noise = rows_of(survey), noise or Noise()
     causes = tuple(misread(rows, noise))
-    warnings = (*causes, *unread_stations(rows))
+    warnings = (*causes, *unread_stations(rows), *survey.warnings)
     targets = tuple(_targets(rows))
-    numbers = sum(1 if item.shot is None else len(item.shot.reading) for item in rows.items)
-    numbers += 2 * sum(item.target[0] == "point" for item in rows.items)
+    numbers = sum(item.numbers for item in rows.items)
     names = rows.places().names
     unknowns = sum(name.rpartition(".")[2] not in NOT_OF_MOTION for name in names)
     # A search wanders along what is undetermined by metres, at no cost, and derivatives with it.
@@ -154,7 +153,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         advice = (*advice, "measure at more stations")
     if not first.fits:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
-    doubtful = any(one.code in (NO_FIT, KIND) for one in warnings)
+    doubtful = any(one.code in (NO_FIT, *MISREAD) for one in warnings)
     if doubtful:  # what a motion leaves undetermined means nothing then
         undetermined, advice = (), ()
     return SurveyCheck(
@@ -202,8 +201,9 @@ def _targets(rows: Rows) -> Iterator[PlaneMotion]:
     labels = np.array([normal_label(label) for label in of.plane_labels])
     entities = [(SENSOR.name, i) for i in range(len(survey.shots))]
     entities += [(BEAM.name, i) for i in range(len(survey.beam_names))]
-    for label in dict.fromkeys(labels[sorted({item.station for item in rows.items})].tolist()):
-        at = np.flatnonzero(labels == label)
+    stations = np.array(sorted({item.station for item in rows.items}), dtype=np.intp)
+    for label in dict.fromkeys(labels[stations].tolist()):
+        at = stations[labels[stations] == label]
         read = {(i.family, i.member, i.station) for i in rows.items if labels[i.station] == label}
         counts = [sum(key[:2] == entity for key in read) for entity in entities]
         names = [of.station_names[j] for j in at]

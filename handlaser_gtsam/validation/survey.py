@@ -35,6 +35,11 @@ from .leave_out import PART_LEFT_OUT, USUAL_SPLITS
 
 FITS = "converged", "contradicted"
 """Status of a survey that has a minimum."""
+LARGEST_DIFFERENCE = 0.5
+"""A parameter may differ from SciPy's by this many of its standard deviations, and a standard deviation
+by this part. Shots are condensed to first order in their noise: of balls that are read with a noise of
+2 % of the range they differ by up to 0.47, which makes errors a tenth larger than is stated. An array
+of 16 zones with a noise of 1 mm before two balls differs by 1.1."""
 COMPARED_PARTS = {
     SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
     BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
@@ -89,6 +94,44 @@ class SurveyValidation(Value):
     reference: CrossCheck
     targets: tuple[SurveyLeftOut, ...]
     splits: tuple[SurveyLeftOut, ...]
+
+    @property
+    def disagreement(self) -> str | None:
+        """What SciPy, which solves all points by themselves, finds otherwise; None where it agrees."""
+        reference = self.reference
+        if reference.largest > LARGEST_DIFFERENCE:
+            found = (
+                f"finds another solution, by {reference.largest:.2g} standard deviations in "
+                f"{reference.parameter}"
+            )
+        elif reference.largest_sigma > LARGEST_DIFFERENCE:
+            found = (
+                f"finds standard deviations that differ by {100.0 * reference.largest_sigma:.0f} % in "
+                f"{reference.sigma_parameter}"
+            )
+        else:
+            return None
+        return (
+            f"SciPy, point by point, {found}: do not use this calibration; shots are too noisy, or "
+            "have too few points, for their targets: look at larger parts of them, from nearer"
+        )
+
+    @property
+    def usable(self) -> bool:
+        """Whether the calibration is usable, SciPy agrees, and every part is predicted by the rest."""
+        return self.calibration.usable and self.disagreement is None and not self.contradicted
+
+    @property
+    def verdict(self) -> str:
+        """What to do with the calibration after these tests, in one sentence."""
+        if not self.calibration.usable:
+            return self.calibration.verdict
+        why = [] if self.disagreement is None else [self.disagreement]
+        against = [one.name for one in self.contradicted]
+        if against:
+            which = f"(p below {SINGLE_LEVEL:g}): {', '.join(against)}"
+            why.append(f"what the rest of the survey does not predict {which}")
+        return f"Not usable: {'; '.join(why)}." if why else self.calibration.verdict
 
     @property
     def contradicted(self) -> tuple[SurveyLeftOut, ...]:

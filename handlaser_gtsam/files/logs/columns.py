@@ -20,12 +20,19 @@ POSITIONS = (
     ("translation.x", "translation.y", "translation.z"),
     ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
 )
-KNOWN = "mm m deg ° rad s ms us ns"
-OTHERS = "cm dm km um µm μm nm in inch ft mrad mdeg gon grad min µs v mv ma counts digits lsb %"
+KNOWN = "mm m in inch deg ° rad s ms us ns"
+OTHERS = "cm dm km um µm μm nm ft mrad mdeg gon grad min µs v mv ma counts digits lsb %"
 """Units that nothing is read in: a column of such values is refused."""
 UNITS = "|".join(f"{KNOWN} {OTHERS}".split())
-UNIT_IN_NAME = re.compile(rf"[\s_]*[\[(]\s*({UNITS})\s*[\])]$|_(mm|cm|um|m|deg|rad)$")
-"""A unit at the end of a column's name: `X [mm]`, `A(deg)`, `x_mm`."""
+UNIT_IN_NAME = re.compile(
+    rf"[\s_]*[\[(]\s*({UNITS})\s*[\])]$"
+    r"|_(mm|cm|um|m|inch|deg|rad)$"
+    r"|(?:(?<=[xyz])|(?<=reading))_(in)$"
+)
+"""A unit at the end of a column's name: `X [mm]`, `A(deg)`, `x_mm`, `x_in`.
+
+`laser_in` is the input of a laser.
+"""
 TIMES = ("time", "timestamp", "stamp", "t", "time_s")
 RANGE = "range_"
 
@@ -68,8 +75,8 @@ def plain(name: str) -> str:
 def unit_of(name: str) -> str:
     """Return the unit in a column's name; empty if there is none."""
     found = UNIT_IN_NAME.search(name.strip().lower())
-    unit = "" if found is None else found[1] or found[2]
-    return {"°": "deg", "µs": "us"}.get(unit, unit)
+    unit = "" if found is None else found[found.lastindex or 0]
+    return {"°": "deg", "µs": "us", "inch": "in"}.get(unit, unit)
 
 
 def columns_of(
@@ -245,9 +252,11 @@ def _check_units(table: Table, found: Columns, given: LogFormat) -> None:
     for name, unit, units, option in wanted:
         stated = unit_of(name)
         if stated and stated != unit and not given.as_stated:
-            remedy = f"{option} {stated}" if stated in units else f"values in {' or '.join(units)}"
+            remedy = f"values in {', '.join(map(shown, units))}"
+            if stated in units:
+                remedy = f"{option} {stated}"
             raise table.fault(
-                f"the unit {stated} in the name of the column, which is read as {unit}",
+                f"the unit {shown(stated)} in the name of the column, which is read as {shown(unit)}",
                 f"{remedy}; or --as-stated if the name is wrong",
                 name,
             )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 
-Units = Literal["m", "mm"]
+Units = Literal["m", "mm", "in"]
 AngleUnits = Literal["deg", "rad"]
 Decimal = Literal["point", "comma"]
 Average = Literal["mean", "median"]
@@ -30,7 +30,7 @@ class LogFormat:
     rotation : str
         Instead of a pose format: xyzw, wxyz, rotvec, matrix, matrix-columns, or Euler angles as SciPy
         spells them (ZYX, xyz); with units, and with angles where there are any.
-    units : {"m", "mm"}, optional
+    units : {"m", "mm", "in"}, optional
         Of positions, if not as in the format.
     angles : {"deg", "rad"}, optional
         Of rotations, if not as in the format.
@@ -55,8 +55,8 @@ class LogFormat:
         Column of beams in a long table, one row a reading.
     range_column : str
         Column of ranges in a long table.
-    range_units : {"m", "mm"}
-        Of ranges: m (the default) or mm.
+    range_units : {"m", "mm", "in"}
+        Of ranges: m (the default), mm, or in (inches).
     plane : str
         The plane of all stations.
     plane_ranges : names

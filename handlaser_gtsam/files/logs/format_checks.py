@@ -99,7 +99,7 @@ def _check_together(given: "LogFormat") -> None:
             "--pose-format and --rotation", "one of the two: the format says what rotation it has"
         )
     if given.rotation and given.units is None:
-        raise InputError(f"--rotation {given.rotation} without --units", "--units m or mm")
+        raise InputError(f"--rotation {given.rotation} without --units", "--units m, mm or in")
     turned = EULER.fullmatch(given.rotation) or given.rotation == "rotvec"
     if turned and given.angles is None:
         raise InputError(f"--rotation {given.rotation} without --angles", "--angles deg or rad")

@@ -8,7 +8,16 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
-from ...model.conventions import FORMATS, LENGTHS, Convention, called, inverted, matrices, poses_of
+from ...model.conventions import (
+    FORMATS,
+    LENGTHS,
+    UNIT_WORDS,
+    Convention,
+    called,
+    inverted,
+    matrices,
+    poses_of,
+)
 from ...quantities import ROUNDING
 from ..recording_csv import QUATERNION_TOLERANCE, off_unit
 from .format import LogFormat
@@ -21,7 +30,6 @@ FARTHEST = 30.0
 """A position beyond this [m] is in millimetres, not in metres: no arm is so long."""
 NEAREST = 5.0
 """Positions that all stay within this distance [mm] of the origin are in metres."""
-UNIT_WORDS = {"m": "metres", "mm": "millimetres"}
 
 
 @dataclass(frozen=True, slots=True)

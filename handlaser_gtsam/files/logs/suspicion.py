@@ -4,7 +4,7 @@ Poses may not have been updated: stations repeat a pose although the readings ha
 
 Or the poses mean something else. A small part of the log is solved at a glance as it is stated, and,
 where that leaves residuals above a hundredth of the spread of the readings, under every other
-convention with as many numbers a pose, with inverted poses, and with the other unit of ranges. The rms
+convention with as many numbers a pose, with inverted poses, and with the other units of ranges. The rms
 residual is compared, and where that shows nothing the residual below which 70 % of the readings are, so
 that outliers do not hide a better convention. One is named where it fits much better, and well.
 """
@@ -226,13 +226,16 @@ def alternatives(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Re
     if given.inverted:
         words = "the poses are not inverted: without --inverted"
     yield Rereading(words, partial(under, convention, not given.inverted), "glance")
-    unit = "m" if given.range_units == "mm" else "mm"
-    factor = LENGTHS[unit] / LENGTHS[given.range_units]
-    yield Rereading(
-        f"the ranges are {unit}: --range-units {unit}",
-        lambda recording: replace(recording, ranges=factor * recording.ranges),
-        "glance",
-    )
+
+    def scaled(factor: float, recording: Recording) -> Recording:
+        return replace(recording, ranges=factor * recording.ranges)
+
+    for unit in LENGTHS:
+        if unit == given.range_units:
+            continue
+        factor = LENGTHS[unit] / LENGTHS[given.range_units]
+        words = f"the ranges are {unit}: --range-units {unit}"
+        yield Rereading(words, partial(scaled, factor), "glance")
     seen = {convention.meaning}
     for rotation in dict.fromkeys(one.rotation for one in FORMATS.values()):
         for units, angles in product(LENGTHS, ANGLES):

@@ -1,12 +1,13 @@
 """What there is to say of the result of a survey: terminal and report render it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ...model.families import BEAM, RANGE_ERROR
 from ...model.sensors.mounted import ERRORS, SENSOR
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
@@ -148,10 +149,12 @@ def _sigma(target: SurveyTarget) -> str:
 
 def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts:
     """Return noise, fit, limits, relations and tests as pairs of a name and words."""
-    found = [("fit", f"chi2 {result.chi2:.4g} at {result.dof} degrees of freedom")]
+    found = [("fit", f"chi2 {result.chi2:.4g} at {result.dof} degrees of freedom{_counts(result)}")]
     noise = [
         f"{sensor.name} {sensor.reading_sigma * IN_MM:.2g} mm" for sensor in result.sensors.values()
     ]
+    beams = list(result.beams.values())
+    noise += [f"single beams {beams[0].reading_sigma * IN_MM:.2g} mm"] if beams else []
     turn, shift = result.pose_sigma
     if math.isfinite(turn):
         how = " (estimated)" if result.pose_sigma_estimated else ""
@@ -159,23 +162,86 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
     found.append(("noise, one standard deviation", ", ".join(noise)))
     for sensor in result.sensors.values():
         if sensor.range_error:
-            C = np.sqrt(np.diagonal(sensor.covariance)[6:])
-            parts = [
-                f"{code} {value * UNITS[code][1]:.4g} +- {s * UNITS[code][1]:.2g} {UNITS[code][0]}"
-                for (code, value), s in zip(sensor.range_error.items(), C, strict=True)
-            ]
-            found.append((f"range error of {sensor.name}", ", ".join(parts)))
+            sigmas = np.sqrt(np.diagonal(sensor.covariance)[6:])
+            found.append((f"range error of {sensor.name}", _errors(sensor.range_error, sigmas)))
         if sensor.errors:
             found.append((f"tested of {sensor.name}", _tested(sensor)))
+    for beam in beams:
+        errors = dict(zip(BEAM.coordinates[RANGE_ERROR], beam.range_error, strict=True))
+        sigmas = np.sqrt(np.diagonal(beam.covariance)[RANGE_ERROR])
+        found.append((f"range error of beam {beam.name}", _errors(errors, sigmas)))
     for check in worst_of_each(tuple(checks)):
         found.append(("limit", check.comparison if check.held else check.failure))
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
         found.append((one.known.words, f"{words} (p = {one.p_value:.2g})"))
+    if result.without is not None:
+        found += _without(result, result.without)
     if result.rejected:
         names = [f"{one.words(result.beams)} ({one.reason})" for one in result.rejected]
         found.append(("left out", f"{count(len(names), 'shot')}: {some(names, NAMES_IN_LINE)}"))
     return tuple(found)
+
+
+def _counts(result: SurveyCalibration) -> str:
+    """Say what degrees of freedom are made of, in the counts of `check`; empty of what is open."""
+    own = result._found
+    if own.estimate.status == "undetermined":
+        return ""
+    numbers = sum(i.numbers for i, used in zip(own.rows.items, own.used, strict=True) if used)
+    unknowns = len(own.estimate.names)
+    more = f"{result.dof + unknowns - numbers} more of errors and relations"
+    return f": {numbers} numbers that shots say, {more}, {unknowns} unknowns"
+
+
+def _without(result: SurveyCalibration, other: SurveyCalibration) -> Iterator[tuple[str, str]]:
+    """Yield what follows without the relations that are contradicted: how far each mount moves."""
+    false = " and ".join(one.known.words for one in result.relations if one.contradicted)
+    yield f"without {false}", other.verdict
+    for name, sensor in other.sensors.items():
+        before = result.sensors[name]
+        turn = float(Rotation.from_matrix(before.rotation.T @ sensor.rotation).magnitude())
+        moved = _moved(sensor.location - before.location, turn)
+        angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
+        x, y, z = _places(sensor.location, sensor.location_sigma)
+        digits = _digits(float(sensor.rotation_sigma.max()) * IN_DEG)
+        A, B, C = (f"{angle:.{digits}f}" for angle in angles.tolist())
+        yield (
+            f"{name} without it",
+            f"{moved}, to ({x}, {y}, {z}) mm and A {A} B {B} C {C} deg",
+        )
+    for name, beam in other.beams.items():
+        old = result.beams[name]
+        sine = float(np.linalg.norm(np.cross(beam.direction, old.direction)))
+        turn = math.atan2(sine, float(beam.direction @ old.direction))
+        x, y, z = _places(beam.location, beam.location_sigma)
+        moved = _moved(beam.location - old.location, turn)
+        yield f"beam {name} without it", f"{moved}, to ({x}, {y}, {z}) mm"
+
+
+def _moved(shift: FloatArray, turn: float) -> str:
+    """Say a shift [m] and a turn [rad]."""
+    length = float(np.linalg.norm(shift)) * IN_MM
+    return f"moves by {length:.2g} mm and {turn * IN_DEG:.2g} deg"
+
+
+def _places(location: FloatArray, sigma: FloatArray) -> list[str]:
+    """Return a location as the table of its kind has it."""
+    return [cell.text for cell in _located(location, sigma)[:3]]
+
+
+def _errors(errors: Mapping[str, float], sigmas: FloatArray) -> str:
+    """Say range errors that were estimated, each with its standard deviation where it has one."""
+    parts = []
+    for (code, size), sigma in zip(errors.items(), sigmas.tolist(), strict=True):
+        unit, factor = UNITS[code]
+        how = (
+            f" +- {sigma * factor:.2g} {unit}"
+            if math.isfinite(sigma)
+            else f" {unit} (undetermined)"
+        )
+        parts.append(f"{code} {size * factor:.4g}{how}")
+    return ", ".join(parts)
 
 
 def _tested(sensor: SensorMount) -> str:
