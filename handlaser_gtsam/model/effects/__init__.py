@@ -43,8 +43,10 @@ OF_READINGS = {
     code: effect.of_readings for code, effect in EFFECTS.items() if effect.of_readings is not None
 }
 """Columns of the errors that a reading has by itself, whenever it is taken."""
-OF_STATIONS = (*OF_READINGS, TURN_SCALE.code, TRANSLATION_SCALE.code)
-"""Errors that a station has by itself, whenever and after whatever other station it is measured."""
+OF_STATIONS = (*OF_READINGS, SAG.code, TURN_SCALE.code, TRANSLATION_SCALE.code)
+"""Errors that a station has by itself, whenever and after whatever other station it is measured. A lag
+goes by the station before and after; the unknowns of a drift and of what is displaced by all stations
+up to the last one; and a new plate brings biases of its own."""
 
 
 def may_also_be(codes: tuple[str, ...]) -> str:

@@ -43,6 +43,9 @@ class SeenStations:
         Which column of the recording each beam is.
     middle : (3, 3), optional
         Orientation of the hand from which turns count; the mean of the stations where not given.
+    plates : (P, 3) and float, optional
+        Middle of each plate, and the squared distance from there of the farthest spot [m^2]; those of
+        the spots where not given.
     """
 
     def __init__(
@@ -52,9 +55,10 @@ class SeenStations:
         position: IntArray,
         channel: IntArray,
         middle: FloatArray | None = None,
+        plates: tuple[FloatArray, float] | None = None,
     ) -> None:
         self.at, self.readings, self.position, self.channel = at, readings, position, channel
-        self.given_middle = middle
+        self.given_middle, self.given_plates = middle, plates
 
     @cached_property
     def time(self) -> FloatArray:
@@ -97,6 +101,15 @@ class SeenStations:
     def spots(self) -> FloatArray:
         """Where the beams meet their planes (N, 3) [m]."""
         return np.asarray(self.linear.normal / self.linear.offset[:, None])
+
+    @cached_property
+    def plates(self) -> tuple[FloatArray, float]:
+        """The middle (P, 3) of each plate, and the squared distance of the farthest spot [m^2]."""
+        if self.given_plates is not None:
+            return self.given_plates
+        middles = self.readings.plane_means(self.spots)
+        square = ((self.spots - middles[self.readings.plane]) ** 2).sum(axis=1)
+        return middles, max(float(square.max()), np.finfo(float).tiny)
 
     @cached_property
     def expected(self) -> FloatArray:

@@ -1,15 +1,15 @@
-"""A plate that is curved: its edges farther from the sensor than its middle."""
+"""A plate that is curved: its edges farther from the sensor than its middle.
 
-import numpy as np
+Another middle is another tilt and offset of the plate: no other unknown follows.
+"""
 
 from .effect import Effect, Everywhere, SeenStations
 
 
 def members(stations: SeenStations) -> Everywhere:
     """Return the derivatives (N, 1), with the square of each spot's distance from the middle."""
-    spot, readings = stations.spots, stations.readings
-    square = ((spot - readings.plane_means(spot)[readings.plane]) ** 2).sum(axis=1)
-    largest = max(float(square.max()), np.finfo(float).tiny)
+    middles, largest = stations.plates
+    square = ((stations.spots - middles[stations.readings.plane]) ** 2).sum(axis=1)
     return Everywhere((stations.linear.offset * square / largest)[:, None])
 
 
