@@ -21,6 +21,7 @@ DRIFT = Effect(
     remedy="let the sensor warm up, and record in a shorter time",
     reveal="repeat the first stations at the end",
     members=members,
+    in_order=True,
     of_sensor={
         "triangulation": 0.003,
         "time-of-flight": 0.01,

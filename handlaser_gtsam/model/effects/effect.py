@@ -215,6 +215,8 @@ class Effect:
         Whether k1 of all beams is the same, so that it shows only where the model has none.
     across : bool
         Whether a location of the beam that is off to the side by its size is the same.
+    in_order : bool
+        Whether the order counts in which stations of different planes were recorded.
     """
 
     code: str
@@ -233,6 +235,7 @@ class Effect:
     least_beams: int = 1
     is_k1: bool = False
     across: bool = False
+    in_order: bool = False
 
     def at(self, stations: SeenStations) -> Everywhere | OnPlanes | None:
         """Return its members at the stations; None where no recording can show it."""

@@ -68,6 +68,7 @@ TOOL_DISPLACED = Effect(
     anywhere="while recording",
     members=members,
     twists=twists,
+    in_order=True,
     of_cell=2.5e-4,
 )
 """A tool frame steps or creeps by half a millimetre while recording: half of that from its middle."""
