@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..checks import require_word
 from ..data.station_list import StationList
-from ..data.survey import RELATIONS, Known, Shots
+from ..data.survey import RELATIONS, Convention, Kind, Known, Shots
 from ..errors import InputError
 from ..quantities import DEG, IN_MM, MM
 from .checked_text import FileRecord, in_file
@@ -42,7 +42,7 @@ class SensorTable(FileRecord):
     """A row of [[sensors]]."""
 
     name: str
-    kind: Literal["profiler", "scanner", "array", "points"]
+    kind: Kind
     points: str = ""
     topics: Words = ()
     units: Literal["mm", "m"] = "mm"
@@ -51,7 +51,7 @@ class SensorTable(FileRecord):
     sigma_across_mm: float = 0.0
     free: Words = ()
     zones: str | None = None
-    convention: Literal["radial", "perpendicular"] = "radial"
+    convention: Convention = "radial"
     echo: Echo = "all"
 
 

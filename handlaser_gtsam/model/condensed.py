@@ -5,9 +5,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ..data.survey import RAY_ERRORS
 from .block import Rows, Slot, Values, Weights
 from .ranges import Ranges
-from .sensors.mounted import ERRORS, SENSOR
+from .sensors.mounted import SENSOR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,10 +75,10 @@ class Unexplained:
 
     def evaluate(self, values: Values) -> Rows:
         """Return the rows."""
-        errors = values[SENSOR.name][:, self.member][..., -len(ERRORS) :]
+        errors = values[SENSOR.name][:, self.member][..., -len(RAY_ERRORS) :]
         e = self.residual + np.einsum("kgi,gti->kgt", errors, self.by_error)
         columns = np.zeros((SENSOR.dim + 1, *e.shape))
-        columns[-1 - len(ERRORS) : -1] = np.moveaxis(self.by_error, 2, 0)[:, None]
+        columns[-1 - len(RAY_ERRORS) : -1] = np.moveaxis(self.by_error, 2, 0)[:, None]
         columns[-1] = e
         return Rows(columns)
 

@@ -65,10 +65,16 @@ CODES = {field.name.replace("_", "-"): field.name for field in fields(Plausible)
 """The field of `Plausible` by the code of a systematic error."""
 
 
+FIELDS = {
+    code: f"{name}_mm" if EFFECTS[code].unit == "m" else f"{name}_percent"
+    for code, name in CODES.items()
+}
+"""The field of the table [plausible] of a rig file by the code of a systematic error."""
+
+
 def how_to_state(code: str) -> str:
     """Return which fields of a rig file state the plausible size of a systematic error."""
-    unit = "mm" if EFFECTS[code].unit == "m" else "percent"
-    field = f"{CODES[code]}_{unit} in [plausible]"
+    field = f"{FIELDS[code]} in [plausible]"
     kinds = [f'"{kind}"' for kind, part in EFFECTS[code].of_sensor.items() if part > 0.0]
     return f"kind in [sensor], as kind = {' or '.join(kinds)}, or {field}" if kinds else field
 
