@@ -4,7 +4,8 @@
 
 Planes and stations are added and removed, bad data are offered, a beam is split because it moved,
 exceptions and Ctrl-C fall into the evaluation of factors at a random call. Poses are exact,
-marginalised or estimated, or range error and range sigma are found on the way. A sequence is good when
+marginalised or estimated, or range error and range sigma are found on the way, or systematic errors
+are unknowns. A sequence is good when
 nothing but the exception itself came out and, after every step, the beams agree with the batch solution
 to a hundredth of a standard deviation.
 """
@@ -42,6 +43,13 @@ MODES = (
     ("estimated", hl.Noise(SIGMA, *ROBOT), hl.CalibrationOptions("none", poses="estimated")),
     ("unknown", hl.Noise(), hl.CalibrationOptions()),
     ("unknown, estimated", hl.Noise(), hl.CalibrationOptions(poses="estimated")),
+    (
+        "free errors",
+        hl.Noise(SIGMA, 0.0, 0.0),
+        hl.CalibrationOptions(
+            "none", free=("lag", "incidence"), sensor=hl.Sensor(kind="triangulation")
+        ),
+    ),
 )
 
 

@@ -93,7 +93,7 @@ if TYPE_CHECKING:
     from .files.study_toml import read_study as read_study
     from .files.survey_json import write_survey as write_survey
     from .files.survey_reading import read_survey as read_survey
-    from .model.effects import Plausible as Plausible
+    from .model.effects.plausible import Plausible as Plausible
     from .model.sensor import Sensor as Sensor
     from .pipeline import calibrate as calibrate
     from .planning.plan import plan as plan

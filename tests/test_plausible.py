@@ -8,7 +8,8 @@ from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 from benchmarks.cell_mistakes import make_cell
-from handlaser_gtsam.model.effects import EFFECTS, KINDS
+from handlaser_gtsam.model.effects import EFFECTS
+from handlaser_gtsam.model.effects.plausible import CODES, KINDS
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.information import recorded_rows, with_errors
 from handlaser_gtsam.results.limits import Limits
@@ -299,3 +300,8 @@ def test_a_goal_that_tells_what_has_no_size_is_refused(tmp_path):
         hl.read_rig(rig)
     rig.write_text('[sensor]\nkind = "confocal"\n[goal]\ntells = ["incidence", "cubic"]\n')
     assert hl.read_rig(rig).goal.tells == ("incidence", "cubic")
+
+
+def test_every_error_of_which_a_size_is_plausible_has_a_field_and_no_other_has():
+    sized = {code for code, one in EFFECTS.items() if one.of_sensor or one.of_cell is not None}
+    assert set(CODES) == sized

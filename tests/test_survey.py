@@ -14,15 +14,20 @@ import handlaser_gtsam as hl
 from benchmarks import rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import RELATIONS as STATED_RELATIONS
 from benchmarks.rigs import body_of, errors_of, stated_relation, survey_of
+from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, TARGETS
 from handlaser_gtsam.estimation.survey import estimate_survey
+from handlaser_gtsam.files.logs.bag_points import MESSAGE_OF
+from handlaser_gtsam.files.points_table import COLUMNS
 from handlaser_gtsam.model import known
-from handlaser_gtsam.model.families import FAMILIES
+from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.lines import condensed_shots
 from handlaser_gtsam.model.ranges import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.kinds import KINDS
-from handlaser_gtsam.model.sensors.mounted import Mounted
+from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
 from handlaser_gtsam.model.shots import condensed
 from handlaser_gtsam.model.targets.plane import Plane
+from handlaser_gtsam.model.targets.point import POINT
+from handlaser_gtsam.model.targets.sphere import SPHERE
 from handlaser_gtsam.results.description.survey import facts
 from handlaser_gtsam.results.survey import RejectedShot
 
@@ -552,3 +557,12 @@ def test_a_false_face_is_named_and_not_the_shots_that_contradict_it(seed):
     assert result.relations[0].contradicted
     assert "the readings contradict what is said to be known: body of" in result.verdict
     assert not result.rejected
+
+
+def test_every_kind_of_sensor_and_target_is_known_everywhere():
+    assert set(ERRORS) == set(KINDS) == set(COLUMNS) == set(MESSAGE_OF)
+    assert set(TARGETS) - {"groove"} == {PLANE.name, SPHERE.name, POINT.name}
+    assert {*SENSOR.coordinates} >= {*RAY_ERRORS}
+    # A shift of parallel rays along themselves is a location of the sensor.
+    for kind, errors in ERRORS.items():
+        assert set(RAY_ERRORS) - set(errors) == ({"k0"} if KINDS[kind].parallel else set())

@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.recording import Recording
-from ..errors import CalibrationWarning
+from ..errors import CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
+from ..model.effects import EFFECTS
 from ..pipeline import calibrate
 from ..progress import tell
 from ..quantities import IN_MM, IN_PERCENT
@@ -33,7 +35,20 @@ def plane_by_plane(
         What every plane taught, and how standard deviations fell; the result comes last.
     comparison : Comparison or None
         With the batch calibration; None where the planes did not all join, and the batch stands alone.
+
+    Raises
+    ------
+    InputError
+        As `Session` does, or a free error for which the order of all stations counts, of planes whose
+        stations take turns.
     """
+    labels = recording.plane_labels
+    runs = 1 + sum(one != other for one, other in pairwise(labels))
+    if runs > len(recording.plane_names):
+        for code in options.free:
+            if EFFECTS[code].in_order:
+                found = f"--free {code} plane by plane, of planes whose stations take turns"
+                raise InputError(found, "all planes at once, which is without --incremental")
     session, updates = Session(noise, options), []
     planes = recording.plane_names
     for index, name in enumerate(planes):

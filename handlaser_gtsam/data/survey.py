@@ -7,7 +7,7 @@ relations that are known. Labels say what kind of target it is: `plane:A`, `sphe
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,12 +23,15 @@ from .value import Value
 
 TARGETS = ("plane", "sphere", "point", "groove")
 """Kinds of targets, as labels have them before a colon."""
-ERRORS = {
-    "profiler": ("k1", "k2", "scale"),
-    **dict.fromkeys(("scanner", "array", "points"), ("k0", "k1", "k2", "scale")),
-}
-"""Range errors that may be unknown, by the kind of the sensor: k0 + k1 d + k2 d^2, and the scale of x,
-of the angles, or of the tangents of the directions."""
+Kind = Literal["profiler", "scanner", "array", "points"]
+"""Kinds of sensors of many rays."""
+Convention = Literal["radial", "perpendicular"]
+"""Whether an array reads along its rays or along its axis."""
+RAY_ERRORS = ("k0", "k1", "k2", "scale")
+"""Range errors of many rays: k0 + k1 d + k2 d^2, and the scale of x, of the angles, or of the tangents
+of the directions; [m], [1], [1/m], [1]."""
+ERRORS = {kind: RAY_ERRORS[1 if kind == "profiler" else 0 :] for kind in get_args(Kind)}
+"""Those that may be unknown, by the kind of the sensor: k0 of parallel rays moves the mount."""
 RELATIONS: dict[str, tuple[int, tuple[tuple[str, ...], ...], tuple[str, ...]]] = {
     "angle": (2, (("plane",), ("beam",)), ("value", "sigma_angle")),
     "parallel": (2, (("plane",),), ("value", "sigma", "sigma_angle")),
@@ -79,19 +82,19 @@ class Shots(Value):
     """
 
     name: str
-    kind: Literal["profiler", "scanner", "array", "points"]
+    kind: Kind
     station: IntArray
     across: FloatArray
     reading: FloatArray
     sigma: float | None = None
     sigma_across: float = 0.0
     free: tuple[str, ...] = ()
-    convention: Literal["radial", "perpendicular"] = "radial"
+    convention: Convention = "radial"
 
     def __post_init__(self) -> None:
         names_of("the name of a sensor", (self.name,))
         require_word("kind", self.kind, ERRORS)
-        require_word("convention", self.convention, ("radial", "perpendicular"))
+        require_word("convention", self.convention, get_args(Convention))
         store = object.__setattr__
         reading = number_array("readings", self.reading)
         across = number_array("across", self.across)
@@ -149,7 +152,7 @@ class Shots(Value):
         station: ArrayLike,
         directions: ArrayLike,
         reading: ArrayLike,
-        convention: Literal["radial", "perpendicular"] = "radial",
+        convention: Convention = "radial",
         **noise: Any,
     ) -> "Shots":
         """Return ranges [m] along directions (N, 3); perpendicular ones are along the z axis."""

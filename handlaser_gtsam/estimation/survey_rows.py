@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.survey import Known, Shots, Survey, kind_of, normal_label
+from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
 from ..model import known as relations
 from ..model.block import Block, Values, VectorPrior, Weights
 from ..model.families import BEAM, PLANE, POSE
@@ -17,7 +17,7 @@ from ..model.relations import Relation
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS, Rayset
-from ..model.sensors.mounted import ERRORS, SENSOR, Mounted
+from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.shots import MOST_SLANTED, Condensed, Mixed, Unexplained, of_single_readings, some_of
 from ..model.targets.plane import Plane
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
@@ -132,7 +132,7 @@ class Rows:
         if self.survey.shots:
             free = {error for shots in self.survey.shots for error in shots.free}
             mask = np.ones(SENSOR.dim, dtype=bool)
-            mask[-len(ERRORS) :] = [error in free for error in ERRORS]
+            mask[-len(RAY_ERRORS) :] = [error in free for error in RAY_ERRORS]
             unknown[SENSOR.name] = mask
         return unknown
 
@@ -362,7 +362,7 @@ def _of_shots(
     if many.any():
         few = np.flatnonzero(many)
         residual = np.zeros((len(few), many.max()))
-        beside = np.zeros((*residual.shape, len(ERRORS)))
+        beside = np.zeros((*residual.shape, len(RAY_ERRORS)))
         root = np.zeros((1, *residual.shape))
         for g, i in enumerate(few):
             residual[g, : many[i]] = shots[i].rest
@@ -428,7 +428,7 @@ def rays_on(
     origin, direction = (
         np.broadcast_to(x.T[:, None, None], (3, 1, *shape)) for x in (rays.origin, rays.direction)
     )
-    errors = np.broadcast_to(by_error, (len(ERRORS), 1, *shape))
+    errors = np.broadcast_to(by_error, (len(RAY_ERRORS), 1, *shape))
     block = Ranges(
         Mounted(np.full(n, member), origin, direction, errors),
         TARGETS[target](seen),
@@ -500,7 +500,7 @@ def priors_of(rows: Rows) -> list[Block]:
         root = np.broadcast_to([1.0 / linearity, rows.length / linearity], (1, beams, 2))
         priors.append(VectorPrior(BEAM.name, root, np.zeros((beams, 2))))
     if any(one.free for one in shots):
-        free = np.array([[error in one.free for error in ERRORS] for one in shots])
+        free = np.array([[error in one.free for error in RAY_ERRORS] for one in shots])
         # Where another sensor has it free, an error that this one has not is held at zero.
         root = np.where(free, 1.0 / RANGE_ERRORS, HELD_AT_ZERO) * free.any(axis=0)
         weights = Weights((root > 0.0).astype(float)[None])

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..checks import require_word
 from ..data.station_list import StationList
-from ..data.survey import RELATIONS, Known, Shots
+from ..data.survey import RELATIONS, Convention, Kind, Known, Shots
 from ..errors import InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..quantities import DEG, IN_MM, MAJORITY, MM
@@ -45,7 +45,7 @@ class SensorTable(FileRecord):
     """A row of [[sensors]]."""
 
     name: str
-    kind: Literal["profiler", "scanner", "array", "points"]
+    kind: Kind
     points: str = ""
     topics: Words = ()
     units: Literal["mm", "m", "in"] | None = None
@@ -54,7 +54,7 @@ class SensorTable(FileRecord):
     sigma_across_mm: float = 0.0
     free: Words = ()
     zones: str | None = None
-    convention: Literal["radial", "perpendicular"] = "radial"
+    convention: Convention = "radial"
     echo: Echo = "all"
 
 

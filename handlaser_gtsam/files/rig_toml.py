@@ -33,7 +33,7 @@ from pydantic import Field, Strict, create_model
 from ..checks import require_number
 from ..data.noise import Noise
 from ..errors import InputError
-from ..model.effects import Plausible
+from ..model.effects.plausible import FIELDS, Plausible
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, WIDEST_CONE
 from ..results.limits import Limits
@@ -174,12 +174,7 @@ class _Sensor(FileRecord):
     kind: str | None = None
 
 
-class _Plausible(
-    numbers(  # type: ignore[misc]  # computed
-        "incidence_mm tilt_mm cubic_mm drift_mm carry_over_percent beam_on_plane_mm sag_mm"
-        " displaced_mm tool_displaced_mm lag_percent turn_scale_percent translation_scale_percent"
-    )
-):
+class _Plausible(numbers(" ".join(FIELDS.values()))):  # type: ignore[misc]  # computed
     """The table [plausible]."""
 
 

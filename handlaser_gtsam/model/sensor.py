@@ -12,7 +12,7 @@ from ..data.recording import Readings, Recording
 from ..errors import InputError, NumberError
 from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from . import equation
-from .effects import KINDS, Plausible, plausible_sizes
+from .effects.plausible import KINDS, Plausible, plausible_sizes
 
 MOST_LINEARITY = 0.3
 """No sensor is less linear, as a part of the reading."""

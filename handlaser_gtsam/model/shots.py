@@ -21,12 +21,13 @@ import numpy as np
 from scipy.linalg import qr
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.survey import RAY_ERRORS
 from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, TINY
 from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
 from .ranges import Ranges
 from .sensors.kinds import Kind, Rayset
-from .sensors.mounted import ERRORS, SENSOR
+from .sensors.mounted import SENSOR
 
 FAR_FROM_SHAPE = 4.5
 """Points farther than this many standard deviations from the shape of their shot are rejected."""
@@ -512,10 +513,10 @@ class Unexplained:
 
     def evaluate(self, values: Values) -> Rows:
         """Return the rows."""
-        errors = values[SENSOR.name][:, self.member][..., -len(ERRORS) :]
+        errors = values[SENSOR.name][:, self.member][..., -len(RAY_ERRORS) :]
         e = self.residual + np.einsum("kgi,gti->kgt", errors, self.by_error)
         columns = np.zeros((SENSOR.dim + 1, *e.shape))
-        columns[-1 - len(ERRORS) : -1] = np.moveaxis(self.by_error, 2, 0)[:, None]
+        columns[-1 - len(RAY_ERRORS) : -1] = np.moveaxis(self.by_error, 2, 0)[:, None]
         columns[-1] = e
         return Rows(columns)
 

@@ -9,10 +9,10 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
+from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR
 from ..model.joint import beam_lifts
-from ..model.sensors.mounted import ERRORS
 from ..text import some
 from .rank import NullSpace, Observability
 
@@ -238,7 +238,7 @@ def _part_words(part: OpenPart) -> str:
     if part.quantity == "direction" and count == 1:
         return f"direction towards {vector_words(axes[:, 0])}"
     if part.quantity == "range error":
-        terms = ERRORS if part.kind == "sensor" else BEAM.coordinates[RANGE_ERROR]
+        terms = RAY_ERRORS if part.kind == "sensor" else BEAM.coordinates[RANGE_ERROR]
         known = zip(terms, np.linalg.norm(axes, axis=1) <= WORTH_A_WORD, strict=False)
         return f"range error {' and '.join(name for name, enough in known if not enough)}"
     return part.quantity

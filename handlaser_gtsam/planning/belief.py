@@ -12,6 +12,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..errors import InputError
 from ..model.effects import EFFECTS, OF_STATIONS
+from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR, modelled
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, covariance_roots
@@ -59,9 +60,12 @@ class Belief:
         determine. A size that goes with a power of the reading is that at one metre.
     turned_from : (3, 3)
         Mean orientation of the hand in the recording behind it, from which errors of turns count.
+    bent_from : (P, 3) and float, or None
+        Middle of each plate and squared distance [m^2] from which a curvature counts; None where it is
+        no unknown.
     uncounted : tuple of str
         Codes of freed errors of which the next stations are taken to have none, because it depends on
-        when they are measured, or on the plate.
+        when and before which other stations they are measured, or on new plates.
     """
 
     mean: Parameters
@@ -74,6 +78,7 @@ class Belief:
     spread: FloatArray
     errors: tuple[str, ...] = ()
     turned_from: FloatArray = field(default_factory=lambda: np.eye(3))
+    bent_from: tuple[FloatArray, float] | None = None
     uncounted: tuple[str, ...] = ()
 
     @property
@@ -129,9 +134,10 @@ class Belief:
         n = np.array([plate.normal for plate in plates.values()]).reshape(-1, 3)
         points = np.array([plate.point for plate in plates.values()]).reshape(-1, 3)
         bounds = [(x.tilt, x.tilt, x.within) for x in plates.values()]
-        unknown = np.tile(UNKNOWN_PLANE, len(plates))
+        unknown, bent = np.tile(UNKNOWN_PLANE, len(plates)), self.bent_from
         return replace(
             self,
+            bent_from=bent and (np.concatenate((bent[0][:keep], points)), bent[1]),
             mean=replace(
                 self.mean,
                 normals=np.concatenate((self.mean.normals[:keep], n)),
@@ -235,10 +241,15 @@ def _with_freed(belief: Belief, rows: IntArray, calibration: Calibration) -> Bel
     order = np.insert(np.arange(known), belief.first_error, np.arange(known, len(joint)))
     joint = joint[np.ix_(order, order)]
     seen = ~np.isnan(recording.ranges).all(axis=1)
+    used = calibration.used_in(recording).readings()
+    middles, square = SeenStations(
+        calibration.parameters(), used, used.station, np.arange(used.beams)
+    ).plates
     return replace(
         belief,
         covariance=joint,
         spread=joint,
         errors=tuple(effect.code for effect in effects),
         turned_from=Rotation.from_matrix(recording.world_R_hand[seen]).mean().as_matrix(),
+        bent_from=(middles[-len(belief.plane_names) :], square),
     )

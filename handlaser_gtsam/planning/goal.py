@@ -9,7 +9,8 @@ from ..arrays import FloatArray
 from ..checks import require_kind, require_number, require_word
 from ..data.value import Value
 from ..errors import InputError
-from ..model.effects import OF_READINGS, how_to_state
+from ..model.effects import EFFECTS, OF_READINGS
+from ..model.effects.plausible import how_to_state
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
@@ -77,7 +78,8 @@ class Goal:
     def plausible(self, sensor: Sensor, largest: float) -> dict[str, float]:
         """Return the plausible sizes of the errors that the stations are to determine.
 
-        They depend on the `largest` reading [m]; the size of a cubic error is that at one metre.
+        They depend on the `largest` reading [m]; a size that goes with a power of the
+        reading is that at one metre.
 
         Raises
         ------
@@ -91,8 +93,8 @@ class Goal:
                     f"a goal that tells {code}, of which no plausible size is stated",
                     f"in the rig file, {how_to_state(code)}",
                 )
-        known["cubic"] = known.get("cubic", 0.0) / largest**3
-        return {code: known[code] for code in dict.fromkeys(self.tells)}
+        powers = {code: EFFECTS[code].power or 0 for code in self.tells}
+        return {code: known[code] / largest**power for code, power in powers.items()}
 
     @property
     def units(self) -> tuple[float, float]:

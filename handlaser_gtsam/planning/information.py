@@ -18,7 +18,7 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.recording import Readings, Recording
 from ..model.effects import EFFECTS, OF_READINGS
-from ..model.effects.effect import SeenStations
+from ..model.effects.effect import Everywhere, SeenStations
 from ..model.families import BEAM, DIRECTION, PLANE
 from ..model.weighting import covariance_roots, reading_sigmas, whitening
 from ..validation.simulate import Stations, predicted_readings
@@ -81,8 +81,8 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     by_beam[:, each, each] = J[..., : BEAM.dim]
     rows[..., : belief.first_error] = by_beam.reshape(count, beams, -1)
     if belief.errors:
-        each_beam = np.arange(beams)
-        seen = SeenStations(belief.mean, readings, readings.station, each_beam, belief.turned_from)
+        counted_from = belief.turned_from, belief.bent_from
+        seen = SeenStations(belief.mean, readings, readings.station, each, *counted_from)
         for column, code in enumerate(belief.errors, belief.first_error):
             rows[..., column] = _error_column(code, seen).reshape(count, beams)
     for plane in range(len(belief.plane_names)):
@@ -95,10 +95,11 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
 
 def _error_column(code: str, stations: SeenStations) -> FloatArray:
     """Return the derivatives (N,) by an error that stations have by themselves; see `Belief.errors`."""
-    effect = EFFECTS[code]
-    if effect.twists is not None:
-        return stations.by_poses(effect.twists(stations))[:, 0]
-    return OF_READINGS[code](stations, 1.0)
+    if code in OF_READINGS:
+        return OF_READINGS[code](stations, 1.0)
+    found = EFFECTS[code].at(stations)
+    assert isinstance(found, Everywhere), "it is of stations"
+    return np.asarray(found.columns[:, 0])
 
 
 def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:

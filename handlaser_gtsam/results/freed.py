@@ -31,8 +31,9 @@ from ..errors import CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
 from ..estimation.selection import Selection, select
 from ..estimation.task import WEIGHTS_SETTLED
-from ..model.effects import EFFECTS, how_to_state
+from ..model.effects import EFFECTS
 from ..model.effects.effect import OnPlanes, SeenStations
+from ..model.effects.plausible import how_to_state
 from ..model.equation import residuals_or_infinite
 from ..model.families import BEAM, PLANE, modelled
 from ..model.geometry import skew, tangent_basis

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray
+from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..errors import CalibrationWarning
 from ..estimation.dense import dense_rows, unknowns_of
@@ -24,7 +25,7 @@ from ..model.distributions import SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf
 from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
-from ..model.sensors.mounted import ERRORS, SENSOR
+from ..model.sensors.mounted import SENSOR
 from ..observability.wording import open_sentence
 from ..quantities import IN_MM
 from ..text import count, some
@@ -365,7 +366,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
     own = found.estimate.marginal(SENSOR.name, member)
     first = f"{SENSOR.name}[{member}]."
     names = [n.removeprefix(first) for n in found.estimate.names if n.startswith(first)]
-    kept = [i for i, name in enumerate(names) if name not in ERRORS or name in shots.free]
+    kept = [i for i, name in enumerate(names) if name not in RAY_ERRORS or name in shots.free]
     C = own[np.ix_(kept, kept)]
     reading = float(np.median(shots.reading))
     spot = _spot_of(shots.kind, shots.across, reading)
@@ -383,7 +384,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         shots.kind,
         R,
         x[9:12],
-        {name: float(x[12 + ERRORS.index(name)]) for name in shots.free},
+        {name: float(x[12 + RAY_ERRORS.index(name)]) for name in shots.free},
         C,
         np.sqrt(np.diagonal(located)),
         np.sqrt(np.diagonal(C)[:3]),
@@ -483,7 +484,7 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
     own = problem.places()
     columns = {}
     for member in range(len(found.rows.survey.shots)):
-        for code in ERRORS:
+        for code in RAY_ERRORS:
             name = f"{SENSOR.name}[{member}].{code}"
             column = J[:, whole.names.index(name)]
             if name not in own.names and column.any():

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..data.noise import Noise
-from ..data.survey import Known, Survey, normal_label
+from ..data.survey import RAY_ERRORS, Known, Survey, normal_label
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
@@ -19,7 +19,7 @@ from ..estimation.survey import first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import Rows, rows_of
 from ..model.families import BEAM, RANGE_ERROR
-from ..model.sensors.mounted import ERRORS, SENSOR
+from ..model.sensors.mounted import SENSOR
 from ..observability.motion import PlaneMotion, motion_before
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
@@ -27,7 +27,7 @@ from .survey import unread_stations
 from .survey_misfit import MISREAD, NO_FIT, first_noise, misread, no_fit
 from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
-NOT_OF_MOTION = frozenset((*ERRORS, *BEAM.coordinates[RANGE_ERROR]))
+NOT_OF_MOTION = frozenset((*RAY_ERRORS, *BEAM.coordinates[RANGE_ERROR]))
 """Coordinates that do not count among the unknowns that a motion has to determine."""
 NEAR_THE_HAND = 10.0
 """Mounts are held to the hand to this many typical ranges (1 sigma), which hides nothing."""

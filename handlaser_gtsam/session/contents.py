@@ -92,7 +92,7 @@ class Contents:
         return {name: p.culprit for name, p in planes if p.culprit is not None}
 
     def everything(self) -> Recording:
-        """Return everything as it was added.
+        """Return everything as it was added, stations in the order in which they came.
 
         Raises
         ------
@@ -111,7 +111,9 @@ class Contents:
                 mine = ~np.isnan(recording.ranges[:, column])
                 ranges[mine, beams.index(name)] = recording.ranges[mine, column]
             original.append(replace(recording, ranges=ranges, beam_names=beams))
-        return join(original)
+        everything = join(original)
+        came = [self.station_numbers[name] for name in everything.station_names]
+        return everything.part(np.argsort(came))
 
     def added(self, recording: Recording, sensor: Sensor) -> "Contents":
         """Return the contents with the stations of a recording.

@@ -2,8 +2,9 @@
 
 The first recordings are collected until they determine the beams; from that calibration on, every plane
 joins an iSAM2 graph in milliseconds. A plane that its readings do not determine waits for more of
-them. Everything a session knows is one value that is replaced as a whole: whatever is raised on the
-way, Ctrl-C included, the session is what it was.
+them. Where systematic errors are unknowns, each plane changes what all others say: then everything is
+calibrated again at every change (`session.freed`). Everything a session knows is one value that is
+replaced as a whole: whatever is raised on the way, Ctrl-C included, the session is what it was.
 """
 
 from dataclasses import replace
@@ -20,12 +21,12 @@ from ..errors import ArgumentError, CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
 from ..model.sensor import Rejected
 from ..results.calibration import Calibration
+from ..results.freed import prior_sizes
 from ..results.mounts import Mounts
 from ..solvers.isam import IncrementalOptions
 from .contents import Contents
 from .reports import Comparison, Moved, Update
-from .state import SessionState
-from .updating import UNKNOWN, changed, recalibrate, split_beam, started
+from .updating import UNKNOWN, AnyState, changed, recalibrate, split_beam, started
 
 
 class Session:
@@ -41,12 +42,14 @@ class Session:
         batch. One pose covariance for all stations.
     options : CalibrationOptions, optional
         Options of the first calibration; every comparison with the batch learns unknown scales again.
+        With `free` errors every change is a batch calibration, takes as long as one, and is exact.
     incremental : IncrementalOptions, optional
 
     Raises
     ------
     InputError
-        A pose covariance a station, noise to be estimated, a range sigma by beam, or a robust loss.
+        A pose covariance a station, noise to be estimated, a range sigma by beam, a robust loss, or
+        a free error of which no plausible size is known.
     """
 
     def __init__(
@@ -68,18 +71,16 @@ class Session:
             if getattr(self.options, name):
                 expected = "sigmas that are given: estimate them with calibrate"
                 raise ArgumentError(name, "while planes are added", expected)
-        if self.options.free:
-            expected = "no errors that are unknowns: estimate them with all planes at once"
-            raise ArgumentError("free", "while planes are added", expected)
         if self.options.loss != "gaussian":
             loss = f"{self.options.loss} while planes are added"
             raise ArgumentError("loss", loss, "the gaussian loss")
         self.options.require_consistent(self.noise)
+        prior_sizes(self.options.free, self.options.sensor, 1.0)
         self._early, self._now = Contents(), None
         self._screening: tuple[CalibrationWarning, ...] = ()
         self._lock = RLock()
 
-    _now: SessionState | None
+    _now: AnyState | None
 
     def __getstate__(self) -> dict[str, object]:
         """Return everything but the lock, which is not shared."""
@@ -97,7 +98,7 @@ class Session:
         return self._now is not None
 
     @property
-    def state(self) -> SessionState:
+    def state(self) -> AnyState:
         """Everything that is known; it is never changed, only replaced.
 
         Raises
@@ -227,7 +228,7 @@ class Session:
         ------
         InputError
             No calibration yet, no such beam or plane, no plane before it, a move that is known
-            already, or sigmas that are not positive or beyond what GTSAM can solve.
+            already, sigmas that are not positive or beyond what GTSAM can solve, or free errors.
         """
         sigmas = (location_sigma, direction_sigma, range_error_sigmas)
         with self._lock:
@@ -250,7 +251,7 @@ class Session:
         stands beside it as a further beam.
         """
         now = self.state
-        calibration = now.inside().calibration()
+        calibration = now.calibration()
         warnings = (*self._screening, *calibration.warnings)
         planes = len(now.contents.numbers)
         learns = now.config.learned is not None or self.noise.range_sigma is None
@@ -267,12 +268,14 @@ class Session:
 
         Every plane has a frame amid its stations, with the axes of the world.
         """
-        inside = self.state.inside()
-        return inside.local_readings(), inside.parameters
+        return self.state.estimate()
 
     def compare(self) -> Comparison:
-        """Compare the beams with the batch solution of the same readings, from the present estimate."""
-        return self.state.inside().compared(self.state.integrated)
+        """Compare the beams with the batch solution of the same readings, from the present estimate.
+
+        With free errors it is a calibration of the same planes that begins anew.
+        """
+        return self.state.compare()
 
     def moved(self) -> Moved | None:
         """Return the beam that all planes so far show to have moved, whenever that was."""

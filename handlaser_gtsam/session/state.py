@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 
 from .. import model
 from ..data.parameters import Beams, Parameters
+from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
 from ..estimation.information import Information, LinearReadings
 from ..estimation.learned import LearnedScales
@@ -27,6 +28,7 @@ from ..factors.keys import plane_key, pose_key
 from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
+from ..results.calibration import Calibration
 from ..solvers.graph import parameters_of
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from .batch import BatchProblem
@@ -35,7 +37,7 @@ from .contents import Contents
 from .drift import DriftHistory, turns
 from .fitted import FittedPlane, fit_plane
 from .joining import factors_of, fitted_planes, join_planes
-from .reports import Moved
+from .reports import Comparison, Moved
 
 REWEIGHED_MOVE = 3e-3
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
@@ -125,6 +127,19 @@ class SessionState:
             poses.insert(pose_key(j), graph.pose(key))
         return replace(problem, poses=poses)
 
+    def calibration(self) -> Calibration:
+        """Return the calibration at the present estimate; nothing is solved again."""
+        return self.inside().calibration()
+
+    def estimate(self) -> tuple[Readings, Parameters]:
+        """Return the readings that are used, and beams and planes, every plane in its frame."""
+        inside = self.inside()
+        return inside.local_readings(), inside.parameters
+
+    def compare(self) -> Comparison:
+        """Compare the beams with the batch solution of the same readings, from the present estimate."""
+        return self.inside().compared(self.integrated)
+
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         epochs = self.history.recent() if recently else None
@@ -180,7 +195,7 @@ class SessionState:
         if fresh or gone:
             new = new._solved(fresh, gone)
         if gone and not config.links and not new.inside().determined():
-            raise _undetermined()
+            raise undetermined()
         return new, tuple(joined), inconsistent
 
     def _solved(self, factors: Mapping[int, GraphPart], gone: list[int]) -> "SessionState":
@@ -214,7 +229,7 @@ class SessionState:
             if not self.config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:
-            raise _undetermined(f" ({error})") from error
+            raise undetermined(f" ({error})") from error
         return replace(
             begun, compared=self.compared, changes=self.changes, learned_with=self.learned_with
         )
@@ -340,7 +355,8 @@ def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
     return list(dict.fromkeys(block.pose for block in blocks if block.pose is not None))
 
 
-def _undetermined(why: str = "") -> InputError:
+def undetermined(why: str = "") -> InputError:
+    """Return the error of a change that takes away what determines the beams."""
     change = f"a change after which the beams are undetermined{why}"
     return InputError(change, "planes that determine them")
 

@@ -15,8 +15,11 @@ from ..results.calibration import Calibration
 from ..solvers.isam import IncrementalOptions
 from .config import AGREED, ProcessNoise, SessionConfig
 from .contents import Contents
+from .freed import FreedState
 from .reports import Change, Comparison, Update
 from .state import SessionState, begin
+
+AnyState = SessionState | FreedState
 
 RESTARTED = (
     "restarted from everything: the planes so far did not fit the calibration they began with"
@@ -27,13 +30,13 @@ LEAST_CHANGES = 4
 
 
 def started(
-    now: SessionState | None,
+    now: AnyState | None,
     contents: Contents,
     noise: Noise,
     options: CalibrationOptions,
     incremental: IncrementalOptions,
-) -> tuple[SessionState | None, Update]:
-    """Calibrate everything together, and start the graph from there if that converges.
+) -> tuple[AnyState | None, Update]:
+    """Calibrate everything together, and start from there if that converges.
 
     Raises
     ------
@@ -43,13 +46,19 @@ def started(
     if now is not None and now.config.links:
         beam = "a new beam after another one was split"
         raise InputError(beam, "a session of its own for it")
-    batch = calibrate(contents.everything(), noise, options)
+    waits = Update((), contents.waiting, UNKNOWN, None, None)
+    try:
+        batch = calibrate(contents.everything(), noise, options)
+    except InputError as error:
+        if now is not None or not options.free:
+            raise
+        return None, replace(waits, message=str(error))  # the first planes may have no such error
     if batch.status != "converged":
         if now is not None:  # a new beam that is not determined: nothing is lost
             raise InputError(f"a new beam ({batch.message})", "readings that determine it")
-        return None, Update((), contents.waiting, UNKNOWN, None, None, batch.message)
+        return None, replace(waits, message=batch.message)
     config = SessionConfig.of(batch, noise, options, incremental)
-    new = _begun_from(batch, contents, config)
+    new = (FreedState.of if options.free else _begun_from)(batch, contents, config)
     return new, Update(
         tuple(new.contents.numbers),
         new.contents.waiting,
@@ -61,9 +70,7 @@ def started(
     )
 
 
-def changed(
-    now: SessionState, contents: Contents, planes: tuple[str, ...]
-) -> tuple[SessionState, Update]:
+def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple[AnyState, Update]:
     """Bring a session to `contents`, in which only `planes` differ from the present ones.
 
     Raises
@@ -71,6 +78,8 @@ def changed(
     InputError
         The beams would not be determined.
     """
+    if isinstance(now, FreedState):
+        return _calibrated_again(now, contents, planes)
     new, joined, inconsistent = now.changed(contents, planes)
     gain, restarted = 0.5 * (new.state.information - now.state.information), False
     if inconsistent and new.config.reject and not (new.trusted or new.config.links):
@@ -92,6 +101,26 @@ def changed(
         new.moved(recently=True),
         () if restarted else inconsistent,
         comparison,
+    )
+
+
+def _calibrated_again(
+    now: FreedState, contents: Contents, planes: tuple[str, ...]
+) -> tuple[FreedState, Update]:
+    """Do as `changed` where systematic errors are unknowns."""
+    new, inconsistent = now.changed(contents, planes)
+    same = new.config.names == now.config.names and new.config.terms == now.config.terms
+    gain = 0.5 * (new.integrated.information - now.integrated.information)
+    old = set(now.contents.rejected)
+    return new, Update(
+        tuple(plane for plane in planes if plane in new.contents.numbers),
+        new.contents.waiting,
+        gain if same else UNKNOWN,
+        new.integrated.sigmas(),
+        now.integrated.sigmas() if same else None,
+        rejected=tuple(reading for reading in new.contents.rejected if reading not in old),
+        moved=new.moved(recently=True),
+        inconsistent=inconsistent,
     )
 
 
@@ -133,8 +162,10 @@ def _learned(now: SessionState) -> SessionConfig:
     return replace(config, sigma=sigma, sigma_dof=float(dof))
 
 
-def recalibrate(now: SessionState) -> tuple[SessionState, Comparison]:
+def recalibrate(now: AnyState) -> tuple[AnyState, Comparison]:
     """Calibrate everything at once and compare; take over scales and outliers that differ."""
+    if isinstance(now, FreedState):
+        return now.recalibrated()
     if now.config.links:
         return now, now.inside().compared(now.integrated)
     batch, config = _batch(now)
@@ -161,12 +192,15 @@ def recalibrate(now: SessionState) -> tuple[SessionState, Comparison]:
 
 
 def split_beam(
-    now: SessionState,
+    now: AnyState,
     beam: str,
     since: str,
     sigmas: tuple[float, float, tuple[float, float]],
 ) -> SessionState:
     """Return a session in which a beam has moved before a plane; see `Session.split_beam`."""
+    if isinstance(now, FreedState):
+        expected = "two sessions, of the planes before and after it; or no errors that are free"
+        raise InputError(f"a split of beam {beam} beside errors that are unknowns", expected)
     config, before = now.config, f"{beam} until {since}"
     contents = _split_contents(now, beam, since, before)
     index, count = config.names.index(beam), len(config.names)

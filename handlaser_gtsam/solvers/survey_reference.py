@@ -21,21 +21,21 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
-from ..data.survey import Known, Survey
+from ..data.survey import RAY_ERRORS, Known, Survey
 from .reference import POSE_STEP, REWEIGHTINGS, UnitVectors, gauss_newton_end
 
 START_OFF = 0.005
 """All unknowns begin so far [m], [rad] from the start: far more than their standard deviations."""
 SETTLED = 1e-11
 """Tolerance of SciPy's; a Gauss-Newton step at the end takes it beyond."""
-ERRORS = ("k0", "k1", "k2", "scale")
-"""Range errors of all rays of a sensor, in their order."""
-ERRORS_BEFORE = dict(zip(ERRORS, (0.05, 0.02, 0.1, 0.05), strict=True))
-"""Their standard deviations before any reading; stated again, for nothing is shared."""
+ERRORS_BEFORE = dict(zip(RAY_ERRORS, (0.05, 0.02, 0.1, 0.05), strict=True))
+"""Standard deviations of range errors before any reading; stated again, for nothing is shared."""
 
 
 UNIT = {"beam": slice(3, 6), "plane": slice(0, 3)}
 """Where the unit vector stands among the numbers of a variable."""
+MOTIONS = "sensor", "body"
+"""Variables that are rigid motions, with six unknowns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,12 +145,12 @@ class _Unknowns:
     def __init__(self, of: SurveyProblem) -> None:
         self.of = of
         self.units = {kind: UnitVectors.of(of.start[kind][:, at]) for kind, at in UNIT.items()}
-        widths = {"beam": 7, "plane": 3, "sphere": 4, "point": 3, "body": 6}
         self.place: dict[tuple[str, int], slice] = {}
         first = 0
         for kind, start in of.start.items():
             for i in range(len(start)):
-                width = 6 + len(of.survey.shots[i].free) if kind == "sensor" else widths[kind]
+                width = 6 if kind in MOTIONS else start.shape[1] - (kind in UNIT)
+                width += len(of.survey.shots[i].free) if kind == "sensor" else 0
                 self.place[kind, i] = slice(first, first + width)
                 first += width
         self.size = first
@@ -158,7 +158,7 @@ class _Unknowns:
     def start(self) -> FloatArray:
         """Return the unknowns at the start."""
         x = np.zeros(self.size)
-        for kind in ("beam", "plane", "sphere", "point"):
+        for kind in (kind for kind in self.of.start if kind not in MOTIONS):
             for i, row in enumerate(self.of.start[kind]):
                 value, unit = row, UNIT.get(kind)
                 if unit is not None:
@@ -171,14 +171,14 @@ class _Unknowns:
         """Return the variables."""
         rotation: dict[str, list[FloatArray]] = {}
         origin: dict[str, list[FloatArray]] = {}
-        for kind in ("sensor", "body"):
+        for kind in MOTIONS:
             rotation[kind], origin[kind] = [], []
             for i, row in enumerate(self.of.start[kind]):
                 R, step = row[:9].reshape(3, 3), x[self.place[kind, i]]
                 rotation[kind].append(R @ Rotation.from_rotvec(step[:3]).as_matrix())
                 origin[kind].append(row[9:12] + R @ step[3:6])
         errors = [
-            dict.fromkeys(ERRORS, 0.0)
+            dict.fromkeys(RAY_ERRORS, 0.0)
             | dict(zip(shots.free, x[self.place["sensor", i]][6:].tolist(), strict=True))
             for i, shots in enumerate(self.of.survey.shots)
         ]

@@ -219,16 +219,16 @@ def _problem(found: SurveyEstimate) -> SurveyProblem:
         _observed(rows.survey, kind, items, sigma[family, items[0].member])
         for (family, _, kind), items in groups.items()
     ]
-    plane = values.get(PLANE.name, np.zeros((0, 7)))
+    plane = values.get(PLANE.name, np.zeros((0, PLANE.size)))
     start = {
-        "sensor": values.get(SENSOR.name, np.zeros((0, 12)))[:, :12],
+        "sensor": values.get(SENSOR.name, np.zeros((0, SENSOR.size)))[:, : POSE.size],
         "beam": values.get(BEAM.name, np.zeros((0, BEAM.size))),
         "plane": np.column_stack(
             (plane[:, :3], plane[:, 3] - (plane[:, :3] * plane[:, 4:]).sum(1))
         ),
-        "sphere": values.get(SPHERE.name, np.zeros((0, 4))),
-        "point": values.get(POINT.name, np.zeros((0, 3))),
-        "body": values.get(BODY.name, np.zeros((0, 12))),
+        "sphere": values.get(SPHERE.name, np.zeros((0, SPHERE.size))),
+        "point": values.get(POINT.name, np.zeros((0, POINT.size))),
+        "body": values.get(BODY.name, np.zeros((0, BODY.size))),
     }
     numbers = {
         label: (kind, i) for kind, labels in rows.targets.items() for i, label in enumerate(labels)

@@ -1,21 +1,21 @@
-"""Systematic errors that the model does not hold: of sensors, of plates, of the robot; a list of all.
+"""Systematic errors that the model does not hold, one a file, and the list of them all.
 
 What is added here is counted with its plausible size in the verdict, and named in every view. What a
 recording can show is tested for; what none can (`unseen`) is only counted.
-
-How large an error may plausibly be is what is stated, else what the effect says. Sizes of a sensor are
-parts of its measuring range: the one stated, else the largest reading. Sizes of plates, robots and
-converters do not depend on the sensor. All are half widths: the error is no larger.
 """
 
-from dataclasses import dataclass, fields
-
-from ...checks import require_number
-from ...quantities import LARGEST_LENGTH
+from .beam_on_plane import BEAM_ON_PLANE
+from .carry_over import CARRY_OVER
+from .cubic import CUBIC
+from .displaced import DISPLACED
+from .drift import DRIFT
 from .effect import Effect
-from .of_plate import DISPLACED, SAG
-from .of_robot import LAG, TOOL_DISPLACED, TRANSLATION_SCALE, TURN_SCALE
-from .of_sensor import BEAM_ON_PLANE, CARRY_OVER, CUBIC, DRIFT, INCIDENCE
+from .incidence import INCIDENCE
+from .lag import LAG
+from .sag import SAG
+from .tool_displaced import TOOL_DISPLACED
+from .translation_scale import TRANSLATION_SCALE
+from .turn_scale import TURN_SCALE
 from .unseen import INVERSE_COSINE, RANGE_OFFSET, TILT, TOOL_FRAME
 
 EFFECTS = {
@@ -43,10 +43,10 @@ OF_READINGS = {
     code: effect.of_readings for code, effect in EFFECTS.items() if effect.of_readings is not None
 }
 """Columns of the errors that a reading has by itself, whenever it is taken."""
-OF_STATIONS = (*OF_READINGS, TURN_SCALE.code, TRANSLATION_SCALE.code)
-"""Errors that a station has by itself, whenever and after whatever other station it is measured."""
-KINDS = tuple(EFFECTS["incidence"].of_sensor)
-"""Kinds of sensors; of an `other` kind nothing is plausible."""
+OF_STATIONS = (*OF_READINGS, SAG.code, TURN_SCALE.code, TRANSLATION_SCALE.code)
+"""Errors that a station has by itself, whenever and after whatever other station it is measured. A lag
+goes by the station before and after; the unknowns of a drift and of what is displaced by all stations
+up to the last one; and a new plate brings biases of its own."""
 
 
 def may_also_be(codes: tuple[str, ...]) -> str:
@@ -54,90 +54,4 @@ def may_also_be(codes: tuple[str, ...]) -> str:
     return f"it may also be {' or '.join(EFFECTS[code].without_size() for code in codes)}"
 
 
-@dataclass(frozen=True, slots=True)
-class Plausible:
-    """Largest plausible sizes of systematic errors; None where the kind of sensor is to say.
-
-    Attributes
-    ----------
-    incidence, tilt : float, optional
-        Of a reading at an incidence of 45 degrees, growing with the squared tangent, and with the
-        tangent to one side [m].
-    cubic : float, optional
-        Of the largest reading, growing with its third power [m].
-    drift : float, optional
-        Of readings over the recording [m].
-    carry_over : float, optional
-        Part of the channel before that a channel of one converter keeps.
-    beam_on_plane : float, optional
-        Of one beam before one plate, as by its colour [m].
-    sag, displaced : float, optional
-        Of a plate, from the middle to its edge, and as a whole while recording [m].
-    tool_displaced : float, optional
-        Of the tool frame, or of the sensors on the hand, while recording [m].
-    lag : float, optional
-        Between poses and readings, as a part of the step to the next station.
-    turn_scale, translation_scale : float, optional
-        Of the robot's turns and lengths, as parts of them.
-    """
-
-    incidence: float | None = None
-    tilt: float | None = None
-    cubic: float | None = None
-    drift: float | None = None
-    carry_over: float | None = None
-    beam_on_plane: float | None = None
-    sag: float | None = None
-    displaced: float | None = None
-    tool_displaced: float | None = None
-    lag: float | None = None
-    turn_scale: float | None = None
-    translation_scale: float | None = None
-
-    def __post_init__(self) -> None:
-        for code, name in CODES.items():
-            size = getattr(self, name)
-            if size is not None:
-                require_number(name, size, 0.0, LARGEST_LENGTH, unit=EFFECTS[code].unit)
-
-
-CODES = {field.name.replace("_", "-"): field.name for field in fields(Plausible)}
-"""The field of `Plausible` by the code of a systematic error."""
-
-
-def how_to_state(code: str) -> str:
-    """Return which fields of a rig file state the plausible size of a systematic error."""
-    unit = "mm" if EFFECTS[code].unit == "m" else "percent"
-    field = f"{CODES[code]}_{unit} in [plausible]"
-    kinds = [f'"{kind}"' for kind, part in EFFECTS[code].of_sensor.items() if part > 0.0]
-    return f"kind in [sensor], as kind = {' or '.join(kinds)}, or {field}" if kinds else field
-
-
-def plausible_sizes(
-    kind: str | None, stated: Plausible, measuring_range: float
-) -> dict[str, float]:
-    """Return the plausible size [m, or a part] by code of a systematic error.
-
-    A stated size comes first; nothing else is known where no kind is stated.
-    """
-    sizes = {}
-    for code, name in CODES.items():
-        size = getattr(stated, name)
-        if size is None and kind is not None:
-            size = EFFECTS[code].plausible(kind, measuring_range)
-        if size is not None:
-            sizes[code] = size
-    return sizes
-
-
-__all__ = [
-    "EFFECTS",
-    "KINDS",
-    "OF_READINGS",
-    "OF_STATIONS",
-    "Effect",
-    "Plausible",
-    "how_to_state",
-    "may_also_be",
-    "plausible_sizes",
-]
+__all__ = ["EFFECTS", "OF_READINGS", "OF_STATIONS", "Effect", "may_also_be"]

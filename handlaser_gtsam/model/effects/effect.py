@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 from ...arrays import FloatArray, IntArray
 from ...data.parameters import Parameters
 from ...data.readings import Readings
-from ...quantities import IN_MM, IN_PERCENT
 from ..equation import Linearization, Scene, linearize, residuals, scene
 from ..weighting import slopes
 
@@ -44,6 +43,9 @@ class SeenStations:
         Which column of the recording each beam is.
     middle : (3, 3), optional
         Orientation of the hand from which turns count; the mean of the stations where not given.
+    plates : (P, 3) and float, optional
+        Middle of each plate, and the squared distance from there of the farthest spot [m^2]; those of
+        the spots where not given.
     """
 
     def __init__(
@@ -53,9 +55,10 @@ class SeenStations:
         position: IntArray,
         channel: IntArray,
         middle: FloatArray | None = None,
+        plates: tuple[FloatArray, float] | None = None,
     ) -> None:
         self.at, self.readings, self.position, self.channel = at, readings, position, channel
-        self.given_middle = middle
+        self.given_middle, self.given_plates = middle, plates
 
     @cached_property
     def time(self) -> FloatArray:
@@ -98,6 +101,15 @@ class SeenStations:
     def spots(self) -> FloatArray:
         """Where the beams meet their planes (N, 3) [m]."""
         return np.asarray(self.linear.normal / self.linear.offset[:, None])
+
+    @cached_property
+    def plates(self) -> tuple[FloatArray, float]:
+        """The middle (P, 3) of each plate, and the squared distance of the farthest spot [m^2]."""
+        if self.given_plates is not None:
+            return self.given_plates
+        middles = self.readings.plane_means(self.spots)
+        square = ((self.spots - middles[self.readings.plane]) ** 2).sum(axis=1)
+        return middles, max(float(square.max()), np.finfo(float).tiny)
 
     @cached_property
     def expected(self) -> FloatArray:
@@ -203,6 +215,8 @@ class Effect:
         Whether k1 of all beams is the same, so that it shows only where the model has none.
     across : bool
         Whether a location of the beam that is off to the side by its size is the same.
+    in_order : bool
+        Whether the order counts in which stations of different planes were recorded.
     """
 
     code: str
@@ -221,6 +235,7 @@ class Effect:
     least_beams: int = 1
     is_k1: bool = False
     across: bool = False
+    in_order: bool = False
 
     def at(self, stations: SeenStations) -> Everywhere | OnPlanes | None:
         """Return its members at the stations; None where no recording can show it."""
@@ -255,4 +270,4 @@ class Effect:
 
 def size_in_words(size: float, unit: str) -> str:
     """Return a size with two digits, in mm or percent."""
-    return f"{size * IN_MM:.2g} mm" if unit == "m" else f"{size * IN_PERCENT:.2g} %"
+    return f"{size * 1e3:.2g} mm" if unit == "m" else f"{size * 100.0:.2g} %"

@@ -19,7 +19,7 @@ TILT = Effect(
     },
 )
 """Readings that err by size times tan(tilt): with dr across the beam a plane that is tilted by the
-angle a towards dr is met |dr| tan a earlier. Triangulation: as `INCIDENCE`, where that grows
+angle a towards dr is met |dr| tan a earlier. Triangulation: as `incidence`, where that grows
 with the tangent and has its sign."""
 INVERSE_COSINE = Effect(
     code="inverse-cosine",

@@ -11,20 +11,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
+from ...data.survey import RAY_ERRORS
 from ...quantities import TINY
 from ..block import Values
 from ..families import POSE, Family, Motion, Vector, register
 from ..ranges import Rays, cross, members, turned, turned_back
 
-ERRORS = ("k0", "k1", "k2", "scale")
-"""Coordinates of the range error of all rays: [m], [1], [1/m], [1]."""
 LEAST_SLOPE = 0.05
 """A true range grows with its reading by at least this part; below it a search has gone astray."""
 SENSOR = register(
     Family(
         "sensor",
-        (Motion(), Vector(len(ERRORS))),
-        (*POSE.coordinates, *ERRORS),
+        (Motion(), Vector(len(RAY_ERRORS))),
+        (*POSE.coordinates, *RAY_ERRORS),
         (*POSE.powers, 1, 0, -1, 0),
     )
 )

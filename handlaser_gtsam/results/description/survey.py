@@ -7,8 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ...data.survey import RAY_ERRORS
 from ...model.families import BEAM, RANGE_ERROR
-from ...model.sensors.mounted import ERRORS, SENSOR
+from ...model.sensors.mounted import SENSOR
 from ...quantities import IN_DEG, IN_MM
 from ...text import count, some
 from ..limits import LimitCheck, worst_of_each
@@ -33,7 +34,7 @@ SHOWN = {1: ("mm", IN_MM), 0: ("%", 100.0), -1: ("%/m", 100.0)}
 UNITS = {
     name: SHOWN[power]
     for name, power in zip(SENSOR.coordinates, SENSOR.powers, strict=True)
-    if name in ERRORS
+    if name in RAY_ERRORS
 }
 """The same by range error."""
 

@@ -1,8 +1,11 @@
-"""Systematic errors of the plates: curved, or displaced while recording."""
+"""A plane that is displaced from some station on: farther away.
+
+Planes with more than `MOST_SPLITS` splits are tested at this number of them.
+"""
 
 import numpy as np
 
-from .effect import Effect, Everywhere, OnPlanes, SeenStations
+from .effect import Effect, OnPlanes, SeenStations
 
 LEAST_STATIONS = 2
 """Stations that there are at least before and after a displacement, of a plane or of the tool frame."""
@@ -10,33 +13,8 @@ MOST_SPLITS = 32
 """Evenly spaced splits at which a plane with more is tested: neighbours hardly differ."""
 
 
-def _sag(stations: SeenStations) -> Everywhere:
-    """Return the derivatives (N, 1), with the square of each spot's distance from the middle.
-
-    Positive where the edges of a plate are farther from the sensor than its middle.
-    """
-    spot, readings = stations.spots, stations.readings
-    square = ((spot - readings.plane_means(spot)[readings.plane]) ** 2).sum(axis=1)
-    largest = max(float(square.max()), np.finfo(float).tiny)
-    return Everywhere((stations.linear.offset * square / largest)[:, None])
-
-
-SAG = Effect(
-    code="sag",
-    phrase="a curvature of the plate by {size} from the middle of its spots to the farthest one",
-    remedy="use a flatter plate, support it evenly, or measure a smaller part of it",
-    reveal="add stations that look at the middle and at the edges of the plate from several sides",
-    members=_sag,
-    of_cell=2e-4,
-)
-"""A machined face of up to 300 mm is flat to 0.2 mm (ISO 2768-2, class H)."""
-
-
-def _displaced(stations: SeenStations) -> OnPlanes:
-    """Return the displacements of every plane, farther away, from each of its stations on.
-
-    Planes with more than `MOST_SPLITS` splits are tested at this number of them.
-    """
+def members(stations: SeenStations) -> OnPlanes:
+    """Return the displacements of every plane, from each of its stations on."""
     readings, row = stations.readings, stations.first[0]
     order = np.lexsort((stations.position[row], readings.plane[row]))
     plane, when = readings.plane[row][order], stations.position[row][order]
@@ -58,7 +36,7 @@ DISPLACED = Effect(
     remedy="fix the plate, and give the stations after the displacement a plane label of their own",
     reveal="record more stations before each plane, and repeat the first ones at the end",
     anywhere="one plane from some station on",
-    members=_displaced,
+    members=members,
     of_cell=1e-3,
 )
 """Held by hand-tightened clamps a plate moves by up to 1 mm."""

@@ -1,0 +1,24 @@
+"""A plate that is curved: its edges farther from the sensor than its middle.
+
+Another middle is another tilt and offset of the plate: no other unknown follows.
+"""
+
+from .effect import Effect, Everywhere, SeenStations
+
+
+def members(stations: SeenStations) -> Everywhere:
+    """Return the derivatives (N, 1), with the square of each spot's distance from the middle."""
+    middles, largest = stations.plates
+    square = ((stations.spots - middles[stations.readings.plane]) ** 2).sum(axis=1)
+    return Everywhere((stations.linear.offset * square / largest)[:, None])
+
+
+SAG = Effect(
+    code="sag",
+    phrase="a curvature of the plate by {size} from the middle of its spots to the farthest one",
+    remedy="use a flatter plate, support it evenly, or measure a smaller part of it",
+    reveal="add stations that look at the middle and at the edges of the plate from several sides",
+    members=members,
+    of_cell=2e-4,
+)
+"""A machined face of up to 300 mm is flat to 0.2 mm (ISO 2768-2, class H)."""

@@ -1,0 +1,74 @@
+"""A tool frame that is displaced while recording, at once or steadily, along one of some directions.
+
+It moves in the hand; displacements are counted from their mean.
+"""
+
+from itertools import product
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from .displaced import LEAST_STATIONS
+from .effect import Effect, Everywhere, SeenStations
+
+DIRECTIONS = np.array(
+    [
+        axis
+        for axis in product((0.0, 1.0, -1.0), repeat=3)
+        if any(axis) and axis > tuple(-x for x in axis)
+    ]
+)
+"""Directions in which a tool frame may be displaced (13, 3): the axes and diagonals of a cube, one of
+which has a cosine of 0.886 or more to any direction."""
+DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
+TOOL_STEPS = 7
+"""Evenly spaced stations from which on a tool frame may be displaced: a step half-way between two of
+them correlates by 0.88 or more with one of the two."""
+
+
+def _since(stations: SeenStations) -> IntArray:
+    """Return the positions of the stations at which a displacement may begin; -1 for a steady one."""
+    times = np.unique(stations.position)
+    splits = np.linspace(0, len(times), TOOL_STEPS + 2)[1:-1].round().astype(np.intp)
+    splits = np.unique(splits[(splits >= LEAST_STATIONS) & (splits <= len(times) - LEAST_STATIONS)])
+    return np.concatenate(([-1], times[splits]))
+
+
+def twists(stations: SeenStations) -> FloatArray:
+    """Return displacements (S, 6, 3 T) by a metre along x, y and z, for each time they may begin.
+
+    The first of the T is steady; the others begin at a station.
+    """
+    row, position = stations.first[0], stations.position
+    shares = [
+        stations.time if first < 0 else (position >= first).astype(float)
+        for first in _since(stations).tolist()
+    ]
+    moved = np.zeros((len(row), 6, len(shares), 3))
+    for number, share in enumerate(shares):
+        moved[:, 3:, number] = (share - share.mean())[row, None, None] * np.eye(3)
+    return moved.reshape(len(row), 6, -1)
+
+
+def members(stations: SeenStations) -> Everywhere:
+    """Return a member for every direction, and for every time at which it may happen."""
+    since = _since(stations)
+    each_time = np.kron(np.eye(len(since)), DIRECTIONS.T)
+    columns = stations.by_poses(twists(stations))
+    times = ["steadily" if n < 0 else f"from station number {n + 1} on" for n in since.tolist()]
+    parts = tuple(f"along {axis} {time}" for time in times for axis in "xyz")
+    return Everywhere(columns, each_time, np.repeat(since, len(DIRECTIONS)), parts)
+
+
+TOOL_DISPLACED = Effect(
+    code="tool-displaced",
+    phrase="a displacement of the tool frame by {size} {subject}",
+    remedy="fasten the bracket of the sensors and the tool, let the robot warm up, and record again",
+    reveal="repeat the first stations at the end, before the same planes",
+    anywhere="while recording",
+    members=members,
+    twists=twists,
+    in_order=True,
+    of_cell=2.5e-4,
+)
+"""A tool frame steps or creeps by half a millimetre while recording: half of that from its middle."""

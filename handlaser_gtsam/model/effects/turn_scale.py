@@ -1,0 +1,25 @@
+"""A scale error of the robot's turns: true turns from the mean orientation are larger than reported."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...arrays import FloatArray
+from .effect import Effect, SeenStations
+
+
+def twists(stations: SeenStations) -> FloatArray:
+    """Return the turns (S, 6, 1) from the mean orientation."""
+    turn = (Rotation.from_matrix(stations.middle).inv() * stations.rotations).as_rotvec()
+    return np.hstack((turn, np.zeros_like(turn)))[..., None]
+
+
+TURN_SCALE = Effect(
+    code="turn-scale",
+    phrase="a scale error of the robot's turns by {size}",
+    remedy="have the robot's joints calibrated, and check the unit and the convention of its angles",
+    reveal="turn the hand further, and about other axes",
+    unit="1",
+    twists=twists,
+    of_cell=1e-3,
+)
+"""As the lengths: see `translation_scale`."""
