@@ -80,10 +80,15 @@ class BeamsOnPlanes:
                 self.spread(np.array([p.level for p in regressors])),
             )
         self._by_k = np.array(range_error_derivatives(self.measured))
-        self.poses = np.zeros((len(problems), 3, 4, self.cells))
+        # The first row stands for cells without a station, which have no pose.
+        row, held = np.zeros(self.cells, dtype=np.intp), np.zeros(self.cells)
+        row[place], held[place] = rows, 1.0
+        self.poses = np.empty((len(problems), 3, 4, self.cells))
         for k, problem in enumerate(problems):
-            self.poses[k, :, :3, place] = problem.world_R_hand[rows]
-            self.poses[k, :, 3, place] = problem.world_t_hand[rows]
+            np.moveaxis(problem.world_R_hand, 0, -1).take(row, axis=-1, out=self.poses[k, :, :3])
+            problem.world_t_hand.T.take(row, axis=-1, out=self.poses[k, :, 3])
+        if len(rows) < self.cells:
+            self.poses *= held
         self.weights = Weights() if whitenings is None else self._weights(whitenings)
         by_chunk = self.plane[:: self.slots_of_chunk]
         beam = np.repeat(np.arange(self.beams), len(by_chunk))

@@ -123,7 +123,7 @@ def plausible_corrections(parameters: Parameters, readings: Readings) -> BoolArr
 
 def cosines(x: Scene) -> FloatArray:
     """Return n_H . v, the cosine between plane normal and beam, shape (N,)."""
-    return _dot(np.einsum("ni,nij->nj", x.n, x.R), x.v)
+    return _turned(x)[1]
 
 
 def predicted_ranges(x: Scene) -> FloatArray:
@@ -134,8 +134,7 @@ def predicted_ranges(x: Scene) -> FloatArray:
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    n_hand, cosine = _seen_from_hand(x)
-    return -(_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) / cosine
+    return _ranges(x, *_seen_from_hand(x))
 
 
 def residuals(x: Scene, d: FloatArray | Regressors) -> FloatArray:
@@ -146,12 +145,10 @@ def residuals(x: Scene, d: FloatArray | Regressors) -> FloatArray:
 def residuals_or_infinite(parameters: Parameters, readings: Readings) -> FloatArray:
     """Return residuals (N,) [m] of readings; infinite where a beam grazes its plane."""
     x = scene(parameters, readings)
-    steep = np.abs(cosines(x)) >= GRAZING_LIMIT
-    if steep.all():
-        return residuals(x, readings.distance)
-    e = np.full(len(readings), np.inf)
-    part = Scene(*(getattr(x, name)[steep] for name in x.__dataclass_fields__))
-    e[steep] = residuals(part, readings.distance[steep])
+    n_hand, cosine = _turned(x)
+    steep = np.abs(cosine) >= GRAZING_LIMIT
+    e = _ranges(x, n_hand, np.where(steep, cosine, 1.0)) - corrected(readings.distance, x.k)
+    e[~steep] = np.inf
     return e
 
 
@@ -203,9 +200,20 @@ def tangent_columns(
     return columns
 
 
-def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
+def _turned(x: Scene) -> tuple[FloatArray, FloatArray]:
+    """Return the normals n_H (N, 3) and n_H . v (N,)."""
     n_hand: FloatArray = np.einsum("ni,nij->nj", x.n, x.R)
-    cosine = _dot(n_hand, x.v)
+    return n_hand, _dot(n_hand, x.v)
+
+
+def _ranges(x: Scene, n_hand: FloatArray, cosine: FloatArray) -> FloatArray:
+    """Return the ranges s (N,) for normals n_H (N, 3) and n_H . v (N,)."""
+    return -(_dot(n_hand, x.r) + x.b + _dot(x.n, x.t)) / cosine
+
+
+def _seen_from_hand(x: Scene) -> tuple[FloatArray, FloatArray]:
+    """Do as `_turned`; raises GrazingBeamError."""
+    n_hand, cosine = _turned(x)
     if cosine.size:
         worst = cosine[np.argmin(np.abs(cosine))]
         if not abs(worst) >= GRAZING_LIMIT:

@@ -9,8 +9,10 @@ ROTATION_CELL = 2e-3
 """Rotations whose matrices agree to about this many radians count as equal."""
 COORDINATE_AXES = np.eye(3)
 """The coordinate axes."""
-CROSS_WITH_AXIS = np.array([np.cross(COORDINATE_AXES, axis).T for axis in COORDINATE_AXES])
-"""Matrices (3, 3, 3) that take a vector to its cross product with each axis."""
+CROSSED_FROM = np.array([[0, 2, 1], [2, 1, 0], [1, 0, 2]])
+"""Which coordinates of a vector its cross product with each axis (3, 3) has."""
+CROSSED_SIGN = np.array([[0.0, 1.0, -1.0], [-1.0, 0.0, 1.0], [1.0, -1.0, 0.0]])
+"""The signs that they have there."""
 
 
 def tangent_basis(unit: FloatArray) -> FloatArray:
@@ -20,12 +22,15 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
     from the unit vector. A test compares the two.
     """
     axis = np.abs(unit).argmin(axis=1)
-    along = unit[np.arange(len(unit)), axis, None]
+    numbers, first = unit.ravel(), 3 * np.arange(len(unit))
+    along = numbers.take(first + axis)[:, None]
     scale = 1.0 / np.sqrt(1.0 - along * along)
     basis = np.empty((len(unit), 3, 2))
-    basis[..., 0] = (CROSS_WITH_AXIS[axis] @ unit[..., None])[..., 0] * scale
+    # The cross product of the vector and the axis: each coordinate is another one with a sign.
+    crossed = numbers.take(first[:, None] + CROSSED_FROM.take(axis, axis=0))
+    basis[..., 0] = crossed * (CROSSED_SIGN.take(axis, axis=0) * scale)
     # The cross product of the vector and its first tangent.
-    basis[..., 1] = (unit * along - COORDINATE_AXES[axis]) * scale
+    basis[..., 1] = (unit * along - COORDINATE_AXES.take(axis, axis=0)) * scale
     return basis
 
 

@@ -29,6 +29,9 @@ from .families import FAMILIES
 from .sums import SumsByKey
 
 Index = slice | IntArray
+COMMON_NUMBERS = 400_000
+"""Sums over the rows of stations that are formed at once: they stay in the processor's cache, and with
+few stations all are formed at once."""
 MOST_PLANS = 64
 """Plans that are kept: a calibration meets a dozen structures, again and again."""
 
@@ -111,17 +114,20 @@ class Normal:
 class _StationSums:
     """Sums over the rows of each station, for some groups of a block."""
 
-    groups: IntArray
+    groups: Index
     sums: SumsByKey
     by_group: bool
     """Whether all rows of a group are of one station."""
+    stations: Index
+    """The stations, in the order of the sums."""
 
     @classmethod
     def of(cls, groups: IntArray, station: IntArray) -> "_StationSums":
         """Return the sums for groups, given the station (G, S) of every row of the block."""
         here = station[groups]
         by_group = here.shape[1] > 1 and bool((here == here[:, :1]).all())
-        return cls(groups, SumsByKey(here[:, 0] if by_group else here.ravel()), by_group)
+        sums = SumsByKey(here[:, 0] if by_group else here.ravel())
+        return cls(_sliced(groups), sums, by_group, _sliced(sums.keys))
 
     def __call__(self, common: FloatArray, columns: FloatArray) -> FloatArray:
         """Return A'U (K, q, c, stations) of common columns (c, K, G, S) and columns (q, K, G, S)."""
@@ -461,39 +467,64 @@ def _take_common(
     plans = [plan for plan in of.plans if blocks[plan.block].weights.common is not None]
     if not plans:
         return
-    K, n = total.gradient.shape
     first = blocks[plans[0].block].weights.common
     assert first is not None
-    width = len(first)
-    Y = np.zeros((K, n + 1, width, of.stations))
-    Z = np.zeros((K, of.width, width, of.stations))
-    each = np.arange(width)[:, None]
+    K, n = total.gradient.shape
+    numbers = K * (n + 1) * of.stations
+    step = int(np.clip(COMMON_NUMBERS // max(numbers, 1), 1, len(first)))
+    sums = np.empty(numbers * step), np.empty(K * of.width * of.stations * step)
+    for begin in range(0, len(first), step):
+        some = slice(begin, min(begin + step, len(first)))
+        shape = some.stop - begin, of.stations
+        Y, Z = (
+            into[: K * size * shape[0] * shape[1]].reshape(K, size, *shape)
+            for into, size in zip(sums, (n + 1, of.width), strict=True)
+        )
+        _sum_common(plans, blocks, rows, some, (Y, Z))
+        flat = Y.reshape(K, n + 1, -1)
+        product = flat @ flat.swapaxes(1, 2)
+        total.matrix[:] -= product[:, :n, :n]
+        total.gradient[:] -= product[:, :n, n]
+        total.squares[:] -= product[:, n, n]
+        if of.by_member is not None:
+            here, Z = of.by_member.keys, of.by_run(Z)
+            total.local[:, here] -= of.by_member(Z @ Z.swapaxes(2, 3))
+            both = of.by_member(Z @ of.by_run(Y).swapaxes(2, 3))
+            total.border[:, here] -= both[..., :n]
+            total.local_gradient[:, here] -= both[..., n]
+
+
+def _sum_common(
+    plans: Sequence[_GroupPlan],
+    blocks: Sequence[Block],
+    rows: Sequence[FloatArray],
+    some: slice,
+    into: tuple[FloatArray, FloatArray],
+) -> None:
+    """Fill in Y (K, n + 1, c, stations) and Z (K, d, c, stations): A'U for `some` columns of U.
+
+    Y is of what stays and of the residual, Z of the local member of each station.
+    """
+    Y, Z = into
+    Y[:], Z[:] = 0.0, 0.0
+    n, each = Y.shape[1] - 1, np.arange(Y.shape[2])[:, None]
     for plan in plans:
-        U, columns = blocks[plan.block].weights.common, rows[plan.block]
-        assert U is not None
+        common, columns = blocks[plan.block].weights.common, rows[plan.block]
+        assert common is not None
+        U = common[some]
         for by_station, place in zip(plan.by_station, plan.places, strict=False):
-            here = _sliced(by_station.sums.keys)
-            sums = by_station(U, columns[plan.columns])
-            if isinstance(here, slice) or isinstance(place, slice):
+            here, sums = by_station.stations, by_station(U, columns[plan.columns])
+            if isinstance(here, slice) and isinstance(place, slice):
+                there = Y[:, place, :, here]  # a view: what is added to it is not copied again
+                there += sums
+            elif isinstance(here, slice) or isinstance(place, slice):
                 Y[:, place, :, here] += sums
             else:
                 Y[:, place[:, None, None], each, here] += sums
         whole = plan.by_station[-1]
-        here = _sliced(whole.sums.keys)
-        Y[:, n:, :, here] += whole(U, columns[-1:])
+        Y[:, n:, :, whole.stations] += whole(U, columns[-1:])
         if plan.own is not None:
-            Z[..., here] += whole(U, columns[plan.own])
-    flat = Y.reshape(K, n + 1, -1)
-    product = flat @ flat.swapaxes(1, 2)
-    total.matrix[:] -= product[:, :n, :n]
-    total.gradient[:] -= product[:, :n, n]
-    total.squares[:] -= product[:, n, n]
-    if of.by_member is not None:
-        here, Z = of.by_member.keys, of.by_run(Z)
-        total.local[:, here] -= of.by_member(Z @ Z.swapaxes(2, 3))
-        both = of.by_member(Z @ of.by_run(Y).swapaxes(2, 3))
-        total.border[:, here] -= both[..., :n]
-        total.local_gradient[:, here] -= both[..., n]
+            Z[..., whole.stations] += whole(U, columns[plan.own])
 
 
 def _tied(blocks: Sequence[Block], family: str, count: int) -> BoolArray:

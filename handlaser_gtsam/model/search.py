@@ -18,7 +18,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_count, require_number
 from ..progress import Trial
 from ..quantities import LARGEST_NUMBER, TINY
-from .block import Block, Values, impossible, whitened
+from .block import Block, Rows, Values, impossible, whitened
 from .losses import Loss
 from .reduction import Normal, Reduction, damped_step
 
@@ -232,10 +232,18 @@ class LeastSquares:
     dof: int
     robust: RobustLoss | None = None
 
+    def rows(self, values: Values) -> list[Rows]:
+        """Return the rows of every block at values."""
+        return [block.evaluate(values) for block in self.blocks]
+
+    def summed(self, rows: Sequence[Rows]) -> Normal:
+        """Return the normal equations of the rows of all blocks, in the unit of the blocks."""
+        pairs = zip(rows, self.blocks, strict=True)
+        return self.reduction.normal([whitened(own, block.weights) for own, block in pairs])
+
     def normal(self, values: Values) -> Normal:
         """Return the normal equations at values, in the unit of the blocks."""
-        rows = [whitened(block.evaluate(values), block.weights) for block in self.blocks]
-        return self.reduction.normal(rows)
+        return self.summed(self.rows(values))
 
     def picked(self, problems: IntArray) -> "LeastSquares":
         """Return some of the problems."""
@@ -367,7 +375,7 @@ class _Search:
     def _evaluated(self, values: Values, scale: FloatArray | None) -> _Point:
         """Return the rows and costs at some values; the scale of a robust loss stays, if given."""
         problem = self.problem
-        rows = [block.evaluate(values) for block in problem.blocks]
+        rows = problem.rows(values)
         white = [whitened(r, block.weights) for r, block in zip(rows, problem.blocks, strict=True)]
         robust, variance = problem.robust, problem.unit**2
         if robust is None:

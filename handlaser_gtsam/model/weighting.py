@@ -254,7 +254,9 @@ def without_common(U: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def covariance_roots(covariance: FloatArray) -> FloatArray:
-    """Return L (M, d, d) with L L' the covariance."""
+    """Return L (M, d, d), read-only, with L L' the covariance; once where all are one."""
+    if len(covariance) > 1 and (covariance == covariance[0]).all():
+        return np.broadcast_to(covariance_roots(covariance[:1]), covariance.shape)
     values, axes = np.linalg.eigh(covariance)
     root: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     return root
@@ -290,8 +292,9 @@ def own_variances(parameters: Parameters, readings: Readings, variances: Varianc
 
 def slopes(parameters: Parameters, readings: Readings) -> FloatArray:
     """Return g'(d) (N,): by how much an error of a reading, or of a mean, changes a residual."""
-    k = parameters.range_errors[readings.beam]
-    slope: FloatArray = 1.0 + k[:, 0] + 2.0 * k[:, 1] * readings.distance
+    constant, linear = 1.0 + parameters.range_errors[:, 0], 2.0 * parameters.range_errors[:, 1]
+    slope: FloatArray = linear.take(readings.beam) * readings.distance
+    slope += constant.take(readings.beam)
     return slope
 
 

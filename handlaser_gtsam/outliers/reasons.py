@@ -184,7 +184,8 @@ def _repeated_poses(readings: Readings) -> BoolArray:
     cells = np.round(poses / ROUNDING) + 0.0
     keys = cells.view(f"V{cells.shape[1] * cells.itemsize}").ravel().tolist()
     times = Counter(keys)
-    return np.array([times[key] > 1 for key in keys]) & ~np.isnan(poses[:, 0])
+    again = np.array([times[key] > 1 for key in keys], dtype=bool)
+    return np.asarray(again & ~np.isnan(poses[:, 0]))
 
 
 def range_ends(

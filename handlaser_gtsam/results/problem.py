@@ -120,7 +120,7 @@ def _known(
     every = frozen(covariances)
     variances = np.maximum(np.diagonal(every, axis1=1, axis2=2), 0.0)
     sigmas = frozen(np.where(undetermined, np.inf, np.sqrt(variances)))
-    opened = undetermined.any(axis=1).tolist()
+    opened: list[bool] = np.asarray(undetermined.any(axis=1)).tolist()
     return [
         (None if is_open else covariance, sigma)
         for covariance, sigma, is_open in zip(every, sigmas, opened, strict=True)

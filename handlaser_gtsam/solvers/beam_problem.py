@@ -174,10 +174,12 @@ def newton_step(
     GrazingBeamError
         A beam is parallel to its plane.
     """
-    require_steep(parameters, readings)
     problem, block = beam_problem([readings], terms, [whitening], prior=prior)
     values = block.centred(values_of([parameters]))
-    normal = problem.normal(values)
+    rows = problem.rows(values)
+    if rows[0].impossible is not None:
+        require_steep(parameters, readings)
+    normal = problem.summed(rows)
     step, local = damped_step(normal, np.zeros(1))
     saved = -float((normal.gradient * step).sum() + (normal.local_gradient * local).sum())
     there = problem.reduction.moved(values, step, local)

@@ -39,22 +39,28 @@ def twists(stations: SeenStations) -> FloatArray:
 
     The first of the T is steady; the others begin at a station.
     """
-    row, position = stations.first[0], stations.position
-    shares = [
-        stations.time if first < 0 else (position >= first).astype(float)
-        for first in _since(stations).tolist()
-    ]
-    moved = np.zeros((len(row), 6, len(shares), 3))
-    for number, share in enumerate(shares):
-        moved[:, 3:, number] = (share - share.mean())[row, None, None] * np.eye(3)
-    return moved.reshape(len(row), 6, -1)
+    shares = _shares(stations)[stations.first[0]]
+    moved = np.zeros((len(shares), 6, shares.shape[1], 3))
+    moved[:, 3:] = shares[:, None, :, None] * np.eye(3)[:, None]
+    return moved.reshape(len(shares), 6, -1)
+
+
+def _shares(stations: SeenStations) -> FloatArray:
+    """Return which part of each displacement there is at every reading (N, T), less its mean."""
+    since, position = _since(stations).tolist(), stations.position
+    shares = np.stack(
+        [stations.time if first < 0 else position >= first for first in since], axis=1
+    )
+    return np.asarray(shares - shares.mean(axis=0))
 
 
 def members(stations: SeenStations) -> Everywhere:
     """Return a member for every direction, and for every time at which it may happen."""
     since = _since(stations)
     each_time = np.kron(np.eye(len(since)), DIRECTIONS.T)
-    columns = stations.by_poses(twists(stations))
+    # What `by_poses` makes of the twists, but for their zeros: these are many.
+    columns = -_shares(stations)[:, :, None] * stations.linear.pose[:, None, 3:]
+    columns = columns.reshape(len(columns), -1)
     times = ["steadily" if n < 0 else f"from station number {n + 1} on" for n in since.tolist()]
     parts = tuple(f"along {axis} {time}" for time in times for axis in "xyz")
     return Everywhere(columns, each_time, np.repeat(since, len(DIRECTIONS)), parts)
