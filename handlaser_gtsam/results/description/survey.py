@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
 from ...model.sensors.mounted import ERRORS, SENSOR
-from ...quantities import IN_DEG, IN_MM
+from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..limits import LimitCheck, worst_of_each
 from ..lines import NAMES_IN_LINE, decimals
@@ -27,7 +27,7 @@ from .tables import (
     text,
 )
 
-SHOWN = {1: ("mm", IN_MM), 0: ("%", 100.0), -1: ("%/m", 100.0)}
+SHOWN = {1: ("mm", IN_MM), 0: ("%", IN_PERCENT), -1: ("%/m", IN_PERCENT)}
 """Units of range errors for people, with the factor from SI, by the power of the metre."""
 UNITS = {
     name: SHOWN[power]
