@@ -223,15 +223,12 @@ def _member(
         x[:3], x[3:6] = r[0], v[0]
         return x
     d = np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
-    R, t = _registered((origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3))
+    # The motion that brings the points a of the sensor to those of its beams, b, best.
+    a, b = (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
+    R = _nearest((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+    t = b.mean(axis=0) - R @ a.mean(axis=0)
     x[:9], x[9:12] = R.ravel(), t
     return x
-
-
-def _registered(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the motion that brings points a (n, 3) to b best."""
-    R = _nearest((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
-    return R, b.mean(axis=0) - R @ a.mean(axis=0)
 
 
 def _nearest(M: FloatArray) -> FloatArray:
@@ -455,7 +452,10 @@ def _searched(
     values = {**values, POSE.name: rows.poses()}
     start = {name: x[:1] for name, x in values.items()}
     blocks, _ = blocks_of(own, sigmas, start)
-    ties = [r for known, r in relations_of(rows) if _concerns(known.of, rows, own)]
+    # Relations between targets that a sensor sees, and no more.
+    seen = {rows.label(item.target) for item in own}
+    seen |= {label.removeprefix("plane:") for label in seen}
+    ties = [r for known, r in relations_of(rows) if seen.issuperset(known.of)]
     unknown = {f: u for f, u in rows.unknown().items() if f != "body"}
     every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
@@ -480,12 +480,6 @@ def _searched(
     cost, k = best
     ends = {target: ended.values[target[0]][k, target[1]] for target in targets}
     return ended.values[entity[0]][k, entity[1]], cost, ends
-
-
-def _concerns(labels: Sequence[str], rows: Rows, own: Sequence[Item]) -> bool:
-    """Tell whether a relation is between targets that a sensor sees, and no more."""
-    seen = {rows.label(item.target) for item in own}
-    return all(label in seen or f"plane:{label}" in seen for label in labels)
 
 
 def _complete(
