@@ -22,7 +22,7 @@ from ..data.parameters import Parameters
 from ..data.readings import Readings
 from ..errors import HandlaserError
 from ..model.families import BEAM, FAMILIES, PLANE, POSE
-from ..model.geometry import tangent_basis
+from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
 from ..model.sensors.kinds import KINDS
@@ -225,18 +225,10 @@ def _member(
     d = np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
     # The motion that brings the points a of the sensor to those of its beams, b, best.
     a, b = (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
-    R = _nearest((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+    R = nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
     t = b.mean(axis=0) - R @ a.mean(axis=0)
     x[:9], x[9:12] = R.ravel(), t
     return x
-
-
-def _nearest(M: FloatArray) -> FloatArray:
-    """Return the rotations nearest to matrices (..., 3, 3)."""
-    U, _, Vt = np.linalg.svd(M)
-    side = np.ones(M.shape[:-1])
-    side[..., 2] = np.linalg.det(U @ Vt)
-    return np.asarray((U * side[..., None, :]) @ Vt)
 
 
 # --- all other starts ------------------------------------------------------------------------------
@@ -280,7 +272,7 @@ def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     A = np.concatenate(rows_, axis=3).reshape(SWEPT, -1, 3 * len(axes) + 4)
     right = -np.repeat(normals @ t.T, points.shape[1], axis=1)
     x = _ridged(A, right)
-    X = _nearest(_columns(x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3), axes))
+    X = nearest_rotation(_columns(x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3), axes))
     turned = np.einsum("kab,nrb->knra", X, points)
     offset = np.einsum("kna,knra->knr", m, turned).reshape(SWEPT, -1)
     B = A[..., -4:]
@@ -361,7 +353,7 @@ def _linear_mount(
     axes = [a for a in range(3) if m[:, a].any()]
     rows = np.concatenate((*[m[:, a, None, None] * R for a in axes], fixed), axis=2)
     x = np.linalg.lstsq(rows.reshape(3 * n, -1), -t.ravel(), rcond=None)[0]
-    X = _nearest(_columns(np.asarray(x[: 3 * len(axes)]).reshape(1, -1, 3), axes))[0]
+    X = nearest_rotation(_columns(np.asarray(x[: 3 * len(axes)]).reshape(1, -1, 3), axes))[0]
     at = np.einsum("nij,nj->ni", R, m @ X.T) + t
     flat_fixed = fixed.reshape(3 * n, -1)
     y = np.linalg.lstsq(flat_fixed, -at.ravel(), rcond=None)[0]
@@ -550,7 +542,7 @@ def _complete_bodies(rows: Rows, values: dict[str, FloatArray]) -> None:
         x = values[PLANE.name][0, planes]
         length = np.linalg.norm(known.faces[:, :3], axis=1)
         m, d = known.faces[:, :3] / length[:, None], known.faces[:, 3] / length
-        R = _nearest((-x[:, :3]).T @ m)
+        R = nearest_rotation((-x[:, :3]).T @ m)
         foot = x[:, 4:] - x[:, 3:4] * x[:, :3]
         n = m @ R.T
         t = np.linalg.lstsq(n, (n * foot).sum(axis=1) - d, rcond=None)[0]
