@@ -356,11 +356,10 @@ def first_state(rows: Rows, noise: Noise) -> SurveyState:
     turn, shift = (p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True))
     sizes, used = Components(sigma, (turn, shift)), np.ones(len(rows.items), dtype=bool)
     state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), inside, stated)
-    started = start_of(rows, state.sigmas())
-    if started.values is None:
-        names = ", ".join(_name(rows, *entity) for entity in started.without)
+    state.values, without = start_of(rows, state.sigmas())
+    if without:
+        names = ", ".join(_name(rows, *entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
-    state.values = started.values
     _leave_out_gross(state)
     if np.median(misfits(state)) > GROSS and _started_from_halves(state):
         _leave_out_gross(state)
@@ -479,10 +478,10 @@ def _started_from_halves(state: SurveyState) -> bool:
             own = rng.permutation(np.flatnonzero(target == one))
             some[own[: max(len(own) // 2, 3)]] = True
         half = tuple(item for item, taken in zip(items, some, strict=True) if taken)
-        started = start_of(replace(state.rows, items=half), state.sigmas())
-        if started.values is None:
+        values, without = start_of(replace(state.rows, items=half), state.sigmas())
+        if without:
             continue
-        trial = replace(state, values=started.values, used=some)
+        trial = replace(state, values=values, used=some)
         if not trial.minimize():
             continue
         misfit = float(np.median(misfits(trial)))

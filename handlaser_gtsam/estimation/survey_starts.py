@@ -12,7 +12,6 @@ Each sensor, and each beam, is searched by itself from all its starts together; 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -59,28 +58,13 @@ FAR_AND_NEAR = (0.1, 0.9)
 """Quantiles of readings between which points on a virtual beam stand for it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Started:
-    """Where a survey starts.
-
-    Attributes
-    ----------
-    values : Values, or None
-        None where some sensor has no start.
-    without : tuple of (family, member)
-        Sensors and beams that have none.
-    """
-
-    values: dict[str, FloatArray] | None
-    without: tuple[tuple[str, int], ...]
-
-
 def start_of(
     rows: Rows, sigmas: Mapping[tuple[str, int], float], *, last_resort: bool = True
-) -> Started:
-    """Return the best start of all sensors, beams and targets of a survey.
+) -> tuple[dict[str, FloatArray], tuple[tuple[str, int], ...]]:
+    """Return the best start of all sensors, beams and targets, and which sensors and beams have none.
 
-    Random mounts are the `last_resort` where nothing else leads to a good fit.
+    Where some have none, there are no values. Random mounts are the `last_resort` where nothing else
+    leads to a good fit.
     """
     entities = list(dict.fromkeys((item.family, item.member) for item in rows.items))
     from_planes = _from_planes(rows)
@@ -101,7 +85,7 @@ def start_of(
             ends[entity] = cost / len(own), targets
     without = tuple(entity for entity in entities if entity not in best)
     if without:
-        return Started(None, without)
+        return {}, without
     values = _empty(rows)
     for (family, member), x in best.items():
         values[family][0, member] = x
@@ -110,7 +94,7 @@ def start_of(
         for (family, member), x in targets.items():
             values[family][0, member] = x
     _complete_bodies(rows, values)
-    return Started(values, ())
+    return values, ()
 
 
 def _empty(rows: Rows) -> dict[str, FloatArray]:
