@@ -49,3 +49,8 @@ def renumbered(numbers: IntArray) -> IntArray:
     occurs = np.bincount(numbers) > 0
     ranks: IntArray = (np.cumsum(occurs) - 1)[numbers]
     return ranks
+
+
+def evenly(count: int, most: int) -> IntArray:
+    """Return all `count` indices, or `most` of them that are evenly spread."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(np.intp)

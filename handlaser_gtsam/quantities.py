@@ -51,6 +51,8 @@ ROWS_AT_ONCE = 20_000
 """Rows of readings that are evaluated in one batch: more would leave the processor's cache."""
 MOST_ROUNDS = 20
 """Rounds at most of an iteration that ends by itself, mostly within a few, when nothing changes."""
+SAME_OPTIMUM = 0.01
+"""Two solutions within this many standard deviations, and their sigmas within this part, are one."""
 FAR_SIGMAS = 4.0
 """A deviation by more standard deviations is no accident: good recordings have one in 16,000."""
 POWER = 0.8

@@ -7,7 +7,8 @@ import pytest
 from helpers import codes, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.outliers.reasons import END_CHANCE, range_ends
+from handlaser_gtsam.model.distributions import FAMILY_LEVEL
+from handlaser_gtsam.outliers.reasons import range_ends
 
 SIGMA = 1e-3
 NONE = hl.CalibrationOptions("none")
@@ -59,7 +60,7 @@ def test_outliers_by_chance_look_so_as_rarely_as_stated():
             readings, out, rng.standard_normal(len(readings)), BEAMS[: readings.beams]
         )
         alarms += any(True for _ in ends)
-    assert alarms <= END_CHANCE * 2000
+    assert alarms <= FAMILY_LEVEL * 2000
 
 
 def test_one_reading_is_no_pattern():

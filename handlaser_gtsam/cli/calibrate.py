@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from ..session.reports import Comparison
     from ..validation.cross_check import CrossCheck
 
-DISAGREEMENT = 0.01
-"""Solvers that differ by more standard deviations than this have not found the same optimum."""
 LEAST_ADVICE = 5
 """Lines of the screen that the next best stations have at least; warnings come before more."""
 
@@ -259,16 +257,18 @@ def _failure(
     comparison: "Comparison | None",
 ) -> tuple[int, str] | None:
     """Return the exit code of the contract and what went wrong; None where nothing did."""
+    from ..quantities import SAME_OPTIMUM
+
     if result.interrupted:
         return INTERRUPTED, result.message
     if result.status != "converged":
         return UNDETERMINED, result.message
     advice = "expected the same optimum: do not use this calibration"
-    if check is not None and check.largest > DISAGREEMENT:
+    if check is not None and check.largest > SAME_OPTIMUM:
         return UNDETERMINED, (
             f"SciPy disagrees by {check.largest:.2g} standard deviations in {check.parameter}; {advice}"
         )
-    if comparison is not None and comparison.largest > DISAGREEMENT:
+    if comparison is not None and comparison.largest > SAME_OPTIMUM:
         return UNDETERMINED, (
             f"plane by plane is {comparison.largest:.2g} standard deviations from all at once; {advice}"
         )

@@ -19,7 +19,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block, Values, impossible
-from ..model.distributions import chi2_sf, gaussian_quantile, needed
+from ..model.distributions import FAMILY_LEVEL, chi2_sf, gaussian_quantile, needed
 from ..model.families import FAMILIES
 from ..model.ranges import Ranges
 from ..model.reduction import Reduction
@@ -30,8 +30,6 @@ from ..solvers.sums import eliminated_sums
 from .block_checks import require_blocks, require_start
 from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
 
-SIGNIFICANCE = 0.01
-"""Probability that a reading of a clean recording is rejected, or an effect found that is none."""
 CONTRADICTED = 1e-6
 """Rows contradict each other where chance gives a larger chi2 with less than this probability."""
 MOST_REJECTED = 0.3
@@ -273,7 +271,7 @@ def tested_columns(
     scale = np.sqrt((J**2).sum(axis=0))
     scale = np.where(scale > 0.0, scale, 1.0)
     pseudo = np.linalg.pinv(J / scale, rcond=NEGLIGIBLE)
-    critical, delta = needed(SIGNIFICANCE / max(len(columns), 1), None)
+    critical, delta = needed(FAMILY_LEVEL / max(len(columns), 1), None)
     tested = {}
     for name, a in columns.items():
         follows = pseudo @ a
@@ -376,7 +374,7 @@ def _without_worst(
     number = np.where(tested, np.cumsum(tested) - 1, -1)
     found, _ = tests_of(rows, number)
     worst = int(found.argmax())
-    if np.sqrt(found[worst]) <= -float(gaussian_quantile(0.5 * SIGNIFICANCE / len(found))):
+    if np.sqrt(found[worst]) <= -float(gaussian_quantile(0.5 * FAMILY_LEVEL / len(found))):
         return None
     worst = int(np.flatnonzero(tested)[worst])
     rest = []

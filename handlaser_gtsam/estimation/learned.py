@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, evenly
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..data.value import Value
@@ -245,7 +245,7 @@ class ScaleProblem:
         """Return the problem for a part of the readings, and of the beams if they are alike."""
         readings, beams = self.readings, np.arange(self.readings.beams)
         if few_beams and readings.beams > REPRESENTATIVE_BEAMS:
-            beams = np.linspace(0, readings.beams - 1, REPRESENTATIVE_BEAMS).round().astype(np.intp)
+            beams = evenly(readings.beams, REPRESENTATIVE_BEAMS)
             readings = readings.subset(np.flatnonzero(np.isin(readings.beam, beams)))
         readings = part_of(readings)
         planes = np.unique(readings.plane)
@@ -301,7 +301,7 @@ def part_of(readings: Readings) -> Readings:
     if len(readings) <= SCALE_READINGS:
         return readings
     count = max(readings.planes * SCALE_READINGS // len(readings), 1)
-    planes = np.unique(np.linspace(0, readings.planes - 1, count).round().astype(int))
+    planes = evenly(readings.planes, count)
     rows = np.flatnonzero(np.isin(readings.plane, planes))
     if len(rows) > 2 * SCALE_READINGS:  # one long plane
         stations = np.unique(readings.station[rows])

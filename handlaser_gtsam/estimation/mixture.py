@@ -28,7 +28,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.special import logsumexp, ndtr
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, evenly
 from ..model.distributions import gaussian_quantile
 from ..model.elimination import LARGE_MATRIX, inverse_and_log_det
 from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, ROUNDING, TINY
@@ -157,8 +157,7 @@ class BeamPosterior:
         self.k = step + mean
         # inv(V) k^, without a difference that could cancel.
         self.y = towards + np.einsum("jkl,l->jk", of_k, mean)
-        few = np.linspace(0, len(beams) - 1, min(len(beams), REPRESENTATIVE_BEAMS))
-        self.few: IntArray = few.round().astype(np.intp)
+        self.few = evenly(len(beams), REPRESENTATIVE_BEAMS)
         self.telling = self._of_few(k, beams, size // max(len(k), 1), widest)
 
     def _of_few(

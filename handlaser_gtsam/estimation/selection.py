@@ -20,7 +20,7 @@ from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..model import sensor as limits
-from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
+from ..model.distributions import SINGLE_LEVEL, chi2_sf, gaussian_sf, student_quantile
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import count_unknowns
 from ..model.losses import GAUSSIAN
@@ -210,10 +210,6 @@ class _Learning:
         return ScaleProblem(here, readings, task.terms, self.base, self.scales, linearity)
 
 
-FITS_BY_CHANCE = 1e-3
-"""Readings fit where chance alone gives a larger chi2 with at least this probability."""
-
-
 @dataclass(frozen=True, slots=True)
 class Selection:
     """The readings that were used, and their solution.
@@ -314,7 +310,7 @@ def _needs_what_was_rejected(before: Solution, after: Solution, noise: Noise) ->
     """
     if noise.range_sigma is None or not before.observability.full or after.observability.full:
         return False
-    return before.dof > 0 and float(chi2_sf(before.chi2, before.dof)) > FITS_BY_CHANCE
+    return before.dof > 0 and float(chi2_sf(before.chi2, before.dof)) > SINGLE_LEVEL
 
 
 def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> Consensus:

@@ -17,7 +17,7 @@ from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block
-from ..model.distributions import chi2_quantile, chi2_sf, f_sf
+from ..model.distributions import FAMILY_LEVEL, chi2_quantile, chi2_sf, f_sf
 from ..model.families import BEAM
 from ..model.known import BODY, held
 from ..model.relations import Relation
@@ -26,9 +26,9 @@ from ..model.shots import Mixed, Unexplained
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
-from ..quantities import MM, MOST_ROUNDS
+from ..quantities import IN_PERCENT, MM, MOST_ROUNDS
 from .dense import dense_rows, tests_of, with_pose_errors
-from .estimate import MOST_REJECTED, SIGNIFICANCE, BlockProblem, Estimate, judged, minimum
+from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged, minimum
 from .survey_mirror import best_image, numbers_of, with_images
 from .survey_noise import Components, Inside, components
 from .survey_rows import (
@@ -302,9 +302,8 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         )
     elif doubtful and found.status == "converged":
         names = ", ".join(doubtful)
-        message = (
-            f"more than {100 * MOST_REJECTED:.0f} % of the shots of {names} contradict the others"
-        )
+        most = f"more than {IN_PERCENT * MOST_REJECTED:.0f} % of the shots of {names}"
+        message = f"{most} contradict the others"
         found = replace(found, status="contradicted", message=message)
     tests = _tested(state, problem)
     found, images = with_images(found, others)
@@ -357,11 +356,10 @@ def first_state(rows: Rows, noise: Noise) -> SurveyState:
     turn, shift = (p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True))
     sizes, used = Components(sigma, (turn, shift)), np.ones(len(rows.items), dtype=bool)
     state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), inside, stated)
-    started = start_of(rows, state.sigmas())
-    if started.values is None:
-        names = ", ".join(_name(rows, *entity) for entity in started.without)
+    state.values, without = start_of(rows, state.sigmas())
+    if without:
+        names = ", ".join(_name(rows, *entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
-    state.values = started.values
     _leave_out_gross(state)
     if np.median(misfits(state)) > GROSS and _started_from_halves(state):
         _leave_out_gross(state)
@@ -480,10 +478,11 @@ def _started_from_halves(state: SurveyState) -> bool:
             own = rng.permutation(np.flatnonzero(target == one))
             some[own[: max(len(own) // 2, 3)]] = True
         half = tuple(item for item, taken in zip(items, some, strict=True) if taken)
-        started = start_of(replace(state.rows, items=half), state.sigmas(), last_resort=False)
-        if started.values is None:
+        part = replace(state.rows, items=half)
+        begun, without = start_of(part, state.sigmas(), last_resort=False)
+        if without:
             continue
-        trial = replace(state, values=started.values, used=some)
+        trial = replace(state, values=begun, used=some)
         if not trial.minimize():
             continue
         misfit = float(np.median(misfits(trial)))
@@ -582,7 +581,7 @@ def _worst_changed(state: SurveyState) -> bool:
     chi2, dof = tests_of(rows, group)
     p = _by_chance(chi2, dof, len(rows.residuals) - rows.derivatives.shape[1], state)
     worst = _most_contradicted(p, chi2)
-    if p[worst] < SIGNIFICANCE / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
+    if p[worst] < FAMILY_LEVEL / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
         state.used = state.used.copy()
         state.used[tested[worst]] = False
         return True
@@ -638,7 +637,7 @@ def _tested(state: SurveyState, problem: BlockProblem) -> tuple[RelationTest, ..
         left = np.flatnonzero(~contradicted)
         p_value[left] = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
         worst = left[_most_contradicted(p_value[left], chi2)]
-        if p_value[worst] >= SIGNIFICANCE / len(different):
+        if p_value[worst] >= FAMILY_LEVEL / len(different):
             break
         contradicted[worst] = True
     return tuple(

@@ -12,7 +12,6 @@ Each sensor, and each beam, is searched by itself from all its starts together; 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,7 +21,7 @@ from ..data.parameters import Parameters
 from ..data.readings import Readings
 from ..errors import HandlaserError
 from ..model.families import BEAM, FAMILIES, PLANE, POSE
-from ..model.geometry import tangent_basis
+from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
 from ..model.sensors.kinds import KINDS
@@ -59,28 +58,13 @@ FAR_AND_NEAR = (0.1, 0.9)
 """Quantiles of readings between which points on a virtual beam stand for it."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Started:
-    """Where a survey starts.
-
-    Attributes
-    ----------
-    values : Values, or None
-        None where some sensor has no start.
-    without : tuple of (family, member)
-        Sensors and beams that have none.
-    """
-
-    values: dict[str, FloatArray] | None
-    without: tuple[tuple[str, int], ...]
-
-
 def start_of(
     rows: Rows, sigmas: Mapping[tuple[str, int], float], *, last_resort: bool = True
-) -> Started:
-    """Return the best start of all sensors, beams and targets of a survey.
+) -> tuple[dict[str, FloatArray], tuple[tuple[str, int], ...]]:
+    """Return the best start of all sensors, beams and targets, and which sensors and beams have none.
 
-    Random mounts are the `last_resort` where nothing else leads to a good fit.
+    Where some have none, there are no values. Random mounts are the `last_resort` where nothing else
+    leads to a good fit.
     """
     entities = list(dict.fromkeys((item.family, item.member) for item in rows.items))
     from_planes = _from_planes(rows)
@@ -101,7 +85,7 @@ def start_of(
             ends[entity] = cost / len(own), targets
     without = tuple(entity for entity in entities if entity not in best)
     if without:
-        return Started(None, without)
+        return {}, without
     values = _empty(rows)
     for (family, member), x in best.items():
         values[family][0, member] = x
@@ -110,7 +94,7 @@ def start_of(
         for (family, member), x in targets.items():
             values[family][0, member] = x
     _complete_bodies(rows, values)
-    return Started(values, ())
+    return values, ()
 
 
 def _empty(rows: Rows) -> dict[str, FloatArray]:
@@ -223,23 +207,12 @@ def _member(
         x[:3], x[3:6] = r[0], v[0]
         return x
     d = np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
-    R, t = _registered((origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3))
+    # The motion that brings the points a of the sensor to those of its beams, b, best.
+    a, b = (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
+    R = nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+    t = b.mean(axis=0) - R @ a.mean(axis=0)
     x[:9], x[9:12] = R.ravel(), t
     return x
-
-
-def _registered(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the motion that brings points a (n, 3) to b best."""
-    R = _nearest((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
-    return R, b.mean(axis=0) - R @ a.mean(axis=0)
-
-
-def _nearest(M: FloatArray) -> FloatArray:
-    """Return the rotations nearest to matrices (..., 3, 3)."""
-    U, _, Vt = np.linalg.svd(M)
-    side = np.ones(M.shape[:-1])
-    side[..., 2] = np.linalg.det(U @ Vt)
-    return np.asarray((U * side[..., None, :]) @ Vt)
 
 
 # --- all other starts ------------------------------------------------------------------------------
@@ -283,7 +256,7 @@ def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     A = np.concatenate(rows_, axis=3).reshape(SWEPT, -1, 3 * len(axes) + 4)
     right = -np.repeat(normals @ t.T, points.shape[1], axis=1)
     x = _ridged(A, right)
-    X = _nearest(_columns(x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3), axes))
+    X = nearest_rotation(_columns(x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3), axes))
     turned = np.einsum("kab,nrb->knra", X, points)
     offset = np.einsum("kna,knra->knr", m, turned).reshape(SWEPT, -1)
     B = A[..., -4:]
@@ -364,7 +337,7 @@ def _linear_mount(
     axes = [a for a in range(3) if m[:, a].any()]
     rows = np.concatenate((*[m[:, a, None, None] * R for a in axes], fixed), axis=2)
     x = np.linalg.lstsq(rows.reshape(3 * n, -1), -t.ravel(), rcond=None)[0]
-    X = _nearest(_columns(np.asarray(x[: 3 * len(axes)]).reshape(1, -1, 3), axes))[0]
+    X = nearest_rotation(_columns(np.asarray(x[: 3 * len(axes)]).reshape(1, -1, 3), axes))[0]
     at = np.einsum("nij,nj->ni", R, m @ X.T) + t
     flat_fixed = fixed.reshape(3 * n, -1)
     y = np.linalg.lstsq(flat_fixed, -at.ravel(), rcond=None)[0]
@@ -455,7 +428,10 @@ def _searched(
     values = {**values, POSE.name: rows.poses()}
     start = {name: x[:1] for name, x in values.items()}
     blocks, _ = blocks_of(own, sigmas, start)
-    ties = [r for known, r in relations_of(rows) if _concerns(known.of, rows, own)]
+    # Relations between targets that a sensor sees, and no more.
+    seen = {rows.label(item.target) for item in own}
+    seen |= {label.removeprefix("plane:") for label in seen}
+    ties = [r for known, r in relations_of(rows) if seen.issuperset(known.of)]
     unknown = {f: u for f, u in rows.unknown().items() if f != "body"}
     every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
@@ -480,12 +456,6 @@ def _searched(
     cost, k = best
     ends = {target: ended.values[target[0]][k, target[1]] for target in targets}
     return ended.values[entity[0]][k, entity[1]], cost, ends
-
-
-def _concerns(labels: Sequence[str], rows: Rows, own: Sequence[Item]) -> bool:
-    """Tell whether a relation is between targets that a sensor sees, and no more."""
-    seen = {rows.label(item.target) for item in own}
-    return all(label in seen or f"plane:{label}" in seen for label in labels)
 
 
 def _complete(
@@ -556,7 +526,7 @@ def _complete_bodies(rows: Rows, values: dict[str, FloatArray]) -> None:
         x = values[PLANE.name][0, planes]
         length = np.linalg.norm(known.faces[:, :3], axis=1)
         m, d = known.faces[:, :3] / length[:, None], known.faces[:, 3] / length
-        R = _nearest((-x[:, :3]).T @ m)
+        R = nearest_rotation((-x[:, :3]).T @ m)
         foot = x[:, 4:] - x[:, 3:4] * x[:, :3]
         n = m @ R.T
         t = np.linalg.lstsq(n, (n * foot).sum(axis=1) - d, rcond=None)[0]

@@ -22,6 +22,7 @@ from ..checks import require_word
 from ..errors import InputError
 from ..quantities import DEG, INCH, MM
 from ..text import shown
+from .geometry import nearest_rotation
 
 QUATERNIONS, MATRICES = ("xyzw", "wxyz"), ("matrix", "matrix-columns")
 LENGTHS = {"m": 1.0, "mm": MM, "in": INCH}
@@ -225,8 +226,7 @@ def poses_of(x: FloatArray, convention: Convention) -> tuple[FloatArray, FloatAr
     length = LENGTHS[convention.units]
     if convention.is_matrix:
         T = matrices(x, convention)
-        U, _, V = np.linalg.svd(T[:, :3, :3])
-        return np.asarray(U @ V), length * T[:, :3, 3]
+        return nearest_rotation(T[:, :3, :3]), length * T[:, :3, 3]
     turn, kind, angle = x[:, 3:], convention.rotation, ANGLES[convention.angles]
     if kind in QUATERNIONS:
         rotation = Rotation.from_quat(turn, scalar_first=kind == "wxyz")

@@ -33,8 +33,8 @@ Numbers = float | FloatArray | IntArray
 GAUSSIAN_DOF = 1e5
 """With more degrees of freedom an estimated scale is as good as given."""
 FAMILY_LEVEL = 0.01
-"""Several tests together contradict at most this part of good recordings; a single test with a smaller
-p-value hardly agrees."""
+"""Several tests together, of all readings, members or beams, contradict at most this part of good
+recordings; a single test with a smaller p-value hardly agrees."""
 SINGLE_LEVEL = 1e-3
 """One test with a p-value below this contradicts what it tests."""
 CONFIDENCE = 0.95

@@ -19,11 +19,9 @@ import numpy as np
 
 from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
+from ..quantities import FAR_SIGMAS
 from .equation import corrected, residuals, scene
 from .weighting import Variances, Whitening, slopes, whitening
-
-MOST_NOISE = 4.0
-"""The noise of a reading is at most this many standard deviations: a larger residual is no noise."""
 
 
 def weighed(
@@ -63,7 +61,7 @@ def freed_of_noise(
         variance = variance / readings.samples
     heavy = how.weighed(residuals(x, d)[:, None])[:, 0] / how.sigma**2
     share = slopes(parameters, readings) * variance
-    most = MOST_NOISE * np.sqrt(variance)
+    most = FAR_SIGMAS * np.sqrt(variance)  # a larger residual is no noise
     level = d + np.clip(share * heavy, -most, most)
     constant = corrected(d, x.k) - level * (x.k[:, 0] + x.k[:, 1] * level)
     return readings.with_regressors(Regressors(constant, level))

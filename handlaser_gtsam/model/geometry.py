@@ -119,3 +119,11 @@ def plane_through(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArra
     middle = points.mean(axis=0)
     _, size, axes = np.linalg.svd(points - middle, full_matrices=len(points) < 3)
     return axes, middle, size
+
+
+def nearest_rotation(M: FloatArray) -> FloatArray:
+    """Return the rotations nearest to matrices (..., 3, 3)."""
+    U, _, Vt = np.linalg.svd(M)
+    side = np.ones(M.shape[:-1])
+    side[..., 2] = np.sign(np.linalg.det(U @ Vt))
+    return np.asarray((U * side[..., None, :]) @ Vt)

@@ -320,7 +320,9 @@ def _in_rows(
     diagonal = np.abs(np.diagonal(R))
     if not np.isfinite(s).all() or diagonal.min() < NEGLIGIBLE * diagonal.max():
         return None
-    nodes = _nodes(W * unit)
+    # As many rows as there are columns, far from dependent.
+    order = qr((W * unit).T, mode="economic", pivoting=True)[2]
+    nodes = np.sort(order[: W.shape[1]])
     G = np.linalg.solve(R.T, (J[nodes] * unit).T).T  # its rows have the covariance G G'
     mix: FloatArray = np.linalg.inv(G).T
     moved = (a * rays.origin_by_scale).sum(axis=1)
@@ -421,12 +423,6 @@ def _refined(
         if np.abs(step).max() <= NEGLIGIBLE * np.abs(found).max():
             break
     return found if np.isfinite(found).all() else None
-
-
-def _nodes(W: FloatArray) -> IntArray:
-    """Return as many rows as there are columns, far from dependent."""
-    order: IntArray = np.asarray(qr(W.T, mode="economic", pivoting=True)[2], dtype=np.intp)
-    return np.sort(order[: W.shape[1]])
 
 
 def _rows(rays: Rayset, which: IntArray | BoolArray) -> Rayset:

@@ -13,6 +13,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
+from ..model.distributions import FAMILY_LEVEL
 from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import Observability, observability
 from ..observability.wording import BeamAndPlaneNames
@@ -32,8 +33,6 @@ ODDS_OF_PLANE = 13.8
 """Excess of the squares of a station before the next best plane that means odds of 1000."""
 PLANE_CHANCE = 0.05
 """Another plane is suggested when a random reading would fit one with less than this probability."""
-END_CHANCE = 0.01
-"""Part of the recordings in which outliers of other causes may look like an end of a range."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +206,7 @@ def range_ends(
         for rows, far in ((of_beam[::-1], True), (of_beam, False)):
             towards = np.isfinite(residual[rows]) & ((residual[rows] > 0.0) == far)
             marked = unexplained[rows] & towards
-            extreme = _end(marked, 0.5 * share, END_CHANCE / (2.0 * readings.beams))
+            extreme = _end(marked, 0.5 * share, FAMILY_LEVEL / (2.0 * readings.beams))
             if not extreme:
                 continue
             limit = float(readings.distance[rows[extreme - 1]])

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray, evenly
 from ..checks import require_count, require_kind
 from ..data.station_list import StationList
 from ..data.value import Value
@@ -236,7 +236,7 @@ def _typical(calibration: SurveyCalibration, items: list[Item]) -> tuple[Rayset,
     """Return rays of the largest shot, and how many of its readings each stands for."""
     shots = calibration._found.rows.survey.shots[items[0].member]
     points = max((item.points for item in items if item.points is not None), key=len)
-    some = points[np.linspace(0, len(points) - 1, min(RAYS, len(points))).round().astype(int)]
+    some = points[evenly(len(points), RAYS)]
     return KINDS[shots.kind].rays(shots.across[some]), len(points) / len(some)
 
 

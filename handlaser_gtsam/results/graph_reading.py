@@ -14,6 +14,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
+from ..estimation.estimate import NAMED_SHARE
 from ..factors.keys import BeamKeys
 from ..model.distributions import SINGLE_LEVEL
 from ..model.families import DIRECTION, LOCATION
@@ -29,8 +30,6 @@ from .reports import Determined, Fit, StartReport, Status
 
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""
-NAMED = 0.1
-"""Variables are named that move by this part of what the least determined one does."""
 ANCHOR = (
     "anchor at least one pose, tie every pose to others by a prior, odometry or a fix, and check that "
     "all lengths are metres"
@@ -318,7 +317,7 @@ def _judged(
     weak = open_axes(values, axes, block, ObservabilityOptions().most_sigma ** -2)
     if weak.any():
         share = np.bincount(block, (axes[:, weak] ** 2).sum(axis=1))
-        far = (share > NAMED * share.max()).tolist()
+        far = (share > NAMED_SHARE * share.max()).tolist()
         names = tuple(one.words for one, named in zip(wanted, far, strict=True) if named)
         words = f"the graph does not determine {', '.join(names)}: {MOVE_MORE}"
         found = Determined(int((~weak).sum()), unknowns, None, names, (MOVE_MORE,))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, evenly
 from ..data.recording import Readings, Recording, sorted_readings
 from ..errors import HandlaserError
 from ..model.families import BEAM, PLANE
@@ -117,8 +117,7 @@ def one_beam(
         planes, count = np.unique(recording.plane_of_station[rows], return_counts=True)
         largest = planes[np.argsort(-count, kind="stable")][: most // 10]
         rows = rows[np.isin(recording.plane_of_station[rows], largest)]
-        if len(rows) > most:
-            rows = rows[np.linspace(0, len(rows) - 1, most).round().astype(np.intp)]
+        rows = rows[evenly(len(rows), most)]
     one = recording.without(others).part(rows)
     return (one, rows) if tells(one, spare) else (recording, np.arange(len(seen), dtype=np.intp))
 

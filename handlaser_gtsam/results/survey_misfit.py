@@ -18,7 +18,6 @@ from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
-from ..estimation.estimate import SIGNIFICANCE
 from ..estimation.survey import (
     GROSS,
     FirstFit,
@@ -28,7 +27,7 @@ from ..estimation.survey import (
     misfits,
 )
 from ..estimation.survey_rows import Rows, rows_of
-from ..model.distributions import f_sf
+from ..model.distributions import FAMILY_LEVEL, f_sf
 from ..model.lines import condensed_shots
 from ..model.sensors.kinds import KINDS
 from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL
@@ -116,7 +115,7 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     if not np.isfinite(least) or least <= 0.0 or dof < 1:
         return
     gain = (squares(1.0) - least) / (least / dof)
-    if np.isfinite(gain) and f_sf(max(gain, 0.0), 1, dof) < SIGNIFICANCE / len(tried):
+    if np.isfinite(gain) and f_sf(max(gain, 0.0), 1, dof) < FAMILY_LEVEL / len(tried):
         better = tried[found_at.index(least)] * stated
         words = (
             f"the readings fit far better with a cone of {better * IN_DEG:.2g} degrees than with one "

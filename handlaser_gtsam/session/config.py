@@ -26,8 +26,6 @@ from .reports import Change
 
 SCALES_KEPT = 0.02
 """Learned scales whose logarithms differ by less stay as they are: they are integrated over."""
-AGREED = 0.01
-"""The estimate agrees with the batch within this many sigmas, and its sigmas to this part."""
 SIGMA_KEPT = 0.005
 """An estimated range sigma that changes by a smaller part stays: no standard deviation shows that."""
 TWO_TERMS = "q"

@@ -11,6 +11,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
+from ..estimation.estimate import MOST_REJECTED
 from ..estimation.information import Information
 from ..factors.keys import plane_key, pose_key
 from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
@@ -31,8 +32,6 @@ DECIDES_ITSELF = 1e-3
 """A reading of which the others know less than this part is not tested."""
 SESSION_CUT = 4.5
 """A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
-MOST_CONTRADICTED = 0.3
-"""If a larger part of the new readings of a plane contradicts the beams, the beams are at fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +264,7 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
         worst = int(np.argmax(t))
         if t[worst] <= cut:
             return bad
-        if bad.sum() + 1 > MOST_CONTRADICTED * total:
+        if bad.sum() + 1 > MOST_REJECTED * total:  # the beams are at fault
             return None
         bad |= now.mask(recording, np.arange(len(t)) == worst)
         rest = recording.without(bad)

@@ -10,10 +10,10 @@ from ..data.recording import join
 from ..errors import GrazingBeamError, InputError
 from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
-from ..quantities import FAR_SIGMAS
+from ..quantities import FAR_SIGMAS, SAME_OPTIMUM
 from ..results.calibration import Calibration
 from ..solvers.isam import IncrementalOptions
-from .config import AGREED, ProcessNoise, SessionConfig
+from .config import ProcessNoise, SessionConfig
 from .contents import Contents
 from .freed import FreedState
 from .reports import Change, Comparison, Update
@@ -140,7 +140,7 @@ def compare_if_due(now: SessionState) -> tuple[SessionState, Comparison | None]:
             now, _, _ = now.changed(now.contents.included(excluded), excluded)
     inside = now.inside()
     comparison = inside.compared(now.integrated)
-    if max(comparison.largest, comparison.largest_sigma) > AGREED:
+    if max(comparison.largest, comparison.largest_sigma) > SAME_OPTIMUM:
         words = "restarted from the batch solution, which it had left"
         changes = (*changes, Change("from-batch", words))
         now = begin(now.contents, now.config, inside.batch_beams())

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import BoolArray
+from ..arrays import BoolArray, evenly
 from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
@@ -198,8 +198,8 @@ def held_out(calibration: Calibration) -> HeldOut:
     sigma = fit.range_sigma if known else None
     # The cost of one plane that is held out is linear in the number of planes.
     count = len(planes)
-    most = 0 if count < 2 else min(max(PLANES_SQUARED // count, LEAST_HELD_OUT), count)
-    chosen = np.linspace(0, count - 1, most).round().astype(int)
+    most = 0 if count < 2 else max(PLANES_SQUARED // count, LEAST_HELD_OUT)
+    chosen = evenly(count, most)
     left_out = (_plane_held_out(whole, planes[p], sigma) for p in chosen)
     rng = np.random.default_rng(0)
     parts = [training_stations(whole.recording, rng) for _ in range(USUAL_SPLITS)]

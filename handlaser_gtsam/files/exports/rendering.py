@@ -113,12 +113,5 @@ def comment_text(name: str) -> str:
 
 def literal(text: str) -> str:
     """Return printable text as a literal in double quotes, ASCII, as Python and YAML read it."""
-    return '"' + "".join(_spelt(c) for c in text) + '"'
-
-
-def _spelt(c: str) -> str:
-    if c in '"\\':
-        return "\\" + c
-    if " " <= c <= "~":
-        return c
-    return f"\\u{ord(c):04x}" if ord(c) <= 0xFFFF else f"\\U{ord(c):08x}"
+    quoted = text.replace("\\", r"\\").replace('"', r"\"")
+    return f'"{quoted.encode("ascii", "backslashreplace").decode()}"'

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
+from ...data.screen import FINEST_STEP
 from ...data.station_list import StationList
 from ...errors import InputError
 from ...quantities import LARGEST_LENGTH, MM
@@ -28,8 +29,6 @@ from .rows import LogRows
 CLOUD = "sensor_msgs/msg/PointCloud2"
 MESSAGE_OF = {"profiler": CLOUD, "scanner": SCAN, "array": RANGE, "points": CLOUD}
 """What each kind of sensor publishes."""
-FLAT = 1e-3 * MM
-"""Points of a profile are in the plane y = 0 to that [m]: single precision of a metre is finer."""
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
 
@@ -164,7 +163,7 @@ def _points(message: Any, number: int) -> FloatArray:
 def _profile(message: Any, number: int) -> FloatArray:
     """Return x and z (n, 2) of a PointCloud2 in the plane y = 0 of its frame."""
     p = _points(message, number)
-    if len(p) and np.abs(p[:, 1]).max() > FLAT:
+    if len(p) and np.abs(p[:, 1]).max() > FINEST_STEP:
         found = f"a profile with y up to {np.abs(p[:, 1]).max() / MM:.3g} mm in its own frame"
         raise InputError(found, "one in the plane y = 0, z away from the sensor")
     return p[:, [0, 2]]

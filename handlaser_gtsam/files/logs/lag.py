@@ -40,7 +40,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray, evenly
 from ...data.readings import Readings
 from ...errors import InputError
 from ...estimation.options import RANGE_ERROR_TERMS
@@ -352,8 +352,7 @@ def _parts(
             if len(rows) < LEAST_READINGS:
                 continue
             covered += len(rows) * len(beams)
-            if len(rows) > MOST_READINGS:
-                rows = rows[np.linspace(0, len(rows) - 1, MOST_READINGS).round().astype(np.intp)]
+            rows = rows[evenly(len(rows), MOST_READINGS)]
             parts.append((index, beams, time[rows], d[rows][:, beams]))
     return parts, covered
 

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...model.conventions import Convention, inverted, poses_of
-from ...model.geometry import steps_between
+from ...model.geometry import nearest_rotation, steps_between
 from ...quantities import ROWS_AT_ONCE
 
 MOVES_M, MOVES_RAD = 1e-3, np.radians(0.1)
@@ -87,8 +87,8 @@ class Way:
         # The mean position, and the rotation nearest to the mean of matrices.
         off = t[self.row] - t[np.repeat(first, count)]
         shift = np.add.reduceat(off, self.start, axis=0) / count[:, None]
-        U, _, V = np.linalg.svd(np.add.reduceat(R[self.row], self.start, axis=0))
-        return np.where((count == 1)[:, None, None], R[first], U @ V), t[first] + shift
+        mean = nearest_rotation(np.add.reduceat(R[self.row], self.start, axis=0))
+        return np.where((count == 1)[:, None, None], R[first], mean), t[first] + shift
 
     def narrowed(self, stations: IntArray) -> "tuple[IntArray, Way]":
         """Return the rows that some stations need, and how they get their poses from these."""

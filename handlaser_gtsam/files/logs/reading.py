@@ -85,7 +85,11 @@ def describe_log(
     if not path.exists():
         raise InputError("no such file", "a log", path)
     with in_file(path):
-        stations = _of_bag(path, given) if is_bag(path) else _of_tables(path, given, sensor)
+        if is_bag(path):
+            refuse_of_a_bag(given, path)
+            stations = by_time(*read_bag(path, given), replace(given, stands=not given.interpolate))
+        else:
+            stations = _of_tables(path, given, sensor)
         return assembled(stations, given, sensor, range_sigma)
 
 
@@ -132,12 +136,6 @@ def missing_columns_hint(error: InputError) -> str:
     if error.column == "plane" and "ros" in formats:
         return "; or --plane NAME if all stations look at one plane"
     return f"; or --pose-format {'|'.join(formats)}, whose columns are there" if formats else ""
-
-
-def _of_bag(path: Path, given: LogFormat) -> Stations:
-    refuse_of_a_bag(given, path)
-    poses, readings = read_bag(path, given)
-    return by_time(poses, readings, replace(given, stands=not given.interpolate))
 
 
 def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:

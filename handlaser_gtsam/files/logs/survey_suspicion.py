@@ -101,8 +101,8 @@ def _misfit(rows: Rows) -> float:
     It is infinite without a start, or where the sensor lies farther from the hand than `FAR_BEAM`.
     """
     sigmas: Mapping[tuple[str, int], float] = {(SENSOR.name, 0): UNIT_SIGMA}
-    values = start_of(rows, sigmas, last_resort=False).values
-    if values is None or np.linalg.norm(values[SENSOR.name][0, 0, 9:12]) > FAR_BEAM:
+    values, without = start_of(rows, sigmas, last_resort=False)
+    if without or np.linalg.norm(values[SENSOR.name][0, 0, 9:12]) > FAR_BEAM:
         return np.inf
     blocks, _ = blocks_of(rows.items, sigmas, values)
     e = [block.ranges.evaluate(values).columns[-1] for block in blocks if isinstance(block, Mixed)]

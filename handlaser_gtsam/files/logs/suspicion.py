@@ -31,7 +31,7 @@ from ...model.conventions import (
 )
 from ...model.distributions import gaussian_quantile
 from ...model.equation import plausible_range_errors, residuals_or_infinite
-from ...quantities import TINY
+from ...quantities import IN_PERCENT, TINY
 from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort, find_start
@@ -92,8 +92,8 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
         )
     words = (
         f"{same} of {count} stations repeat the pose of another although their readings differ by "
-        f"more than {100 * MOVED:.0f} % (the first: {name}): poses that were not logged anew, or "
-        "that are stamped late"
+        f"more than {IN_PERCENT * MOVED:.0f} % (the first: {name}): poses that were not logged anew, "
+        "or that are stamped late"
     )
     return (CalibrationWarning("held-poses", words, {"stations": same, "total": count}),)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import FloatArray
 from ...text import shortened
 from ..checked_text import Record
 
@@ -60,11 +60,6 @@ def tick_labels(names: Sequence[str], room: int = LETTERS_BELOW) -> list[str]:
     """Return names for the ticks of an axis that has room for `room` letters."""
     longest = max(SHORTEST_LABEL, room // max(len(names), 1))
     return [label(name, longest) for name in names]
-
-
-def evenly(count: int, most: int) -> IntArray:
-    """Return all `count` indices, or `most` of them that are evenly spread."""
-    return np.linspace(0, count - 1, min(count, most)).round().astype(np.intp)
 
 
 def short(name: str, longest: int = NAME_IN_PICTURE) -> str:

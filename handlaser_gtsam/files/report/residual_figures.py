@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import FloatArray, IntArray, evenly
 from ...model.distributions import CONFIDENCE, beta_quantile, gaussian_quantile
 from ...quantities import IN_DEG, IN_MM
 from ..checked_text import Record
@@ -20,7 +20,6 @@ from .figure import (
     SHORTEST_LABEL,
     Figure,
     axis,
-    evenly,
     label,
     layout,
     marker,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ... import model
-from ...arrays import FloatArray
+from ...arrays import FloatArray, evenly
 from ...data.parameters import Beams
 from ...quantities import IN_MM
 from ..checked_text import Record
@@ -24,7 +24,6 @@ from .figure import (
     MOST_SHAPES,
     Figure,
     colour,
-    evenly,
     harmless,
     label,
     numbers,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ... import __version__
-from ...arrays import FloatArray
+from ...arrays import FloatArray, evenly
 from ...data.survey import Survey
 from ...quantities import IN_MM
 from ...results.description.survey import beams_table, facts, sensors_table, targets_table
@@ -20,7 +20,7 @@ from ...results.description.tables import (
 from ...results.limits import LimitCheck
 from ...results.survey import SurveyCalibration
 from ..checked_text import Record
-from .figure import GREY, MOST_POINTS, Figure, evenly, label, numbers
+from .figure import GREY, MOST_POINTS, Figure, label, numbers
 from .page import page_of, script_of, sections_of
 from .scene import AXIS_SIZE, Geometry, plate, scene_figure
 from .survey_figures import (

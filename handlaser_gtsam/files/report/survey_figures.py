@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray, evenly
 from ...data.survey import Shots, Survey, normal_label
 from ...model.families import BEAM, bases
 from ...model.sensors.kinds import KINDS
@@ -25,7 +25,6 @@ from .figure import (
     Figure,
     axis,
     colour,
-    evenly,
     label,
     layout,
     marker,

@@ -21,6 +21,7 @@ from scipy.linalg.lapack import dposv
 
 from ...arrays import FloatArray
 from ...errors import InputError
+from ...quantities import SINGULAR
 
 ENDLESS_LIMIT = 2.0 * np.pi
 """Limit of joints that have none [rad]: a turn to either side, so that no pose lies at its end."""
@@ -32,8 +33,6 @@ STUCK = 0.05
 """Error of the hand from which a start that has not come nearer never does [m], [rad]."""
 MET = 1e-9
 """The hand is at its pose to within this: rounding is a thousand times smaller [m], [rad]."""
-SINGULAR_DAMPING = 1e-12
-"""Keeps the equations solvable where the arm is singular at its pose [m^2], [rad^2]."""
 LARGEST_STEP = 0.5
 """Of any joint [rad], [m]: the Jacobian holds no farther."""
 
@@ -195,5 +194,5 @@ def unreadable(error: Exception) -> InputError:
 def _damped(J: FloatArray, error: FloatArray, squared: float) -> FloatArray:
     """Return the damped least-squares change (J,) of joints for an error (6,) and its square."""
     damped = J @ J.T
-    damped.flat[::7] += 0.5 * squared + SINGULAR_DAMPING  # on the diagonal
+    damped.flat[::7] += 0.5 * squared + SINGULAR  # on the diagonal; the arm may be singular
     return np.asarray(J.T @ dposv(damped, error)[1])

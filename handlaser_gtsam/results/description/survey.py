@@ -10,7 +10,7 @@ from ...arrays import FloatArray
 from ...data.survey import RAY_ERRORS
 from ...model.families import BEAM, RANGE_ERROR
 from ...model.sensors.mounted import SENSOR
-from ...quantities import IN_DEG, IN_MM
+from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..limits import LimitCheck, worst_of_each
 from ..lines import NAMES_IN_LINE, decimals
@@ -29,7 +29,7 @@ from .tables import (
     text,
 )
 
-SHOWN = {1: ("mm", IN_MM), 0: ("%", 100.0), -1: ("%/m", 100.0)}
+SHOWN = {1: ("mm", IN_MM), 0: ("%", IN_PERCENT), -1: ("%/m", IN_PERCENT)}
 """Units of range errors for people, with the factor from SI, by the power of the metre."""
 UNITS = {
     name: SHOWN[power]
