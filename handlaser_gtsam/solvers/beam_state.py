@@ -13,7 +13,7 @@ from ..model.families import BEAM
 
 @dataclass(frozen=True, slots=True)
 class BeamState:
-    """Beams as iSAM2 has them.
+    """Beams of a session with their covariance.
 
     Attributes
     ----------
