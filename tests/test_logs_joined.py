@@ -1,9 +1,12 @@
 """Poses and readings in separate files: by station, by time, between poses, at stands, with a lag."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from controllers import of_quaternion
 from moving import example, range_of
+from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 
@@ -253,7 +256,7 @@ def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2, 6, 14])
-@pytest.mark.parametrize(("noise", "most"), [(0.0, 1e-4), (2e-3, 2e-3)])
+@pytest.mark.parametrize(("noise", "most"), [(0.0, 1e-5), (2e-3, 2e-3)])
 def test_the_lag_is_that_of_the_calibration(tmp_path, seed, noise, most):
     """The polynomials alone were 6 ms off in these, with a standard deviation of one.
 
@@ -263,6 +266,21 @@ def test_the_lag_is_that_of_the_calibration(tmp_path, seed, noise, most):
     report = with_lag(tmp_path, drive, 0.0503)
     assert abs(report.lag - 0.0503) < most
     assert abs(report.lag - 0.0503) < 3.0 * report.lag_sigma < 3.0 * max(most, 2e-4)
+
+
+@pytest.mark.slow
+def test_errors_of_single_poses_move_the_lag_by_no_more_than_they_must(tmp_path):
+    """Interpolation lowers them between two poses: over short differences lags were 0.4 ms off."""
+    off = []
+    for seed in range(1, 5):
+        drive, _ = example(noise=2e-5, seed=seed)
+        errors = np.random.default_rng(seed).normal(0.0, 3e-4, (2, *drive.position.shape))
+        turned = Rotation.from_quat(drive.quaternion) * Rotation.from_rotvec(2.0 * errors[0])
+        noisy = replace(drive, position=drive.position + errors[1], quaternion=turned.as_quat())
+        (tmp_path / str(seed)).mkdir()
+        off.append(with_lag(tmp_path / str(seed), noisy, 0.0503).lag - 0.0503)
+    # Of eight such drives the rms was 0.08 ms.
+    assert np.sqrt(np.mean(np.square(off))) < 1.5e-4
 
 
 @pytest.mark.slow

@@ -426,7 +426,7 @@ def information_axes(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the information (N,) of independent directions, these as columns (N, N), and units (N,).
 
-    Directions are in natural units, and one of them is that of the last result in SI units.
+    Directions are of unknowns in natural units; the last result has these units in SI units.
     """
     J, _ = problem.rows(blocks, values).whitened()
     of = problem.places()

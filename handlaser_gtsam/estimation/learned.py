@@ -186,7 +186,7 @@ class ScaleProblem:
         return find_mode(self._log_posterior, start, self.scales.bounds)
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
-        """Return the geometric posterior means (T,) of what k1 and k2 D of a beam are, noise known."""
+        """Return geometric posterior means (T,) of the sigmas of k1 and k2 D of a beam, noise known."""
         grid, w = self._weighed(mode)
         mean: FloatArray = np.exp(w @ np.log(grid.total()))
         return mean

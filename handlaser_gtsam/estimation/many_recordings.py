@@ -48,7 +48,8 @@ class SolvedMany(Value):
     iterations : (K,)
         Steps of the last solution.
     covariances : (K, B, 8, 8)
-        Of (x, y, z, vx, vy, vz, k1, k2) of every beam, SI units.
+        Of (x, y, z, vx, vy, vz, k1, k2) of every beam, SI units. All are NaN where the information of
+        one recording is singular.
     """
 
     beam_names: tuple[str, ...]
@@ -128,7 +129,7 @@ def _beam_covariances(
     noise: float | Sequence[Whitening],
     prior: RangeErrorPrior | None,
 ) -> FloatArray:
-    """Return the covariances (K, B, 8, 8) of the beams, NaN where they are not determined."""
+    """Return the covariances (K, B, 8, 8) of the beams; all NaN where one information is singular."""
     problem, block = beam_problem(readings, terms, noise, prior=prior, local=PLANE.name)
     normal = problem.normal(block.centred(values_of(solved.parameters)))
     S = eliminated(

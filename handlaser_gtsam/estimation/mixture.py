@@ -54,7 +54,8 @@ class Mixture:
     weight : (C,)
         Weights of the components that are kept.
     means, sigmas : (C, m)
-        Means and standard deviations of the m coordinates that were asked for, in every component.
+        Of the m coordinates that were asked for, in every component that is kept: means, counted from
+        that of the whole mixture, and standard deviations.
     members : (C, 2) of int
         Indices of the set of noise scales and of the scales of the range errors of every component.
     """

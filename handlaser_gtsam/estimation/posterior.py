@@ -135,7 +135,17 @@ def covariance_of_determined(
 
 @dataclass(frozen=True, slots=True)
 class ScaleEstimate:
-    """A scale of the noise: the exponential of its mean logarithm, and its sigma [m or rad]."""
+    """A standard deviation of the noise that was estimated.
+
+    Attributes
+    ----------
+    scale : Scale
+        Which one.
+    sigma : float
+        Its estimate: the exponential of its mean logarithm [m or rad].
+    error : float
+        Standard deviation of the estimate, likewise; NaN where the scales are not integrated over.
+    """
 
     scale: Scale
     sigma: float
@@ -151,7 +161,8 @@ class Posterior:
     parameters : Parameters
         Means.
     joint : JointCovariance
-        Within and between the scales; offsets are counted from the origins of the planes' frames.
+        Within and between the scales. Its origins, at which offsets are taken, lie amid the laser spots
+        and are given in the frames of the planes.
     mixture : Mixture
         Of Gaussian components, with the ambient coordinates (8 B) of the beams as those asked for.
     scales : tuple of ScaleEstimate

@@ -48,7 +48,8 @@ class FittedPlane:
     whitening : Whitening
         Poses eliminated.
     normal : Normal
-        With two range-error terms; to first order about the plane through the laser spots.
+        With two range-error terms; linearised where the last step of Gauss and Newton began, gradients
+        counted from where it ended.
     origin : (3,)
         Origin of the frame in the world [m].
     """

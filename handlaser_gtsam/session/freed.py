@@ -48,7 +48,8 @@ class FreedState:
     @classmethod
     def of(cls, batch: Calibration, contents: Contents, config: SessionConfig) -> "FreedState":
         """Return the state after a calibration, converged, of some planes of the contents."""
-        origins = dict(zip(batch.planes, _joint(batch).origins, strict=True))
+        joint = _joint(batch)
+        origins = dict(zip(joint.plane_names, joint.origins, strict=True))
         out = (one for one in contents.rejected if contents.plane_of(one.station) not in origins)
         placed = contents.restarted((*batch.fit.rejected, *out)).numbered(origins)
         for plane, culprit in contents.excluded.items():
@@ -86,8 +87,8 @@ class FreedState:
 
         Every plane has a frame amid its stations.
         """
-        origins = _joint(self.batch).origins
         readings = self.batch.used_in(self.contents.everything()).readings()
+        origins = readings.plane_means(readings.world_t_hand)
         return readings.seen_from(origins), self.batch.parameters().seen_from(origins)
 
     def moved(self, *, recently: bool = False) -> Moved | None:

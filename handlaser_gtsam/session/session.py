@@ -284,8 +284,8 @@ class Session:
     def recalibrate(self) -> Comparison:
         """Calibrate everything so far at once, compare, and take over scales and outliers that differ.
 
-        Scales of noise and range errors are meant. The same happens, except for outliers, in every
-        comparison that is due; but not once a beam has been split.
+        Scales of noise and range errors are meant; every comparison that is due learns them again, too.
+        Once a beam has been split, this compares with the batch solution, and takes nothing over.
         """
         with self._lock:
             self._now, comparison = recalibrate(self.state)

@@ -33,7 +33,7 @@ from .graph import parameters_of
 
 @dataclass(frozen=True, slots=True)
 class BeamState:
-    """Beams as iSAM2 has them.
+    """Beams of a session with their covariance.
 
     Attributes
     ----------

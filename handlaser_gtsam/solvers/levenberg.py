@@ -174,7 +174,8 @@ class LevenbergResult:
     status, message
         `converged`, `max_iterations`, `stalled` or `interrupted`, and the same in words.
     cost : float
-        Half the sum of squared, weighted residuals at `values`.
+        What was minimised, at `values`: half the sum of squared residuals in standard deviations, or
+        their robust loss, and that of priors and further factors.
     iterations : int
         Accepted steps.
     history : tuple of Trial

@@ -13,9 +13,13 @@ the stated lag, and near offsets that velocities suggest (`candidate_offsets`). 
 back or changes its speed identifies it; a sweep at constant speed does not. Where several offsets fit
 alike, none is chosen unless it is near the stated lag.
 
-Near the minimum S(tau) is taken of the calibration itself, solved for each of a few lags, which moves
-on until the minimum lies amid them. The curvature there says how well it is known: with residuals of
-variance s^2, the variance of tau is 2 s^2 / S''(tau).
+From there on the lag is an unknown of the calibration itself, as systematic errors are that are free
+(`results.freed`): with the residuals e of beams and planes solved at tau, of variance s^2, and what
+these leave of the derivative of e by tau, a,
+
+    tau <- tau - a'e / a'a,    var(tau) = s^2 / a'a.
+
+The derivative is a difference over some steps of the recorded poses (`STEPS_APART`).
 
 Offsets of the two clocks are suggested by the velocities of the hand and the rates of readings. Before
 a plane, the rate of a range is linear in the hand's velocity w (6,), that of its position and of its
@@ -47,7 +51,9 @@ from ...estimation.options import RANGE_ERROR_TERMS
 from ...model.equation import residuals_or_infinite
 from ...model.families import count_unknowns
 from ...model.search import LevenbergOptions
+from ...model.weighting import Variances, whitening
 from ...quantities import FAR_SIGMAS, MOST_ROUNDS, NUMBERS_AT_ONCE, ROUNDING, SINGULAR
+from ...results.projection import LinearRows, Projection
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
 from .motion import MOVES_M, MOVES_RAD, interpolated, neighbours
@@ -56,13 +62,18 @@ from .stands import Track
 REACH = 0.5
 """Lags up to this [s] from an offset are looked for."""
 COARSE, FINE = 0.04, 0.002
-"""Steps of the search, and of the parabola at its end [s]."""
+"""First and last steps of the search [s]."""
+SETTLED = 0.01
+"""A lag that moves by fewer of its standard deviations has come to rest."""
 WORST_SIGMA = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag."""
 INTERPOLATED = 1e-4
 """The interpolation between two poses may move the minimum by this much [s]."""
 UNEXPLAINED = 0.1
 """A larger part of the variance of readings than this says that they do not follow the motion."""
+STEPS_APART = 2.0
+"""Steps between recorded poses to either side over which residuals are differenced. Poses that err by
+0.3 mm moved the lag by 0.40, 0.09 and 0.08 ms (rms) with a sixteenth of a step, one and two."""
 AS_GOOD = 4.0
 """What leaves less than this factor of the mean square of another fits as well: another offset as the
 best one, and a calibration as the linear equation."""
@@ -237,21 +248,6 @@ def _coarse(
     return _Candidate(lag, squares, variation, count, covered, parts)
 
 
-def _lowest(lags: FloatArray, sums: FloatArray, count: int) -> tuple[float, float] | None:
-    """Return where a parabola through seven sums of squares has its minimum, and its sigma.
-
-    None where no minimum stands out from how rough the sums are; `count` are the degrees of freedom.
-    """
-    middle, squares = lags[3], float(sums.min())
-    (bend, slope, _), spread = np.polyfit(lags - middle, sums, 2, cov=True)
-    if bend <= FAR_SIGMAS * np.sqrt(spread[0, 0]):
-        return None
-    shift = float(np.clip(-0.5 * slope / bend, lags[0] - middle, lags[-1] - middle))
-    fitted = 0.5 * np.sqrt(spread[1, 1]) / bend
-    sigma = float(np.linalg.norm([np.sqrt(squares / max(count, 1) / bend), fitted, INTERPOLATED]))
-    return float(middle) + shift, sigma
-
-
 def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, float] | None:
     """Return the lag near a candidate at which a calibration of beams and planes fits best.
 
@@ -261,52 +257,46 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     """
     if candidate.squares > UNEXPLAINED * candidate.variation:
         return None
-    parts, near = candidate.parts, candidate.lag
-    readings = _readings(track, parts, near)
+    parts, lag = candidate.parts, candidate.lag
+    readings = _readings(track, parts, lag)
     origins = readings.plane_means(readings.world_t_hand)
-    start = find_start(readings.seen_from(origins), None, 0, effort="quick").parameters
-    terms = RANGE_ERROR_TERMS["auto"]
+    local = readings.seen_from(origins)
+    start = find_start(local, None, 0, effort="quick").parameters
+    terms, free = RANGE_ERROR_TERMS["auto"], np.full((readings.beams, 2), np.inf)
     count = len(readings) - count_unknowns(readings, terms)
-    step, found, shown = COARSE, None, 0
+    how = whitening(start, local, Variances(np.ones(readings.beams)))
+    apart = max(FINE, STEPS_APART * float(np.median(np.diff(track.time))))
     for _ in range(MOST_ROUNDS):
-        lags = np.asarray(near + step * np.arange(-3, 4), dtype=np.float64)
-        problems = [_readings(track, parts, lag).seen_from(origins) for lag in lags]
-        solved = solve_together(problems, [start] * len(lags), terms, 1.0, options=OPTIONS)
-        cost = np.asarray(2.0 * solved.cost)
-        if not np.isfinite(cost).all():
+        at, later, sooner = (
+            _readings(track, parts, lag + shift).seen_from(origins)
+            for shift in (0.0, apart, -apart)
+        )
+        solved = solve_together([at], [start], terms, 1.0, options=OPTIONS)
+        start = solved.parameters[0]
+        e, after, before = (residuals_or_infinite(start, rows) for rows in (at, later, sooner))
+        rate = (after - before) / (2.0 * apart)
+        if not (np.isfinite(e).all() and np.isfinite(rate).all()):
             return None
-        best = int(cost.argmin())
-        start = solved.parameters[best]
-        if best in (0, len(lags) - 1):  # the minimum lies further on
-            near = float(lags[best])
-            continue
-        found = _lowest(lags, cost, count)
-        shown += found is not None
-        near = float(lags[best]) if found is None else found[0]
-        if step == FINE and abs(near - lags[3]) < FINE:
+        rows = LinearRows(start, at, how, free, at.station)
+        rest = Projection(rows, free).rest(rate[:, None])[0][:, 0]
+        square = max(float(rest @ rest), ROUNDING)
+        sigma = float(np.hypot(np.sqrt(float(e @ e) / max(count, 1) / square), INTERPOLATED))
+        step = -float(rest @ e) / square
+        if abs(step) < SETTLED * sigma:
             break
-        step = max(step / 4.0, FINE)
-    # Rough sums bend by chance once in some hundred windows; a minimum shows in wider ones, too.
-    if found is None or shown < 2 or step > FINE or found[1] > WORST_SIGMA:
+        lag += float(np.clip(step, -COARSE, COARSE))
+    if not (abs(step) < SETTLED * sigma <= SETTLED * WORST_SIGMA):
         return None
-    at, later, sooner = (
-        _readings(track, parts, found[0] + shift).seen_from(origins) for shift in (0.0, FINE, -FINE)
-    )
-    solved = solve_together([at], [start], terms, 1.0, options=OPTIONS)
     if not 2.0 * solved.cost[0] <= AS_GOOD * candidate.squares:
         return None
-    e, after, before = (
-        residuals_or_infinite(solved.parameters[0], rows) for rows in (at, later, sooner)
-    )
     time = np.concatenate([own for _, _, own, _ in parts])[at.station]
-    rate = (after - before) / (2.0 * FINE)
     # Beside noise, a piece of the recording is off by -rate'e / rate'rate.
     piece = np.searchsorted(np.linspace(time.min(), time.max(), PIECES + 1)[1:-1], time)
     told = np.bincount(piece, rate**2, PIECES)
     off = -np.bincount(piece, rate * e, PIECES) / np.maximum(told, ROUNDING)
     noise = PIECES * float(e @ e) / len(e)
     excess = (float(told @ off**2) - noise) / float(told.sum())
-    return *found, float(np.sqrt(max(excess, 0.0)))
+    return lag, sigma, float(np.sqrt(max(excess, 0.0)))
 
 
 def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:
