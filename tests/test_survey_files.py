@@ -176,6 +176,60 @@ def test_units_that_contradict_each_other_are_refused(folder, handlaser):
     assert "log.units in" in err
 
 
+@pytest.mark.parametrize(
+    "header",
+    ["Point,X,Z", "station;X [mm];Z [mm]", "Point\tx\tz"],
+    ids=["names", "decimal", "tabs"],
+)
+def test_tables_of_points_may_be_written_as_sensors_and_spreadsheets_do(folder, header):
+    """With the station called as in the log, capital letters, semicolons and decimal commas."""
+    plain = hl.read_survey(folder / "poses.csv", folder / "rig.toml").shots[0]
+    lines = (folder / "profiles.csv").read_text().splitlines()
+    mark = next(one for one in ",;\t" if one in header)
+    if mark != ",":
+        lines = [line.replace(",", mark).replace(".", ",") for line in lines]
+    (folder / "profiles.csv").write_text("\n".join([header, *lines[1:]]) + "\n")
+    read = hl.read_survey(folder / "poses.csv", folder / "rig.toml").shots[0]
+    assert read == plain
+
+
+def test_columns_that_may_be_one_are_refused(folder):
+    text = (folder / "profiles.csv").read_text()
+    (folder / "profiles.csv").write_text(text.replace("station,x,z", "station,X,x [mm]", 1))
+    with pytest.raises(hl.InputError, match="several columns that may be x: X, x"):
+        hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+
+
+def test_labels_without_a_kind_are_said_to_be_planes(folder, handlaser):
+    """A ball before a table that is called only by its name: neither shape is enough of its shots."""
+    text = (folder / "poses.csv").read_text()
+    (folder / "poses.csv").write_text(text.replace("sphere:ball", "ball"))
+    table = pl.read_csv(folder / "profiles.csv")
+    background = (  # a table 60 mm behind the ball, on both sides of it
+        table.filter(pl.col("station").str.strip_prefix("P").cast(int) > 12)
+        .group_by("station")
+        .agg(pl.col("z").mean() + 60.0)
+        .join(pl.DataFrame({"x": np.linspace(20.0, 60.0, 60)}), how="cross")
+        .select("station", "x", "z")
+    )
+    pl.concat([table, background, background.with_columns(-pl.col("x"))]).write_csv(
+        folder / "profiles.csv"
+    )
+    for verb in ("check", "calibrate"):
+        code, _, err = handlaser(verb, folder / "poses.csv", "--rig", folder / "rig.toml")
+        assert code == 3
+        assert "with their kinds, which ball has not: a label without a kind is a plane" in err
+
+
+def test_heights_in_place_of_distances_are_doubted(folder, handlaser):
+    """With z towards the sensor no shot meets the ball: it would be seen from behind."""
+    table = pl.read_csv(folder / "profiles.csv")
+    table.with_columns(-pl.col("z")).write_csv(folder / "profiles.csv")
+    code, _, err = handlaser("check", folder / "poses.csv", "--rig", folder / "rig.toml")
+    assert code == 0
+    assert "; if z of scanner grows towards the sensor, reverse its sign" in err
+
+
 def exchanged(folder):
     """Exchange the names x and z in the header of the example."""
     table = pl.read_csv(folder / "profiles.csv")

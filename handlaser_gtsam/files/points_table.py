@@ -3,7 +3,7 @@
 Columns, by the kind of the sensor: `station`, and `x, z` (profiler); `angle, reading` (scanner);
 `zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty
 cells and codes for no reading (not finite, or zero) are passed over. An array may have a column `echo`
-where a zone has several.
+where a zone has several. Letters of names count in either case.
 """
 
 from pathlib import Path
@@ -34,7 +34,12 @@ Echo = Literal["all", "near", "far"]
 
 
 def read_points(
-    path: Path, kind: str, stations: "Sequence[str]", *, echo: Echo = "all"
+    path: Path,
+    kind: str,
+    stations: "Sequence[str]",
+    *,
+    echo: Echo = "all",
+    station_column: str = "",
 ) -> tuple[IntArray, FloatArray, dict[str, str]]:
     """Return the station (N,) of each point, from 0, and its columns (N, c) as they stand.
 
@@ -46,6 +51,8 @@ def read_points(
     kind : str
     stations : sequence of str
         Names of the stations, as the column `station` has them.
+    station_column : str
+        What the log of poses calls that column; a table of points may call it so, too.
     echo : {"all", "near", "far"}
         Which readings of a zone count, where it has several at a station.
 
@@ -56,19 +63,20 @@ def read_points(
     """
     wanted = COLUMNS[kind]
     table = read_frame(path, "a table of points, CSV with a header or Parquet")
-    table.require("station")
+    named = station_column in table.frame.columns
+    station_column = station_column if named else _column(table, "station")
     found = [_column(table, name) for name in wanted]
-    names = table.frame["station"].cast(pl.String)
-    table.refuse(names.is_null().to_numpy(), "station", "the name of a station")
+    names = table.frame[station_column].cast(pl.String)
+    table.refuse(names.is_null().to_numpy(), station_column, "the name of a station")
     place = {name: i for i, name in enumerate(stations)}
-    foreign = [name for name in names.unique().to_list() if name not in place]
+    foreign = [name for name in names.unique(maintain_order=True).to_list() if name not in place]
     if foreign:
         raise InputError(
             f"station {some([shown(name) for name in foreign], 4)}",
             f"stations of the recording, such as {some(list(stations), 4)}",
             path,
             None,
-            "station",
+            station_column,
         )
     station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
     numbers = np.column_stack([known_numbers(table, name)[0] for name in found])
@@ -86,20 +94,21 @@ def read_points(
 
 
 def _column(table: Table, name: str) -> str:
-    """Return the column of a name, behind which a unit may stand."""
-    with_unit = [one for one in table.frame.columns if unit_of(one) and plain(one) == name]
-    if name in table.frame.columns or not with_unit:
+    """Return the column of a name, in letters of either case; behind it a unit may stand."""
+    alike = [one for one in table.frame.columns if plain(one) == name]
+    if name in table.frame.columns or not alike:
         table.require(name)
         return name
-    if len(with_unit) > 1:
-        raise table.fault(f"several columns that may be {name}: {', '.join(with_unit)}", "one")
-    return with_unit[0]
+    if len(alike) > 1:
+        raise table.fault(f"several columns that may be {name}: {', '.join(alike)}", "one")
+    return alike[0]
 
 
 def read_frame(path: Path, expected: str) -> Table:
     """Return a table as it stands: of CSV the texts of the cells, of Parquet what they are.
 
-    It is read by Polars alone, because it may have millions of rows.
+    It is read by Polars alone, because it may have millions of rows. Semicolons or tabs in the header
+    separate the cells; then commas in these are decimal.
 
     Raises
     ------
@@ -112,8 +121,13 @@ def read_frame(path: Path, expected: str) -> Table:
         if path.suffix.lower() in PARQUET:
             frame = pl.read_parquet(path)
         else:
+            with path.open(encoding="utf-8", errors="replace") as file:
+                header = file.readline()
+            separator = next((mark for mark in ";\t" if mark in header), ",")
             texts = pl.selectors.all().str.strip_chars()
-            frame = pl.read_csv(path, infer_schema_length=0).select(
+            if separator != ",":
+                texts = texts.str.replace_all(",", ".", literal=True)
+            frame = pl.read_csv(path, infer_schema_length=0, separator=separator).select(
                 pl.when(texts != "").then(texts)
             )
     except (pl.exceptions.PolarsError, OSError) as error:

@@ -89,8 +89,12 @@ class SurveyTables:
     known: tuple[Known, ...]
     folder: Path
 
-    def shots(self, stations: tuple[str, ...]) -> tuple[tuple[Shots, ...], tuple[str, ...]]:
+    def shots(
+        self, stations: tuple[str, ...], station_column: str = ""
+    ) -> tuple[tuple[Shots, ...], tuple[str, ...]]:
         """Return what the sensors read at named stations, and in which units, a line a sensor.
+
+        The column of the stations is `station`, or is called as in the log of poses.
 
         Raises
         ------
@@ -98,7 +102,7 @@ class SurveyTables:
             No table of points, one that cannot be read, or units in the names of its columns that are
             not those that are stated.
         """
-        read = [self._read(table, stations) for table in self.sensors]
+        read = [self._read(table, stations, station_column) for table in self.sensors]
         return tuple(shots for shots, _ in read), tuple(line for _, line in read)
 
     def bag(self, path: Path, given: LogFormat) -> tuple[StationList, tuple[Shots, ...]]:
@@ -123,12 +127,16 @@ class SurveyTables:
             ]
         return stations, tuple(shots)
 
-    def _read(self, table: SensorTable, stations: tuple[str, ...]) -> tuple[Shots, str]:
+    def _read(
+        self, table: SensorTable, stations: tuple[str, ...], station_column: str
+    ) -> tuple[Shots, str]:
         if table.topics or not table.points:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
         path = self.folder / table.points
-        station, numbers, named = read_points(path, table.kind, stations, echo=table.echo)
+        station, numbers, named = read_points(
+            path, table.kind, stations, echo=table.echo, station_column=station_column
+        )
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
         with in_file(path):

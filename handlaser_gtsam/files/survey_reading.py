@@ -58,7 +58,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         return Survey(stations, shots, known=known, **_of_beams(rig, (), path))
     if is_log(path, rig.log, readings=False):
         stations, numbers, way, written = _of_log(path, rig.log)
-        shots, lines = rig.survey.shots(stations.station_names)
+        shots, lines = rig.survey.shots(stations.station_names, rig.log.station_column)
         more = {"lines": (written.words, *lines), **_of_beams(rig, (), path)}
         survey = Survey(stations, shots, known=known, **more)
         doubts = refuse_wrong_poses(survey, numbers, way, rig.log, path) if shots else ()

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.survey import RAY_ERRORS
+from ..data.survey import RAY_ERRORS, kind_of
 from ..data.value import Value
 from ..errors import CalibrationWarning
 from ..estimation.dense import dense_rows, unknowns_of
@@ -26,6 +26,7 @@ from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
+from ..model.targets.sphere import SPHERE
 from ..observability.wording import open_sentence
 from ..quantities import IN_MM
 from ..text import count, some
@@ -581,7 +582,20 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
             "something else behind or beside it: "
             f"{some(lost, NAMES_IN_LINE)}"
         )
+        words += "".join(f"; {one}" for one in _counted_towards(rows))
         yield CalibrationWarning("too-few-points", words, {"shots": len(lost)})
+
+
+def _counted_towards(rows: Rows) -> Iterator[str]:
+    """Yield what to try of profilers of which no shot meets a ball, and whose z is below zero."""
+    labels = rows.survey.stations.plane_labels
+    for member, shots in enumerate(rows.survey.shots):
+        before = {
+            at for own, at in rows.lost if own == member and kind_of(labels[at]) == SPHERE.name
+        }
+        met = any(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
+        if shots.kind == "profiler" and before and not met and np.median(shots.reading) < 0.0:
+            yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
 
 
 def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

@@ -130,7 +130,13 @@ def no_fit(
 ) -> CalibrationWarning:
     """Say by how much shots miss their targets, in lengths and against the noise, and what to do."""
     what = "; ".join(one.message for one in causes if one.code in MISREAD) or CHECKS
-    if what is CHECKS and rows.known:
+    plain = [one for one in dict.fromkeys(rows.survey.stations.plane_labels) if ":" not in one]
+    if what is CHECKS and plain:
+        what += (
+            f", which {some(plain, NAMES_IN_LINE)} {'has not' if len(plain) == 1 else 'have not'}: "
+        )
+        what += "a label without a kind is a plane, and of a ball it is sphere:NAME"
+    if what.startswith(CHECKS) and rows.known:
         what += "; leave out [[known]] to see whether one of them is false"
     words = (
         f"most shots do not fit each other: a typical one misses its target by "
