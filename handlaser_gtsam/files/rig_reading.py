@@ -78,7 +78,7 @@ def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
 
 
 def _no_cone(rig: Rig, beams: tuple[str, ...]) -> tuple[CalibrationWarning, ...]:
-    """Warn of ultrasonic sensors whose readings are taken for those of beams."""
+    """Warn of ultrasonic sensors whose readings are taken for readings of beams."""
     if rig.sensor.kind != "ultrasonic" or rig.half_angle or not beams:
         return ()
     words = (

@@ -104,7 +104,7 @@ class FreedState:
         return history.search(self.config.sigma_dof, history.recent() if recently else None)
 
     def compare(self) -> Comparison:
-        """Compare with a calibration of the same planes that begins anew."""
+        """Compare with a calibration of the same planes from the beginning."""
         return self._apart(self._calibrated(self.contents, list(self.contents.numbers)))
 
     def recalibrated(self) -> tuple["FreedState", Comparison]:

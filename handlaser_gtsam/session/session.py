@@ -273,7 +273,7 @@ class Session:
     def compare(self) -> Comparison:
         """Compare the beams with the batch solution of the same readings, from the present estimate.
 
-        With free errors it is a calibration of the same planes that begins anew.
+        With free errors it is a calibration of the same planes from the beginning.
         """
         return self.state.compare()
 

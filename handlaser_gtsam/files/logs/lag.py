@@ -22,7 +22,7 @@ these leave of the derivative of e by tau, a,
 The derivative is a difference over some steps of the recorded poses (`STEPS_APART`).
 
 Offsets of the two clocks are suggested by the velocities of the hand and the rates of readings. Before
-a plane, the rate of a range is linear in the hand's velocity w (6,), that of its position and of its
+a plane, the rate of a range is linear in the hand's velocity w (6,), of its position and of its
 turn in the world, with coefficients that change little unless the hand turns far. The offset tau by
 which readings are stamped later is looked for where one set of coefficients explains the rates y_i of
 each beam best,
