@@ -177,7 +177,9 @@ def test_units_that_contradict_each_other_are_refused(folder, handlaser):
 
 
 @pytest.mark.parametrize(
-    "header", ["Point,X,Z", "station;X [mm];Z [mm]", "Point\tx\tz"], ids=["names", "decimal", "tabs"]
+    "header",
+    ["Point,X,Z", "station;X [mm];Z [mm]", "Point\tx\tz"],
+    ids=["names", "decimal", "tabs"],
 )
 def test_tables_of_points_may_be_written_as_sensors_and_spreadsheets_do(folder, header):
     """With the station called as in the log, capital letters, semicolons and decimal commas."""
@@ -327,7 +329,11 @@ def test_relations_of_the_page_go_with_its_example(folder):
 BAD = {
     "a kind that is none": ('kind = "profiler"', 'kind = "lidar"', "sensors.0.kind = 'lidar'"),
     "no table of points": ('"profiles.csv"', '"other.csv"', "no readable file"),
-    "columns of another kind": ('kind = "profiler"', 'kind = "scanner"', "no column 'angle'"),
+    "columns of another kind": (
+        'kind = "profiler"',
+        'kind = "scanner"',
+        "columns of kind = 'profiler'",
+    ),
     "zones of a profiler": ("[[sensors]]", '[[sensors]]\nzones = "z.csv"', "zones of scanner"),
     "a range error that is none": ("[[sensors]]", '[[sensors]]\nfree = ["k0"]', "range error"),
     "noise across and none along": ("[[sensors]]", "[[sensors]]\nsigma_across_mm = 1.0", "sigma"),
