@@ -103,6 +103,14 @@ def test_what_a_bag_has_is_what_was_published_at_the_stops(tmp_path, kind):
         assert error @ np.linalg.solve(C, error) < 50.0
 
 
+def test_units_are_not_stated_of_messages(tmp_path):
+    rig = rigs_by_rays.scanner(6, planes=3, stations=8)
+    bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, scans))
+    file = rig_file(tmp_path, rig, "scanner", ["scanner"], 'units = "mm"\n')
+    with pytest.raises(hl.InputError, match="units or angles of scanner with topics of a bag"):
+        hl.read_survey(bag, file)
+
+
 def test_zones_of_an_array_are_topics_of_ranges(tmp_path):
     rig = rigs_by_rays.array(3, planes=3, zones=4, convention="radial", stations=10)
     table = rig.tables["array"]

@@ -718,6 +718,12 @@ SIGNS = {
     ),
     "millimetres as metres": ("kuka", lambda x: x, {"units": "m"}, "then state --pose-format kuka"),
     "metres as millimetres": ("ur", lambda x: x, {"units": "mm"}, "then state --pose-format ur"),
+    "positions in inches": (
+        "kuka",
+        lambda x: x / [25.4, 25.4, 25.4, 1.0, 1.0, 1.0],
+        {},
+        "--rotation ZYX --units in",
+    ),
     "inverted": ("kuka", lambda x: x, {"inverted": True}, "the poses are not inverted"),
     "ranges in millimetres": ("kuka", lambda x: x, {"range_units": "mm"}, "--range-units m"),
     "one pose": ("kuka", lambda x: x[:1].repeat(len(x), axis=0), {}, "one pose at all 44 stations"),

@@ -1,6 +1,7 @@
 """Logs of poses beside tables of points: converted, and refused where they mean something else."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,6 +76,14 @@ def test_inverted_poses_are_named_and_who_insists_is_only_warned(handlaser, fold
     assert code == 0
     assert out.startswith("24 stations")
     assert "WARNING: the readings fit" in err
+    # And every other verb that reads the log says so, too: the warning goes with the survey.
+    right = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    stated(
+        folder, 'pose_format = "kuka"', 'pose_format = "kuka"\ninverted = true\nas_stated = true'
+    )
+    read = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    assert [one.code for one in read.warnings] == ["pose-convention"]
+    assert read.warnings[0] in hl.calibrate(replace(right, warnings=read.warnings)).warnings
 
 
 @pytest.mark.slow

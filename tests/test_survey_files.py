@@ -331,7 +331,11 @@ def test_relations_of_the_page_go_with_its_example(folder):
 BAD = {
     "a kind that is none": ('kind = "profiler"', 'kind = "lidar"', "sensors.0.kind = 'lidar'"),
     "no table of points": ('"profiles.csv"', '"other.csv"', "no readable file"),
-    "columns of another kind": ('kind = "profiler"', 'kind = "scanner"', "no column 'angle'"),
+    "columns of another kind": (
+        'kind = "profiler"',
+        'kind = "scanner"',
+        "columns of kind = 'profiler'",
+    ),
     "zones of a profiler": ("[[sensors]]", '[[sensors]]\nzones = "z.csv"', "zones of scanner"),
     "a range error that is none": ("[[sensors]]", '[[sensors]]\nfree = ["k0"]', "range error"),
     "noise across and none along": ("[[sensors]]", "[[sensors]]\nsigma_across_mm = 1.0", "sigma"),

@@ -320,6 +320,8 @@ class Survey(Value):
         require_number("half_angle", self.half_angle, 0.0, WIDEST_CONE)
         require_number("linearity", self.linearity, 0.0, LARGEST_LENGTH, above=True)
         require_kind("stations", self.stations, StationList)
+        for name in ("lines", "warnings"):
+            require_kind(name, getattr(self, name), tuple)
         for name, kind in (("shots", Shots), ("known", Known)):
             given = getattr(self, name)
             several = isinstance(given, Sequence) and not isinstance(given, str)

@@ -63,6 +63,11 @@ def read_points(
     """
     wanted = COLUMNS[kind]
     table = read_frame(path, "a table of points, CSV with a header or Parquet")
+    names_there = {plain(name) for name in table.frame.columns}
+    others = [one for one, columns in COLUMNS.items() if names_there.issuperset(columns)]
+    if others and kind not in others:
+        found_so = f"columns of kind = {' or '.join(map(shown, others))}: {table.names}"
+        raise table.fault(found_so, f"{', '.join(wanted)} of kind = {shown(kind)}", wanted[0])
     named = station_column in table.frame.columns
     station_column = station_column if named else _column(table, "station")
     found = [_column(table, name) for name in wanted]

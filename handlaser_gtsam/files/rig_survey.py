@@ -118,6 +118,9 @@ class SurveyTables:
             if table.points or not table.topics:
                 found = f"a table of points of {table.name}, or no topics, with a bag"
                 raise InputError(found, 'topics = ["/scan"] in [[sensors]]', path)
+            if table.units not in (None, "m") or table.angles not in (None, "rad"):
+                found = f"units or angles of {table.name} with topics of a bag"
+                raise InputError(found, "none: messages are in metres and radians", path)
         wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
         with in_file(path):
             stations, points = read_bag_points(path, given, wanted)

@@ -232,7 +232,8 @@ def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
     if not found:
         raise table.fault(
             f"no column of ranges among {table.names}",
-            "range_NAME for every beam, or --range-columns, or --beam-column and --range-column",
+            "range_NAME for every beam, or --range-columns, or --beam-column and --range-column; where "
+            "tables of points have the readings, --rig with these tables in [[sensors]]",
         )
     return found
 

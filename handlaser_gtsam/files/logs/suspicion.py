@@ -26,6 +26,7 @@ from ...model.conventions import (
     FORMATS,
     INVERTED,
     LENGTHS,
+    UNIT_WORDS,
     Convention,
     called,
 )
@@ -234,7 +235,7 @@ def alternatives(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Re
         if unit == given.range_units:
             continue
         factor = LENGTHS[unit] / LENGTHS[given.range_units]
-        words = f"the ranges are {unit}: --range-units {unit}"
+        words = f"the ranges are in {UNIT_WORDS[unit]}: --range-units {unit}"
         yield Rereading(words, partial(scaled, factor), "glance")
     seen = {convention.meaning}
     for rotation in dict.fromkeys(one.rotation for one in FORMATS.values()):
