@@ -63,7 +63,7 @@ REACH = 0.5
 """Lags up to this [s] from an offset are looked for."""
 COARSE, FINE = 0.04, 0.002
 """First and last steps of the search [s]."""
-SETTLED = 0.01
+LAG_SETTLED = 0.01
 """A lag that moves by fewer of its standard deviations has come to rest."""
 WORST_SIGMA = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag."""
@@ -282,10 +282,10 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
         square = max(float(rest @ rest), ROUNDING)
         sigma = float(np.hypot(np.sqrt(float(e @ e) / max(count, 1) / square), INTERPOLATED))
         step = -float(rest @ e) / square
-        if abs(step) < SETTLED * sigma:
+        if abs(step) < LAG_SETTLED * sigma:
             break
         lag += float(np.clip(step, -COARSE, COARSE))
-    if not (abs(step) < SETTLED * sigma <= SETTLED * WORST_SIGMA):
+    if not (abs(step) < LAG_SETTLED * sigma <= LAG_SETTLED * WORST_SIGMA):
         return None
     if not 2.0 * solved.cost[0] <= AS_GOOD * candidate.squares:
         return None
