@@ -274,6 +274,7 @@ def test_cones_are_made_and_read_by_the_command(handlaser, tmp_path):
     assert "half_angle" in err
 
 
+@pytest.mark.slow
 def test_range_errors_and_noise_of_cones_are_shown(handlaser, tmp_path):
     """As of any beam: a k1 of 3 % is found, and stands on the screen with its noise."""
     rig, made = tmp_path / "rig.toml", tmp_path / "made"
@@ -304,7 +305,7 @@ def test_range_errors_and_noise_of_cones_are_shown(handlaser, tmp_path):
     assert abs(k1 - 3.0) < 4.0 * sigma
 
 
-@pytest.mark.parametrize("verb", ["check", "calibrate"])
+@pytest.mark.parametrize("verb", first_and_slow("check", "calibrate"))
 def test_ultrasonic_sensors_without_a_half_angle_are_said_to_be_read_as_beams(
     handlaser, tmp_path, verb
 ):

@@ -48,7 +48,7 @@ def assert_batch(session):
     assert np.array_equal(beams.sigma, [found.beams[name].sigma for name in beams.names])
 
 
-@pytest.mark.parametrize("code", SIZES)
+@pytest.mark.parametrize("code", first_and_slow(*SIZES))
 def test_every_error_is_found_plane_by_plane_as_at_once(code):
     session, rest = begun(code, SIZES[code], code, range_error="none")
     for part in rest:

@@ -200,6 +200,7 @@ def test_columns_that_may_be_one_are_refused(folder):
         hl.read_survey(folder / "poses.csv", folder / "rig.toml")
 
 
+@pytest.mark.slow
 def test_labels_without_a_kind_are_said_to_be_planes(folder, handlaser):
     """A ball before a table that is called only by its name: neither shape is enough of its shots."""
     text = (folder / "poses.csv").read_text()
@@ -221,6 +222,7 @@ def test_labels_without_a_kind_are_said_to_be_planes(folder, handlaser):
         assert "with their kinds, which ball has not: a label without a kind is a plane" in err
 
 
+@pytest.mark.slow
 def test_heights_in_place_of_distances_are_doubted(folder, handlaser):
     """With z towards the sensor no shot meets the ball: it would be seen from behind."""
     table = pl.read_csv(folder / "profiles.csv")

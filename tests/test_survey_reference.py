@@ -161,6 +161,7 @@ def test_a_target_that_reads_otherwise_is_not_predicted():
     assert not validate_survey(survey, EXACT, splits=0).contradicted
 
 
+@pytest.mark.slow
 def test_another_solution_of_scipy_is_a_headline_and_an_exit_code():
     """Of balls on a few zones, each with a noise that bends: no first order is enough of them."""
     rig = rigs_by_rays.array(40, targets="spheres", sigma=1e-3)
