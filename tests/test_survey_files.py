@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
+from handlaser_gtsam.files.rig_survey import SensorTable, SurveyTables
 
 FOLDER = ROOT / "examples" / "profiler"
 
@@ -117,6 +118,29 @@ def test_zones_conventions_and_echoes(tmp_path):
     c = np.cos(np.radians(10.0))
     assert shots.reading == pytest.approx([0.3 / c, 0.11 / c])
     assert shots.across[0] == pytest.approx([-np.sin(np.radians(10)), 0.0, c])
+
+
+def test_what_stands_behind_a_near_echo_is_left_out(tmp_path):
+    (tmp_path / "zones.csv").write_text("zone,x_deg,y_deg\n0,0,0\n1,10,0\n")
+    (tmp_path / "points.csv").write_text(
+        "station,zone,reading\ns,0,300\ns,0,60\ns,1,310\ns,1,120\nt,0,305\n"
+    )
+
+    def read(more):
+        table = SensorTable.model_validate(
+            {"name": "a", "kind": "array", "points": "points.csv", "zones": "zones.csv", **more}
+        )
+        return SurveyTables((table,), (), tmp_path).shots(("s", "t"))[0]
+
+    far = read({"echo": "far"})
+    assert far.reading.tolist() == pytest.approx([0.3, 0.31, 0.305])
+    assert far.before[:2].tolist() == pytest.approx([0.06, 0.12])
+    assert np.isnan(far.before[2])
+    assert read({"echo": "far", "clear_mm": 100.0}).reading.tolist() == pytest.approx([0.31, 0.305])
+    every = read({})
+    assert np.isfinite(every.before).sum() == 2
+    with pytest.raises(hl.InputError, match="clear_mm"):
+        read({"echo": "near", "clear_mm": 100.0})
 
 
 def known(folder, text):
