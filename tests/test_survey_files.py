@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_distance, rigs_by_rays
-from handlaser_gtsam.files.rig_survey import _refuse_exchanged
+from handlaser_gtsam.files.rig_survey import SensorTable, SurveyTables, _refuse_exchanged
 
 FOLDER = ROOT / "examples" / "profiler"
 
@@ -264,6 +264,29 @@ def test_no_right_profile_is_called_exchanged(generator, targets):
                 _refuse_exchanged(replace(shots, across=across, reading=reading))
         with pytest.raises(hl.InputError, match="exchanged"):
             _refuse_exchanged(replace(shots, across=z, reading=x))
+
+
+def test_what_stands_behind_a_near_echo_is_left_out(tmp_path):
+    (tmp_path / "zones.csv").write_text("zone,x_deg,y_deg\n0,0,0\n1,10,0\n")
+    (tmp_path / "points.csv").write_text(
+        "station,zone,reading\ns,0,300\ns,0,60\ns,1,310\ns,1,120\nt,0,305\n"
+    )
+
+    def read(more):
+        table = SensorTable.model_validate(
+            {"name": "a", "kind": "array", "points": "points.csv", "zones": "zones.csv", **more}
+        )
+        return SurveyTables((table,), (), tmp_path).shots(("s", "t"))[0][0]
+
+    far = read({"echo": "far"})
+    assert far.reading.tolist() == pytest.approx([0.3, 0.31, 0.305])
+    assert far.before[:2].tolist() == pytest.approx([0.06, 0.12])
+    assert np.isnan(far.before[2])
+    assert read({"echo": "far", "clear_mm": 100.0}).reading.tolist() == pytest.approx([0.31, 0.305])
+    every = read({})
+    assert np.isfinite(every.before).sum() == 2
+    with pytest.raises(hl.InputError, match="clear_mm"):
+        read({"echo": "near", "clear_mm": 100.0})
 
 
 def known(folder, text):

@@ -6,7 +6,7 @@ relations that are known. Labels say what kind of target it is: `plane:A`, `sphe
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -74,6 +74,9 @@ class Shots(Value):
         Range errors that are unknown: `k0`, `k1`, `k2`, `scale`; all others are tested for.
     convention : "radial" or "perpendicular"
         As which the readings of an array came in; whether they fit better as the other is tested.
+    before : (N,), optional
+        Of an array that reads several echoes a zone: the nearest echo that the zone read before this
+        one [m], NaN where there is none. `clear_of` leaves out what stands behind a near one.
 
     Raises
     ------
@@ -90,6 +93,7 @@ class Shots(Value):
     sigma_across: float = 0.0
     free: tuple[str, ...] = ()
     convention: Convention = "radial"
+    before: FloatArray | None = None
 
     def __post_init__(self) -> None:
         names_of("the name of a sensor", (self.name,))
@@ -128,6 +132,40 @@ class Shots(Value):
         for error in self.free:
             require_word("a range error", error, ERRORS[self.kind])
         store(self, "free", tuple(one for one in ERRORS[self.kind] if one in self.free))
+        if self.before is not None:
+            before = number_array("before", self.before)
+            if before.shape != reading.shape or self.kind != "array":
+                found = f"echoes before, of shape {before.shape}, of the {self.kind} {self.name}"
+                raise InputError(found, f"{reading.shape}, and of an array only")
+            if (before <= 0.0).any() or np.isinf(before).any():
+                found = f"echoes before readings of {self.name} that are no ranges"
+                raise InputError(found, "ranges above zero, and NaN where there is none")
+            store(self, "before", frozen(before))
+
+    def part(self, which: BoolArray) -> "Shots":
+        """Return the same with some of the readings, by a mask (N,)."""
+        before = None if self.before is None else self.before[which]
+        station, across, reading = self.station[which], self.across[which], self.reading[which]
+        return replace(self, station=station, across=across, reading=reading, before=before)
+
+    def clear_of(self, limit: float) -> "Shots":
+        """Return the same without readings behind an echo nearer than a limit [m].
+
+        A bright thing close to an array that reads several echoes a zone pulls what it reads behind.
+
+        Raises
+        ------
+        InputError
+            No reading is left, or `before` is not there.
+        """
+        require_number("limit", limit, 0.0, LARGEST_LENGTH)
+        if self.before is None:
+            raise InputError(f"no echoes before the readings of {self.name}", "before=...")
+        clear = ~(self.before < limit)
+        if not clear.any():
+            found = f"all readings of {self.name} behind an echo nearer than {limit:g} m"
+            raise InputError(found, "a smaller limit")
+        return self.part(clear)
 
     @classmethod
     def profiler(

@@ -42,6 +42,7 @@ from .survey_rows import (
     rows_of,
     without_grazing,
 )
+from .survey_sorting import OF_OTHERS, of_others, slackness, sorted_again
 from .survey_starts import TRIMMED, start_of
 
 GROSS = 6.0
@@ -130,6 +131,8 @@ class SurveyEstimate:
         Turn [rad] of each (family, number) to its mirror image in the plane of the motion, where that
         fits as well.
     first : FirstFit
+    spread : (n,)
+        By what the standard deviation of each unknown of `estimate` was multiplied (`spread_of`).
     """
 
     rows: Rows
@@ -141,6 +144,7 @@ class SurveyEstimate:
     tests: tuple[RelationTest, ...]
     images: Mapping[tuple[str, int], float]
     first: FirstFit
+    spread: FloatArray
 
     @property
     def fits(self) -> bool:
@@ -275,8 +279,8 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
     rows = rows_of(survey)
     state = first_state(rows, noise)
     first = first_fit(state)
-    settled = _settle(state)
-    again, others = best_image(state, _settle)
+    settled = _settle_sorted(state)
+    again, others = best_image(state, _settle_sorted)
     settled = settled if again is None else again
     doubtful = _doubtful(state)
     if doubtful and state.relations and _blames_relations(state):
@@ -306,9 +310,12 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         message = f"{most} contradict the others"
         found = replace(found, status="contradicted", message=message)
     tests = _tested(state, problem)
+    spread = _spread(state, found)
+    found = replace(found, covariance=found.covariance * np.outer(spread, spread))
     found, images = with_images(found, others)
+    sizes, stated, used = state.sizes, state.stated, state.used
     return SurveyEstimate(
-        state.rows, noise, found, state.sizes, state.stated, state.used, tests, images, first
+        state.rows, noise, found, sizes, stated, used, tests, images, first, spread
     )
 
 
@@ -544,6 +551,41 @@ def _settle(state: SurveyState) -> bool:
     return False
 
 
+def _settle_sorted(state: SurveyState) -> bool:
+    """Sort the readings of small shots by what all shots say, until none moves, and settle.
+
+    Sorting comes first: shots with readings of something else make the noise too large, and a large
+    noise takes them in.
+    """
+    for _ in range(MOST_ROUNDS):
+        if not state.minimize():
+            return False
+        sigma = state.sizes.sigma
+        again = sorted_again(state.rows, state.values, state.used, sigma, _by_hand(state))
+        if again is None:
+            break
+        state.rows, state.used = again
+        state.inside = _inside(state.rows)
+    return _settle(state)
+
+
+def _by_hand(state: SurveyState) -> float:
+    """Return the standard deviation of what errors of the hand do to a reading [m], before learning.
+
+    Readings of anything else than their target look like errors of the hand, if these are learned.
+    """
+    if state.noise.pose_covariance is not None:
+        C = state.pose_covariance()
+        turn, shift = (
+            float(np.trace(C[:, at, at], axis1=1, axis2=2).mean()) / 3.0
+            for at in (slice(0, 3), slice(3, 6))
+        )
+        return float(np.sqrt(shift + turn * state.rows.length**2))
+    prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
+    turn, shift = (p if np.isnan(s) else s for p, s in zip(prior, state.stated.pose, strict=True))
+    return float(np.hypot(shift, turn * state.rows.length))
+
+
 def _learned(state: SurveyState) -> bool:
     """Learn the sizes of the noise at the values; tell whether one has changed."""
     if not state.learning:
@@ -614,6 +656,41 @@ def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: SurveySt
     by_f = f_sf(chi2 / some, some, max(redundancy, 1))
     p = by_f if state.learning else chi2_sf(chi2, some)
     return np.where(dof > 0, p, 1.0)
+
+
+def _spread(state: SurveyState, found: Estimate) -> FloatArray:
+    r"""Return by what the standard deviations grow where arrays read much beside their targets (n,).
+
+    Errors of what is left are neither Gaussian nor independent at one station. What they do to the
+    unknowns follows from the residuals themselves (Liang and Zeger, Biometrika 73, 1986, page 13): with
+    the gradient g_s of each of S stations and the information H,
+
+        C = inv(H) (sum_s g_s g_s') inv(H) S / (S - 1).
+
+    What may be sorted either way adds to that (`slackness`). No standard deviation becomes smaller.
+    """
+    ones = np.ones(len(found.covariance))
+    rough = [
+        member
+        for member in range(len(state.rows.survey.shots))
+        if of_others(state.rows, member) > OF_OTHERS
+    ]
+    if found.status not in ("converged", "contradicted") or not rough:
+        return ones
+    slack = max(slackness(state.rows, state.values, member) for member in rough)
+    problem, groups = state.problem()
+    rows = problem.rows(problem.blocks, state.values)
+    J, e = rows.whitened()
+    station = np.full(len(e), -1)
+    for part, shape, some in zip(rows.where, rows.shapes, groups, strict=False):
+        station[part] = np.repeat([item.station for item in some], shape[1])
+    stations = np.unique(station[station >= 0])
+    if J.shape[1] != len(ones) or len(stations) <= len(ones):
+        return ones
+    inverse = np.linalg.inv(J.T @ J)
+    steps = np.stack([inverse @ (J[station == s].T @ e[station == s]) for s in stations])
+    variance = (steps**2).sum(axis=0) * len(stations) / (len(stations) - 1)
+    return np.asarray(slack * np.sqrt(np.maximum(variance / np.diagonal(inverse), 1.0)))
 
 
 def _tested(state: SurveyState, problem: BlockProblem) -> tuple[RelationTest, ...]:

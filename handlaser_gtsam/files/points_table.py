@@ -40,10 +40,12 @@ def read_points(
     *,
     echo: Echo = "all",
     station_column: str = "",
-) -> tuple[IntArray, FloatArray, dict[str, str]]:
+) -> tuple[IntArray, FloatArray, FloatArray, dict[str, str]]:
     """Return the station (N,) of each point, from 0, and its columns (N, c) as they stand.
 
-    The third result is the unit in the name of each of these columns, empty where there is none.
+    The third result (N,) is the nearest reading of the zone of an array at the station, NaN for that
+    reading itself and for other kinds; the fourth is the unit in the name of each of these columns,
+    empty where there is none.
 
     Parameters
     ----------
@@ -91,11 +93,18 @@ def read_points(
     station, numbers = station[good], numbers[good]
     if not len(station):
         raise InputError("no reading at all", f"rows with {', '.join(wanted)}", path)
-    if echo != "all":
-        kept = _one_echo(station, numbers, far=echo == "far")
-        station, numbers = station[kept], numbers[kept]
+    before = np.full(len(numbers), np.nan)
+    if kind == "array":
+        order, first = _by_zone(station, numbers)
+        nearest = numbers[order, -1][first][np.cumsum(first) - 1]
+        before[order] = np.where(first, np.nan, nearest)
+        if echo != "all":
+            # Each zone begins with its nearest reading, and ends with its farthest.
+            one = first if echo == "near" else np.roll(first, -1)
+            kept = np.sort(order[one])
+            station, numbers, before = station[kept], numbers[kept], before[kept]
     units = {name: unit_of(column) for name, column in zip(wanted, found, strict=True)}
-    return station.astype(np.intp), numbers, units
+    return station.astype(np.intp), numbers, before, units
 
 
 def _column(table: Table, name: str) -> str:
@@ -141,13 +150,10 @@ def read_frame(path: Path, expected: str) -> Table:
     return Table(frame, path, 1, np.arange(2, len(frame) + 2, dtype=np.intp), False)
 
 
-def _one_echo(station: IntArray, numbers: FloatArray, *, far: bool) -> BoolArray:
-    """Tell which readings are the farthest, or the nearest, of their zone at their station."""
+def _by_zone(station: IntArray, numbers: FloatArray) -> tuple[IntArray, BoolArray]:
+    """Return the order of readings by station, zone and range, and which of them begin a zone."""
     zone, reading = numbers[:, 0], numbers[:, -1]
-    order = np.lexsort((reading if far else -reading, zone, station))
-    last = np.ones(len(order), dtype=bool)
-    same = (np.diff(station[order]) == 0) & (np.diff(zone[order]) == 0.0)
-    last[:-1] = ~same
-    kept = np.zeros(len(order), dtype=bool)
-    kept[order] = last
-    return kept
+    order = np.lexsort((reading, zone, station))
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = (np.diff(station[order]) != 0) | (np.diff(zone[order]) != 0.0)
+    return order, first

@@ -5,7 +5,7 @@ or topics of a bag; units: mm, m or in (inches), of which mm is assumed where ne
 names of the columns say; angles: deg or rad, of which deg is assumed so; sigma_mm,
 sigma_across_mm; free: range errors that are unknown; zones: a CSV of zone, x, y, z
 (directions), or zone, x_deg, y_deg; convention: radial or perpendicular; echo: all,
-near or far
+near or far; clear_mm: what a zone reads behind an echo nearer than this does not count
 [[known]]    relation; of: labels of targets, sensor:NAME or beam:NAME; value_mm or value_deg;
 sigma_mm, sigma_deg; direction; position_mm; pose_mm_deg: x, y, z, A, B, C with
 R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
@@ -56,6 +56,7 @@ class SensorTable(FileRecord):
     zones: str | None = None
     convention: Convention = "radial"
     echo: Echo = "all"
+    clear_mm: float = 0.0
 
 
 class KnownTable(FileRecord):
@@ -125,7 +126,9 @@ class SurveyTables:
         with in_file(path):
             stations, points = read_bag_points(path, given, wanted)
             shots = [
-                _shots(table, self.folder, station, numbers, 1.0, 1.0)
+                _shots(
+                    table, self.folder, station, numbers, np.full(len(numbers), np.nan), 1.0, 1.0
+                )
                 for table, (station, numbers) in zip(self.sensors, points, strict=True)
             ]
         return stations, tuple(shots)
@@ -137,7 +140,7 @@ class SurveyTables:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
         path = self.folder / table.points
-        station, numbers, named = read_points(
+        station, numbers, before, named = read_points(
             path, table.kind, stations, echo=table.echo, station_column=station_column
         )
         turns = {"angle"} & named.keys()
@@ -146,7 +149,7 @@ class SurveyTables:
             length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
             angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
             units = LENGTHS[length], ANGLES[angle]
-            shots = _shots(table, self.folder, station, numbers, *units)
+            shots = _shots(table, self.folder, station, numbers, before, *units)
         return shots, f"{table.name} in {words}{f' and {more}' if turns else ''}"
 
     def reading_from(self, copies: Mapping[Path, Path]) -> "SurveyTables":
@@ -268,10 +271,18 @@ def _shots(
     folder: Path,
     station: IntArray,
     numbers: FloatArray,
+    before: FloatArray,
     length: float,
     angle: float,
 ) -> Shots:
-    """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad]."""
+    """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
+
+    `before` (N,) is the nearest echo that a zone read before each reading, NaN for none.
+    """
+    several = bool(np.isfinite(before).any())
+    if table.clear_mm and not several:
+        found = f"clear_mm of {table.name}, none of whose readings stands behind another"
+        raise InputError(found, "an array with several readings a zone, and echo not near")
     noise: dict[str, Any] = {
         "sigma": None if table.sigma_mm is None else table.sigma_mm * MM,
         "sigma_across": table.sigma_across_mm * MM,
@@ -291,9 +302,10 @@ def _shots(
             shots = Shots.scanner(table.name, station, first * angle, reading, **noise)
         else:
             u = directions_of(folder / str(table.zones), first)
+            noise["before"] = before * length if several else None
             shots = Shots.array(table.name, station, u, reading, table.convention, **noise)
     _require_lengths(shots)
-    return shots
+    return shots.clear_of(table.clear_mm * MM) if table.clear_mm else shots
 
 
 def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:

@@ -206,6 +206,8 @@ def condensed(
     reading: FloatArray,
     ratio: float = 0.0,
     sigma: float | None = None,
+    *,
+    sorted_out: bool = False,
 ) -> Condensed | None:
     """Return a shot in a few rows; None where no shape fits its points.
 
@@ -223,12 +225,18 @@ def condensed(
         Standard deviation of `across`, in standard deviations of a reading, for profilers.
     sigma : float, optional
         Standard deviation of a reading [m], where it is known.
+    sorted_out : bool
+        Whether points that do not belong to the target have been rejected already.
     """
     shape, rays = shape_of(kind, target), kind.rays(across)
     few = WEAK_SPHERE * shape.size if target == "sphere" else shape.size - 1
     if len(reading) <= few:
         return _as_they_are(shape, rays, reading)
-    first, kept = _robust(shape, rays, reading, sigma)
+    if sorted_out:
+        through = shape.through(_stacked(rays, None), reading[None])
+        first, kept = _refined(shape, through, rays, reading), np.ones(len(reading), dtype=bool)
+    else:
+        first, kept = _robust(shape, rays, reading, sigma)
     if first is None:
         return None
     kept = kept & _steep(shape, first, rays)

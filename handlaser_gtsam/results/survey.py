@@ -33,7 +33,7 @@ from ..text import count, some
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .spot_error import radius
-from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit
+from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit, pulled
 from .survey_motion import open_words
 from .warnings import MANY_OUTLIERS
 
@@ -519,7 +519,7 @@ def _warnings(
                 f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
             )
             yield CalibrationWarning(FALSE_RELATION, words, {"p": tested.p_value})
-    causes = (*misread(found.rows, found.given), *misheard(found))
+    causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
     yield from causes

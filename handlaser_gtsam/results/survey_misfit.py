@@ -11,6 +11,7 @@ survey, too. Cones are tried with other angles once all is solved.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
 from ..estimation.survey import (
     GROSS,
+    MOST_LEFT_OUT,
     FirstFit,
     SurveyEstimate,
     estimate_survey,
@@ -27,7 +29,9 @@ from ..estimation.survey import (
     misfits,
 )
 from ..estimation.survey_rows import Rows, rows_of
+from ..estimation.survey_sorting import OF_OTHERS, misses_of
 from ..model.distributions import FAMILY_LEVEL, f_sf
+from ..model.families import PLANE
 from ..model.lines import condensed_shots
 from ..model.sensors.kinds import KINDS
 from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL
@@ -44,10 +48,18 @@ NO_FIT = "no-fit"
 """Code of the warning that most shots do not fit each other."""
 HALF_ANGLE = "half-angle"
 """Code of the warning that cones are wider, or narrower, than is stated."""
-MISREAD = (CONVENTION, KIND, HALF_ANGLE)
+BEHIND_ECHO = "behind-echo"
+"""Code of the warning that what an array reads behind a near echo does not fit what else it reads."""
+MISREAD = (CONVENTION, KIND, HALF_ANGLE, BEHIND_ECHO)
 """Codes of mistakes with which no result is usable, and no advice on the motion means anything."""
 HALF_ANGLES_TRIED = (0.5, 0.6, 0.8, 1.25, 1.6, 2.0)
 """Times the half angle that is stated: a datum of a data sheet, or the whole angle in its place."""
+NEAR_ECHOES = (0.15, 0.2, 0.25, 0.3, 0.4)
+"""Parts of the typical reading between which an echo may pull what its zone reads behind it."""
+PULLED = 2.0
+"""Readings are pulled if their median is off by more standard deviations of one. Less is lost in the
+noise: a real array reads 4 mm short behind echoes of 80 to 100 mm, and 14 to 45 mm behind nearer ones,
+with 6 mm of noise."""
 OTHER_KIND = {"plane": "sphere", "sphere": "plane"}
 """What a target may be in place of what its label says: shots of grooves are split before."""
 SHOTS_TRIED = 60
@@ -55,9 +67,6 @@ SHOTS_TRIED = 60
 MUCH_DEARER = 2.0
 """Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
-OF_OTHERS = 0.15
-"""Under the right reading at most this part of the readings fits no shape: edges of a target, and rays
-on something else. Of real arrays before clutter it is up to a half."""
 CHECKS = (
     "check that poses are world_T_hand in the format that is stated, the units and the columns of "
     "poses and points, that both tables call each station by one name, and the labels of the targets "
@@ -123,6 +132,66 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             f"{better * IN_DEG:.2g}"
         )
         yield CalibrationWarning(HALF_ANGLE, words, {"half_angle": better})
+
+
+def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of arrays of which what stands behind a near echo misses its planes by more than its noise.
+
+    Mounts and planes are those without any of these readings, because they pull the whole fit. All
+    bands of the echo before count up to the farthest one that is off.
+    """
+    survey = found.rows.survey
+    if found.estimate.status == "undetermined":
+        return
+    for member, shots in enumerate(survey.shots):
+        if shots.before is None:
+            continue
+        edges = np.array([0.0, *NEAR_ECHOES]) * float(np.median(shots.reading))
+        edges = edges[[(shots.before < edge).mean() < MOST_LEFT_OUT for edge in edges.tolist()]]
+        if not (shots.before < edges[-1]).any():
+            continue
+        changed = list(survey.shots)
+        changed[member] = shots.clear_of(float(edges[-1]))
+        try:
+            clear = estimate_survey(replace(survey, shots=tuple(changed)), found.given)
+        except InputError:  # no start without these readings
+            continue
+        if clear.estimate.status not in ("converged", "contradicted"):
+            continue
+        sigma, miss = float(clear.noise.sigma[member]), _misses(found.rows, clear, member)
+        limit = 0.0
+        for near, far in pairwise(edges.tolist()):
+            e = miss[(shots.before >= near) & (shots.before < far) & np.isfinite(miss)]
+            middle = float(np.median(e)) if e.size else 0.0
+            # The median of n Gaussian numbers has the variance pi / (2 n).
+            chance = FAR_SIGMAS * sigma * np.sqrt(np.pi / (2.0 * max(e.size, 1)))
+            if abs(middle) > max(PULLED * sigma, chance):
+                limit = float(np.ceil(far * IN_MM))
+        if limit:
+            short = -float(np.median(miss[(shots.before * IN_MM < limit) & np.isfinite(miss)]))
+            words = (
+                f"what {shots.name} reads behind an echo nearer than {limit:.0f} mm is "
+                f"{abs(short) * IN_MM:.2g} mm too {'short' if short > 0.0 else 'long'} for what it "
+                f"reads elsewhere, by the median: set clear_mm = {limit:.0f}"
+            )
+            yield CalibrationWarning(
+                BEHIND_ECHO, words, {"sensor": shots.name, "limit_mm": limit, "short_m": short}
+            )
+
+
+def _misses(rows: Rows, clear: SurveyEstimate, member: int) -> FloatArray:
+    """Return by how much all readings of a sensor miss their planes in another estimate (N,) [m].
+
+    NaN where the target is no plane, or not known to that estimate.
+    """
+    shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
+    values = {name: x[None] for name, x in clear.estimate.values.items()}
+    miss = np.full(len(shots.reading), np.nan)
+    names = np.array([normal_label(label) for label in labels])[shots.station]
+    for plane, label in enumerate(clear.rows.targets.get(PLANE.name, ())):
+        some = np.flatnonzero(names == label)
+        miss[some] = misses_of(rows, values, member, plane, some)
+    return miss
 
 
 def no_fit(

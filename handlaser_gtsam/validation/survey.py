@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_count, require_kind
 from ..data.noise import Noise
-from ..data.survey import Survey, normal_label
+from ..data.survey import RAY_ERRORS, Survey, normal_label
 from ..data.value import Value
 from ..errors import HandlaserError, InputError, SolverError
 from ..estimation.survey import SurveyEstimate, estimate_survey
@@ -280,13 +280,25 @@ def _differences(
     """Yield of each variable its name, the difference, both covariances and its parts."""
     found = calibration._found
     rows, values = found.rows, found.estimate.values
+    # SciPy states what follows from the noise alone.
+    plain = replace(
+        found.estimate,
+        covariance=found.estimate.covariance / np.outer(found.spread, found.spread),
+    )
     for (kind, i), other in theirs.values.items():
         if kind == BODY.name:
             continue  # faces may leave it open; what it does shows in its planes
-        mine, own = found.estimate.marginal(kind, i), values[kind][i]
+        mine, own = plain.marginal(kind, i), values[kind][i]
         if kind == SENSOR.name:
             sensor = list(calibration.sensors.values())[i]
-            name, mine = f"sensor {sensor.name}", sensor.covariance
+            name, shots = f"sensor {sensor.name}", rows.survey.shots[i]
+            unknown = [
+                one.rpartition(".")[2] for one in plain.names if one.startswith(f"{kind}[{i}].")
+            ]
+            kept = [
+                k for k, one in enumerate(unknown) if one not in RAY_ERRORS or one in shots.free
+            ]
+            mine = mine[np.ix_(kept, kept)]
             own = np.append(np.zeros(6), list(sensor.range_error.values()))
         elif kind == BEAM.name:
             name = f"beam {rows.survey.beam_names[i]}"
@@ -341,14 +353,7 @@ def _without(survey: Survey, out: BoolArray) -> Survey | None:
     for one in survey.shots:
         kept = ~out[one.station]
         if kept.any():
-            shots.append(
-                replace(
-                    one,
-                    station=one.station[kept],
-                    across=one.across[kept],
-                    reading=one.reading[kept],
-                )
-            )
+            shots.append(one.part(kept))
     ranges = survey.ranges
     if ranges is not None:
         ranges = np.where(out[:, None], np.nan, ranges)

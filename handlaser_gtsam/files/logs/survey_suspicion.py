@@ -89,10 +89,7 @@ def _part(survey: Survey) -> Rows:
     if len(stations) > MOST_STATIONS:
         stations = stations[np.linspace(0, len(stations) - 1, MOST_STATIONS).astype(np.intp)]
     some = np.isin(one.station, stations)
-    part = replace(
-        one, station=one.station[some], across=one.across[some], reading=one.reading[some]
-    )
-    return rows_of(Survey(survey.stations, (part,)))
+    return rows_of(Survey(survey.stations, (one.part(some),)))
 
 
 def _misfit(rows: Rows) -> float:

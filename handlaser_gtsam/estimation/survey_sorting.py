@@ -1,0 +1,213 @@
+r"""Readings of small shots, sorted by what all shots say of their target.
+
+Of the few zones of a ToF array a shot hardly tells which read something else than its target: an edge,
+a thing before it. Where mount and target are known from all shots, each reading tells by itself. The
+distances e of all readings of a sensor from their planes are a mixture of noise and of anything else
+within the typical range L of the sensor (Banfield and Raftery, Biometrics 49, 1993, page 808):
+
+    p(e) = w N(e; 0, sigma^2) + (1 - w) / L,
+
+with w and sigma by expectation maximisation. A reading counts where it is rather noise than anything
+else. Where errors of the hand are larger than those of a reading, a shot sorts its readings better.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.survey import kind_of, normal_label
+from ..model.block import Values
+from ..model.families import PLANE
+from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import SENSOR
+from ..model.shots import MANY, condensed
+from ..model.targets.plane import Plane
+from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
+from .survey_rows import Item, Rows
+
+OF_OTHERS = 0.15
+"""Where sensors and targets are as stated, at most this part of the readings fits no shape: edges of a
+target, and rays on something else. Of real arrays before clutter it is up to a half: what counts then
+is not all noise, and errors of one station are alike."""
+
+BESIDE_REACH = 0.2
+"""The density of distances at the reach of the noise is the mean of so large a part of it on each side:
+a tenth of a hundred readings are enough for it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Table:
+    """The readings of a small shot before a plane: their rows in the table of the sensor (n,)."""
+
+    station: int
+    plane: int
+    rows: IntArray
+
+
+def sorted_again(
+    rows: Rows, values: Values, used: BoolArray, sigma: FloatArray, by_hand: float
+) -> tuple[Rows, BoolArray] | None:
+    """Return the rows with the readings of arrays before planes sorted by the whole survey.
+
+    A shot that was rejected, or had too few readings on its target, counts again where at least half
+    of its readings do.
+
+    Parameters
+    ----------
+    rows : Rows
+    values : mapping
+        Of a minimum.
+    used : (items,) of bool
+    sigma : (sensors, ...)
+        Standard deviation of a reading of each [m].
+    by_hand : float
+        Standard deviation of what errors of the hand, as stated or usual, do to a reading [m].
+
+    Returns
+    -------
+    (Rows, (items,) of bool), optional
+        None where nothing changes.
+    """
+    items, lost, counts = list(rows.items), list(rows.lost), used.tolist()
+    place = {
+        (item.member, item.station): i for i, item in enumerate(items) if item.shot is not None
+    }
+    changed = False
+    for member, shots in enumerate(rows.survey.shots):
+        tables = list(_small_shots(rows, member)) if sigma[member] > by_hand else []
+        if not tables:
+            continue
+        misses = [misses_of(rows, values, member, one.plane, one.rows) for one in tables]
+        reach = reach_of_noise(np.concatenate(misses), float(np.median(shots.reading)))
+        for table, e in zip(tables, misses, strict=True):
+            near = np.abs(e) <= reach
+            at = place.get((member, table.station))
+            before = items[at].points if at is not None and counts[at] else None
+            if not near.any() or (before is None and near.mean() < 0.5):
+                continue
+            points = table.rows[near]
+            shot = condensed(
+                KINDS[shots.kind],
+                PLANE.name,
+                shots.across[points],
+                shots.reading[points],
+                sorted_out=True,
+            )
+            if shot is None:
+                continue
+            points = points[shot.kept]
+            if before is not None and np.array_equal(points, before):
+                continue
+            changed = True
+            target = PLANE.name, table.plane
+            item = Item(SENSOR.name, member, table.station, target, shot, points=points)
+            if at is None:
+                items.append(item)
+                counts.append(True)
+                lost.remove((member, table.station))
+            else:
+                items[at], counts[at] = item, True
+    if not changed:
+        return None
+    return replace(rows, items=tuple(items), lost=tuple(lost)), np.array(counts)
+
+
+def of_others(rows: Rows, member: int) -> float:
+    """Return the part of the readings of an array before planes that are not on their plane."""
+    tables = {table.station: table.rows for table in _small_shots(rows, member)}
+    many = sum(map(len, tables.values()))
+    kept = sum(
+        len(item.points)
+        for item in rows.items
+        if item.points is not None and item.member == member and item.station in tables
+    )
+    return 1.0 - kept / many if many else 0.0
+
+
+def slackness(rows: Rows, values: Values, member: int) -> float:
+    """Return how much farther readings that may be sorted either way let the unknowns go: 1 for none.
+
+    Where unknowns move, readings at the reach c of the noise come in on one side and go out on the
+    other, and pull them along. For the density f of the distances, and the part P within the reach, the
+    mean derivative of the influence is P - c (f(c) + f(-c)) (Huber, Robust Statistics, 1981, page 45).
+    """
+    e = np.concatenate(
+        [misses_of(rows, values, member, one.plane, one.rows) for one in _small_shots(rows, member)]
+    )
+    reach = reach_of_noise(e, float(np.median(rows.survey.shots[member].reading)))
+    size = np.abs(e)
+    inside = float((size <= reach).sum())
+    low, high = (1.0 - BESIDE_REACH) * reach, (1.0 + BESIDE_REACH) * reach
+    at_reach = float(((size > low) & (size <= high)).sum()) / (2.0 * BESIDE_REACH)
+    return inside / max(inside - at_reach, 0.5 * inside) if inside else 1.0
+
+
+def reach_of_noise(e: FloatArray, length: float) -> float:
+    """Return the distance up to which a reading is rather noise than anything within a length [m].
+
+    Parameters
+    ----------
+    e : (n,)
+        Distances of readings from their targets [m]; infinite where a ray misses.
+    length : float
+        Where anything else is [m].
+    """
+    e = e[np.isfinite(e)]
+    if not e.size:
+        return 0.0
+    sigma, share = max(MEDIAN_TO_SIGMA * float(np.median(np.abs(e))), TINY), 0.5
+    for _ in range(MOST_ROUNDS):
+        noise = share * np.exp(-0.5 * (e / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
+        p = noise / (noise + (1.0 - share) / length)
+        if not p.sum() > 0.0:
+            return 0.0
+        sigma = max(float(np.sqrt((p * e**2).sum() / p.sum())), TINY)
+        share = min(float(p.mean()), 1.0 - TINY)
+    odds = share * length / (max(1.0 - share, TINY) * np.sqrt(2.0 * np.pi) * sigma)
+    return float(sigma * np.sqrt(2.0 * np.log(max(odds, 1.0))))
+
+
+def _small_shots(rows: Rows, member: int) -> Iterator[_Table]:
+    """Yield the shots of few readings that an array took of planes."""
+    shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
+    planes = {label: i for i, label in enumerate(rows.targets.get(PLANE.name, ()))}
+    if shots.kind != "array":
+        return
+    for station in np.unique(shots.station).tolist():
+        table = np.flatnonzero(shots.station == station)
+        label = normal_label(labels[station])
+        if kind_of(label) == PLANE.name and label in planes and len(table) < MANY:
+            yield _Table(station, planes[label], table)
+
+
+def misses_of(rows: Rows, values: Values, member: int, plane: int, some: IntArray) -> FloatArray:
+    """Return by how much readings of a sensor are longer than the way to a plane [m].
+
+    Infinite where a ray does not meet it.
+
+    Parameters
+    ----------
+    rows : Rows
+    values : mapping
+        Of a minimum.
+    member, plane : int
+        Numbers of the sensor and of the plane.
+    some : (n,)
+        Rows of the table of the sensor.
+    """
+    shots, sensor = rows.survey.shots[member], values[SENSOR.name][0, member]
+    rays, d = KINDS[shots.kind].rays(shots.across[some]), shots.reading[some]
+    k0, k1, k2, scale = sensor[12:]
+    R = rows.survey.stations.world_R_hand[shots.station[some]]
+    t = rows.survey.stations.world_t_hand[shots.station[some]]
+    X, location = sensor[:9].reshape(3, 3), sensor[9:12]
+    direction = (rays.direction + scale * rays.direction_by_scale) @ X.T
+    direction = np.einsum("nij,nj->ni", R, direction)
+    hits = Plane(np.array([plane])).hit(
+        values, (R @ location + t).T[:, None, None], direction.T[:, None, None]
+    )
+    s = hits.range[0, 0]
+    e = d + k0 + k1 * d + k2 * d**2 - s
+    return np.asarray(np.where(hits.impossible[0, 0] | (s <= 0.0), np.inf, e))
