@@ -252,9 +252,12 @@ def test_poses_in_a_wrong_format_end_with_exit_code_3(tmp_path, handlaser):
     assert code == 3
     assert "to be known to" not in out
     assert "scanner 0.04 mm from its shots, hand 0.1 mm and 0.02 deg assumed" in err
-    words = err.removeprefix("handlaser: ").strip()
-    code, _, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
-    assert (code, err.removeprefix("handlaser: ").strip()) == (3, words)
+    named = "times better if the poses are mm, deg, angles ZYX: log.pose_format kuka"
+    assert named in err
+    words = err.splitlines()[-1]
+    code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
+    assert (code, err.splitlines()[-1]) == (3, words)
+    assert named in " ".join(out.split())
 
 
 @pytest.mark.slow

@@ -42,7 +42,7 @@ from .survey_rows import (
     rows_of,
     without_grazing,
 )
-from .survey_sorting import OF_OTHERS, of_others, slackness, sorted_again
+from .survey_sorting import OF_OTHERS, of_others, slackness, sortable, sorted_again
 from .survey_starts import TRIMMED, start_of
 
 GROSS = 6.0
@@ -558,10 +558,12 @@ def _settle_sorted(state: SurveyState) -> bool:
     noise takes them in.
     """
     for _ in range(MOST_ROUNDS):
+        members = sortable(state.rows, state.sizes.sigma, _by_hand(state))
+        if not members:
+            break
         if not state.minimize():
             return False
-        sigma = state.sizes.sigma
-        again = sorted_again(state.rows, state.values, state.used, sigma, _by_hand(state))
+        again = sorted_again(state.rows, state.values, state.used, members)
         if again is None:
             break
         state.rows, state.used = again

@@ -11,7 +11,7 @@ with w and sigma by expectation maximisation. A reading counts where it is rathe
 else. Where errors of the hand are larger than those of a reading, a shot sorts its readings better.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,10 +46,25 @@ class _Table:
     rows: IntArray
 
 
+def sortable(rows: Rows, sigma: FloatArray, by_hand: float) -> list[int]:
+    """Return the arrays before planes whose readings err more than the hand makes them.
+
+    Parameters
+    ----------
+    rows : Rows
+    sigma : (sensors, ...)
+        Standard deviation of a reading of each [m].
+    by_hand : float
+        Standard deviation of what errors of the hand, as stated or usual, do to a reading [m].
+    """
+    every = range(len(rows.survey.shots))
+    return [i for i in every if sigma[i] > by_hand and any(_small_shots(rows, i))]
+
+
 def sorted_again(
-    rows: Rows, values: Values, used: BoolArray, sigma: FloatArray, by_hand: float
+    rows: Rows, values: Values, used: BoolArray, members: Sequence[int]
 ) -> tuple[Rows, BoolArray] | None:
-    """Return the rows with the readings of arrays before planes sorted by the whole survey.
+    """Return the rows with the readings of some arrays before planes sorted by the whole survey.
 
     A shot that was rejected, or had too few readings on its target, counts again where at least half
     of its readings do.
@@ -60,10 +75,8 @@ def sorted_again(
     values : mapping
         Of a minimum.
     used : (items,) of bool
-    sigma : (sensors, ...)
-        Standard deviation of a reading of each [m].
-    by_hand : float
-        Standard deviation of what errors of the hand, as stated or usual, do to a reading [m].
+    members : sequence of int
+        Numbers of these arrays (`sortable`).
 
     Returns
     -------
@@ -75,10 +88,8 @@ def sorted_again(
         (item.member, item.station): i for i, item in enumerate(items) if item.shot is not None
     }
     changed = False
-    for member, shots in enumerate(rows.survey.shots):
-        tables = list(_small_shots(rows, member)) if sigma[member] > by_hand else []
-        if not tables:
-            continue
+    for member in members:
+        shots, tables = rows.survey.shots[member], list(_small_shots(rows, member))
         misses = [misses_of(rows, values, member, one.plane, one.rows) for one in tables]
         reach = reach_of_noise(np.concatenate(misses), float(np.median(shots.reading)))
         for table, e in zip(tables, misses, strict=True):
