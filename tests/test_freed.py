@@ -414,6 +414,7 @@ def test_validation_takes_the_error_out_as_the_whole_recording_has_it():
     assert max(one.result.rms for one in found.planes) < 5.0 * SIGMA
 
 
+@pytest.mark.slow
 def test_every_view_has_the_error(tmp_path, handlaser):
     path, rig, out, page = (tmp_path / n for n in ("r.csv", "rig.toml", "c.json", "page.html"))
     hl.write_recording(path, recorded(Scene(3), 0, "lag", 0.05))

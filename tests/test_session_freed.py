@@ -152,6 +152,7 @@ def test_a_beam_that_was_displaced_is_named_beside_the_error():
         session.split_beam("b1", names[3])
 
 
+@pytest.mark.slow
 def test_copies_and_what_is_raised_on_the_way_change_nothing(monkeypatch):
     session, rest = begun("lag", 0.05, "lag", range_error="none")
     copy = pickle.loads(pickle.dumps(session))
@@ -185,6 +186,7 @@ def test_what_cannot_be_an_unknown_of_a_session_is_refused_at_once():
     assert_batch(session)
 
 
+@pytest.mark.slow
 def test_the_command_says_what_every_plane_taught_beside_the_error(tmp_path, handlaser):
     path, rig, out = tmp_path / "r.csv", tmp_path / "rig.toml", tmp_path / "c.json"
     recording = recorded(Scene(3), 0, "lag", 0.05)

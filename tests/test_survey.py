@@ -546,6 +546,7 @@ def test_a_stated_sigma_that_shots_contradict_is_said(times, code):
     assert [one.code for one in found.warnings] == ([] if code is None else [code])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [45, 81])
 def test_a_false_face_is_named_and_not_the_shots_that_contradict_it(seed):
     """It used to reject a third of the shots of its plane, and stayed."""

@@ -116,6 +116,7 @@ BY_CHANCE = 30.0
 """A chi2 of six that chance exceeds in 4 of 100,000 cases."""
 
 
+@pytest.mark.slow
 def test_what_is_pulled_by_a_near_echo_is_named_and_left_out():
     survey, mount, place = cluttered(0, short=0.04, limit=0.07)
     found = hl.calibrate(survey, EXACT)
@@ -131,6 +132,7 @@ def test_what_is_pulled_by_a_near_echo_is_named_and_left_out():
     assert "behind-echo" not in {one.code for one in clear.warnings}
 
 
+@pytest.mark.slow
 def test_a_near_echo_that_pulls_nothing_is_no_reason():
     survey, mount, place = cluttered(1)
     found = hl.calibrate(survey, EXACT)
@@ -139,6 +141,7 @@ def test_a_near_echo_that_pulls_nothing_is_no_reason():
     assert error_of(found, mount, place) < BY_CHANCE
 
 
+@pytest.mark.slow
 def test_zones_on_something_else_are_sorted_out_by_all_shots():
     squares = []
     for seed in range(4):
