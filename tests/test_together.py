@@ -9,6 +9,7 @@ from helpers import bench, by_reading, motion, recording_of
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
+from handlaser_gtsam.estimation.many_recordings import _inverses
 from handlaser_gtsam.estimation.posterior import covariance
 from handlaser_gtsam.model import search as searching
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
@@ -126,6 +127,12 @@ def test_recordings_are_solved_as_by_calibrate(errors):
             np.abs(found.parameters[k].offsets - [p.offset for p in one.planes.values()]).max()
             < 1e-5
         )
+
+
+def test_a_recording_that_is_singular_takes_the_covariances_of_no_other():
+    found = _inverses(np.array([np.eye(2), np.ones((2, 2)), 2.0 * np.eye(2)]))
+    assert np.isnan(found[1]).all()
+    assert np.array_equal(found[[0, 2]], [np.eye(2), 0.5 * np.eye(2)])
 
 
 def test_readings_of_long_planes_are_parted():

@@ -48,8 +48,8 @@ class SolvedMany(Value):
     iterations : (K,)
         Steps of the last solution.
     covariances : (K, B, 8, 8)
-        Of (x, y, z, vx, vy, vz, k1, k2) of every beam, SI units. All are NaN where the information of
-        one recording is singular.
+        Of (x, y, z, vx, vy, vz, k1, k2) of every beam, SI units; NaN of a recording whose
+        information is singular.
     """
 
     beam_names: tuple[str, ...]
@@ -129,17 +129,14 @@ def _beam_covariances(
     noise: float | Sequence[Whitening],
     prior: RangeErrorPrior | None,
 ) -> FloatArray:
-    """Return the covariances (K, B, 8, 8) of the beams; all NaN where one information is singular."""
+    """Return the covariances (K, B, 8, 8) of the beams, NaN where the information is singular."""
     problem, block = beam_problem(readings, terms, noise, prior=prior, local=PLANE.name)
     normal = problem.normal(block.centred(values_of(solved.parameters)))
     S = eliminated(
         normal.matrix, normal.border, normal.local, normal.gradient, normal.local_gradient
     ).matrix
     unit = 1.0 / np.sqrt(np.einsum("kii->ki", S))
-    try:
-        inverse = np.linalg.inv(S * unit[:, :, None] * unit[:, None, :])
-    except np.linalg.LinAlgError:
-        inverse = np.full_like(S, np.nan)
+    inverse = _inverses(S * unit[:, :, None] * unit[:, None, :])
     inverse *= unit[:, :, None] * unit[:, None, :] * (problem.unit**2)[:, None, None]
     copies, beams = len(S), block.beams
     width, each = S.shape[1] // beams, np.arange(beams)
@@ -149,6 +146,16 @@ def _beam_covariances(
     lifts = lifts.reshape(copies, beams, 8, width).swapaxes(0, 1)
     covariances: FloatArray = (lifts @ blocks @ lifts.swapaxes(-1, -2)).swapaxes(0, 1)
     return covariances
+
+
+def _inverses(matrices: FloatArray) -> FloatArray:
+    """Return the inverses of a stack (K, n, n), NaN of those that are singular."""
+    try:
+        return np.asarray(np.linalg.inv(matrices))
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full_like(matrices, np.nan)
+        return np.concatenate([_inverses(one[None]) for one in matrices])
 
 
 def _of_one_shape(recordings: Sequence[Recording]) -> list[Readings]:
