@@ -217,7 +217,10 @@ class RangeBlock:
         values: gtsam.Values,
         jacobians: gtsam.JacobianVector | Sequence[FloatArray] | None,
     ) -> FloatArray:
-        """Return the residuals [m] (N,) and fill the Jacobians where they are asked for."""
+        """Return the residuals [m] (N,) and fill the Jacobians where they are asked for.
+
+        Both may be views, good until blocks are evaluated again: GTSAM copies them at once.
+        """
         share = self.prepared
         if share is None and self.gathering is not None:
             share = self.gathering.share(self, values)

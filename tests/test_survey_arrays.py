@@ -158,6 +158,15 @@ def test_zones_on_something_else_are_sorted_out_by_all_shots():
     assert (hl.calibrate(clean, EXACT)._found.spread == 1.0).all()
 
 
+def test_what_is_open_and_misread_is_not_solved_again():
+    """Where shots are read as what they are not, nothing is called undetermined, and yet it may be."""
+    found = hl.calibrate(rough(0, stations=12)[0], EXACT)
+    estimate = replace(found._found.estimate, status="undetermined")
+    wrong = replace(found, status="contradicted", _found=replace(found._found, estimate=estimate))
+    with pytest.raises(hl.InputError, match="a calibration that is contradicted"):
+        hl.validation.cross_check_survey(wrong)
+
+
 def test_echoes_before_are_checked():
     survey, _, _ = cluttered(0)
     (shots,) = survey.shots

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_distance, rigs_by_rays
+from handlaser_gtsam.files.points_table import read_points
 from handlaser_gtsam.files.rig_survey import SensorTable, SurveyTables, _refuse_exchanged
 
 FOLDER = ROOT / "examples" / "profiler"
@@ -191,6 +192,30 @@ def test_tables_of_points_may_be_written_as_sensors_and_spreadsheets_do(folder, 
     (folder / "profiles.csv").write_text("\n".join([header, *lines[1:]]) + "\n")
     read = hl.read_survey(folder / "poses.csv", folder / "rig.toml").shots[0]
     assert read == plain
+
+
+def test_a_column_without_a_name_is_no_station(tmp_path):
+    """As pandas writes the index of its rows, which may be names of stations."""
+    (tmp_path / "points.csv").write_text(",station,x,z\n0,2,1,300\n1,2,2,300\n2,3,1,310\n")
+    station, *_ = read_points(tmp_path / "points.csv", "profiler", ("0", "1", "2", "3"))
+    assert station.tolist() == [2, 2, 3]
+
+
+def test_commas_in_names_of_stations_stay(folder):
+    for name in ("poses.csv", "profiles.csv"):
+        text = (
+            (folder / name)
+            .read_text()
+            .replace("P1,", "P1.000,5,", 1 if name == "poses.csv" else -1)
+        )
+        if name == "profiles.csv":
+            lines = [line.rsplit(",", 2) for line in text.splitlines()]
+            text = "\n".join(";".join([a, *(x.replace(".", ",") for x in b)]) for a, *b in lines)
+        else:
+            text = text.replace("P1.000,5,", '"P1.000,5",')
+        (folder / name).write_text(text + "\n")
+    read = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    assert "P1.000,5" in read.stations.station_names
 
 
 def test_columns_that_may_be_one_are_refused(folder):

@@ -76,7 +76,8 @@ class Shots(Value):
         As which the readings of an array came in; whether they fit better as the other is tested.
     before : (N,), optional
         Of an array that reads several echoes a zone: the nearest echo that the zone read before this
-        one [m], NaN where there is none. `clear_of` leaves out what stands behind a near one.
+        one [m], as it was read, along the axis if readings are perpendicular; NaN where there is none.
+        `clear_of` leaves out what stands behind a near one.
 
     Raises
     ------

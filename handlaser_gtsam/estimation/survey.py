@@ -132,7 +132,7 @@ class SurveyEstimate:
         fits as well.
     first : FirstFit
     spread : (n,)
-        By what the standard deviation of each unknown of `estimate` was multiplied (`spread_of`).
+        By what the standard deviation of each unknown of `estimate` was multiplied (`_spread`).
     """
 
     rows: Rows
@@ -669,7 +669,8 @@ def _spread(state: SurveyState, found: Estimate) -> FloatArray:
 
         C = inv(H) (sum_s g_s g_s') inv(H) S / (S - 1).
 
-    What may be sorted either way adds to that (`slackness`). No standard deviation becomes smaller.
+    What may be sorted either way adds to that (`slackness`), and is all where stations are no more than
+    the unknowns. No standard deviation becomes smaller.
     """
     ones = np.ones(len(found.covariance))
     rough = [
@@ -688,7 +689,7 @@ def _spread(state: SurveyState, found: Estimate) -> FloatArray:
         station[part] = np.repeat([item.station for item in some], shape[1])
     stations = np.unique(station[station >= 0])
     if J.shape[1] != len(ones) or len(stations) <= len(ones):
-        return ones
+        return slack * ones
     inverse = np.linalg.inv(J.T @ J)
     steps = np.stack([inverse @ (J[station == s].T @ e[station == s]) for s in stations])
     variance = (steps**2).sum(axis=0) * len(stations) / (len(stations) - 1)

@@ -32,6 +32,9 @@ COLUMNS = {
 """Columns beside `station`, by the kind of the sensor."""
 Echo = Literal["all", "near", "far"]
 
+DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
+"""A number with a decimal comma; a name of a station that holds one stays as it is."""
+
 
 def read_points(
     path: Path,
@@ -70,8 +73,8 @@ def read_points(
     if others and kind not in others:
         found_so = f"columns of kind = {' or '.join(map(shown, others))}: {table.names}"
         raise table.fault(found_so, f"{', '.join(wanted)} of kind = {shown(kind)}", wanted[0])
-    named = station_column in table.frame.columns
-    station_column = station_column if named else _column(table, "station")
+    if not station_column or station_column not in table.frame.columns:
+        station_column = _column(table, "station")
     found = [_column(table, name) for name in wanted]
     names = table.frame[station_column].cast(pl.String)
     table.refuse(names.is_null().to_numpy(), station_column, "the name of a station")
@@ -140,7 +143,7 @@ def read_frame(path: Path, expected: str) -> Table:
             separator = next((mark for mark in ";\t" if mark in header), ",")
             texts = pl.selectors.all().str.strip_chars()
             if separator != ",":
-                texts = texts.str.replace_all(",", ".", literal=True)
+                texts = texts.str.replace(DECIMAL_COMMA, "${1}.${2}")
             frame = pl.read_csv(path, infer_schema_length=0, separator=separator).select(
                 pl.when(texts != "").then(texts)
             )

@@ -61,8 +61,8 @@ class Belief:
     turned_from : (3, 3)
         Mean orientation of the hand in the recording behind it, from which errors of turns count.
     bent_from : (P, 3) and float, or None
-        Middle of each plate and squared distance [m^2] from which a curvature counts; None where it is
-        no unknown.
+        Middle of each plate and squared distance [m^2] from which a curvature counts; None where no
+        error is an unknown.
     uncounted : tuple of str
         Codes of freed errors of which the next stations are taken to have none, because it depends on
         when and before which other stations they are measured, or on new plates.

@@ -155,7 +155,8 @@ def plan_survey(
     scale = 1.0 / np.sqrt(np.diagonal(information))  # unknowns differ in size
     size, axes = np.linalg.eigh(information * np.outer(scale, scale))
     root = axes / np.sqrt(np.maximum(size, np.finfo(float).eps))
-    before = np.asarray((root @ root.T) * np.outer(scale, scale))
+    spread = found.spread
+    before = np.asarray((root @ root.T) * np.outer(scale, scale) * np.outer(spread, spread))
     weight = _weight(calibration, J.shape[1])
     R, t = (np.concatenate([view[i] for view in views]) for i in (0, 1))
     most = max(said.shape[1] for _, _, said in views)

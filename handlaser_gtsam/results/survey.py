@@ -212,7 +212,8 @@ class SurveyCalibration(Value):
     status : str
         `converged`; `undetermined`; `contradicted`, where the readings do not fit each other, or are
         not what is stated of them: an array reads in the other convention, a target is of another kind
-        than its label says, or cones have another half angle; `not_converged`.
+        than its label says, cones have another half angle, or near echoes pull what is read behind;
+        `not_converged`.
     message : str
         The same in words.
     sensors, beams, targets : mappings by name

@@ -173,7 +173,7 @@ def validate_survey(
     rng = np.random.default_rng(0) if rng is None else rng
     whole = estimate_survey(survey, noise)
     calibration = survey_calibration(whole)
-    if calibration.status not in FITS:
+    if not _fits(calibration):
         raise SolverError(calibration.verdict)
     reference = cross_check_survey(calibration)
     labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
@@ -198,11 +198,16 @@ def cross_check_survey(calibration: SurveyCalibration) -> CrossCheck:
         A calibration that did not converge.
     """
     require_kind("calibration", calibration, SurveyCalibration)
-    if calibration.status not in FITS:
+    if not _fits(calibration):
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     found = calibration._found
     theirs = solve_survey(_problem(found))
     return compared(_differences(calibration, theirs), theirs.evaluations)
+
+
+def _fits(calibration: SurveyCalibration) -> bool:
+    """Tell whether there is one minimum, whatever is contradicted there."""
+    return calibration.status in FITS and calibration._found.estimate.status in FITS
 
 
 def _problem(found: SurveyEstimate) -> SurveyProblem:
