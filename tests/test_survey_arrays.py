@@ -158,6 +158,21 @@ def test_zones_on_something_else_are_sorted_out_by_all_shots():
     assert (hl.calibrate(clean, EXACT)._found.spread == 1.0).all()
 
 
+@pytest.mark.slow
+def test_the_growth_counts_in_plans_and_at_few_stations():
+    survey, _, _ = cluttered(3, others=0.3)
+    found = hl.calibrate(survey, EXACT)
+    assert found._found.spread.max() > 1.0
+    planned = hl.planning.plan_survey(found, 1)
+    # As the calibration has it, to first order at the same values; without the growth it is 12 % less.
+    assert planned.spot_errors[0] == pytest.approx(found.sensors["tof"].spot_error, rel=1e-3)
+    (shots,) = survey.shots
+    few = replace(survey, shots=(shots.part(shots.station < 9),))  # as many stations as unknowns
+    spread = hl.calibrate(few, EXACT)._found.spread
+    assert spread[0] > 1.0
+    assert (spread == spread[0]).all()
+
+
 def test_what_is_open_and_misread_is_not_solved_again():
     """Where shots are read as what they are not, nothing is called undetermined, and yet it may be."""
     found = hl.calibrate(rough(0, stations=12)[0], EXACT)
