@@ -137,12 +137,17 @@ def plan_survey(
     if workspace is None:
         workspace = workspace_of(found.rows.survey.stations)
     names, sensors, labels = list(calibration.sensors), [], []
+    place = found.rows.places().place[SENSOR.name]
     views: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     of_rays = (item for item in found.rows.items if item.family == SENSOR.name)
     for member, target in dict.fromkeys((item.member, item.target) for item in of_rays):
         view = _views(calibration, member, target, workspace, rng)
         if view is not None:
-            views.append(view)
+            R, t, said = view
+            # What a sensor says at further stations counts as little as what it has said.
+            views.append(
+                (R, t, said / found.spread[place[member] : place[member] + POSE.dim].max())
+            )
             sensors += [names[member]] * len(view[0])
             labels += [found.rows.label(target)] * len(view[0])
     if not views:
