@@ -20,11 +20,10 @@ from handlaser_gtsam.files.logs.bag_points import MESSAGE_OF
 from handlaser_gtsam.files.points_table import COLUMNS
 from handlaser_gtsam.model import known
 from handlaser_gtsam.model.families import FAMILIES, PLANE
-from handlaser_gtsam.model.lines import condensed_shots
 from handlaser_gtsam.model.ranges import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
-from handlaser_gtsam.model.shots import condensed
+from handlaser_gtsam.model.shots import condensed_shots
 from handlaser_gtsam.model.targets.plane import Plane
 from handlaser_gtsam.model.targets.point import POINT
 from handlaser_gtsam.model.targets.sphere import SPHERE
@@ -209,7 +208,7 @@ def test_many_shots_at_once_are_as_one_by_one(ratio):
         shots.append((x[:, None] + 1e-4 * ratio * rng.normal(size=(150, 1)), z))
     kind = KINDS["profiler"]
     for one, (across, z) in zip(condensed_shots(kind, "plane", shots, ratio), shots, strict=True):
-        other = condensed(kind, "plane", across, z, ratio)
+        (other,) = condensed_shots(kind, "plane", [(across, z)], ratio)
         assert (one.kept == other.kept).all()
         assert one.shape == pytest.approx(other.shape, rel=1e-9, abs=1e-9)
         assert (one.squares, one.dof) == (pytest.approx(other.squares, rel=1e-6), other.dof)
@@ -230,9 +229,8 @@ def test_noise_across_a_profile_pulls_no_slope():
     off = []
     for _ in range(200):
         noise = rng.normal(scale=5e-4, size=(2, 100))
-        shot = condensed(
-            KINDS["profiler"], "plane", (x + noise[0])[:, None], 0.1 + 0.5 * x + noise[1], 1.0
-        )
+        profile = (x + noise[0])[:, None], 0.1 + 0.5 * x + noise[1]
+        (shot,) = condensed_shots(KINDS["profiler"], "plane", [profile], 1.0)
         off.append(shot.shape[1] - 0.5)
     assert abs(np.mean(off)) < 4.0 * np.std(off) / np.sqrt(200)
 

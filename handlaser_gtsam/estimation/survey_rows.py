@@ -11,14 +11,21 @@ from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_labe
 from ..model import known as relations
 from ..model.block import Block, Values, VectorPrior, Weights
 from ..model.families import BEAM, PLANE, POSE
-from ..model.lines import condensed_shots
 from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS, Rayset
 from ..model.sensors.mounted import SENSOR, Mounted
-from ..model.shots import MOST_SLANTED, Condensed, Mixed, Unexplained, of_single_readings, some_of
+from ..model.shots import (
+    MOST_SLANTED,
+    Condensed,
+    Mixed,
+    Unexplained,
+    condensed_shots,
+    of_single_readings,
+    some_of,
+)
 from ..model.targets.plane import Plane
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere

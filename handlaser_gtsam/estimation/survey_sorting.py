@@ -22,7 +22,7 @@ from ..model.block import Values
 from ..model.families import PLANE
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..model.shots import MANY, condensed
+from ..model.shots import MANY, condensed_shots
 from ..model.targets.plane import Plane
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
 from .survey_rows import Item, Rows
@@ -99,13 +99,8 @@ def sorted_again(
             if not near.any() or (before is None and near.mean() < 0.5):
                 continue
             points = table.rows[near]
-            shot = condensed(
-                KINDS[shots.kind],
-                PLANE.name,
-                shots.across[points],
-                shots.reading[points],
-                sorted_out=True,
-            )
+            one = [(shots.across[points], shots.reading[points])]
+            (shot,) = condensed_shots(KINDS[shots.kind], PLANE.name, one, sorted_out=True)
             if shot is None:
                 continue
             points = points[shot.kept]

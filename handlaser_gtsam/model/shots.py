@@ -14,15 +14,15 @@ Blocks of shots have a few rows each: ranges whose noise is correlated (`Mixed`)
 leave (`Unexplained`).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import qr
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import RAY_ERRORS
-from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, TINY
+from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, NUMBERS_AT_ONCE, SINGULAR, TINY
 from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
 from .ranges import Ranges
@@ -56,22 +56,22 @@ SHAPE_SETTLED = 1e-10
 
 
 class Shape(Protocol):
-    """What a target looks like in the frame of a sensor."""
+    """What a target looks like in the frame of a sensor; leading axes are shots."""
 
     @property
     def size(self) -> int:
         """Return how many numbers it has."""
 
     def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
-        """Return shapes (H, size) through sets of readings (H, m), linear least squares each."""
+        """Return shapes (..., size) through sets of readings (..., m), linear least squares each."""
 
     def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
-        """Return the ranges (H, n) of rays to shapes (H, size); infinite where one is missed."""
+        """Return the ranges (..., H, n) of n rays to shapes (..., H, size); infinite where missed."""
 
     def columns(
         self, shape: FloatArray, rays: Rayset, s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of ranges s (n,) by the shape (n, size), and by the origins (n, 3)."""
+        """Return derivatives of ranges s (G, n) by shapes (G, n, size), and by origins (G, n, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,14 +85,15 @@ class _Line:
         return _solved(np.stack((np.ones_like(x), x), axis=-1), reading)
 
     def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
-        return np.asarray(shapes[:, :1] + shapes[:, 1:] * rays.origin[:, 0])
+        return np.asarray(shapes[..., :1] + shapes[..., 1:] * rays.origin[..., None, :, 0])
 
     def columns(
         self, shape: FloatArray, rays: Rayset, s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        x = rays.origin[:, 0]
-        a = np.broadcast_to([shape[1], 0.0, -1.0], (len(s), 3))
-        return np.stack((np.ones_like(x), x), axis=1), a
+        x = rays.origin[..., 0]
+        a = np.zeros((*s.shape, 3))
+        a[..., 0], a[..., 2] = shape[:, 1:], -1.0
+        return np.stack((np.ones_like(x), x), axis=-1), a
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,15 +110,15 @@ class _Plane:
         return _solved(rays.direction[..., self.axes], 1.0 / reading)
 
     def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
-        inverse = shapes @ rays.direction[:, self.axes].T
+        inverse = shapes @ np.swapaxes(rays.direction[..., self.axes], -1, -2)
         return np.where(inverse > TINY, 1.0 / np.maximum(inverse, TINY), np.inf)
 
     def columns(
         self, shape: FloatArray, rays: Rayset, s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        a = np.zeros((len(s), 3))
-        a[:, self.axes] = -s[:, None] * shape
-        return -(s**2)[:, None] * rays.direction[:, self.axes], a
+        a = np.zeros((*s.shape, 3))
+        a[..., self.axes] = -s[..., None] * shape[:, None]
+        return -(s**2)[..., None] * rays.direction[..., self.axes], a
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,25 +135,26 @@ class _Sphere:
         p = (rays.origin + reading[..., None] * rays.direction)[..., self.axes]
         rows = np.concatenate((2.0 * p, np.ones((*p.shape[:-1], 1))), axis=-1)
         found = _solved(rows, (p**2).sum(axis=-1))
-        square = found[:, -1] + (found[:, :-1] ** 2).sum(axis=1)
-        return np.column_stack((found[:, :-1], np.sqrt(np.maximum(square, TINY))))
+        square = found[..., -1] + (found[..., :-1] ** 2).sum(axis=-1)
+        found[..., -1] = np.sqrt(np.maximum(square, TINY))
+        return found
 
     def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
-        w = rays.origin[:, self.axes] - shapes[:, None, :-1]
-        u = rays.direction[:, self.axes]
+        w = rays.origin[..., None, :, self.axes] - shapes[..., None, :-1]
+        u = rays.direction[..., None, :, self.axes]
         b = (w * u).sum(axis=-1)
-        under = b * b - (w * w).sum(axis=-1) + shapes[:, -1:] ** 2
+        under = b * b - (w * w).sum(axis=-1) + shapes[..., -1:] ** 2
         return np.where(under > 0.0, -b - np.sqrt(np.maximum(under, 0.0)), np.inf)
 
     def columns(
         self, shape: FloatArray, rays: Rayset, s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        u = rays.direction[:, self.axes]
-        p = rays.origin[:, self.axes] - shape[:-1] + s[:, None] * u
-        q = np.minimum((p * u).sum(axis=1), -NEGLIGIBLE * shape[-1])[:, None]
-        a = np.zeros((len(s), 3))
-        a[:, self.axes] = -p / q
-        return np.concatenate((p / q, shape[-1] / q), axis=1), a
+        radius, u = shape[:, None, -1], rays.direction[..., self.axes]
+        p = rays.origin[..., self.axes] - shape[:, None, :-1] + s[..., None] * u
+        q = np.minimum((p * u).sum(axis=-1), -NEGLIGIBLE * radius)[..., None]
+        a = np.zeros((*s.shape, 3))
+        a[..., self.axes] = -p / q
+        return np.concatenate((p / q, radius[..., None] / q), axis=-1), a
 
 
 def shape_of(kind: Kind, target: str) -> Shape:
@@ -199,28 +201,26 @@ class Condensed:
     kept: BoolArray
 
 
-def condensed(
+def condensed_shots(
     kind: Kind,
     target: str,
-    across: FloatArray,
-    reading: FloatArray,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
     ratio: float = 0.0,
     sigma: float | None = None,
     *,
     sorted_out: bool = False,
-) -> Condensed | None:
-    """Return a shot in a few rows; None where no shape fits its points.
+) -> list[Condensed | None]:
+    """Return shots in a few rows each; None where no shape fits the points of one.
 
     A shot of so few points that its shape is hardly known is not condensed: each reading is a row.
+    Shots of equal length are condensed together.
 
     Parameters
     ----------
     kind : Kind
     target : "plane" or "sphere"
-    across : (n, c)
-        What tells the rays apart.
-    reading : (n,)
-        [m]
+    shots : sequence of (across (n, c), reading (n,))
+        What tells the rays apart, and readings [m].
     ratio : float
         Standard deviation of `across`, in standard deviations of a reading, for profilers.
     sigma : float, optional
@@ -228,73 +228,102 @@ def condensed(
     sorted_out : bool
         Whether points that do not belong to the target have been rejected already.
     """
-    shape, rays = shape_of(kind, target), kind.rays(across)
+    shape = shape_of(kind, target)
     few = WEAK_SPHERE * shape.size if target == "sphere" else shape.size - 1
-    if len(reading) <= few:
-        return _as_they_are(shape, rays, reading)
-    if sorted_out:
-        through = shape.through(_stacked(rays, None), reading[None])
-        first, kept = _refined(shape, through, rays, reading), np.ones(len(reading), dtype=bool)
+    lengths = np.array([len(reading) for _, reading in shots], dtype=int)
+    found: list[Condensed | None] = [None] * len(shots)
+    for n in np.unique(lengths).tolist():
+        # Numbers of the trial shapes of a shot, or of the derivatives of its points.
+        numbers = max(4 * TRIALS * min(n, VOTING), 16 * n, 1)
+        alike, share = np.flatnonzero(lengths == n), max(NUMBERS_AT_ONCE // numbers, 1)
+        for first in range(0, len(alike), share):
+            some = alike[first : first + share].tolist()
+            rays = kind.rays(np.concatenate([shots[i][0] for i in some]))
+            rays = _reshaped(rays, (len(some), n, 3))
+            reading = np.stack([shots[i][1] for i in some])
+            ends = _condensed(shape, rays, reading, few, ratio, sigma, sorted_out)
+            for i, end in zip(some, ends, strict=True):
+                found[i] = end
+    return found
+
+
+def _condensed(
+    shape: Shape,
+    rays: Rayset,
+    reading: FloatArray,
+    few: int,
+    ratio: float,
+    sigma: float | None,
+    sorted_out: bool,
+) -> list[Condensed | None]:
+    """Return shots with readings (G, n) in a few rows; those with few points kept as they are."""
+    G, n = reading.shape
+    kept = np.ones(reading.shape, dtype=bool)
+    if n <= few:
+        return [_as_they_are(shape, _rows(rays, g), reading[g], kept[g]) for g in range(G)]
+    if sorted_out or n <= shape.size + 1:
+        found, fits = _refined(shape, shape.through(rays, reading), rays, reading, kept)
     else:
-        first, kept = _robust(shape, rays, reading, sigma)
-    if first is None:
-        return None
-    kept = kept & _steep(shape, first, rays)
-    if kept.sum() < shape.size:
-        return None
-    if kept.sum() <= few:
-        return _as_they_are(shape, _rows(rays, kept), reading[kept], kept)
-    found, d = first, reading[kept]
-    at = rays = _rows(rays, kept)
-    for _ in range(STEPS_OF_SHAPE):
-        s = shape.ranges(found[None], at)[0]
-        if not np.isfinite(s).all():
-            return None
-        J, a = shape.columns(found, at, s)
-        slope = a[:, 0]
-        e = d - s
-        if (
-            ratio
-        ):  # noise across the rays: as the reading of the ray where the point most probably was
-            e = e - slope * (rays.origin[:, 0] - at.origin[:, 0])
-        root = 1.0 / np.sqrt(1.0 + (ratio * slope) ** 2)
-        step, *_ = np.linalg.lstsq(J * root[:, None], e * root, rcond=None)
-        left = e - J @ step
+        found, fits, kept = _robust(shape, rays, reading, sigma)
+    kept &= _steep(shape, found, rays)
+    many = kept.sum(axis=1)
+    whole = np.flatnonzero(fits & (many > few) & (many >= shape.size))
+    ends: list[Condensed | None] = [None] * G
+    for i in np.flatnonzero(fits & (many <= few) & (many >= shape.size)).tolist():
+        ends[i] = _as_they_are(shape, _rows(rays, i), reading[i], kept[i])
+    if not whole.size:
+        return ends
+    fitted = _fitted(shape, found[whole], _rows(rays, whole), reading[whole], kept[whole], ratio)
+    for i, end in zip(whole.tolist(), fitted, strict=True):
+        ends[i] = end
+    return ends
+
+
+def _fitted(
+    shape: Shape,
+    found: FloatArray,
+    rays: Rayset,
+    reading: FloatArray,
+    kept: BoolArray,
+    ratio: float,
+) -> list[Condensed | None]:
+    """Return the shots at the shapes that fit them best, from shapes (G, size) nearby."""
+    at = rays
+    for step in range(STEPS_OF_SHAPE):
+        s = shape.ranges(found[:, None], at)[:, 0]
+        J, a = shape.columns(found, at, np.where(np.isfinite(s), s, 0.0))
+        slope = a[..., 0]
+        # Noise across the rays counts as noise of the ray where the point most probably was.
+        e = reading - s - slope * (rays.origin[..., 0] - at.origin[..., 0])
+        e = np.where(kept & np.isfinite(s), e, 0.0)
+        root = kept / np.sqrt(1.0 + (ratio * slope) ** 2)
+        further = _solved(J * root[..., None], e * root)
+        left = e - (J @ further[..., None])[..., 0]
+        small = np.abs(further).max(axis=1) <= SHAPE_SETTLED * np.abs(found).max(axis=1)
         # The start is a minimum with the points where they were read: they have to move first.
-        if np.abs(step).max() <= SHAPE_SETTLED * np.abs(found).max() and (
-            at is not rays or not ratio
-        ):
+        if small.all() and (step or not ratio):
             break
-        found = found + step
+        found = found + further
         if ratio:
             moved = rays.origin.copy()
-            moved[:, 0] += ratio**2 * slope * left * root**2
+            moved[..., 0] += ratio**2 * slope * left * (root * root)
             at = Rayset(moved, rays.direction, moved, rays.direction_by_scale)
     return _in_rows(shape, found, at, left, J, a, root, kept)
 
 
-def _as_they_are(
-    shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArray | None = None
-) -> Condensed:
+def _as_they_are(shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArray) -> Condensed:
     """Return readings as rows of their own; the shape only serves as a start, where there is one."""
-    n = len(reading)
-    found = None
+    rays, d = _rows(rays, kept), reading[kept]
+    n, found = len(d), np.full(shape.size, np.nan)
     if n >= shape.size:
-        through = shape.through(_stacked(rays, None), reading[None])
-        found = _refined(shape, through, rays, reading)
-    by_error = np.stack((np.ones(n), reading, reading**2, np.zeros(n)))
-    return Condensed(
-        np.full(shape.size, np.nan) if found is None else found,
-        rays,
-        reading,
-        np.eye(n),
-        by_error,
-        np.zeros(0),
-        np.zeros((0, len(by_error))),
-        0.0,
-        0,
-        np.ones(n, dtype=bool) if kept is None else kept,
-    )
+        every = _reshaped(rays, (1, n, 3))
+        refined, fits = _refined(
+            shape, shape.through(every, d[None]), every, d[None], np.ones((1, n), dtype=bool)
+        )
+        found = refined[0] if fits[0] else found
+    by_error = np.stack((np.ones(n), d, d**2, np.zeros(n)))
+    nothing = np.zeros(0), np.zeros((0, len(by_error)))
+    return Condensed(found, rays, d, np.eye(n), by_error, *nothing, 0.0, 0, kept)
 
 
 def of_single_readings(shot: Condensed) -> bool:
@@ -320,82 +349,101 @@ def _in_rows(
     a: FloatArray,
     root: FloatArray,
     kept: BoolArray,
-) -> Condensed | None:
-    s = shape.ranges(found[None], rays)[0]
-    W = J * root[:, None]
-    unit = 1.0 / np.maximum(np.sqrt((W**2).sum(axis=0)), TINY)
-    R: FloatArray = np.asarray(np.linalg.qr(W * unit, mode="r"), dtype=float)
-    diagonal = np.abs(np.diagonal(R))
-    if not np.isfinite(s).all() or diagonal.min() < NEGLIGIBLE * diagonal.max():
-        return None
-    # As many rows as there are columns, far from dependent.
-    order = qr((W * unit).T, mode="economic", pivoting=True)[2]
-    nodes = np.sort(order[: W.shape[1]])
-    G = np.linalg.solve(R.T, (J[nodes] * unit).T).T  # its rows have the covariance G G'
-    mix: FloatArray = np.linalg.inv(G).T
-    moved = (a * rays.origin_by_scale).sum(axis=1)
-    moved += s * (a * rays.direction_by_scale).sum(axis=1)
-    E = np.stack((np.ones_like(s), s, s**2, -moved), axis=1)
-    along, *_ = np.linalg.lstsq(W * unit, E * root[:, None], rcond=None)
-    beside = E * root[:, None] - W * unit @ along
-    whole = np.sqrt(((E * root[:, None]) ** 2).sum(axis=0)).max()
-    U, singular, Vt = np.linalg.svd(beside, full_matrices=False)
-    some = singular > NEGLIGIBLE * whole
+) -> list[Condensed | None]:
+    """Return as many rays of each shot as its shape has numbers, and what range errors leave."""
+    s = shape.ranges(found[:, None], rays)[:, 0]
+    sound = (np.isfinite(s) | ~kept).all(axis=1)
+    s = np.where(np.isfinite(s), s, 0.0)
+    W = J * root[..., None]
+    unit = 1.0 / np.maximum(np.sqrt(np.einsum("gni,gni->gi", W, W)), TINY)
+    W *= unit[:, None]
+    Q, R = np.linalg.qr(W)
+    diagonal = np.abs(np.einsum("gii->gi", R))
+    sound &= diagonal.min(axis=1) >= NEGLIGIBLE * diagonal.max(axis=1)
+    moved = np.einsum("gni,gni->gn", a, rays.origin_by_scale)
+    moved += s * np.einsum("gni,gni->gn", a, rays.direction_by_scale)
+    E = np.stack((np.ones_like(s), s, s**2, -moved), axis=2) * root[..., None]
+    along = np.swapaxes(Q, 1, 2) @ E
+    largest = np.sqrt(np.einsum("gni,gni->gi", E, E).max(axis=1))
+    base, triangle = np.linalg.qr(E - Q @ along)
+    U, singular, Vt = np.linalg.svd(triangle, full_matrices=False)
     e = -left * root
-    rest = U[:, some].T @ e
-    return Condensed(
-        found,
-        _rows(rays, nodes),
-        s[nodes],
-        mix,
-        ((J[nodes] * unit) @ along).T,
-        rest,
-        -singular[some, None] * Vt[some],
-        max(float(e @ e - rest @ rest), 0.0),
-        len(left) - shape.size - int(some.sum()),
-        kept,
-    )
+    beside = np.einsum("gni,gn->gi", base, e)
+    squares, nodes = (e**2).sum(axis=1), _far_apart(W)
+    ends: list[Condensed | None] = [None] * len(s)
+    for g in np.flatnonzero(sound).tolist():
+        some = singular[g] > NEGLIGIBLE * largest[g]
+        at = J[g, nodes[g]] * unit[g]
+        # Ranges at the nodes have the covariance G G' with G = at inv(R).
+        mix: FloatArray = np.linalg.inv(np.linalg.solve(R[g].T, at.T).T).T
+        rest = U[g][:, some].T @ beside[g]
+        ends[g] = Condensed(
+            found[g],
+            _rows(_rows(rays, g), nodes[g]),
+            s[g, nodes[g]],
+            mix,
+            (at @ np.linalg.solve(R[g], along[g])).T,
+            rest,
+            -singular[g, some, None] * Vt[g][some],
+            max(float(squares[g] - rest @ rest), 0.0),
+            int(kept[g].sum()) - shape.size - int(some.sum()),
+            kept[g],
+        )
+    return ends
+
+
+def _far_apart(rows: FloatArray) -> IntArray:
+    """Return q rows of each of G matrices (G, n, q) that are far from dependent, in their order.
+
+    They are the first pivots of a QR decomposition of the rows.
+    """
+    rest, each, nodes = rows.copy(), np.arange(len(rows)), []
+    for _ in range(rows.shape[2]):
+        nodes.append(np.einsum("gni,gni->gn", rest, rest).argmax(axis=1))
+        pivot = rest[each, nodes[-1]]
+        pivot = pivot / np.maximum(np.linalg.norm(pivot, axis=1), TINY)[:, None]
+        rest -= (rest @ pivot[..., None]) * pivot[:, None]
+    return np.sort(np.stack(nodes, axis=1), axis=1)
 
 
 def _robust(
     shape: Shape, rays: Rayset, reading: FloatArray, sigma: float | None
-) -> tuple[FloatArray | None, BoolArray]:
-    """Return a shape that most points agree with, and these points."""
-    n = len(reading)
-    if n <= shape.size + 1:
-        through = shape.through(_stacked(rays, None), reading[None])
-        return _refined(shape, through, rays, reading), np.ones(n, dtype=bool)
+) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Return shapes that most points of each shot agree with, where there are any, and these points."""
+    G, n = reading.shape
     rng = np.random.default_rng(n)
     sets = rng.integers(n, size=(TRIALS, shape.size + 1))
     voters = rng.permutation(n)[:VOTING]
-    trials = shape.through(_stacked(rays, sets), reading[sets])
-    e = np.abs(reading[voters] - shape.ranges(trials, _rows(rays, voters)))
-    e = np.where(np.isfinite(e), e, np.inf)
+    trials = shape.through(_rows(rays, (slice(None), sets)), reading[:, sets])
+    e = _misses(reading[:, None, voters], shape.ranges(trials, _rows(rays, (slice(None), voters))))
     if isinstance(shape, _Sphere):  # a wall behind it would be the largest of all
-        largest = max(float(np.abs(reading).max()), float(np.abs(rays.origin).max()))
-        e[trials[:, -1] > LARGEST_BALL * largest] = np.inf
-    share, to_sigma = share_of(n)
-    best = trials[int(np.quantile(e, share, axis=1, method="lower").argmin())]
-    kept = np.ones(n, dtype=bool)
-    larger = 1.0 + FEW_TOO_CLOSE / (n - shape.size)
-    for sifting in range(SIFTINGS):
-        e = np.abs(reading - shape.ranges(best[None], rays)[0])
-        e = np.where(np.isfinite(e), e, np.inf)
-        scale = np.inf
-        if not sifting:
-            scale = to_sigma * larger * float(np.quantile(e, share, method="lower"))
-        elif kept.any():
-            scale = MEDIAN_TO_SIGMA * larger * float(np.median(e[kept]))
-        kept = e <= FAR_FROM_SHAPE * max(
-            scale, sigma or 0.0, SHAPE_SETTLED * float(np.median(reading))
+        largest = np.maximum(
+            np.abs(reading).max(axis=1), np.abs(rays.origin).reshape(G, -1).max(axis=1)
         )
-        if kept.sum() <= shape.size:
-            return None, kept
-        again = _refined(shape, best[None], _rows(rays, kept), reading[kept])
-        if again is None:
-            return None, kept
-        best = again
-    return best, kept
+        e[trials[..., -1] > LARGEST_BALL * largest[:, None]] = np.inf
+    share, to_sigma = share_of(n)
+    place = int(share * (len(voters) - 1))
+    best = np.partition(e, place, axis=2)[..., place].argmin(axis=1)
+    found, fits = trials[np.arange(G), best], np.ones(G, dtype=bool)
+    kept = np.ones(reading.shape, dtype=bool)
+    larger = 1.0 + FEW_TOO_CLOSE / (n - shape.size)
+    least = np.maximum(SHAPE_SETTLED * np.median(reading, axis=1), sigma or 0.0)
+    for sifting in range(SIFTINGS):
+        e = _misses(reading, shape.ranges(found[:, None], rays)[:, 0])
+        order = np.sort(np.where(kept, e, np.inf), axis=1)
+        if sifting:
+            count = np.maximum(kept.sum(axis=1), 1)
+            median = order[np.arange(G), (count - 1) // 2] + order[np.arange(G), count // 2]
+            scale = 0.5 * MEDIAN_TO_SIGMA * median
+        else:
+            scale = to_sigma * order[:, int(share * (n - 1))]
+        before, kept = kept, e <= FAR_FROM_SHAPE * np.maximum(larger * scale, least)[:, None]
+        if sifting and (kept == before)[fits].all():
+            break
+        again, good = _refined(shape, found, rays, reading, kept)
+        fits &= good & (kept.sum(axis=1) > shape.size)
+        found = np.where(fits[:, None], again, found)
+    return found, fits, kept
 
 
 def share_of(points: int) -> tuple[float, float]:
@@ -407,50 +455,59 @@ def share_of(points: int) -> tuple[float, float]:
     return share, 1.0 / float(gaussian_quantile(0.5 + 0.5 * share))
 
 
+def _misses(reading: FloatArray, s: FloatArray) -> FloatArray:
+    """Return by how much readings differ from ranges; infinite where a ray meets nothing."""
+    return np.where(np.isfinite(s), np.abs(reading - np.where(np.isfinite(s), s, 0.0)), np.inf)
+
+
 def _steep(shape: Shape, found: FloatArray, rays: Rayset) -> BoolArray:
     """Tell which rays do not graze the target: their readings err most, and soon they miss it."""
-    s = shape.ranges(found[None], rays)[0]
+    s = shape.ranges(found[:, None], rays)[:, 0]
     hit = np.isfinite(s)
     a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
-    return np.asarray(hit & (np.linalg.norm(a, axis=1) < MOST_SLANTED))
+    return np.asarray(hit & (np.einsum("gni,gni->gn", a, a) < MOST_SLANTED**2))
 
 
 def _refined(
-    shape: Shape, start: FloatArray, rays: Rayset, reading: FloatArray
-) -> FloatArray | None:
-    """Return the least-squares shape of all points, from a start (1, r); None where rays miss it."""
-    found = start[0]
+    shape: Shape, found: FloatArray, rays: Rayset, reading: FloatArray, kept: BoolArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return the least-squares shapes (G, size) of the points that are kept, and where there is one.
+
+    There is none where rays miss the shape on their way.
+    """
+    fits = np.ones(len(found), dtype=bool)
     for _ in range(STEPS_OF_SHAPE):
-        s = shape.ranges(found[None], rays)[0]
-        hit = np.isfinite(s)
-        if hit.sum() < shape.size or (~hit).mean() > 0.5:
-            return None
-        J, _ = shape.columns(found, _rows(rays, hit), s[hit])
-        step, *_ = np.linalg.lstsq(J, reading[hit] - s[hit], rcond=None)
-        found = found + step
-        if np.abs(step).max() <= NEGLIGIBLE * np.abs(found).max():
+        s = shape.ranges(found[:, None], rays)[:, 0]
+        hit = np.isfinite(s) & kept
+        count, s = hit.sum(axis=1), np.where(hit, s, 0.0)
+        fits &= (count >= shape.size) & (2 * count >= kept.sum(axis=1))
+        J, _ = shape.columns(found, rays, s)
+        step = _solved(J * hit[..., None], (reading - s) * hit)
+        found = np.where(fits[:, None], found + step, found)
+        small = np.abs(step).max(axis=1) <= NEGLIGIBLE * np.abs(found).max(axis=1)
+        if small[fits].all():
             break
-    return found if np.isfinite(found).all() else None
+    return found, fits
 
 
-def _rows(rays: Rayset, which: IntArray | BoolArray) -> Rayset:
-    return Rayset(
-        rays.origin[which],
-        rays.direction[which],
-        rays.origin_by_scale[which],
-        rays.direction_by_scale[which],
-    )
+def _rows(rays: Rayset, which: int | IntArray | BoolArray | tuple[slice, IntArray]) -> Rayset:
+    """Return some of the rays."""
+    parts = rays.origin, rays.direction, rays.origin_by_scale, rays.direction_by_scale
+    return Rayset(*(part[which] for part in parts))
 
 
-def _stacked(rays: Rayset, sets: IntArray | None) -> Rayset:
-    """Return the rays of sets (H, m) of points; all points as one set where none are given."""
-    pick = np.arange(len(rays.origin))[None] if sets is None else sets
-    return _rows(rays, pick)
+def _reshaped(rays: Rayset, shape: tuple[int, ...]) -> Rayset:
+    parts = rays.origin, rays.direction, rays.origin_by_scale, rays.direction_by_scale
+    return Rayset(*(part.reshape(shape) for part in parts))
 
 
 def _solved(rows: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the least-squares solutions (H, q) of rows (H, m, q)."""
-    return np.asarray((np.linalg.pinv(rows, rcond=SHAPE_SETTLED) @ right[..., None])[..., 0])
+    """Return the least-squares solutions (..., q) of rows (..., m, q)."""
+    unit = 1.0 / np.maximum(np.sqrt(np.einsum("...mi,...mi->...i", rows, rows)), TINY)
+    rows = rows * unit[..., None, :]
+    turned = np.swapaxes(rows, -1, -2)
+    inverse = np.linalg.pinv(turned @ rows, rcond=SINGULAR, hermitian=True)
+    return np.asarray(unit * (inverse @ (turned @ right[..., None]))[..., 0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

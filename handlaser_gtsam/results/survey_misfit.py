@@ -32,9 +32,8 @@ from ..estimation.survey_rows import Rows, rows_of
 from ..estimation.survey_sorting import OF_OTHERS, misses_of
 from ..model.distributions import FAMILY_LEVEL, f_sf
 from ..model.families import PLANE
-from ..model.lines import condensed_shots
 from ..model.sensors.kinds import KINDS
-from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL
+from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
 from ..model.targets.sphere import SPHERE
 from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
 from ..text import some
