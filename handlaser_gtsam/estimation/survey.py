@@ -28,7 +28,7 @@ from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MM, MOST_ROUNDS
 from .dense import dense_rows, tests_of, with_pose_errors
-from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged, minimum
+from .estimate import MOST_REJECTED, BlockProblem, Estimate, descended, judged, minimum
 from .survey_mirror import best_image, numbers_of, with_images
 from .survey_noise import Components, Inside, components
 from .survey_rows import (
@@ -44,6 +44,7 @@ from .survey_rows import (
 )
 from .survey_sorting import OF_OTHERS, of_others, slackness, sortable, sorted_again
 from .survey_starts import TRIMMED, start_of
+from .task import STEPS_IN_VAIN
 
 GROSS = 6.0
 """Shots farther than this many times the typical misfit are rejected before anything is learned."""
@@ -207,20 +208,23 @@ class SurveyState:
         unknown = self.rows.unknown()
         return BlockProblem([*blocks, *more], self.values, unknown, self.rows.length), groups
 
-    def minimize(self) -> bool:
-        """Go to the minimum of what counts; tell whether there is one.
+    def minimize(self, iterations: int | None = None) -> bool:
+        """Go to the minimum of what counts, or so many steps towards it; tell whether there is one.
 
         Readings of a sphere have the square of its radius only: it is taken above zero.
         """
         self.used = self.used & ~grazing(self.rows)
         problem, _ = self.problem()
-        again = minimum(problem, list(problem.blocks), self.values)
+        if iterations is None:
+            again = minimum(problem, list(problem.blocks), self.values)
+        else:
+            again = descended(problem, problem.blocks, self.values, iterations)
         if again is None:
             fewer = without_grazing(self.rows, self.values)
             if fewer is None:
                 return False
             self.rows = fewer
-            return self.minimize()
+            return self.minimize(iterations)
         if (again.get(SPHERE.name, np.ones((1, 0, 4)))[..., 3] < 0.0).any():
             again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
             again = minimum(problem, list(problem.blocks), again)
@@ -336,10 +340,11 @@ def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
     return best_image(state, settle)[1]
 
 
-def first_state(rows: Rows, noise: Noise) -> SurveyState:
+def first_state(rows: Rows, noise: Noise, *, halves: bool = True) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
-    Sizes of the noise are as stated, else as shots show them inside, or as is usual.
+    Sizes of the noise are as stated, else as shots show them inside, or as is usual. Where most shots
+    do not agree, starts are looked for from `halves` of the shots.
 
     Raises
     ------
@@ -368,7 +373,7 @@ def first_state(rows: Rows, noise: Noise) -> SurveyState:
         names = ", ".join(_name(rows, *entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
     _leave_out_gross(state)
-    if np.median(misfits(state)) > GROSS and _started_from_halves(state):
+    if halves and np.median(misfits(state)) > GROSS and _started_from_halves(state):
         _leave_out_gross(state)
     return state
 
@@ -490,7 +495,7 @@ def _started_from_halves(state: SurveyState) -> bool:
         if without:
             continue
         trial = replace(state, values=begun, used=some)
-        if not trial.minimize():
+        if not trial.minimize(STEPS_IN_VAIN):
             continue
         misfit = float(np.median(misfits(trial)))
         if misfit < least:

@@ -31,6 +31,8 @@ from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..outliers.consensus import find_consensus
 from ..quantities import SINGULAR
+from ..starts import find_start
+from ..starts.search import FINALISTS, FIRST_STEPS, LAST_STEPS
 from .dense import dense_rows, unknowns_of
 from .survey_rows import Item, Rows, blocks_of, priors_of, relations_of
 
@@ -63,11 +65,11 @@ def start_of(
 ) -> tuple[dict[str, FloatArray], tuple[tuple[str, int], ...]]:
     """Return the best start of all sensors, beams and targets, and which sensors and beams have none.
 
-    Where some have none, there are no values. Random mounts are the `last_resort` where nothing else
-    leads to a good fit.
+    Where some have none, there are no values. Starts that fit all shots but gross outliers, and random
+    mounts where nothing else leads to a good fit, are the `last_resort`.
     """
     entities = list(dict.fromkeys((item.family, item.member) for item in rows.items))
-    from_planes = _from_planes(rows)
+    from_planes = _from_planes(rows, among_outliers=last_resort)
     best: dict[tuple[str, int], FloatArray] = {}
     ends: dict[tuple[str, int], tuple[float, dict[tuple[str, int], FloatArray]]] = {}
     for entity in entities:
@@ -116,7 +118,7 @@ def _empty(rows: Rows) -> dict[str, FloatArray]:
 # --- sensors and beams on planes -------------------------------------------------------------------
 
 
-def _from_planes(rows: Rows) -> dict[tuple[str, int], FloatArray]:
+def _from_planes(rows: Rows, *, among_outliers: bool) -> dict[tuple[str, int], FloatArray]:
     """Return starts of what sees planes, by the ordinary search over beams and virtual beams."""
     entries: list[tuple[int, int, int, float]] = []  # plane, beam, station, reading
     virtual: dict[tuple[str, int], tuple[list[int], FloatArray, FloatArray]] = {}
@@ -152,15 +154,15 @@ def _from_planes(rows: Rows) -> dict[tuple[str, int], FloatArray]:
     if not entries:
         return {}
     readings = _readings(rows, entries, count)
-    origins = readings.plane_means(readings.world_t_hand)
+    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     try:
-        consensus = find_consensus(readings.seen_from(origins), None, 0, certain=False)
+        if among_outliers:
+            found = find_consensus(readings, None, 0, certain=False).parameters
+        else:
+            found = find_start(readings, None, 0, effort="quick", certain=False).parameters
     except HandlaserError:
         return {}
-    return {
-        entity: _member(entity, *of, consensus.parameters, readings)
-        for entity, of in virtual.items()
-    }
+    return {entity: _member(entity, *of, found, readings) for entity, of in virtual.items()}
 
 
 def _readings(rows: Rows, entries: list[tuple[int, int, int, float]], beams: int) -> Readings:
@@ -436,7 +438,12 @@ def _searched(
     every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
     task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
-    ended = search(task, values, LevenbergOptions(max_iterations=60, least_damping=SINGULAR))
+    ended = search(task, values, LevenbergOptions(FIRST_STEPS, least_damping=SINGULAR))
+    promising = np.argsort(ended.cost, kind="stable")[: max(FINALISTS, K // 4)]
+    values = {name: x if len(x) == 1 else x[promising] for name, x in ended.values.items()}
+    ended = search(
+        task.picked(promising), values, LevenbergOptions(LAST_STEPS, least_damping=SINGULAR)
+    )
     of = unknowns_of(rows.counts(), unknown)
     best: tuple[float, int] | None = None
     for k in np.flatnonzero(np.isfinite(ended.cost)).tolist():
