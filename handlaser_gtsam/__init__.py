@@ -14,8 +14,8 @@ Results, in files and pictures
     write_report, ReportOptions, plot, write_pictures, spot, measured_plane.
 Check a calibration, and study calibrations by simulation
     validate, hold_out, cross_check, run_study, read_study, write_study_picture.
-Plan stations before they are measured, and add planes one by one
-    plan, Session.
+Plan stations before they are measured, and add planes or other targets one by one
+    plan, Session, SurveySession.
 Graphs of one's own
     optimize, read_graph, Parameters, and the module factors.
 Errors
@@ -104,6 +104,7 @@ if TYPE_CHECKING:
     from .results.spot_error import measured_plane as measured_plane
     from .results.spot_error import spot as spot
     from .session.session import Session as Session
+    from .session.survey import SurveySession as SurveySession
     from .solvers.levenberg import optimize as optimize
     from .validation import scenes as scenes
     from .validation import simulate as simulate

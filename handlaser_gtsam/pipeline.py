@@ -82,21 +82,26 @@ def calibrate(
     if isinstance(recording, Survey):
         if options is not None or progress is not None:
             raise InputError("options or progress with a survey", "its own fields, such as free")
-        noise = Noise() if noise is None else noise
-        require_kind("noise", noise, Noise)
-        _refuse_unused(recording, noise)
-        return _of_survey(recording, noise)
+        return calibrate_survey(recording, Noise() if noise is None else noise)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     return _calibrated(recording, noise, options, None, progress)
 
 
-def _of_survey(survey: Survey, noise: Noise) -> "SurveyCalibration":
-    """Calibrate a survey; once more without relations that are contradicted, to show what they do."""
+def calibrate_survey(
+    survey: Survey, noise: Noise, earlier: "SurveyCalibration | None" = None
+) -> "SurveyCalibration":
+    """Do as `calibrate` of a survey, perhaps from where an earlier one of the same sensors ended.
+
+    What relations do that are contradicted is shown by a calibration without them.
+    """
     from .estimation.survey import estimate_survey
     from .results.survey import survey_calibration
 
-    result = survey_calibration(estimate_survey(survey, noise))
+    require_kind("noise", noise, Noise)
+    _refuse_unused(survey, noise)
+    found = estimate_survey(survey, noise, None if earlier is None else earlier._found)
+    result = survey_calibration(found)
     known = tuple(one.known for one in result.relations if not one.contradicted)
     if len(known) == len(result.relations):
         return result

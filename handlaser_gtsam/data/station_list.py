@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..checks import number_array
 from ..errors import InputError
 from .recording import Recording
@@ -79,6 +79,39 @@ class StationList(Value):
 
     def __len__(self) -> int:
         return len(self.plane_labels)
+
+    def part(self, which: BoolArray) -> "StationList":
+        """Return some of the stations, by a mask (M,)."""
+        names = ("plane_labels", "station_names")
+        labels, stations = (tuple(np.array(getattr(self, one))[which].tolist()) for one in names)
+        return StationList(
+            self.world_R_hand[which],
+            self.world_t_hand[which],
+            labels,
+            stations,
+            None if self.joints is None else self.joints[which],
+            self.joint_names,
+        )
+
+    def joined(self, other: "StationList") -> "StationList":
+        """Return these stations, then others; joints where all have them.
+
+        Raises
+        ------
+        InputError
+            A name of a station that both have.
+        """
+        joints, names = None, self.joint_names
+        if self.joints is not None and other.joints is not None and names == other.joint_names:
+            joints = np.concatenate((self.joints, other.joints))
+        return StationList(
+            np.concatenate((self.world_R_hand, other.world_R_hand)),
+            np.concatenate((self.world_t_hand, other.world_t_hand)),
+            (*self.plane_labels, *other.plane_labels),
+            (*self.station_names, *other.station_names),
+            joints,
+            () if joints is None else names,
+        )
 
     def matrices(self) -> FloatArray:
         """Return the poses world_T_hand (M, 4, 4)."""

@@ -5,7 +5,7 @@ relations that are known. Labels say what kind of target it is: `plane:A`, `sphe
 `groove:G` for the two planes of a V; without a kind it is a plane.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -149,6 +149,43 @@ class Shots(Value):
         station, across, reading = self.station[which], self.across[which], self.reading[which]
         return replace(self, station=station, across=across, reading=reading, before=before)
 
+    def joined(self, other: "Shots") -> "Shots":
+        """Return these readings, then others of the same sensor.
+
+        Raises
+        ------
+        InputError
+            Another sensor, or the same one with other noise, errors or convention.
+        """
+        if (
+            replace(
+                self,
+                station=other.station,
+                across=other.across,
+                reading=other.reading,
+                before=other.before,
+            )
+            != other
+        ):
+            found = (
+                f"{other.name} as another kind of sensor, or with other noise, after {self.name}"
+            )
+            raise InputError(found, "the same of a sensor in both surveys")
+        before = None
+        if self.before is not None or other.before is not None:
+            before = np.concatenate(
+                [
+                    np.full(len(one.reading), np.nan) if one.before is None else one.before
+                    for one in (self, other)
+                ]
+            )
+        columns = [
+            np.concatenate((getattr(self, name), getattr(other, name)))
+            for name in ("station", "across", "reading")
+        ]
+        station, across, reading = columns
+        return replace(self, station=station, across=across, reading=reading, before=before)
+
     def clear_of(self, limit: float) -> "Shots":
         """Return the same without readings behind an echo nearer than a limit [m].
 
@@ -289,6 +326,16 @@ class Known(Value):
             if name not in fields and getattr(self, name):
                 raise InputError(f"a {name} with {self.words}", some(fields, len(fields)))
 
+    def among(self, labels: Container[str]) -> "Known | None":
+        """Return what it says of the variables with some labels; None where that is nothing."""
+        there = [label in labels or normal_label(label) in labels for label in self.of]
+        if all(there):
+            return self
+        if self.faces is None or not any(there):
+            return None
+        of = tuple(label for label, here in zip(self.of, there, strict=True) if here)
+        return replace(self, of=of, faces=self.faces[there])
+
     @property
     def words(self) -> str:
         """What it is of, in words."""
@@ -417,6 +464,15 @@ class Survey(Value):
                 if kinds[station] == "point" and labels[station] not in aimed:
                     found = f"{labels[station]}, which {shots.name} reads and no beam"
                     raise InputError(found, "a beam aimed at it")
+        there = self.variables()
+        for known in self.known:
+            for label in known.of:
+                if label not in there and normal_label(label) not in there:
+                    listed = some(sorted(there), 8)
+                    raise InputError(f"{known.words}: no {shown(label)}", f"one of {listed}")
+
+    def variables(self) -> set[str]:
+        """Return the labels of all that a relation can be of: sensors, beams and targets."""
         targets = set(map(normal_label, self.stations.plane_labels))
         grooves = {label for label in targets if label.startswith("groove:")}
         for groove in grooves:
@@ -424,11 +480,82 @@ class Survey(Value):
             targets |= {f"plane:{name}.left", f"plane:{name}.right"}
         names = {f"sensor:{shots.name}" for shots in self.shots}
         names |= {f"beam:{name}" for name in self.beam_names}
-        for known in self.known:
-            for label in known.of:
-                if label not in names and normal_label(label) not in targets - grooves:
-                    listed = some(sorted(targets - grooves | names), 8)
-                    raise InputError(f"{known.words}: no {shown(label)}", f"one of {listed}")
+        return targets - grooves | names
+
+    def part(self, stations: BoolArray) -> "Survey":
+        """Return what was read at some stations (M,), and what is known of it.
+
+        Raises
+        ------
+        InputError
+            Nothing was read there.
+        """
+        number, shots = np.cumsum(stations) - 1, []
+        for one in self.shots:
+            kept = stations[one.station]
+            if kept.any():
+                some_of = one.part(kept)
+                shots.append(replace(some_of, station=number[some_of.station]))
+        ranges, names = self.ranges, self.beam_names
+        if ranges is not None:
+            read = np.flatnonzero(~np.isnan(ranges[stations]).all(axis=0))
+            names = tuple(names[i] for i in read)
+            ranges = ranges[stations][:, read] if names else None
+        part = replace(
+            self,
+            stations=self.stations.part(stations),
+            shots=tuple(shots),
+            ranges=ranges,
+            beam_names=names,
+            known=(),
+        )
+        there = part.variables()
+        of_these = [known.among(there) for known in self.known]
+        return replace(part, known=tuple(known for known in of_these if known is not None))
+
+    def joined(self, other: "Survey") -> "Survey":
+        """Return these stations, then those of another survey; sensors and beams go by their names.
+
+        Raises
+        ------
+        InputError
+            A station of both, or different words of one sensor, of the aiming, or of the beams.
+        """
+        for name in ("aiming_sigma", "half_angle", "linearity"):
+            if getattr(self, name) != getattr(other, name):
+                given = f"{name} = {getattr(other, name)} after {getattr(self, name)}"
+                raise InputError(given, "the same in both surveys")
+        shots = {one.name: one for one in self.shots}
+        for one in other.shots:
+            later = replace(one, station=one.station + len(self.stations))
+            earlier = shots.get(one.name)
+            shots[one.name] = later if earlier is None else earlier.joined(later)
+        names = tuple(dict.fromkeys((*self.beam_names, *other.beam_names)))
+        ranges = None
+        if names:
+            tables = [
+                np.stack(
+                    [
+                        np.full(len(of.stations), np.nan)
+                        if of.ranges is None or name not in of.beam_names
+                        else of.ranges[:, of.beam_names.index(name)]
+                        for name in names
+                    ],
+                    axis=1,
+                )
+                for of in (self, other)
+            ]
+            ranges = np.concatenate(tables)
+        return replace(
+            self,
+            stations=self.stations.joined(other.stations),
+            shots=tuple(shots.values()),
+            ranges=ranges,
+            beam_names=names,
+            known=(*self.known, *(one for one in other.known if one not in self.known)),
+            lines=tuple(dict.fromkeys((*self.lines, *other.lines))),
+            warnings=(*self.warnings, *other.warnings),
+        )
 
 
 def kind_of(label: str) -> str:

@@ -40,10 +40,10 @@ from .survey_rows import (
     priors_of,
     relations_of,
     rows_of,
-    without_grazing,
+    with_steep,
 )
 from .survey_sorting import OF_OTHERS, of_others, slackness, sortable, sorted_again
-from .survey_starts import TRIMMED, start_of
+from .survey_starts import TRIMMED, start_beside, start_of
 from .task import STEPS_IN_VAIN
 
 GROSS = 6.0
@@ -65,6 +65,10 @@ FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
 BODY_HELD = 0.01
 """A body may go this part of the range, or turn so far [rad], along what its faces leave open."""
+MOST_GRAZING_ROUNDS = 4
+"""Minima after which it is settled which rays graze their spheres: one at the limit may come and go."""
+NO_SPHERE = np.ones((1, 0, 4))
+"""Values of no sphere."""
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 FINEST_AIMING = 1e-6
@@ -211,27 +215,28 @@ class SurveyState:
     def minimize(self, iterations: int | None = None) -> bool:
         """Go to the minimum of what counts, or so many steps towards it; tell whether there is one.
 
+        Single readings that graze or miss their sphere do not count: which these are, the minimum says.
         Readings of a sphere have the square of its radius only: it is taken above zero.
         """
-        self.used = self.used & ~grazing(self.rows)
-        problem, _ = self.problem()
-        if iterations is None:
-            again = minimum(problem, list(problem.blocks), self.values)
-        else:
-            again = descended(problem, problem.blocks, self.values, iterations)
-        if again is None:
-            fewer = without_grazing(self.rows, self.values)
-            if fewer is None:
-                return False
-            self.rows = fewer
-            return self.minimize(iterations)
-        if (again.get(SPHERE.name, np.ones((1, 0, 4)))[..., 3] < 0.0).any():
-            again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
-            again = minimum(problem, list(problem.blocks), again)
-        if again is None:
-            return False
-        self.values = again
-        return True
+        for _ in range(MOST_GRAZING_ROUNDS):
+            self.used = self.used & ~grazing(self.rows)
+            problem, _ = self.problem()
+            blocks, again = list(problem.blocks), None
+            if iterations is None:
+                again = minimum(problem, blocks, self.values)
+            else:
+                again = descended(problem, blocks, self.values, iterations)
+            if again is not None and (again.get(SPHERE.name, NO_SPHERE)[..., 3] < 0.0).any():
+                again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
+                again = minimum(problem, blocks, again)
+            if again is not None:
+                self.values = again
+            rows = with_steep(self.rows, self.values)
+            if rows is None:
+                break
+            self.used = self.used | (grazing(self.rows) & ~grazing(rows))
+            self.rows = rows
+        return again is not None
 
     def _held(self) -> Iterator[Block]:
         """Yield what holds bodies along what their faces leave open."""
@@ -267,8 +272,10 @@ class SurveyState:
         return [own, *[len(self.sizes.sigma) - 1] * (rows - 1)]
 
 
-def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
-    """Estimate all mounts and targets of a survey.
+def estimate_survey(
+    survey: Survey, noise: Noise, earlier: "SurveyEstimate | None" = None
+) -> SurveyEstimate:
+    """Estimate all mounts and targets of a survey, perhaps from where an `earlier` one ended.
 
     The status is `contradicted` where the others reject more than `MOST_REJECTED` of the shots of a
     sensor, of a beam or of a target: what is left of it may be the wrong part. It is `not_converged`
@@ -281,7 +288,7 @@ def estimate_survey(survey: Survey, noise: Noise) -> SurveyEstimate:
         that nothing leads to a start of.
     """
     rows = rows_of(survey)
-    state = first_state(rows, noise)
+    state = first_state(rows, noise, earlier=earlier)
     first = first_fit(state)
     settled = _settle_sorted(state)
     again, others = best_image(state, _settle_sorted)
@@ -340,11 +347,14 @@ def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
     return best_image(state, settle)[1]
 
 
-def first_state(rows: Rows, noise: Noise, *, halves: bool = True) -> SurveyState:
+def first_state(
+    rows: Rows, noise: Noise, *, halves: bool = True, earlier: SurveyEstimate | None = None
+) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
     Sizes of the noise are as stated, else as shots show them inside, or as is usual. Where most shots
-    do not agree, starts are looked for from `halves` of the shots.
+    do not agree, starts are looked for from `halves` of the shots. No start is sought where most shots
+    agree beside an `earlier` estimate of the same sensors.
 
     Raises
     ------
@@ -368,6 +378,13 @@ def first_state(rows: Rows, noise: Noise, *, halves: bool = True) -> SurveyState
     turn, shift = (p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True))
     sizes, used = Components(sigma, (turn, shift)), np.ones(len(rows.items), dtype=bool)
     state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), inside, stated)
+    if earlier is not None and earlier.estimate.status == "converged":
+        values = start_beside(rows, earlier.rows, earlier.estimate.values)
+        if values is not None:
+            beside = replace(state, values=values)
+            _leave_out_gross(beside)
+            if np.median(misfits(beside)) <= GROSS:
+                return beside
     state.values, without = start_of(rows, state.sigmas())
     if without:
         names = ", ".join(_name(rows, *entity) for entity in without)

@@ -67,7 +67,9 @@ class Item:
     half_angle : float
         Of the cone of a beam that has one [rad].
     grazing : bool
-        Whether a beam has been found to graze or miss its sphere: it never counts then.
+        Whether a beam grazes or misses its sphere: it does not count then.
+    whole : (Condensed, (n,)), optional
+        The shot and its points with those readings that graze or miss their sphere.
     """
 
     family: str
@@ -79,6 +81,7 @@ class Item:
     reading: float = np.nan
     half_angle: float = 0.0
     grazing: bool = False
+    whole: tuple[Condensed, IntArray] | None = None
 
     @property
     def numbers(self) -> int:
@@ -191,7 +194,7 @@ def rows_of(survey: Survey) -> Rows:
     seen = {f"sensor:{shots.name}" for shots in survey.shots}
     seen |= {f"beam:{name}" for name in survey.beam_names}
     seen |= {label for names in targets.values() for label in names}
-    seen_of = [_seen_of(one, seen) for one in survey.known]
+    seen_of = [one.among(seen) for one in survey.known]
     ranges = [
         item.reading if item.shot is None else float(np.abs(item.shot.reading).mean())
         for item in items
@@ -204,17 +207,6 @@ def rows_of(survey: Survey) -> Rows:
         tuple(lost),
         float(np.median(ranges)) if ranges else 1.0,
     )
-
-
-def _seen_of(known: Known, seen: set[str]) -> Known | None:
-    """Return what a relation says of variables that were seen; None where that is nothing."""
-    there = [label in seen or normal_label(label) in seen for label in known.of]
-    if all(there):
-        return known
-    if known.faces is None or not any(there):
-        return None
-    of = tuple(label for label, here in zip(known.of, there, strict=True) if here)
-    return replace(known, of=of, faces=known.faces[there])
 
 
 def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list[Condensed | None]:
@@ -251,23 +243,26 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
     return [(f"plane:{name}.left", rows[: cut - 1]), (f"plane:{name}.right", rows[cut + 1 :])]
 
 
-def without_grazing(rows: Rows, values: Values) -> Rows | None:
-    """Return the rows without single readings that graze or miss their sphere; None where none does.
+def with_steep(rows: Rows, values: Values) -> Rows | None:
+    """Return the rows with those single readings that meet their sphere steeply; None for no change.
 
     These are readings of beams, and of shots with few readings, whose own shape does not say which of
     them graze. Near the minimum one whose ray just misses the sphere ends the search.
     """
     items = list(rows.items)
     for i, item in enumerate(items):
-        if item.target[0] != SPHERE.name or item.grazing:
+        if item.target[0] != SPHERE.name:
             continue
         if item.shot is None:
-            if _grazes(item, values):
-                items[i] = replace(item, grazing=True)
+            grazing = _grazes(item, values)
+            if grazing != item.grazing:
+                items[i] = replace(item, grazing=grazing)
             continue
-        if not of_single_readings(item.shot):
+        assert item.points is not None
+        shot, points = item.whole or (item.shot, item.points)
+        if not of_single_readings(shot):
             continue
-        sensor, rays = values[SENSOR.name][0, item.member], item.shot.rays
+        sensor, rays = values[SENSOR.name][0, item.member], shot.rays
         X, place = sensor[:9].reshape(3, 3), sensor[9:12]
         R, t = rows.survey.stations.world_R_hand[item.station], rows.survey.stations.world_t_hand
         origin, direction = rays.origin @ X.T + place, rays.direction @ X.T
@@ -277,10 +272,9 @@ def without_grazing(rows: Rows, values: Values) -> Rows | None:
         )
         steep = np.linalg.norm(hits.covector, axis=0)[0, 0] < MOST_SLANTED
         steep &= ~hits.impossible[0, 0]
-        if steep.any() and not steep.all():
-            assert item.points is not None
-            shot, points = some_of(item.shot, steep), item.points[steep]
-            items[i] = replace(item, shot=shot, points=points)
+        if steep.any() and not np.array_equal(points[steep], item.points):
+            some, whole = some_of(shot, steep), (shot, points)
+            items[i] = replace(item, shot=some, points=points[steep], whole=whole)
     same = all(one is other for one, other in zip(items, rows.items, strict=True))
     return None if same else replace(rows, items=tuple(items))
 

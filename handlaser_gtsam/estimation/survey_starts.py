@@ -99,6 +99,41 @@ def start_of(
     return values, ()
 
 
+def start_beside(
+    rows: Rows, earlier: Rows, found: Mapping[str, FloatArray]
+) -> dict[str, FloatArray] | None:
+    """Return a start from the values (n, size) of each family in another survey of the same sensors.
+
+    Targets that are new stand where the spots of a sensor or beam are that sees them. There is no start
+    where a sensor or a beam is new.
+    """
+    values = _empty(rows)
+    for family in (SENSOR.name, BEAM.name):
+        now, before = _names_of(rows, family), _names_of(earlier, family)
+        if not set(now) <= set(before):
+            return None
+        if now:
+            values[family][0] = found[family][[before.index(name) for name in now]]
+    for family, labels in rows.targets.items():
+        there = earlier.targets.get(family, ())
+        for member, label in enumerate(labels):
+            if label in there:
+                values[family][0, member] = found[family][there.index(label)]
+                continue
+            seen = [item for item in rows.items if item.target == (family, member)]
+            entity = seen[0].family, seen[0].member
+            own = [item for item in seen if (item.family, item.member) == entity]
+            _complete(rows, own, values, entity)
+    _complete_bodies(rows, values)
+    return values
+
+
+def _names_of(rows: Rows, family: str) -> list[str]:
+    if family == BEAM.name:
+        return list(rows.survey.beam_names)
+    return [shots.name for shots in rows.survey.shots]
+
+
 def _empty(rows: Rows) -> dict[str, FloatArray]:
     values = {
         name: np.zeros((1, count, FAMILIES[name].size)) for name, count in rows.counts().items()

@@ -1,0 +1,143 @@
+"""A calibration of a survey that grows target by target, as a `Session` does for beams before planes.
+
+Every target that is added changes what the shots say of the noise, and which of them contradict the
+others. So everything is calibrated again at every change, from where the calibration before ended: the
+result is that of all stations at once, and takes less time, because no start is sought.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..checks import require_kind
+from ..data.noise import Noise
+from ..data.survey import Survey, normal_label
+from ..data.value import Value
+from ..errors import InputError
+from ..model.families import BEAM
+from ..model.sensors.mounted import SENSOR
+from ..pipeline import calibrate_survey
+from ..results.survey import SurveyCalibration
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SurveyUpdate(Value):
+    """What a change of a survey did.
+
+    Attributes
+    ----------
+    targets : tuple of str
+        Labels whose stations came, or left.
+    information : float
+        Gain of information on all mounts [nats]: half the growth of the logarithm of the determinant
+        of their information; NaN where they were or are not determined.
+    calibration : SurveyCalibration or None
+        Of all stations so far; None where nothing leads to a start yet.
+    message : str
+        Why there is none, or what the calibration says of itself.
+    """
+
+    targets: tuple[str, ...]
+    information: float
+    calibration: SurveyCalibration | None
+    message: str
+
+
+class SurveySession:
+    """A calibration to which targets and stations are added, and from which targets are removed.
+
+    Nothing has changed where an error is raised.
+
+    Parameters
+    ----------
+    noise : Noise, optional
+        As for `calibrate`.
+    """
+
+    def __init__(self, noise: Noise | None = None) -> None:
+        self.noise = Noise() if noise is None else noise
+        require_kind("noise", self.noise, Noise)
+        self._survey: Survey | None = None
+        self._calibration: SurveyCalibration | None = None
+
+    @property
+    def survey(self) -> Survey:
+        """All stations so far.
+
+        Raises
+        ------
+        InputError
+            There are none.
+        """
+        if self._survey is None:
+            raise InputError("a session without stations", "a survey that was added")
+        return self._survey
+
+    @property
+    def calibration(self) -> SurveyCalibration | None:
+        """The calibration of all stations so far; None where nothing leads to a start yet."""
+        return self._calibration
+
+    def add(self, survey: Survey) -> SurveyUpdate:
+        """Add the stations of a survey; its sensors and beams go by their names.
+
+        Raises
+        ------
+        InputError
+            A station that is there already, or a sensor of which something else is said than before.
+        """
+        require_kind("survey", survey, Survey)
+        whole = survey if self._survey is None else self._survey.joined(survey)
+        labels = dict.fromkeys(map(normal_label, survey.stations.plane_labels))
+        return self._changed(whole, tuple(labels))
+
+    def remove(self, label: str) -> SurveyUpdate:
+        """Remove the stations of a target.
+
+        Raises
+        ------
+        InputError
+            It has none, or no reading is left without them.
+        """
+        labels = np.array([normal_label(one) for one in self.survey.stations.plane_labels])
+        gone = labels == normal_label(label)
+        if not gone.any():
+            raise InputError(f"no station of {label!r}", f"one of {', '.join(sorted(set(labels)))}")
+        if gone.all():
+            raise InputError(f"{label!r}, before which all stations stand", "one target of several")
+        return self._changed(self.survey.part(~gone), (normal_label(label),))
+
+    def _changed(self, survey: Survey, targets: tuple[str, ...]) -> SurveyUpdate:
+        before, calibration = self._calibration, None
+        try:
+            calibration = calibrate_survey(survey, self.noise, before)
+            message = calibration.message
+        except InputError as error:
+            message = str(error)
+        self._survey, self._calibration = survey, calibration
+        return SurveyUpdate(targets, _gain(before, calibration), calibration, message)
+
+
+def _gain(before: SurveyCalibration | None, after: SurveyCalibration | None) -> float:
+    """Return by how much the information on all mounts has grown [nats]."""
+    if before is None or after is None or _mounts(before) != _mounts(after):
+        return math.nan
+    return _log_det(before) - _log_det(after)
+
+
+def _mounts(calibration: SurveyCalibration) -> tuple[str, ...]:
+    names = calibration._found.estimate.names
+    return tuple(name for name in names if name.startswith((f"{SENSOR.name}[", f"{BEAM.name}[")))
+
+
+def _log_det(calibration: SurveyCalibration) -> float:
+    """Return the logarithm of the square root of the determinant of the covariance of all mounts."""
+    estimate = calibration._found.estimate
+    rows = [estimate.names.index(name) for name in _mounts(calibration)]
+    C = estimate.covariance[np.ix_(rows, rows)]
+    if not np.isfinite(C).all():
+        return math.nan
+    unit = np.sqrt(np.diagonal(C))
+    _, correlated = np.linalg.slogdet(C / np.outer(unit, unit))
+    return float(0.5 * correlated + np.log(unit).sum())

@@ -1,0 +1,129 @@
+"""A survey that grows target by target, against the calibration of the same stations at once."""
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks import rigs
+from handlaser_gtsam.data.survey import normal_label
+from handlaser_gtsam.errors import InputError
+from handlaser_gtsam.quantities import SAME_OPTIMUM
+
+KINDS = [
+    ("profiler", {"targets": "planes+sphere"}),
+    ("array", {"targets": "spheres"}),
+    ("mixed", {}),
+]
+
+
+def targets_of(survey):
+    """The labels in their order, and the label of each station."""
+    labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
+    return list(dict.fromkeys(labels.tolist())), labels
+
+
+def assert_alike(one, other):
+    """The same mounts and standard deviations, to a hundredth of a standard deviation."""
+    assert one.status == other.status
+    assert list(one.sensors) == list(other.sensors)
+    for name, sensor in other.sensors.items():
+        mine = one.sensors[name]
+        if not np.isfinite(sensor.location_sigma).all():
+            continue
+        off = np.abs(mine.location - sensor.location) / sensor.location_sigma
+        assert off.max() < SAME_OPTIMUM
+        assert mine.location_sigma == pytest.approx(sensor.location_sigma, rel=SAME_OPTIMUM)
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        KINDS[0],
+        pytest.param(*KINDS[1], marks=pytest.mark.slow),
+        pytest.param(*KINDS[2], marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.parametrize("generator", rigs.GENERATORS)
+def test_every_step_is_the_calibration_of_all_stations_so_far(generator, kind, options):
+    survey = rigs.survey_of(getattr(rigs.GENERATORS[generator], kind)(0, **options), [])
+    names, labels = targets_of(survey)
+    session, gains = hl.SurveySession(), []
+    for name in names:
+        update = session.add(survey.part(labels == name))
+        assert update.targets == (name,)
+        gains.append(update.information)
+        assert_alike(update.calibration, hl.calibrate(session.survey))
+    assert len(session.survey.stations) == len(survey.stations)
+    assert np.isnan(gains[0])
+    assert min(gains[1:]) > 0.0
+    left = session.remove(names[-1]).calibration
+    assert_alike(left, hl.calibrate(survey.part(labels != names[-1])))
+
+
+def test_what_the_parts_of_a_survey_say_is_what_it_says():
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].mixed(0), [])
+    names, labels = targets_of(survey)
+    parts = [survey.part(labels == name) for name in names]
+    whole = parts[0]
+    for part in parts[1:]:
+        whole = whole.joined(part)
+    order = np.argsort([names.index(label) for label in labels], kind="stable")
+    assert whole.stations.station_names == tuple(np.array(survey.stations.station_names)[order])
+    for one in survey.shots:
+        other = next(shots for shots in whole.shots if shots.name == one.name)
+        assert other.reading.sum() == pytest.approx(one.reading.sum(), rel=1e-12)
+        assert np.bincount(other.station, minlength=len(order)).tolist() == (
+            np.bincount(one.station, minlength=len(order))[order].tolist()
+        )
+    columns = [survey.beam_names.index(name) for name in whole.beam_names]
+    assert np.array_equal(whole.ranges, survey.ranges[order][:, columns], equal_nan=True)
+
+
+def test_a_target_that_tells_too_little_waits_for_more():
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, targets="planes+sphere"), [])
+    few = np.zeros(len(survey.stations), dtype=bool)
+    few[0] = True
+    session = hl.SurveySession()
+    update = session.add(survey.part(few))
+    assert update.calibration is None or update.calibration.status != "converged"
+    assert update.message
+    assert session.add(survey.part(~few)).calibration.status == "converged"
+
+
+def test_what_contradicts_what_is_there_changes_nothing():
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, targets="planes+sphere"), [])
+    session = hl.SurveySession()
+    with pytest.raises(InputError, match="without stations"):
+        session.survey  # noqa: B018
+    session.add(survey)
+    before = session.calibration
+    with pytest.raises(InputError, match="station"):
+        session.add(survey)
+    other = survey.shots[0].part(np.ones(len(survey.shots[0].reading), dtype=bool))
+    louder = hl.Shots(
+        other.name, other.kind, other.station, other.across, other.reading, sigma=1e-3
+    )
+    names = tuple(f"again {name}" for name in survey.stations.station_names)
+    stations = hl.StationList(
+        survey.stations.world_R_hand,
+        survey.stations.world_t_hand,
+        survey.stations.plane_labels,
+        names,
+    )
+    with pytest.raises(InputError, match="other noise"):
+        session.add(hl.Survey(stations, (louder,)))
+    with pytest.raises(InputError, match="no station of"):
+        session.remove("sphere:none")
+    assert session.calibration is before
+
+
+def test_relations_come_and_go_with_their_targets():
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, targets="planes+sphere"), [])
+    names, labels = targets_of(survey)
+    sphere = next(name for name in names if name.startswith("sphere:"))
+    known = hl.Known("radius", (sphere,), 0.04, 1e-4)
+    stated = hl.Survey(survey.stations, survey.shots, known=(known,))
+    assert stated.part(labels == sphere).known == (known,)
+    assert stated.part(labels != sphere).known == ()
+    joined = stated.part(labels != sphere).joined(stated.part(labels == sphere))
+    assert joined.known == (known,)
