@@ -251,7 +251,11 @@ def _convinced(
         hopeless = best > HOPELESS**2 * range_sigma**2 * len(readings)
     same = agreeing(candidates, SAME_COST * best)
     most = len(candidates) >= MANY_CANDIDATES and same >= MAJORITY * len(candidates)
-    if (most and not hopeless) or (same >= AGREEING and not poor):
+    agreed = (most and not hopeless) or (same >= AGREEING and not poor)
+    if certain and range_sigma is not None:
+        # Starts of one kind may all miss the optimum, and agree on another that nearly fits.
+        agreed &= len({candidate.method for candidate in candidates[:same]}) > 1
+    if agreed:
         return True
     exhausted = latest.starts[:1] and latest.starts[0][0] == "random"
     if exhausted and before <= SAME_COST * best and same >= AGREEING and not hopeless:
