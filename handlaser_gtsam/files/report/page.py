@@ -24,6 +24,7 @@ import numpy as np
 from ...arrays import IntArray
 from ...checks import require_kind
 from ...model.distributions import FAMILY_LEVEL, chance
+from ...model.joint import STRONG
 from ...quantities import FAR_SIGMAS, IN_MM
 from ...results.calibration import Calibration
 from ...results.description.tables import (
@@ -45,10 +46,10 @@ from ...validation.prediction import pooled
 from ..calibration_json import calibration_text
 from ..writing import path_of, require_writable, write_text
 from . import head
-from .figure import Figure
+from .figure import STYLE, Figure
 from .figures import flat_figures
 from .options import ReportOptions
-from .scene import in_hand, in_world, scene_figure, still_picture
+from .scene import Geometry, in_hand, in_world, scene_figure, still_picture
 from .subject import ReadingRows, Subject, subject_of
 
 if TYPE_CHECKING:
@@ -144,11 +145,16 @@ def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str
         "held_out": held_out_table(subject),
         "splits": splits_words(subject),
         "stations": stations_table(subject),
-        "stills": {f"space-{space.frame}": still_picture(space) for space in spaces},
+        "stills": {f"space-{space.frame}": _still(space) for space in spaces},
+        "strong": STRONG,
         "figures": figures,
         "result": result,
     }
     return sections_of("sections.html.j2", SECTIONS, values), figures, result
+
+
+def _still(space: Geometry) -> str:
+    return templates().get_template("still.svg.j2").render(style=STYLE, **still_picture(space))
 
 
 def sections_of(

@@ -18,7 +18,7 @@ from ...results.calibration import Calibration
 from ..calibration_file import CalibrationFile
 from ..calibration_reading import mounts_of
 from ..writing import path_of, write_bytes
-from .figure import AXIS_COLOURS, GREY, INK, LEGEND, LINE, Figure, colour, short
+from .figure import AXIS_COLOURS, LEGEND, STYLE, Figure, colour, short
 from .figures import correlation_figure, flat_figures
 from .options import ReportOptions
 from .scene import Geometry, in_hand, in_world, of_hand
@@ -33,6 +33,8 @@ SIZE = (6.0, 4.0)
 again."""
 DPI = 130
 """Dots an inch of a picture, which a page shows without enlarging it."""
+GREY, LINE = (STYLE["axis"][name] for name in ("linecolor", "gridcolor"))
+INK = STYLE["flat"]["font"]["color"]
 MARKERS = {
     "circle": "o",
     "diamond": "D",
