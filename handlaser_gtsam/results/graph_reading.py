@@ -44,8 +44,8 @@ KINDS = (
     ("plane {}", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1)),
 )
 """Kinds of variables: what each is of, how it is read, its type, and the natural units of its columns
-as powers of the typical range. A beam has three lengths, two angles, and a number k1 with k2 per length;
-a plane has two angles of the normal and the offset, which is a length."""
+as powers of the typical range. A beam has three lengths, two angles, and a number k1 with k2 per
+length; a plane has two angles of the normal and the offset, which is a length."""
 Variables = dict[int, tuple[str, tuple[int, ...]]]
 """What is read, by its key: what it is, and the powers of its columns."""
 
