@@ -25,7 +25,7 @@ them without simulation.
 Systematic errors that were found make neighbouring residuals alike, too: they are taken out before.
 """
 
-from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -55,8 +55,7 @@ MOST_STEPS = 1000
 """Steps of the search for the sizes of the parts: a dozen parts take some twenty."""
 
 
-@dataclass(frozen=True, slots=True)
-class Dependence:
+class Dependence(NamedTuple):
     """How the noise of neighbouring readings depends.
 
     Attributes
@@ -87,7 +86,7 @@ class Dependence:
             f"to {self.plane_growth:.2g} times as large as with independent stations; stop at the "
             "stations, or spread as many over more time and more of the robot's range"
         )
-        return (CalibrationWarning("correlated-in-time", words, asdict(self)),)
+        return (CalibrationWarning("correlated-in-time", words, self._asdict()),)
 
 
 INDEPENDENT = Dependence()

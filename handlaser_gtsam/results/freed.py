@@ -20,7 +20,8 @@ derivatives are neglected: they are a part a / range of the others. For an incid
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -57,8 +58,7 @@ Member = tuple[str, int, int, int, int]
 """Code, number among the unknowns of the error, plane, beam and first station; -1 for all."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Freed:
+class Freed(NamedTuple):
     """The freed errors at a solution, in units of their priors' sigmas.
 
     Attributes
@@ -229,7 +229,7 @@ def with_freed(
             break
         problem = corrected
         selection = replace(again, method=first.method, tried=first.tried)
-    return problem, selection, replace(freed, settled=settled)
+    return problem, selection, freed._replace(settled=settled)
 
 
 class _Errors:
@@ -366,7 +366,7 @@ class _Errors:
         ranges[station, order.beams[readings.beam]] = distance
         R[station], t[station] = new.world_R_hand, new.world_t_hand
         corrected = replace(recording, ranges=ranges, world_R_hand=R, world_t_hand=t)
-        return replace(recorded, recording=corrected, readings=new)
+        return recorded._replace(recording=corrected, readings=new)
 
     def _words(self, member: Member) -> str:
         """Return whom a member of single planes concerns."""

@@ -10,7 +10,7 @@ by plane, beam and time (`PlaneErrors`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -43,8 +43,7 @@ there widens the prior: with a half here it was judged beside the widened prior,
 recordings instead of the 80 that its stated size promises."""
 
 
-@dataclass(frozen=True, slots=True)
-class AdjustedMembers:
+class AdjustedMembers(NamedTuple):
     """All members and the residuals without what the unknowns explain, with or without the prior.
 
     Attributes

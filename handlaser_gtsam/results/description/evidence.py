@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -171,7 +170,7 @@ def correlations_table(described: "Description") -> Table | None:
         "pair",
     )
     note = f"{count(len(pairs), 'pair')} above {STRONG}. {table.note}"
-    return replace(table, note=note.rstrip())
+    return table._replace(note=note.rstrip())
 
 
 def systematic_table(described: "Description") -> Table | None:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,7 +77,7 @@ def beams_table(described: "Description") -> Table | None:
     if not any(cell.mark == "care" for row in table.rows for cell in row):
         return table
     note = f"A dash stands for what the stations do not determine. {table.note}".rstrip()
-    return replace(table, note=note)
+    return table._replace(note=note)
 
 
 def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
@@ -206,7 +205,7 @@ def spots_table(described: "Description") -> Table | None:
         f"± {concise(plane.distance_sigma * IN_MM)} mm in distance, "
         f"± {concise(plane.angle_sigma * IN_DEG)} deg in angle. {table.note}"
     )
-    return replace(table, note=note.rstrip())
+    return table._replace(note=note.rstrip())
 
 
 def planes_table(described: "Description") -> Table | None:

@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from ...text import count, shortened
 from ..lines import UNDETERMINED, decimals
@@ -22,8 +21,7 @@ Facts = tuple[tuple[str, str], ...]
 """Pairs of a name and words."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
+class Cell(NamedTuple):
     """Text, the number by which it sorts, and a mark: `good`, `care`, `bad`, or none."""
 
     text: str
@@ -31,8 +29,7 @@ class Cell:
     mark: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
+class Column(NamedTuple):
     """A title; whether its cells are numbers; whether it gives way where the page is narrow."""
 
     title: str
@@ -40,8 +37,7 @@ class Column:
     wide: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
+class Table(NamedTuple):
     """Rows of cells under columns, with a note on what is not shown."""
 
     name: str
