@@ -39,6 +39,7 @@ from .dependence import INDEPENDENT, Dependence
 from .fit import fit_of, linear_rows, unit_sigma
 from .freed import Freed
 from .lines import NAMES_IN_LINE
+from .messages import warned
 from .problem import Problem, named_estimates
 from .reports import (
     Beam,
@@ -202,12 +203,8 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
     ]
     # More wrong labels than a line names are no slips, but have one cause.
     if len(words) >= NAMES_IN_LINE:
-        message = (
-            f"{len(words)} stations have the label of another plane than they fit: {words[0]}, "
-        )
-        message += "and so on; correct when labels change"
-        return (CalibrationWarning("file-mistake", message, {"stations": len(words)}),)
-    return tuple(CalibrationWarning("wrong-label", f"{one}: correct its label") for one in words)
+        return (warned("file-mistake:labels", {"stations": len(words)}, first=words[0]),)
+    return tuple(warned("wrong-label", station=one) for one in words)
 
 
 def _way(

@@ -36,6 +36,7 @@ from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.families import BEAM
 from ..quantities import FAR_SIGMAS
+from .messages import warned
 from .projection import LinearRows, Projection
 
 LEAST_PAIRS = 20
@@ -79,14 +80,7 @@ class Dependence(NamedTuple):
         """What to say about it; nothing where readings are independent."""
         if self == INDEPENDENT:
             return ()
-        words = (
-            f"the errors of neighbouring stations go together over about {self.length:.0f} stations "
-            f"(they correlate by {self.correlation:.2f}), as errors of poses do while the robot moves: "
-            f"the standard deviations of the beams are {self.growth:.2g} times, those of the planes up "
-            f"to {self.plane_growth:.2g} times as large as with independent stations; stop at the "
-            "stations, or spread as many over more time and more of the robot's range"
-        )
-        return (CalibrationWarning("correlated-in-time", words, self._asdict()),)
+        return (warned("correlated-in-time", self._asdict()),)
 
 
 INDEPENDENT = Dependence()

@@ -43,6 +43,7 @@ from ..model.sensor import Sensor
 from ..quantities import MOST_ROUNDS
 from ..text import count
 from .fit import linear_rows
+from .messages import warned
 from .problem import Problem
 from .projection import FreedColumns, Projection
 from .reports import FreedEffect
@@ -150,8 +151,7 @@ class Freed(NamedTuple):
             )
             found.append(CalibrationWarning("effect-undetermined", words, {"code": code}))
         if not self.settled:
-            words = "the sizes of the freed errors did not come to rest: free fewer of them"
-            found.append(CalibrationWarning("effects-unsettled", words))
+            found.append(warned("effects-unsettled"))
         return tuple(found)
 
 

@@ -25,6 +25,7 @@ from ..solvers.graph import parameters_of
 from ..solvers.levenberg import require_values
 from .calibration import Calibration
 from .fit import fit_of_rows
+from .messages import warned
 from .problem import named_estimates
 from .reports import Determined, Fit, StartReport, Status
 
@@ -228,8 +229,7 @@ def read_graph(
     joint = None if covariance is None else _joint(covariance, wanted, own, terms)
     warnings: tuple[CalibrationWarning, ...] = ()
     if fit.p_value < SINGLE_LEVEL:
-        words = f"chi2 {fit.chi2:.0f} for {fit.dof} degrees of freedom is too large for its noise"
-        warnings = (CalibrationWarning("sigmas-too-small", words),)
+        warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)
     return Calibration(
         status,
         message,

@@ -32,6 +32,7 @@ from ..quantities import IN_MM
 from ..text import count, some
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
+from .messages import Values, warned
 from .spot_error import radius
 from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit, pulled
 from .survey_motion import open_words
@@ -515,11 +516,7 @@ def _warnings(
 ) -> Iterator[CalibrationWarning]:
     for tested in relations:
         if tested.contradicted:
-            words = (
-                f"the readings contradict what is said to be known: {tested.known.words} "
-                f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
-            )
-            yield CalibrationWarning(FALSE_RELATION, words, {"p": tested.p_value})
+            yield warned(FALSE_RELATION, {"p": tested.p_value}, known=tested.known.words)
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
@@ -532,23 +529,17 @@ def _warnings(
             first, *others = sorted(found_errors, key=lambda e: -abs(e.size) / e.sigma)
             p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
             alike = " or ".join(error.code for error in others)
-            words = (
-                f"{sensor.name} reads with an error {first.code} of {first.size:.3g} +- "
-                f'{first.sigma:.2g} (p = {p:.1g}); free = ["{first.code}"] estimates it'
-            )
-            words += f"; an error {alike} would look much like it" if others else ""
-            yield CalibrationWarning(
-                "range-error", words, {"sensor": sensor.name, "size": first.size}
+            alike = f"; an error {alike} would look much like it" if others else ""
+            values: Values = {"sensor": sensor.name, "size": first.size}
+            yield warned(
+                "range-error", values, code=first.code, sigma=first.sigma, p=p, alike=alike
             )
     beams = found.rows.survey.beam_names
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
         names = some([one.words(beams) for one in out], NAMES_IN_LINE)
-        words = (
-            f"{len(out)} of {len(found.rows.items)} shots contradict the others and are left out: "
-            f"{names}; are their labels right?"
-        )
-        yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
+        total = len(found.rows.items)
+        yield warned("many-rejected", {"shots": len(out)}, total=total, names=names)
     yield from unread_stations(found.rows)
     yield from found.rows.survey.warnings
 
@@ -559,18 +550,13 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
     read = {item.station for item in rows.items} | {at for _, at in rows.lost}
     unread = stations - len(read)
     if unread:
-        words = f"{unread} of {stations} stations have no reading, and were left out"
-        sizes = {"stations": unread, "total": stations}
-        yield CalibrationWarning("stations-left-out", words, sizes)
+        yield warned("stations-left-out", {"stations": unread, "total": stations})
     labels = survey.stations.plane_labels
     edgeless = rows.edgeless
     for label in edgeless:
         shots = sum(labels[at] == label for _, at in rows.lost)
-        words = (
-            f"no profile of {label} has an edge between two straight sides; look at both sides at "
-            f"once, or label it plane:{label.partition(':')[2]} if it is one plane"
-        )
-        yield CalibrationWarning("no-edge", words, {"target": label, "shots": shots})
+        values: Values = {"target": label, "shots": shots}
+        yield warned("no-edge", values, name=label.partition(":")[2])
     names = survey.stations.station_names
     lost = [
         f"sensor {survey.shots[member].name} at station {names[at]}"
@@ -578,13 +564,14 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         if labels[at] not in edgeless
     ]
     if lost:
-        words = (
-            f"{count(len(lost), 'shot')} with too few points on their target, or most of them on "
-            "something else behind or beside it: "
-            f"{some(lost, NAMES_IN_LINE)}"
+        more = "".join(f"; {one}" for one in _counted_towards(rows))
+        yield warned(
+            "too-few-points",
+            {"shots": len(lost)},
+            lost=count(len(lost), "shot"),
+            names=some(lost, NAMES_IN_LINE),
+            more=more,
         )
-        words += "".join(f"; {one}" for one in _counted_towards(rows))
-        yield CalibrationWarning("too-few-points", words, {"shots": len(lost)})
 
 
 def _counted_towards(rows: Rows) -> Iterator[str]:
@@ -615,28 +602,20 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         smaller = inside < shots.sigma
         p = float((chi2_cdf if smaller else chi2_sf)(square, many))
         if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > NOTABLE_SIGMA:
-            code = f"sigmas-too-{'large' if smaller else 'small'}"
-            message = (
-                f"readings of {shots.name} scatter by {inside * IN_MM:.2g} mm inside shots, where "
-                f"{shots.sigma * IN_MM:.2g} mm are stated; state none to have it estimated"
+            how, stated = "large" if smaller else "small", shots.sigma
+            values: Values = {"sigma_mm": inside * IN_MM, "p": p}
+            yield warned(
+                f"sigmas-too-{how}:shots", values, sensor=shots.name, inside=inside, stated=stated
             )
-            yield CalibrationWarning(code, message, {"sigma_mm": inside * IN_MM, "p": p})
             return
     chi2, dof = found.estimate.chi2, found.estimate.dof
     learned = np.isnan([*found.stated.sigma, *found.stated.pose]).any()
     if learned or dof < 1 or not math.isfinite(chi2):
         return
     times = math.sqrt(chi2 / dof)
-    for code, p, words in (
-        ("sigmas-too-small", float(chi2_sf(chi2, dof)), "too small, or the model does not hold"),
-        ("sigmas-too-large", float(chi2_cdf(chi2, dof)), "too large"),
-    ):
+    for how, p in (("small", float(chi2_sf(chi2, dof))), ("large", float(chi2_cdf(chi2, dof)))):
         if p < SINGLE_LEVEL:
-            message = (
-                f"shots misfit by {times:.2f} times what the sigmas say (p = {p:.1g}): a sigma is "
-                f"{words}; state none to have them estimated"
-            )
-            yield CalibrationWarning(code, message, {"times": times, "p": p})
+            yield warned(f"sigmas-too-{how}:survey", {"times": times, "p": p})
 
 
 def _undetermined(found: SurveyEstimate) -> Iterator[str]:
