@@ -98,7 +98,7 @@ def test_every_code_has_its_row():
     first = " ".join(re.findall(r"^\| (.*?) \|", page, re.MULTILINE))
     listed = set(re.findall(r"`([a-z-]+)`", first))
     assert {*OPENING, *EFFECTS} <= listed
-    codes = {message.partition(":")[0] for message in MESSAGES} - {"checks", "survey-checks"}
+    codes = {message.partition(":")[0] for message in MESSAGES["warnings"]}
     for path in (ROOT / "handlaser_gtsam").rglob("*.py"):
         for call in re.findall(r"CalibrationWarning\(\s*\"([a-z-]+)\"", path.read_text()):
             codes.add(call)
@@ -106,13 +106,13 @@ def test_every_code_has_its_row():
     assert codes <= listed, codes - listed
 
 
-def test_the_words_of_a_warning_hold_what_its_call_gives_and_each_is_used():
-    """Placeholders are keys of mappings, or keywords, in the function that warns."""
+def test_words_hold_what_their_call_gives_and_each_is_used():
+    """Placeholders are keys of mappings, or keywords, in the function that warns or says them."""
     from handlaser_gtsam.results.dependence import Dependence
     from handlaser_gtsam.results.messages import MESSAGES
 
     given = {"checks", "survey-checks"}
-    used = {"checks", "survey-checks"}
+    used = {one for one in MESSAGES["sentences"] if one.startswith(("best:", "survey-checks"))}
     for path in (ROOT / "handlaser_gtsam" / "results").glob("*.py"):
         tree = ast.parse(path.read_text())
         constants = {
@@ -131,25 +131,28 @@ def test_the_words_of_a_warning_hold_what_its_call_gives_and_each_is_used():
                 if isinstance(key, ast.Constant)
             }
             for call in ast.walk(function):
-                if not isinstance(call, ast.Call) or getattr(call.func, "id", "") != "warned":
+                called = getattr(getattr(call, "func", None), "id", "")
+                if called not in ("warned", "said", "_best") or path.name == "messages.py":
                     continue
+                table = MESSAGES["warnings" if called == "warned" else "sentences"]
                 first = call.args[0]
                 parts = first.values if isinstance(first, ast.JoinedStr) else [first]
-                pattern = ""
+                pattern = "best:" if called == "_best" else ""
                 for part in parts:
                     if isinstance(part, ast.FormattedValue):
                         part = part.value
                     text = getattr(part, "value", constants.get(getattr(part, "id", "")))
-                    pattern += r"\w+" if text is None else re.escape(text)
-                here = {one for one in MESSAGES if re.fullmatch(pattern, one)}
+                    pattern += "[a-z:_ -]+" if text is None else re.escape(text)
+                here = {one for one in table if re.fullmatch(pattern, one)}
                 assert here, (path.name, call.lineno)
                 used |= here
+                if ast.unparse(first) in ("worst", "f'best:{message}'"):
+                    continue  # of several, whose words are given elsewhere, or the same
                 words = {word.arg for word in call.keywords} | keys | given
+                words |= {"number"} if len(call.args) > 1 else set()
                 if path.name == "dependence.py":
                     words |= set(Dependence._fields)
                 for message in here:
-                    fields = {
-                        name for _, name, _, _ in Formatter().parse(MESSAGES[message]) if name
-                    }
+                    fields = {name for _, name, _, _ in Formatter().parse(table[message]) if name}
                     assert fields <= words, (path.name, message, fields - words)
-    assert used == set(MESSAGES)
+    assert used == {*MESSAGES["warnings"], *MESSAGES["sentences"]}

@@ -1,4 +1,4 @@
-"""Warnings by their codes: the words of all of them stand in `messages.toml`."""
+"""Warnings by their codes, and other sentences: the words of all of them stand in `messages.toml`."""
 
 import pkgutil
 import string
@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from ..errors import CalibrationWarning
 from ..quantities import IN_DEG, IN_MM
 
-MESSAGES: dict[str, str] = tomllib.loads(
-    (pkgutil.get_data(__name__, "messages.toml") or b"").decode()
-)
-"""Words by code, or by code and what tells messages of one code apart."""
+_TEXT = (pkgutil.get_data(__name__, "messages.toml") or b"").decode()
+MESSAGES: dict[str, dict[str, str]] = tomllib.loads(_TEXT)
+"""Words of warnings by their codes, and of other sentences, and what tells those of one code apart."""
 Values = Mapping[str, float | str]
 """Numbers and names that a warning keeps, SI units."""
 IN_UNITS = {"mm": IN_MM, "deg": IN_DEG, "degrees": IN_DEG}
@@ -25,17 +24,17 @@ class _InUnits(string.Formatter):
         return f"{float(value) * IN_UNITS[unit]:{digits}} {unit}" if unit else format(value, digits)
 
 
-def warned(message: str, values: Values | None = None, **words: float | str) -> CalibrationWarning:
-    """Return a warning with its words.
+def said(sentence: str, **words: float | str) -> str:
+    """Return one of the sentences with its words."""
+    return _filled(MESSAGES["sentences"][sentence], words)
 
-    Parameters
-    ----------
-    message : str
-        Of `MESSAGES`.
-    values : Values, optional
-    words : float or str
-        What else its words hold.
-    """
+
+def warned(message: str, values: Values | None = None, **words: float | str) -> CalibrationWarning:
+    """Return one of the warnings; its words hold the values that it keeps, and more."""
     values = {} if values is None else values
-    said = _InUnits().vformat(MESSAGES[message], (), {**MESSAGES, **values, **words})
-    return CalibrationWarning(message.partition(":")[0], said, values)
+    filled = _filled(MESSAGES["warnings"][message], {**values, **words})
+    return CalibrationWarning(message.partition(":")[0], filled, values)
+
+
+def _filled(message: str, words: Values) -> str:
+    return _InUnits().vformat(message, (), {**MESSAGES["sentences"], **words})

@@ -39,7 +39,7 @@ from ..model.targets.sphere import SPHERE
 from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
 from ..text import some
 from .lines import NAMES_IN_LINE
-from .messages import MESSAGES, Values, warned
+from .messages import Values, said, warned
 
 CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
@@ -68,7 +68,7 @@ SHOTS_TRIED = 60
 MUCH_DEARER = 2.0
 """Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
-CHECKS = MESSAGES["survey-checks"]
+CHECKS = said("survey-checks")
 """What to do where no cause is known."""
 
 

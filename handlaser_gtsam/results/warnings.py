@@ -32,7 +32,7 @@ from ..starts.beam_minima import beam_minima
 from ..starts.search import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .dependence import Dependence
-from .messages import MESSAGES, Values, warned
+from .messages import Values, said, warned
 from .reports import Fit
 
 SUSPICIOUS_FIT = 0.06
@@ -192,7 +192,7 @@ def noise_advice(fit: Fit) -> str:
     """Say what to do where the motion would be enough, but not for residuals of this size."""
     return (
         f"the motion would be enough if the readings fitted better than {fit.rms * IN_MM:.3g} mm rms: "
-        f"{MESSAGES['checks']}; otherwise add stations with more varied orientations"
+        f"{said('checks')}; otherwise add stations with more varied orientations"
     )
 
 
