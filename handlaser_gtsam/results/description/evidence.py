@@ -13,6 +13,7 @@ from ...model.joint import STRONG
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..lines import NAMES_IN_LINE, small_mm
+from ..messages import said
 from ..reports import CalibrationData, NoiseComponent
 from ..systematic import SystematicError
 from ..verdict import WELL_CONDITIONED
@@ -93,23 +94,15 @@ def observability_sentences(described: "Description") -> Iterator[str]:
             yield f"To determine it: {'; '.join(observed.advice)}."
         return
     yield f"All {observed.unknowns} unknowns are determined."
-    meets = "which it meets."
-    if observed.condition >= WELL_CONDITIONED:
-        meets = (
-            "which it does not meet; the standard deviations hold all the same, and more varied motion "
-            "lowers both."
-        )
-    yield (
-        f"The condition number is {concise(observed.condition)}; the usual demand is below "
-        f"{WELL_CONDITIONED:.0f}, {meets}"
-    )
+    meets = "met" if observed.condition < WELL_CONDITIONED else "missed"
+    number, demand = concise(observed.condition), WELL_CONDITIONED
+    yield said(f"condition:{meets}", number=number, demand=demand)
     if observed.weakest:
         yield f"The least certain is {observed.weakest}."
     yield from _shares(described)
     if observed.indices is not None:
-        names = ("O1", "O2", "O3", "O4")
-        listed = (f"{name} {concise(getattr(observed.indices, name), 2)}" for name in names)
-        yield f"Observability indices, larger is better: {', '.join(listed)}."
+        O1, O2, O3, O4 = (concise(getattr(observed.indices, f"O{i}"), 2) for i in range(1, 5))
+        yield said("indices", O1=O1, O2=O2, O3=O3, O4=O4)
 
 
 def _shares(described: "Description") -> Iterator[str]:
@@ -145,10 +138,8 @@ def advice_sentences(described: "Description") -> Iterator[str]:
     for advice in dict.fromkeys(pair.advice for pair in calibration.correlations):
         first, *further = [pair for pair in calibration.correlations if pair.advice == advice]
         others = f", as are {count(len(further), 'more pair')}" if further else ""
-        yield (
-            f"{advice[:1].upper()}{advice[1:]}: {first.first} and {first.second} are hardly told apart "
-            f"(correlation {first.coefficient:.3f}){others}."
-        )
+        pair, rho = f"{first.first} and {first.second}", first.coefficient
+        yield sentence(said("correlated", advice=advice, pair=pair, rho=rho, others=others))
 
 
 def correlations_table(described: "Description") -> Table | None:
@@ -180,8 +171,7 @@ def systematic_table(described: "Description") -> Table | None:
         return None
     return Table(
         "systematic",
-        "Found where p is below 0.01 after Holm's correction. What is not found may still be as large "
-        "as the size given; the last column says how far it would then move a laser spot.",
+        said("table:systematic"),
         (
             *of_words("error", "result"),
             *of_numbers("p"),

@@ -11,6 +11,7 @@ from ...model.families import BEAM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ...quantities import IN_DEG, IN_MM
 from ..limits import LimitCheck
 from ..lines import UNDETERMINED, decimals
+from ..messages import said
 from ..reports import Beam, Plane
 from ..spot_error import spot, spot_radii, typical_plane
 from .tables import (
@@ -53,15 +54,10 @@ def beams_table(described: "Description") -> Table | None:
     if not any(_known(beam.sigma) for beam in beams):
         return None
     radii = spot_radii(described.calibration, described.verdict.reading) if described.solved else {}
-    spot_words = ""
-    if radii:
-        at = concise(described.verdict.reading * IN_MM, 4)
-        spot_words = f" 95 % of laser spots lie within the radius at a reading of {at} mm."
+    at = concise(described.verdict.reading * IN_MM, 4) if radii else ""
     table = listed(
         "beams",
-        "Hand frame. Standard deviations are the largest of a coordinate of the location, and that of "
-        "the angle of the direction; in parentheses, that of the last digits of k1 and k2 [1/m]."
-        + spot_words,
+        said("table:beams") + (said("table:beams:spots", at=at) if radii else ""),
         (
             *of_words("beam"),
             *of_numbers("x mm", "y mm", "z mm", "± mm"),
@@ -126,8 +122,7 @@ def mounts_table(described: "Description") -> Table | None:
     rows = [row for beam in beams[:ROWS_ON_PAGE] for row in _parameters(described, beam)]
     return Table(
         "mounts",
-        "Hand frame: locations in mm, directions as unit vectors with the standard deviation of their "
-        "angle in deg, k2 in 1/m. The true range is d + k1 d + k2 d² for a reading d.",
+        said("table:mounts"),
         (
             *of_words("beam", "parameter"),
             *of_numbers("value", "std dev", "95 % from", "to"),
@@ -183,9 +178,7 @@ def spots_table(described: "Description") -> Table | None:
 
     table = listed(
         "spots",
-        f"At a reading of {concise(reading * IN_MM, 4)} mm, the working distance: the radius that "
-        "holds the spot with 95 % from the calibration alone, and its standard deviations. One reading "
-        "adds its own noise along the beam.",
+        said("table:spots", at=concise(reading * IN_MM, 4)),
         (
             *of_words("beam"),
             *of_numbers(
@@ -200,12 +193,9 @@ def spots_table(described: "Description") -> Table | None:
     if measured is None:
         return table
     station, plane = measured
-    note = (
-        f"A plane measured by all beams at once, as at station {station}: "
-        f"± {concise(plane.distance_sigma * IN_MM)} mm in distance, "
-        f"± {concise(plane.angle_sigma * IN_DEG)} deg in angle. {table.note}"
-    )
-    return table._replace(note=note.rstrip())
+    far, turn = concise(plane.distance_sigma * IN_MM), concise(plane.angle_sigma * IN_DEG)
+    note = said("table:spots:plane", station=station, distance=far, angle=turn)
+    return table._replace(note=f"{note} {table.note}".rstrip())
 
 
 def planes_table(described: "Description") -> Table | None:
