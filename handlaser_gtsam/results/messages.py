@@ -8,9 +8,11 @@ from collections.abc import Mapping
 from ..errors import CalibrationWarning
 from ..quantities import IN_DEG, IN_MM
 
-_TEXT = (pkgutil.get_data(__name__, "messages.toml") or b"").decode()
-MESSAGES: dict[str, dict[str, str]] = tomllib.loads(_TEXT)
+_FOUND = tomllib.loads((pkgutil.get_data(__name__, "messages.toml") or b"").decode())
+MESSAGES: dict[str, dict[str, str]] = {name: _FOUND[name] for name in ("warnings", "sentences")}
 """Words of warnings by their codes, and of other sentences, and what tells those of one code apart."""
+TITLES: dict[str, dict[str, list[str]]] = _FOUND["tables"]
+"""Of tables by their names: titles of all columns, of those of words, and of those that give way."""
 Values = Mapping[str, float | str]
 """Numbers and names that a warning keeps, SI units."""
 IN_UNITS = {"mm": IN_MM, "deg": IN_DEG, "degrees": IN_DEG}

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ... import __version__
 from ...quantities import IN_MM, IN_PERCENT
-from ...results.description.tables import Table, number, of_numbers, of_words, sentence, text
+from ...results.description.tables import Table, number, sentence, table_of, text
 from ...text import printable
 from .options import ReportOptions, changed_on, sha256
 from .subject import Subject
@@ -76,5 +76,4 @@ def _plan_table(subject: Subject) -> Table | None:
         for j in range(len(stations.plane_labels))
         if not np.isnan(plan.ranges[j]).all()
     )
-    columns = (*of_words("plane"), *of_numbers("x mm", "y mm", "z mm", "qx", "qy", "qz", "qw"))
-    return Table("next", "Hand poses world_T_hand.", columns, rows)
+    return table_of("next", rows)

@@ -36,9 +36,8 @@ from ...results.description.tables import (
     digits_of,
     name_cell,
     number,
-    of_numbers,
-    of_words,
     significant,
+    table_of,
 )
 from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
@@ -287,21 +286,7 @@ def stations_table(subject: Subject) -> Table | None:
         shown = np.sort(np.argsort(-largest, kind="stable")[:ROWS_ON_PAGE])
         note = f"The {ROWS_ON_PAGE} stations of {shown_count} with the largest residuals."
     digits = digits_of([subject.calibration.fit.rms * IN_MM], 6) + 1
-    return Table(
-        "stations",
-        "Residuals are predicted less read; the largest with its beam, and in its own standard "
-        "deviations. Position of the hand in the world frame; the flattest incidence of a beam.",
-        (
-            *of_words("station", "plane"),
-            *of_numbers("x mm", "y mm", "z mm", wide=True),
-            *of_numbers("used", "rms mm", "largest mm"),
-            *of_words("beam"),
-            *of_numbers("in std dev"),
-            *of_numbers("incidence deg", wide=True),
-        ),
-        tuple(_station(rows, j, digits) for j in shown.tolist()),
-        note,
-    )
+    return table_of("stations", (_station(rows, j, digits) for j in shown.tolist()), note)
 
 
 def _station(rows: ReadingRows, j: int, digits: int) -> tuple[Cell, ...]:
@@ -340,18 +325,7 @@ def held_out_table(subject: Subject) -> Table | None:
     every = len(subject.calibration.planes)
     note = f"{len(planes)} of {every} planes were held out, one at a time."
     note = note if len(planes) < every else ""
-    return Table(
-        "held-out",
-        "The plane is held out, the beams are found from the others, and its readings are compared "
-        "with them. The chance is that of so large a difference in good recordings.",
-        (
-            *of_words("without plane"),
-            *of_numbers("readings", "rms mm", "largest mm", "p"),
-            *of_words("beams"),
-        ),
-        tuple(rows),
-        note,
-    )
+    return table_of("held-out", rows, note)
 
 
 def _held(subject: Subject, plane: str, held: HoldOut | None, why: str) -> tuple[Cell, ...]:

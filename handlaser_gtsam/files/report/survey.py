@@ -3,7 +3,7 @@
 from ... import __version__
 from ...data.survey import Survey
 from ...results.description.survey import beams_table, facts, sensors_table, targets_table
-from ...results.description.tables import listed, name_cell, of_words, sentence, text
+from ...results.description.tables import listed, name_cell, sentence, text
 from ...results.limits import LimitCheck
 from ...results.survey import SurveyCalibration
 from .figure import Figure
@@ -92,9 +92,7 @@ def survey_content(
         "targets": targets_table(result),
         "rows": facts(result, checks),
         "rejected": listed(
-            "rejected",
-            "Shots that were left out",
-            of_words("sensor", "station", "target", "reason"),
+            "rejected:survey",
             result.rejected,
             lambda one: (
                 *map(name_cell, (one.sensor, one.station, one.target)),

@@ -26,10 +26,9 @@ from .tables import (
     listed,
     name_cell,
     number,
-    of_numbers,
-    of_words,
     sentence,
     significant,
+    table_of,
     text,
 )
 
@@ -150,8 +149,6 @@ def correlations_table(described: "Description") -> Table | None:
     pairs = calibration.correlations
     table = listed(
         "correlations",
-        "",
-        (*of_words("unknown", "and"), *of_numbers("correlation")),
         pairs,
         lambda pair: (
             text(str(pair.first)),
@@ -169,17 +166,7 @@ def systematic_table(described: "Description") -> Table | None:
     tested = described.calibration.systematic
     if not tested or not described.solved:
         return None
-    return Table(
-        "systematic",
-        said("table:systematic"),
-        (
-            *of_words("error", "result"),
-            *of_numbers("p"),
-            *of_words("unnoticed below"),
-            *of_numbers("spot moves mm"),
-        ),
-        tuple(_systematic(error, described.verdict.reading) for error in tested),
-    )
+    return table_of("systematic", (_systematic(one, described.verdict.reading) for one in tested))
 
 
 def _systematic(error: SystematicError, reading: float) -> tuple[Cell, ...]:
@@ -219,8 +206,6 @@ def rejected_table(described: "Description") -> Table | None:
         return None
     return listed(
         "rejected",
-        "",
-        (*of_words("station", "beam", "reason"), *of_numbers("residual mm")),
         rejected,
         lambda reading: (
             name_cell(reading.station),

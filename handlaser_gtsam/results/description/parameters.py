@@ -18,7 +18,6 @@ from .tables import (
     NONE,
     ROWS_ON_PAGE,
     Cell,
-    Column,
     Table,
     concise,
     determined,
@@ -27,10 +26,9 @@ from .tables import (
     more,
     name_cell,
     number,
-    of_numbers,
-    of_words,
     plain,
     significant,
+    table_of,
     text,
 )
 
@@ -54,22 +52,10 @@ def beams_table(described: "Description") -> Table | None:
     if not any(_known(beam.sigma) for beam in beams):
         return None
     radii = spot_radii(described.calibration, described.verdict.reading) if described.solved else {}
-    at = concise(described.verdict.reading * IN_MM, 4) if radii else ""
-    table = listed(
-        "beams",
-        said("table:beams") + (said("table:beams:spots", at=at) if radii else ""),
-        (
-            *of_words("beam"),
-            *of_numbers("x mm", "y mm", "z mm", "± mm"),
-            *of_numbers(*BEAM.numbers[OF_DIRECTION], wide=True),
-            *of_numbers("± deg"),
-            *of_numbers(*BEAM.numbers[OF_RANGE_ERROR], wide=True),
-            *of_numbers("spot mm"),
-        ),
-        beams,
-        lambda beam: _beam_row(beam, radii.get(beam.name)),
-        "beam",
-    )
+    table = listed("beams", beams, lambda beam: _beam_row(beam, radii.get(beam.name)), "beam")
+    if radii:
+        at = concise(described.verdict.reading * IN_MM, 4)
+        table = table._replace(caption=table.caption + said("table:beams:spots", at=at))
     if not any(cell.mark == "care" for row in table.rows for cell in row):
         return table
     note = f"A dash stands for what the stations do not determine. {table.note}".rstrip()
@@ -120,17 +106,7 @@ def mounts_table(described: "Description") -> Table | None:
     if not any(_known(beam.sigma) for beam in beams):
         return None
     rows = [row for beam in beams[:ROWS_ON_PAGE] for row in _parameters(described, beam)]
-    return Table(
-        "mounts",
-        said("table:mounts"),
-        (
-            *of_words("beam", "parameter"),
-            *of_numbers("value", "std dev", "95 % from", "to"),
-            Column("unit", number=False, wide=True),
-        ),
-        tuple(rows),
-        more(len(beams) - ROWS_ON_PAGE, "beam"),
-    )
+    return table_of("mounts", rows, more(len(beams) - ROWS_ON_PAGE, "beam"))
 
 
 def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ...]]:
@@ -176,19 +152,7 @@ def spots_table(described: "Description") -> Table | None:
         cells = [significant(x * IN_MM, 2) for x in numbers]
         return name_cell(name), *cells, significant(found.direction_sigma * IN_DEG, 2)
 
-    table = listed(
-        "spots",
-        said("table:spots", at=concise(reading * IN_MM, 4)),
-        (
-            *of_words("beam"),
-            *of_numbers(
-                "95 % spot mm", "along mm", "across mm", "reading adds mm", "direction deg"
-            ),
-        ),
-        list(radii),
-        row,
-        "beam",
-    )
+    table = listed("spots", list(radii), row, "beam", at=concise(reading * IN_MM, 4))
     measured = typical_plane(calibration)
     if measured is None:
         return table
@@ -203,14 +167,7 @@ def planes_table(described: "Description") -> Table | None:
     planes = list(described.calibration.planes.values())
     if not any(_known(plane.sigma) for plane in planes):
         return None
-    return listed(
-        "planes",
-        "n · x + b = 0 in the world frame; n points away from the sensor.",
-        (*of_words("plane"), *of_numbers("n x", "n y", "n z", "std dev deg", "b mm", "std dev mm")),
-        planes,
-        _plane_row,
-        "plane",
-    )
+    return listed("planes", planes, _plane_row, "plane")
 
 
 def _plane_row(plane: Plane) -> tuple[Cell, ...]:
@@ -244,9 +201,4 @@ def limits_table(described: "Description") -> Table | None:
         value, limit = significant(one.value * scale), significant(one.limit * scale)
         return text(words), text(one.subject or "all"), value, limit, text(unit), state
 
-    columns = (
-        *of_words("quantity", "of"),
-        *of_numbers("value", "limit"),
-        *of_words("unit", "result"),
-    )
-    return listed("limits", "", columns, checks, row, "limit")
+    return listed("limits", checks, row, "limit")

@@ -23,8 +23,6 @@ from .tables import (
     determined,
     listed,
     name_cell,
-    of_numbers,
-    of_words,
     significant,
     text,
 )
@@ -43,20 +41,7 @@ def sensors_table(result: SurveyCalibration) -> Table | None:
     """Return where sensors of many rays sit: location, Euler angles, and sigmas of both."""
     if not result.sensors:
         return None
-    return listed(
-        "sensors",
-        "hand_T_sensor: location, and R = Rz(A) Ry(B) Rx(C)",
-        (
-            *of_words("sensor"),
-            *of_numbers("x [mm]", "y [mm]", "z [mm]", "sigma [mm]"),
-            *of_numbers("A [deg]", "B [deg]", "C [deg]", "sigma [deg]"),
-            *of_numbers("spot 95 % [mm]", "shots"),
-            *of_numbers("rejected", wide=True),
-        ),
-        list(result.sensors.values()),
-        _sensor_row,
-        "sensor",
-    )
+    return listed("sensors", list(result.sensors.values()), _sensor_row, "sensor")
 
 
 def _sensor_row(sensor: SensorMount) -> tuple[Cell, ...]:
@@ -93,18 +78,7 @@ def beams_table(result: SurveyCalibration) -> Table | None:
     """Return where single beams sit."""
     if not result.beams:
         return None
-    return listed(
-        "beams",
-        "location and direction in the hand",
-        (
-            *of_words("beam"),
-            *of_numbers("x [mm]", "y [mm]", "z [mm]", "sigma [mm]"),
-            *of_numbers("vx", "vy", "vz", "sigma [deg]", "readings"),
-        ),
-        list(result.beams.values()),
-        _beam_row,
-        "beam",
-    )
+    return listed("beams:survey", list(result.beams.values()), _beam_row, "beam")
 
 
 def _beam_row(beam: BeamMount) -> tuple[Cell, ...]:
@@ -121,8 +95,6 @@ def targets_table(result: SurveyCalibration) -> Table:
     """Return what was looked at."""
     return listed(
         "targets",
-        "in the world",
-        of_words("target", "kind", "place", "sigma"),
         list(result.targets.values()),
         lambda t: (name_cell(t.label), text(t.kind), text(_place(t)), text(_sigma(t))),
         "target",
