@@ -9,7 +9,7 @@ from ..errors import CalibrationWarning
 from ..quantities import IN_DEG, IN_MM
 
 _FOUND = tomllib.loads((pkgutil.get_data(__name__, "messages.toml") or b"").decode())
-MESSAGES: dict[str, dict[str, str]] = {name: _FOUND[name] for name in ("warnings", "sentences")}
+MESSAGES: dict[str, dict[str, str]] = {name: _FOUND[name] for name in _FOUND if name != "tables"}
 """Words of warnings by their codes, and of other sentences, and what tells those of one code apart."""
 TITLES: dict[str, dict[str, list[str]]] = _FOUND["tables"]
 """Of tables by their names: titles of all columns, of those of words, and of those that give way."""

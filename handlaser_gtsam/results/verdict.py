@@ -21,22 +21,13 @@ from ..quantities import IN_MM, IN_PERCENT
 from ..text import count, some
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import NAMES_IN_LINE
-from .messages import said
+from .messages import MESSAGES, said
 from .reports import CalibrationData
 from .spot_error import VarianceShares, freedom, spot_radii, variance_shares
 from .systematic import SystematicError
 from .warnings import MANY_OUTLIERS
 
-OPENING = {
-    "usable": "Usable",
-    "usable-with-care": "Usable with care",
-    "outside-limits": "Not usable, outside the limits",
-    "systematic-error": "Not usable, a systematic error",
-    "contradicted": "Not usable, contradicted",
-    "undetermined": "Not usable, undetermined",
-    "no-fit": "Not usable, the readings do not fit",
-    "not-converged": "Not usable, no calibration",
-}
+OPENING = MESSAGES["openings"]
 """How a sentence begins, by the code of its verdict."""
 RANDOM_ONLY = "; random errors only: state [sensor] kind"
 """What stands beside a radius where nothing says which systematic errors are plausible."""

@@ -22,7 +22,8 @@ STYLE: dict[str, dict[str, Any]] = json.loads((Path(__file__).parent / "style.js
 """What plotly.js is told of all figures alike, by the name of a layout, an axis or a trace."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#b8860b", "#6a51a3", "#6b7280")
 """Colours of beams, which people who see no red or green tell apart, too."""
-SYMBOLS = ("circle", "diamond", "square", "triangle-up", "x", "star", "cross", "pentagon")
+SYMBOLS = STYLE["symbols"]
+"""Symbols of beams by their names in plotly, as matplotlib calls them."""
 AXIS_COLOURS = ("#c0392b", "#2e8b57", "#2c6fbb")
 """Colours of x, y and z of the hand."""
 LEGEND = len(COLOURS)
@@ -116,7 +117,7 @@ def tick_labels(names: Sequence[str], room: int = LETTERS_BELOW) -> list[str]:
 
 def marker(index: int, count: int) -> Record:
     """Return the marker of one of `count` beams: the same for all where there are more than colours."""
-    symbol = SYMBOLS[index if count <= LEGEND else 0]
+    symbol = list(SYMBOLS)[index if count <= LEGEND else 0]
     return {"color": colour(index, count), "symbol": symbol, "size": 6}
 
 

@@ -18,7 +18,7 @@ from ...results.calibration import Calibration
 from ..calibration_file import CalibrationFile
 from ..calibration_reading import mounts_of
 from ..writing import path_of, write_bytes
-from .figure import AXIS_COLOURS, LEGEND, STYLE, Figure, colour, short
+from .figure import AXIS_COLOURS, LEGEND, STYLE, SYMBOLS, Figure, colour, short
 from .figures import correlation_figure, flat_figures
 from .options import ReportOptions
 from .scene import Geometry, in_hand, in_world, of_hand
@@ -35,16 +35,6 @@ DPI = 130
 """Dots an inch of a picture, which a page shows without enlarging it."""
 GREY, LINE = (STYLE["axis"][name] for name in ("linecolor", "gridcolor"))
 INK = STYLE["flat"]["font"]["color"]
-MARKERS = {
-    "circle": "o",
-    "diamond": "D",
-    "square": "s",
-    "triangle-up": "^",
-    "x": "x",
-    "star": "*",
-    "cross": "P",
-    "pentagon": "p",
-}
 
 
 def plot(
@@ -186,7 +176,7 @@ def _trace(axes: "Axes", trace: Mapping[str, Any], before: Mapping[str, Any] | N
         y,
         ls=":" if line.get("dash") else "-" if "lines" in trace["mode"] else "",
         color=line.get("color") or marker.get("color"),
-        marker=MARKERS[marker.get("symbol", "circle")] if "markers" in trace["mode"] else "",
+        marker=SYMBOLS[marker.get("symbol", "circle")] if "markers" in trace["mode"] else "",
         ms=0.6 * marker.get("size", 6),
         lw=0.8 * line.get("width", 1),
         alpha=marker.get("opacity", 1.0),
