@@ -9,10 +9,12 @@ from ..errors import CalibrationWarning
 from ..quantities import IN_DEG, IN_MM
 
 _FOUND = tomllib.loads((pkgutil.get_data(__name__, "messages.toml") or b"").decode())
-MESSAGES: dict[str, dict[str, str]] = {name: _FOUND[name] for name in _FOUND if name != "tables"}
+MESSAGES: dict[str, dict[str, str]] = _FOUND
 """Words of warnings by their codes, and of other sentences, and what tells those of one code apart."""
 TITLES: dict[str, dict[str, list[str]]] = _FOUND["tables"]
 """Of tables by their names: titles of all columns, of those of words, and of those that give way."""
+MISTAKES: dict[str, dict[str, str | int | list[int]]] = _FOUND["mistakes"]
+"""Mistakes of files in words, and what was wrong with positions, ranges, quaternions or rows."""
 Values = Mapping[str, float | str]
 """Numbers and names that a warning keeps, SI units."""
 IN_UNITS = {"mm": IN_MM, "deg": IN_DEG, "degrees": IN_DEG}
