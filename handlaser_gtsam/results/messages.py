@@ -21,11 +21,14 @@ IN_UNITS = {"mm": IN_MM, "deg": IN_DEG, "degrees": IN_DEG}
 
 
 class _InUnits(string.Formatter):
-    """Writes values in SI units as a person reads them: {rms_m:.3g mm}."""
+    """Writes values in SI units as a person reads them: {rms_m:.3g mm}; {x:.3f _mm} has no unit."""
 
     def format_field(self, value: float | str, format_spec: str) -> str:
         digits, _, unit = format_spec.partition(" ")
-        return f"{float(value) * IN_UNITS[unit]:{digits}} {unit}" if unit else format(value, digits)
+        if not unit:
+            return format(value, digits)
+        shown = f"{float(value) * IN_UNITS[unit.removeprefix('_')]:{digits}}"
+        return shown if unit.startswith("_") else f"{shown} {unit}"
 
 
 def said(sentence: str, **words: float | str) -> str:
