@@ -13,7 +13,7 @@ from ...model.sensors.mounted import SENSOR
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..limits import LimitCheck, worst_of_each
-from ..lines import NAMES_IN_LINE, decimals
+from ..lines import NAMES_IN_LINE, UNDETERMINED, decimals
 from ..messages import said
 from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
 from .tables import (
@@ -99,7 +99,7 @@ def targets_table(result: SurveyCalibration) -> Table:
 
 def _target_row(target: SurveyTarget) -> tuple[Cell, ...]:
     sigma, kind = dict(target.sigma), target.kind
-    words = "undetermined"
+    words = UNDETERMINED
     if all(map(math.isfinite, sigma.values())):
         largest = max(sigma.get(axis, 0.0) for axis in "xyz")
         words = said(f"sigma:{kind}", largest=largest, **sigma)
