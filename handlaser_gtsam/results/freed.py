@@ -55,8 +55,8 @@ DETERMINED = 0.5
 """A size is determined where the readings lower the variance of its prior to below this part: then they
 say more of it than the prior."""
 
-Member = tuple[str, int, int, int, int]
-"""Code, number among the unknowns of the error, plane, beam and first station; -1 for all."""
+Member = tuple[str, str]
+"""Code of an error, and whom or what this unknown of it concerns: the name of its size."""
 
 
 class Freed(NamedTuple):
@@ -268,20 +268,21 @@ class _Errors:
         before = SeenStations(solution.parameters, still, position, channel)
         columns, longer, twists = [], [], []
         self.members: list[Member] = []
-        self.subjects: list[str] = []
+        stations = problem.recording.station_names
         for code, sigma in prior.items():
             effect, numbers = EFFECTS[code], len(before.first[0])
             kind = effect.at(seen)
             if isinstance(kind, OnPlanes):
                 of_members = zip(kind.plane, kind.beam, kind.since, strict=True)
-                members = [(code, 0, int(p), int(b), int(s)) for p, b, s in of_members]
+                members = [
+                    (code, subject_in_words(code, *one, problem.names, stations))
+                    for one in of_members
+                ]
                 own = [kind.column_of(member, seen) for member in range(len(members))]
                 column = np.array(own).reshape(len(own), len(self.rows)).T
-                parts = [self._words(member) for member in members]
             else:
                 assert kind is not None, f"{code} can show"
-                column, parts = kind.columns, list(kind.parts)
-                members = [(code, number, -1, -1, -1) for number in range(column.shape[1])]
+                column, members = kind.columns, [(code, part) for part in kind.parts]
             if effect.twists is not None:
                 twist, reading = effect.twists(before), np.zeros_like(column)
                 by_poses = -seen.by_poses(_carried(twist, before, seen))
@@ -289,7 +290,6 @@ class _Errors:
                 twist, by_poses = np.zeros((numbers, 6, len(members))), np.zeros_like(column)
                 reading = column / seen.longer[:, None]
             self.members += members
-            self.subjects += parts
             columns.append(sigma * by_poses)
             longer.append(sigma * reading)
             twists.append(sigma * twist)
@@ -312,7 +312,7 @@ class _Errors:
         solution, problem = self.selection.solution, self.problem
         used = self.selection.used[self.rows]
         at = np.array([size.get(member, 0.0) for member in self.members])
-        codes = tuple(member[0] for member in self.members)
+        codes, subjects = zip(*self.members, strict=True)
         rows = linear_rows(problem, self.selection, rank)
         # The slope of the range error is free of the noise of the readings, as everywhere.
         k = rows.at.range_errors[rows.readings.beam]
@@ -333,7 +333,7 @@ class _Errors:
         offsets = planes[:, 2] - np.einsum("pi,piq->pq", rows.centres, normals)
         return Freed(
             columns,
-            tuple(self.subjects),
+            subjects,
             self.prior,
             covariance,
             beams.reshape(-1, BEAM.dim, len(at)),
@@ -367,11 +367,6 @@ class _Errors:
         R[station], t[station] = new.world_R_hand, new.world_t_hand
         corrected = replace(recording, ranges=ranges, world_R_hand=R, world_t_hand=t)
         return recorded._replace(recording=corrected, readings=new)
-
-    def _words(self, member: Member) -> str:
-        """Return whom a member of single planes concerns."""
-        names, stations = self.problem.names, self.problem.recording.station_names
-        return subject_in_words(member[0], *member[2:], names, stations)
 
 
 def _carried(twists: FloatArray, before: SeenStations, after: SeenStations) -> FloatArray:

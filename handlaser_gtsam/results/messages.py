@@ -10,9 +10,9 @@ from ..quantities import IN_DEG, IN_MM
 
 _FOUND = tomllib.loads((pkgutil.get_data(__name__, "messages.toml") or b"").decode())
 MESSAGES: dict[str, dict[str, str]] = _FOUND
-"""Words of warnings by their codes, and of other sentences, and what tells those of one code apart."""
+"""Words of warnings and other sentences by code; a suffix after a colon distinguishes words of one code."""
 TITLES: dict[str, dict[str, list[str]]] = _FOUND["tables"]
-"""Of tables by their names: titles of all columns, of those of words, and of those that give way."""
+"""Titles of columns by table: of all, of the columns of words, and of the columns that give way."""
 MISTAKES: dict[str, dict[str, str | int | list[int]]] = _FOUND["mistakes"]
 """Mistakes of files in words, and what was wrong with positions, ranges, quaternions or rows."""
 Values = Mapping[str, float | str]

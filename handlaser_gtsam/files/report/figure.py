@@ -19,7 +19,7 @@ from ...text import shortened
 from ..checked_text import Record
 
 STYLE: dict[str, dict[str, Any]] = json.loads((Path(__file__).parent / "style.json").read_text())
-"""What plotly.js is told of all figures alike, by the name of a layout, an axis or a trace."""
+"""The look that figures share, as plotly.js takes it, by the name of a layout, an axis or a trace."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#b8860b", "#6a51a3", "#6b7280")
 """Colours of beams, which people who see no red or green tell apart, too."""
 SYMBOLS = STYLE["symbols"]

@@ -146,7 +146,7 @@ def labels_of(survey: Survey) -> NDArray[np.str_]:
 
 
 def _some(rows: IntArray, most: int) -> IntArray:
-    """Return at most so many of some rows, evenly spread."""
+    """Return at most `most` of the rows, evenly spread."""
     return rows[evenly(len(rows), most)] if len(rows) else rows
 
 
