@@ -10,7 +10,7 @@ from ..quantities import IN_DEG, IN_MM
 
 _FOUND = tomllib.loads((pkgutil.get_data(__name__, "messages.toml") or b"").decode())
 MESSAGES: dict[str, dict[str, str]] = _FOUND
-"""Words of warnings and other sentences by code; a suffix after a colon distinguishes words of one code."""
+"""Words of warnings and other sentences by code, with a suffix where one code has several words."""
 TITLES: dict[str, dict[str, list[str]]] = _FOUND["tables"]
 """Titles of columns by table: of all, of the columns of words, and of the columns that give way."""
 MISTAKES: dict[str, dict[str, str | int | list[int]]] = _FOUND["mistakes"]

@@ -120,7 +120,7 @@ def improvement(
 
 
 def _best(message: str, number: float | None = None, **words: float | str) -> Improvement:
-    """Return an improvement by its code, with a suffix after a colon where one code has several words."""
+    """Return an improvement by its code, with a suffix where one code has several words."""
     if number is not None:
         words = {"number": number, **words}
     return Improvement(message.partition(":")[0], said(f"best:{message}", **words), number)
