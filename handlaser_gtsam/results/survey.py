@@ -32,7 +32,7 @@ from ..quantities import IN_MM
 from ..text import count, some
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
-from .messages import Values, warned
+from .messages import Values, said, warned
 from .spot_error import radius
 from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit, pulled
 from .survey_motion import open_words
@@ -277,12 +277,11 @@ class SurveyCalibration(Value):
                 why = tuple(dict.fromkeys((*causes, *why)))
             return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
         parts = [
-            f"{sensor.name} within {sensor.spot_error * IN_MM:.2g} mm (95 %, a spot at "
-            f"{sensor.reading * IN_MM:.0f} mm)"
+            said("verdict:sensor", name=sensor.name, spot=sensor.spot_error, at=sensor.reading)
             for sensor in self.sensors.values()
         ]
         parts += [
-            f"beam {beam.name} located to {beam.location_sigma.max() * IN_MM:.2g} mm (1 sigma)"
+            said("verdict:beam", name=beam.name, sigma=float(beam.location_sigma.max()))
             for beam in self.beams.values()
         ]
         opening = "Usable" if not self.warnings else "Usable with care"
@@ -339,7 +338,9 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         # What is undetermined means nothing where shots are read as what they are not.
         status, message = "not_converged" if status == "not_converged" else "contradicted", wrong
     elif estimate.undetermined or found.images:
-        undetermined = tuple(_undetermined(found))
+        information, axes, _ = _information(found)
+        null = axes[:, information < least_information(information)]
+        undetermined = (open_sentence(*open_words(rows, estimate, null, found.images)),)
         message = undetermined[0]
     elif status != "converged" and any(one.contradicted for one in relations):
         # Labels and noise may be right, and rows do not fit because of the relation.
@@ -453,26 +454,17 @@ def _target(found: SurveyEstimate, family: str, member: int, label: str) -> Surv
 
 def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
     rows, stations = found.rows, found.rows.survey.stations
+    sensors, edgeless = [shots.name for shots in rows.survey.shots], rows.edgeless
     for item, used in zip(rows.items, found.used, strict=True):
         if not used:
-            name = _source(rows, item.family, item.member)
-            station = stations.station_names[item.station]
+            names = sensors if item.family == SENSOR.name else rows.survey.beam_names
+            station, target = stations.station_names[item.station], rows.label(item.target)
             reason = "grazing" if item.grazing else "contradicted"
-            yield RejectedShot(name, station, rows.label(item.target), reason)
-    edgeless = rows.edgeless
+            yield RejectedShot(names[item.member], station, target, reason)
     for member, at in rows.lost:
-        yield RejectedShot(
-            rows.survey.shots[member].name,
-            stations.station_names[at],
-            stations.plane_labels[at],
-            "no-edge" if stations.plane_labels[at] in edgeless else "too-few-points",
-        )
-
-
-def _source(rows: Rows, family: str, member: int) -> str:
-    if family == SENSOR.name:
-        return rows.survey.shots[member].name
-    return rows.survey.beam_names[member]
+        label = stations.plane_labels[at]
+        reason = "no-edge" if label in edgeless else "too-few-points"
+        yield RejectedShot(sensors[member], stations.station_names[at], label, reason)
 
 
 def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
@@ -616,10 +608,3 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     for how, p in (("small", float(chi2_sf(chi2, dof))), ("large", float(chi2_cdf(chi2, dof)))):
         if p < SINGLE_LEVEL:
             yield warned(f"sigmas-too-{how}:survey", {"times": times, "p": p})
-
-
-def _undetermined(found: SurveyEstimate) -> Iterator[str]:
-    """Yield what is undetermined in words, and why where that is known."""
-    information, axes, _ = _information(found)
-    null = axes[:, information < least_information(information)]
-    yield open_sentence(*open_words(found.rows, found.estimate, null, found.images))

@@ -242,7 +242,13 @@ def verdict(
         code = "outside-limits"
     elif excess > 1.0:
         code = "systematic-error"
-    asked = shares if limiting is None else _shares_of(limiting, calibration, reading)
+    asked = shares
+    if limiting is not None:
+        of: Literal["location", "direction"] = "location"
+        if limiting.quantity == "direction_sigma":
+            of = "direction"
+        owner = limiting.subject.removeprefix("beam ")
+        asked = variance_shares(calibration, owner, reading, of)
     best = improvement(calibration, asked, harmful, failed, doubtful)
     found = Verdict(
         code,
@@ -324,16 +330,6 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     if found.code == "usable-with-care" and warnings:
         yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
     yield best_improvement(found.best)
-
-
-def _shares_of(
-    limiting: LimitCheck, calibration: CalibrationData, reading: float
-) -> VarianceShares | None:
-    """Return what the value of a beam that exceeds its limit most is made of."""
-    of: Literal["location", "direction"] = "location"
-    if limiting.quantity == "direction_sigma":
-        of = "direction"
-    return variance_shares(calibration, limiting.subject.removeprefix("beam "), reading, of)
 
 
 def best_improvement(best: Improvement) -> str:

@@ -15,7 +15,6 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..data.screen import rounding
 from ..errors import CalibrationWarning
-from ..estimation.posterior import ScaleEstimate
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
 from ..estimation.task import NO_FIT
@@ -26,13 +25,13 @@ from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.sensor import BY_LIMITS
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import EXACT, FAR_SIGMAS, IN_MM
+from ..quantities import EXACT, FAR_SIGMAS
 from ..solvers.refine import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.search import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .dependence import Dependence
-from .messages import Values, said, warned
+from .messages import Values, warned
 from .reports import Fit
 
 SUSPICIOUS_FIT = 0.06
@@ -139,37 +138,45 @@ def fit_warnings(
     solution: Solution,
     names: Sequence[str],
     together: Dependence,
-) -> tuple[CalibrationWarning, ...]:
-    """Return the warnings that a fit deserves, beside the warning of `misfit`, the gravest first.
+) -> Iterator[CalibrationWarning]:
+    """Yield the warnings that a fit deserves, beside the warning of `misfit`, the gravest first.
 
     `names` are the beams' in the order of the readings; `together` says how many readings count as one.
     """
-    parameters, variances = solution.best, solution.variances
-    treated = variances is not None and variances.pose is not None
-    poor = fit.rms > NO_FIT * readings.spread()  # then the errors of the poses were not looked at
-    return (
-        *_of_the_file(readings, parameters, fit),
-        *_same_mounts(parameters, fit, names),
-        *_wrong_sigmas(fit, solution.redundancy, together.plane_growth**2, treated=treated),
-        *(() if treated or poor else _pose_errors(fit, noise)),
-        *_large_pose_errors(solution.scales),
-        *_of_the_noise(fit, solution.redundancy),
-    )
-
-
-def _of_the_file(
-    readings: Readings, parameters: Parameters, fit: Fit
-) -> Iterator[CalibrationWarning]:
-    """Yield warnings of many outliers, and of lengths that look like millimetres."""
     outliers, total = fit.outliers, fit.readings + fit.outliers
     if outliers > MANY_OUTLIERS * total:
         yield warned("many-outliers", {"rejected": outliers, "readings": total})
     median = float(np.median(readings.distance))
     if median > LONG_RANGE:
         yield warned("long-ranges", {"median_m": median})
-    far = float(np.linalg.norm(parameters.locations, axis=1).max())
+    far = float(np.linalg.norm(solution.best.locations, axis=1).max())
     if FAR_BEAM < far <= NO_MOUNT:
         yield warned("far-beam", {"distance_m": far})
+    yield from _same_mounts(solution.best, fit, names)
+    treated = solution.variances is not None and solution.variances.pose is not None
+    yield from _wrong_sigmas(fit, solution.redundancy, together.plane_growth**2, treated=treated)
+    # Of a poor fit, the errors of the poses were not looked at.
+    if not treated and fit.rms <= NO_FIT * readings.spread():
+        sigmas = _going_together(fit)
+        if sigmas > FAR_SIGMAS:
+            yield warned("poses-err", {"standard_deviations": sigmas})
+        if noise.poses_uncertain:
+            yield warned("poses-taken-as-exact")
+    for one in solution.scales:  # errors of poses that no robot of its kind has stand for others
+        expected = one.scale.unit * one.scale.prior
+        at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
+        if one.scale.name != RANGE and at_least > TEN_TIMES * expected:
+            which = "rotation" if one.scale.name == ROTATION else "position"
+            values = {"sigma": one.sigma, "expected": expected}
+            yield warned(f"large-pose-errors:{which}", values, times=one.sigma / expected)
+    (station, beam), sigmas = fit.max_standardized_residual_at, fit.max_standardized_residual
+    if fit.dof > 0 and sigmas > FAR_SIGMAS:
+        yield warned("far-reading", {"station": station, "beam": beam, "sigmas": sigmas})
+    redundancy = solution.redundancy
+    if not fit.range_sigma_given and redundancy < FEW_DEGREES:
+        some = f"only {count(redundancy, 'reading')} more than"
+        more = some if redundancy > 0 else "no more readings than"
+        yield warned("few-readings", {"redundancy": redundancy}, more=more)
 
 
 def _same_mounts(
@@ -186,14 +193,6 @@ def _same_mounts(
             near = np.linalg.norm(apart) < min(SAME_PLACE, 0.1 * fit.typical_range)
             if near and np.linalg.norm(turned) < 10.0 * SAME_PLACE:
                 yield warned("column-twice", {"first": names[i], "second": names[j]})
-
-
-def noise_advice(fit: Fit) -> str:
-    """Say what to do where the motion would be enough, but not for residuals of this size."""
-    return (
-        f"the motion would be enough if the readings fitted better than {fit.rms * IN_MM:.3g} mm rms: "
-        f"{said('checks')}; otherwise add stations with more varied orientations"
-    )
 
 
 def _wrong_sigmas(
@@ -220,26 +219,6 @@ def _wrong_sigmas(
         yield warned("sigmas-too-large", {"sigma0": fit.sigma0, "p_value": smaller})
 
 
-def _pose_errors(fit: Fit, noise: Noise) -> Iterator[CalibrationWarning]:
-    """Warn of errors of the robot where they are not counted."""
-    together = _going_together(fit)
-    if together > FAR_SIGMAS:
-        yield warned("poses-err", {"standard_deviations": together})
-    if noise.poses_uncertain:
-        yield warned("poses-taken-as-exact")
-
-
-def _large_pose_errors(scales: Sequence[ScaleEstimate]) -> Iterator[CalibrationWarning]:
-    """Warn of estimated errors of the poses that no robot of its kind has: they stand for others."""
-    for one in scales:
-        expected = one.scale.unit * one.scale.prior
-        at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
-        if one.scale.name != RANGE and at_least > TEN_TIMES * expected:
-            which = "rotation" if one.scale.name == ROTATION else "position"
-            values = {"sigma": one.sigma, "expected": expected}
-            yield warned(f"large-pose-errors:{which}", values, times=one.sigma / expected)
-
-
 def _going_together(fit: Fit) -> float:
     """Return how far the products of residuals of one station are from a mean of zero, in sigmas.
 
@@ -254,18 +233,6 @@ def _going_together(fit: Fit) -> float:
         return 0.0
     products = 0.5 * float((e.sum(axis=1) ** 2 - (e**2).sum(axis=1)).sum())
     return products / (variance * float(np.sqrt(pairs)))
-
-
-def _of_the_noise(fit: Fit, redundancy: int) -> Iterator[CalibrationWarning]:
-    """Yield warnings of one reading that is far off, and of a noise that is hardly determined."""
-    far = fit.max_standardized_residual
-    if fit.dof > 0 and far > FAR_SIGMAS:
-        station, beam = fit.max_standardized_residual_at
-        yield warned("far-reading", {"station": station, "beam": beam, "sigmas": far})
-    if not fit.range_sigma_given and redundancy < FEW_DEGREES:
-        some = f"only {count(redundancy, 'reading')} more than"
-        more = some if redundancy > 0 else "no more readings than"
-        yield warned("few-readings", {"redundancy": redundancy}, more=more)
 
 
 def rival_warnings(

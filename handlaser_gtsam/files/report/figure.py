@@ -1,6 +1,6 @@
 """Figures as plotly.js draws them: JSON made by hand, because a page needs no Python library for it.
 
-How layouts, axes and traces look stands in `style.json`, in the words of plotly; captions stand in the
+How layouts, axes and traces look stands in `page.json`, in the words of plotly; captions stand in the
 templates of the pages. Plotly reads a few HTML tags in every text, so that names from files are escaped
 here; and it takes texts that look like dates or numbers for such, so that every axis has its type.
 """
@@ -18,8 +18,9 @@ from ...arrays import FloatArray
 from ...text import shortened
 from ..checked_text import Record
 
-STYLE: dict[str, dict[str, Any]] = json.loads((Path(__file__).parent / "style.json").read_text())
-"""The look that figures share, as plotly.js takes it, by the name of a layout, an axis or a trace."""
+STYLE: dict[str, dict[str, Any]] = json.loads((Path(__file__).parent / "page.json").read_text())
+"""The look that figures share, as plotly.js takes it, by the name of a layout, an axis or a trace; and
+the sections of pages."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#b8860b", "#6a51a3", "#6b7280")
 """Colours of beams, which people who see no red or green tell apart, too."""
 SYMBOLS = STYLE["symbols"]

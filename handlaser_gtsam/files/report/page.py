@@ -58,23 +58,10 @@ if TYPE_CHECKING:
 MOST_JSON = 400_000
 """Characters of the calibration's JSON that a page holds; a larger one is not in it."""
 HARMLESS = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
-SECTIONS = {
-    "verdict": "",
-    "next": "Next stations",
-    "mounts": "Mounts",
-    "limits": "Limits",
-    "space": "Geometry",
-    "fit": "Fit",
-    "observability": "Observability",
-    "systematic": "Systematic errors",
-    "held-out": "Hold-out",
-    "stations": "Stations",
-    "head": "What was calibrated",
-    "made": "How it was made",
-}
+SECTIONS: dict[str, str] = STYLE["sections"]
 """The sections of the page in their order, each with its name in the list of links."""
-LIVE_SECTIONS = {"verdict": "", "next": "Next stations", "mounts": "Mounts", "targets": "Targets"}
-LIVE_SECTIONS |= SECTIONS
+LIVE_SECTIONS = {name: SECTIONS[name] for name in ("verdict", "next", "mounts")}
+LIVE_SECTIONS |= STYLE["sections of a survey"] | SECTIONS
 """Those of a live page, which shows surveys, too: what a report does not have stays empty there."""
 
 

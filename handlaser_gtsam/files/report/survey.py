@@ -6,8 +6,8 @@ from ...results.description.survey import beams_table, facts, sensors_table, tar
 from ...results.description.tables import listed, name_cell, sentence, text
 from ...results.limits import LimitCheck
 from ...results.survey import SurveyCalibration
-from .figure import Figure
-from .page import LIVE_SECTIONS, page_of, script_of, sections_of
+from .figure import STYLE, Figure
+from .page import page_of, script_of, sections_of
 from .scene import scene_figure
 from .survey_figures import (
     along_the_rays,
@@ -20,9 +20,7 @@ from .survey_figures import (
     seen_by_all,
 )
 
-SECTIONS = {
-    name: LIVE_SECTIONS[name] for name in ("verdict", "mounts", "targets", "space", "fit", "made")
-}
+SECTIONS: dict[str, str] = STYLE["sections of a survey"]
 """The sections of the page in their order, each with its name in the list of links."""
 
 
