@@ -113,7 +113,9 @@ def test_words_hold_what_their_call_gives_and_each_is_used():
 
     given = {"checks", "survey-checks"}
     used = {
-        one for one in MESSAGES["sentences"] if one.startswith(("best:", "checks", "survey-checks", "table:"))
+        one
+        for one in MESSAGES["sentences"]
+        if one.startswith(("best:", "checks", "survey-checks", "table:"))
     }
     for path in (ROOT / "handlaser_gtsam" / "results").rglob("*.py"):
         tree = ast.parse(path.read_text())
