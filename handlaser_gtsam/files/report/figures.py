@@ -78,7 +78,6 @@ def residual_figures(subject: Subject) -> list[Figure]:
                     for j in rows.station[mine].tolist()
                 ],
                 "marker": marker(index, len(names)) | {"opacity": 0.8},
-                "hovertemplate": "%{y:.4f} mm<br>%{text}",
             },
         )
         for index, mine in each
@@ -111,7 +110,7 @@ def residual_figures(subject: Subject) -> list[Figure]:
     return [
         Figure(
             name,
-            [trace("points", x[mine], e[mine]) | one for mine, one in beams],
+            [trace("residuals", x[mine], e[mine]) | one for mine, one in beams],
             layout(title, "residual, mm", legend=legend) | {"shapes": noise} | more,
         )
         for name, (title, x, more) in figures.items()

@@ -183,11 +183,10 @@ def _traces(geometry: Geometry) -> Iterator[Record]:
     for index, (name, segments, each) in enumerate(geometry.beams):
         shade = colour(index, len(geometry.beams))
         shared: Record = {"legendgroup": name, "name": geometry.words(name)}
-        look: Record = {"line": {"color": shade, "width": 3}, "opacity": 0.55}
-        yield STYLE["segments"] | shared | _lines(segments) | look
-        spots: Record = {"text": [harmless(one) for one in each]}
-        spots["marker"] = {"color": shade, "size": 2.5}
-        yield STYLE["spots"] | shared | xyz(segments[:, 1]) | spots
+        look: Record = {"line": {"color": shade, "width": 3}}
+        yield STYLE["beam"] | shared | _lines(segments) | look
+        look = {"text": [harmless(one) for one in each], "marker": {"color": shade, "size": 2.5}}
+        yield STYLE["spots"] | shared | xyz(segments[:, 1]) | look
     hands = geometry.hands
     for i, (name, shade) in enumerate(zip("xyz", AXIS_COLOURS, strict=True)):
         look = {"name": f"hand {name}", "line": {"color": shade, "width": 2}}

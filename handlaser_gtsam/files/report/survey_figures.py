@@ -257,11 +257,9 @@ def _means(
                 f"{label(stops[s])}: {mean:.4g} mm{'' if good else ', rejected'}"
                 for s, mean in shots
             ],
-            "hovertemplate": "%{text}",
             "marker": marker(index, len(seen)) | ({} if good else STYLE["rejected"]),
-            "cliponaxis": False,
         }
-        traces.append(STYLE["points"] | {"x": x, "y": numbers(y, 4)} | more)
+        traces.append(STYLE["shots"] | {"x": x, "y": numbers(y, 4)} | more)
     side = axis("mean distance from the target, mm", range=[-most, most])
     shown = layout("", "", legend=len(seen) > 1) | {"xaxis": below, "yaxis": side}
     return Figure(name, traces, shown)
@@ -279,9 +277,9 @@ def along_the_rays(seen: Sequence[Seen]) -> Figure | None:
         e = (one.off[rows] - mean[shot]) / one.sigma
         far.append(float(np.quantile(np.abs(e), SHOWN_OF_POINTS)))
         some = evenly(len(rows), MOST_POINTS)
-        more: Record = {"name": label(one.called), "hoverinfo": "skip"}
-        more["marker"] = marker(index, len(many)) | {"size": 3, "opacity": 0.5}
-        traces.append(trace("points", one.along[rows[some]], e[some], 4) | more)
+        look = marker(index, len(many)) | {"size": 3, "opacity": 0.5}
+        more: Record = {"name": label(one.called), "marker": look}
+        traces.append(trace("rays", one.along[rows[some]], e[some], 4) | more)
     if not traces:
         return None
     most = ROOM * max(far) or 1.0
@@ -314,9 +312,8 @@ def on_targets(
         x, y = (place[some] - centre).dot(bases(towards)).T * IN_MM
         most = float(np.quantile(np.abs(off), SHOWN_OF_POINTS)) or 1.0
         colours: Record = {"color": numbers(off[some], 3), "cmin": -most, "cmax": most}
-        points = trace("points", x, y, 5) | {
+        points = trace("on target", x, y, 5) | {
             "text": [f"{x:.3g} mm" for x in off[some].tolist()],
-            "hovertemplate": "%{text}<extra></extra>",
             "marker": STYLE["distances"] | colours,
         }
         name = f"on-target-{len(figures) + 1}"
@@ -346,11 +343,9 @@ def profiles(survey: Survey, seen: Sequence[Seen]) -> Figure | None:
                 "legendgroup": shots.name,
                 "showlegend": place == 0,
                 "text": label(survey.stations.station_names[station]),
-                "hovertemplate": "%{text}<extra></extra>",
                 "line": {"color": colour(index, len(flat)), "width": 1},
-                "opacity": 0.6,
             }
-            traces.append(trace("line", x, y, 5) | more)
+            traces.append(trace("profile", x, y, 5) | more)
     upright = axis("second axis of the sensor, mm", scaleanchor="x")
     shown = layout("first axis of the sensor, mm", "", legend=len(flat) > 1)
     return Figure("profiles", traces, shown | {"height": 380, "yaxis": upright}) if flat else None
