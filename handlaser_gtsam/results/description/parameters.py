@@ -65,21 +65,16 @@ def beams_table(described: "Description") -> Table | None:
 def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
-    location, direction = (
-        [
-            determined(x, s, digits_of(sigmas, most), NONE)
-            for x, s in zip(values.tolist(), sigmas, strict=True)
-        ]
-        for values, sigmas, most in (
-            (beam.location * IN_MM, (sigma[:3] * IN_MM).tolist(), 5),
-            (beam.direction, sigma[3:6].tolist(), 7),
-        )
-    )
+    parts = []
+    for at, _, scale, most in (PARTS["location"], PARTS["direction"]):
+        x, s = ((values[list(at)] * scale).tolist() for values in (beam.coordinates, sigma))
+        digits = digits_of(s, most)
+        parts.append([determined(*one, digits, NONE) for one in zip(x, s, strict=True)])
+    location, direction = parts
+    k, known = beam.range_error.tolist(), sigma[6:].tolist()
     errors = [
-        _concise(value, known, most) if term < beam.terms else Cell("0", 0.0)
-        for term, (value, known, most) in enumerate(
-            zip(beam.range_error.tolist(), sigma[6:].tolist(), (4, 3), strict=True)
-        )
+        _concise(k[term], known[term], most) if term < beam.terms else Cell("0", 0.0)
+        for term, most in enumerate((4, 3))
     ]
     return (
         name_cell(beam.name),
@@ -128,15 +123,9 @@ def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ..
             yield text(beam.name), name, *(number(x * scale, digits) for x in values), unit
         turn = beam.direction_sigma
         if part == "direction" and turn is not None and math.isfinite(turn):
-            words, blank = text("direction, angle"), (Cell(NONE),) * 2
-            yield (
-                text(beam.name),
-                words,
-                Cell(NONE),
-                significant(turn * IN_DEG, 2),
-                *blank,
-                text("deg"),
-            )
+            dash, angle = Cell(NONE), significant(turn * IN_DEG, 2)
+            words = text("direction, angle")
+            yield text(beam.name), words, dash, angle, dash, dash, text("deg")
 
 
 def spots_table(described: "Description") -> Table | None:
