@@ -120,13 +120,11 @@ def dependence(
         return INDEPENDENT
     # A few draws suffice where the sums are not even half as far above them as the test asks. A fixed
     # seed: the same recording gives the same result each time.
-    few = np.random.default_rng(20).standard_normal((len(rows.readings), LEAST_DRAWS))
-    if not _stand_out(seen, chains.squares(left(how.coloured(few))), 0.5 * FAR_SIGMAS):
-        return INDEPENDENT
-    white = np.random.default_rng(20).standard_normal((len(rows.readings), count))
-    quiet = chains.squares(left(how.coloured(white)))
-    if not _stand_out(seen, quiet, FAR_SIGMAS):
-        return INDEPENDENT
+    for draws, far in ((LEAST_DRAWS, 0.5 * FAR_SIGMAS), (count, FAR_SIGMAS)):
+        white = np.random.default_rng(20).standard_normal((len(rows.readings), draws))
+        quiet = chains.squares(left(how.coloured(white)))
+        if not _stand_out(seen, quiet, far):
+            return INDEPENDENT
     lengths = chains.lengths
     drawn = [left(how.coloured(chains.coloured(white, length))) for length in lengths]
     means = np.stack([quiet.mean(axis=1), *(chains.squares(w).mean(axis=1) for w in drawn)], axis=1)
