@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
 from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MM
 from ..starts import Effort
-from .messages import MISTAKES
+from .messages import MISTAKES, READ_AS
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
 from .warnings import MANY_OUTLIERS
 
@@ -399,18 +399,6 @@ def _read_as(written: Convention, read: Convention) -> tuple[str, Change]:
     return f"the rotations look like {both[0]} read as {both[1]}", undone
 
 
-READ_AS = (
-    ("wxyz", "rad", "xyzw", "rad"),
-    ("rotvec", "deg", "rotvec", "rad"),
-    ("xyz", "deg", "xyz", "rad"),
-    ("rotvec", "rad", "rotvec", "deg"),
-    ("xyz", "rad", "xyz", "deg"),
-    ("ZYX", "rad", "xyz", "rad"),
-    ("xyz", "rad", "XYZ", "rad"),
-    ("XYZ", "rad", "xyz", "rad"),
-    ("rotvec", "rad", "xyz", "rad"),
-)
-"""Conventions of rotations, and those in which they were read."""
 HYPOTHESES: dict[str, Change] = {
     f"the poses look inverted: {INVERTED}": _inverted,
     "the rotations look inverted (hand_R_world instead of world_R_hand)": _transposed,

@@ -15,6 +15,8 @@ TITLES: dict[str, dict[str, list[str]]] = _FOUND["tables"]
 """Titles of columns by table: of all, of the columns of words, and of the columns that give way."""
 MISTAKES: dict[str, dict[str, str | int | list[int]]] = _FOUND["mistakes"]
 """Mistakes of files in words, and what was wrong with positions, ranges, quaternions or rows."""
+READ_AS: list[list[str]] = _FOUND["conventions"]["read_as"]
+"""Conventions of rotations with their unit of angles, and those in which they were read."""
 Values = Mapping[str, float | str]
 """Numbers and names that a warning keeps, SI units."""
 IN_UNITS = {"mm": IN_MM, "deg": IN_DEG, "degrees": IN_DEG}
