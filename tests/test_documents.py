@@ -1,9 +1,11 @@
 """README, examples and benchmark run as written."""
 
+import ast
 import json
 import re
 import runpy
 import sys
+from string import Formatter
 
 import pytest
 from helpers import ROOT
@@ -89,15 +91,75 @@ def test_the_benchmark_compares_four_solvers_on_one_optimum(tmp_path, monkeypatc
 def test_every_code_has_its_row():
     """Of verdicts, systematic errors, and warnings, whose codes stand in calls all over the package."""
     from handlaser_gtsam.model.effects import EFFECTS
+    from handlaser_gtsam.results.messages import MESSAGES
     from handlaser_gtsam.results.verdict import OPENING
 
     page = (ROOT / "docs" / "messages.md").read_text()
     first = " ".join(re.findall(r"^\| (.*?) \|", page, re.MULTILINE))
     listed = set(re.findall(r"`([a-z-]+)`", first))
     assert {*OPENING, *EFFECTS} <= listed
-    codes = set()
+    codes = {message.partition(":")[0] for message in MESSAGES["warnings"]}
     for path in (ROOT / "handlaser_gtsam").rglob("*.py"):
         for call in re.findall(r"CalibrationWarning\(\s*\"([a-z-]+)\"", path.read_text()):
             codes.add(call)
     assert len(codes) > 10
     assert codes <= listed, codes - listed
+
+
+def test_words_hold_what_their_call_gives_and_each_is_used():
+    """Placeholders are keys of mappings, or keywords, in the function that warns or says them."""
+    from handlaser_gtsam.results.dependence import Dependence
+    from handlaser_gtsam.results.messages import MESSAGES
+
+    given = {"checks", "survey-checks"}
+    used = {
+        one
+        for one in MESSAGES["sentences"]
+        if one.startswith(("best:", "checks", "survey-checks", "table:"))
+    }
+    for path in (ROOT / "handlaser_gtsam" / "results").rglob("*.py"):
+        tree = ast.parse(path.read_text())
+        constants = {
+            node.targets[0].id: node.value.value
+            for node in tree.body
+            if isinstance(node, ast.Assign)
+            and isinstance(node.value, ast.Constant)
+            and isinstance(node.targets[0], ast.Name)
+        }
+        for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+            keys = {
+                key.value
+                for node in ast.walk(function)
+                if isinstance(node, ast.Dict)
+                for key in node.keys
+                if isinstance(key, ast.Constant)
+            }
+            for call in ast.walk(function):
+                called = getattr(getattr(call, "func", None), "id", "")
+                if called not in ("warned", "said", "_best") or path.name == "messages.py":
+                    continue
+                table = MESSAGES["warnings" if called == "warned" else "sentences"]
+                first = call.args[0]
+                parts = first.values if isinstance(first, ast.JoinedStr) else [first]
+                pattern = "best:" if called == "_best" else ""
+                for part in parts:
+                    if isinstance(part, ast.FormattedValue):
+                        part = part.value
+                    text = getattr(part, "value", constants.get(getattr(part, "id", "")))
+                    pattern += "[a-z:_ -]+" if text is None else re.escape(text)
+                here = {one for one in table if re.fullmatch(pattern, one)}
+                assert here, (path.name, call.lineno)
+                used |= here
+                if ast.unparse(first) in ("worst", "f'best:{message}'", "f'table:{name}'"):
+                    continue  # of several, whose words are given elsewhere, or the same
+                named = {word.arg for word in call.keywords}
+                if None in named and called == "said":
+                    continue  # of a mapping that is made elsewhere
+                words = named | keys | given
+                words |= {"number"} if len(call.args) > 1 else set()
+                if path.name == "dependence.py":
+                    words |= set(Dependence._fields)
+                for message in here:
+                    fields = {name for _, name, _, _ in Formatter().parse(table[message]) if name}
+                    assert fields <= words, (path.name, message, fields - words)
+    assert used == {*MESSAGES["warnings"], *MESSAGES["sentences"]}

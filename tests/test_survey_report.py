@@ -66,16 +66,18 @@ def test_other_figures_are_without_the_rejected_shot(result, survey):
     used = seen[0].hand[seen[0].used] * 1e3
     assert all(np.abs(used - one).sum(axis=1).min() < 1e-9 for one in spots)
     assert len(profiles(survey, seen).data) == 23
-    plate, ball = on_targets(result, survey, seen)
-    assert "plane:plate" in plate.caption
-    assert "sphere:ball" in ball.caption
+    (first, plate), (second, ball) = on_targets(result, survey, seen)
+    assert (first.label, second.label) == ("plane:plate", "sphere:ball")
+    page = survey_report(result, survey, "stations.csv")
+    assert "<figcaption>plane:plate seen from before it: how far points" in page
+    assert "<figcaption>sphere:ball seen from where sensors looked: how far points" in page
     radius = result.targets["sphere:ball"].values["radius"] * 1e3
     assert 0.5 * radius < np.hypot(ball.data[0]["x"], ball.data[0]["y"]).max() < 1.01 * radius
     for figure in (plate, ball):
         mark = figure.data[0]["marker"]
         assert np.abs(mark["color"]).max() < 2.0
         assert mark["cmax"] == -mark["cmin"] > 0.0
-    along = along_the_rays(result, seen).data[0]
+    along = along_the_rays(seen).data[0]
     assert min(along["x"]) == -1.0
     assert max(along["x"]) == 1.0
     # Standard deviations of a reading, whose share along the normal is at most the whole.
@@ -115,7 +117,7 @@ def test_beams_before_points_are_drawn_by_how_far_they_miss():
     survey = survey_of(rigs_by_rays.beams(101, targets="point"))
     result = hl.calibrate(survey)
     seen = list(seen_by_all(result, survey))
-    assert along_the_rays(result, seen) is None
+    assert along_the_rays(seen) is None
     assert profiles(survey, seen) is None
     tip = np.array([result.targets["point:tip"].values[x] for x in "xyz"])
     off = np.linalg.norm(seen[0].place - tip, axis=1)

@@ -39,6 +39,7 @@ from .dependence import INDEPENDENT, Dependence
 from .fit import fit_of, linear_rows, unit_sigma
 from .freed import Freed
 from .lines import NAMES_IN_LINE
+from .messages import said, warned
 from .problem import Problem, named_estimates
 from .reports import (
     Beam,
@@ -62,7 +63,6 @@ from .warnings import (
     implausible_mounts,
     lost_of_beams,
     misfit,
-    noise_advice,
     poor_fit,
     rival_warnings,
     suspicious,
@@ -195,19 +195,12 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
     found = sorted(
         (int(problem.order.stations[station]), plane) for station, plane in why.other_plane.items()
     )
-    words = [
-        f"station {recording.station_names[station]} is labelled plane "
-        f"{recording.plane_labels[station]} but fits plane {planes[plane]}"
-        for station, plane in found
-    ]
+    names, labels = recording.station_names, recording.plane_labels
+    words = [said("labelled", station=names[j], label=labels[j], plane=planes[p]) for j, p in found]
     # More wrong labels than a line names are no slips, but have one cause.
     if len(words) >= NAMES_IN_LINE:
-        message = (
-            f"{len(words)} stations have the label of another plane than they fit: {words[0]}, "
-        )
-        message += "and so on; correct when labels change"
-        return (CalibrationWarning("file-mistake", message, {"stations": len(words)}),)
-    return tuple(CalibrationWarning("wrong-label", f"{one}: correct its label") for one in words)
+        return (warned("file-mistake:labels", {"stations": len(words)}, first=words[0]),)
+    return tuple(warned("wrong-label", station=one) for one in words)
 
 
 def _way(
@@ -266,7 +259,7 @@ def _determined_by(
     elif found.full and mirror_image_fits(parameters, used, squares, sigma):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
     elif not found.full and motion is None and _motion_determines(used, solution):
-        help_ = (noise_advice(fit),)
+        help_ = (said("noise-advice", rms=fit.rms),)
     return Determined(
         found.rank,
         found.unknowns,
@@ -302,10 +295,8 @@ def _status_of(
     if wrong is not None and ended != "interrupted":
         return "not_converged", wrong.message
     if ended != "interrupted" and determined.undetermined:
-        return "unobservable", (
-            f"the recording does not determine {'; '.join(determined.undetermined)}. "
-            f"To determine it: {'; '.join(determined.advice)}"
-        )
+        what, advice = "; ".join(determined.undetermined), "; ".join(determined.advice)
+        return "unobservable", said("undetermined", what=what, advice=advice)
     return "converged" if ended == "converged" else "not_converged", solution.at.message
 
 

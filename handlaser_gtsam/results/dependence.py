@@ -25,7 +25,7 @@ them without simulation.
 Systematic errors that were found make neighbouring residuals alike, too: they are taken out before.
 """
 
-from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
@@ -36,6 +36,7 @@ from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.families import BEAM
 from ..quantities import FAR_SIGMAS
+from .messages import warned
 from .projection import LinearRows, Projection
 
 LEAST_PAIRS = 20
@@ -55,8 +56,7 @@ MOST_STEPS = 1000
 """Steps of the search for the sizes of the parts: a dozen parts take some twenty."""
 
 
-@dataclass(frozen=True, slots=True)
-class Dependence:
+class Dependence(NamedTuple):
     """How the noise of neighbouring readings depends.
 
     Attributes
@@ -80,14 +80,7 @@ class Dependence:
         """What to say about it; nothing where readings are independent."""
         if self == INDEPENDENT:
             return ()
-        words = (
-            f"the errors of neighbouring stations go together over about {self.length:.0f} stations "
-            f"(they correlate by {self.correlation:.2f}), as errors of poses do while the robot moves: "
-            f"the standard deviations of the beams are {self.growth:.2g} times, those of the planes up "
-            f"to {self.plane_growth:.2g} times as large as with independent stations; stop at the "
-            "stations, or spread as many over more time and more of the robot's range"
-        )
-        return (CalibrationWarning("correlated-in-time", words, asdict(self)),)
+        return (warned("correlated-in-time", self._asdict()),)
 
 
 INDEPENDENT = Dependence()
@@ -127,13 +120,11 @@ def dependence(
         return INDEPENDENT
     # A few draws suffice where the sums are not even half as far above them as the test asks. A fixed
     # seed: the same recording gives the same result each time.
-    few = np.random.default_rng(20).standard_normal((len(rows.readings), LEAST_DRAWS))
-    if not _stand_out(seen, chains.squares(left(how.coloured(few))), 0.5 * FAR_SIGMAS):
-        return INDEPENDENT
-    white = np.random.default_rng(20).standard_normal((len(rows.readings), count))
-    quiet = chains.squares(left(how.coloured(white)))
-    if not _stand_out(seen, quiet, FAR_SIGMAS):
-        return INDEPENDENT
+    for draws, far in ((LEAST_DRAWS, 0.5 * FAR_SIGMAS), (count, FAR_SIGMAS)):
+        white = np.random.default_rng(20).standard_normal((len(rows.readings), draws))
+        quiet = chains.squares(left(how.coloured(white)))
+        if not _stand_out(seen, quiet, far):
+            return INDEPENDENT
     lengths = chains.lengths
     drawn = [left(how.coloured(chains.coloured(white, length))) for length in lengths]
     means = np.stack([quiet.mean(axis=1), *(chains.squares(w).mean(axis=1) for w in drawn)], axis=1)

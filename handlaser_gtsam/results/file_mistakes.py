@@ -17,6 +17,7 @@ from ..errors import InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
 from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MM
 from ..starts import Effort
+from .messages import MISTAKES, READ_AS
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
 from .warnings import MANY_OUTLIERS
 
@@ -335,17 +336,13 @@ def _relabelled(recording: Recording, labels: dict[str, str], split: int) -> Rec
     return replace(recording, plane_labels=tuple(changed))
 
 
-def _turned(change: Callable[[Rotation], Rotation]) -> Change:
-    def undone(recording: Recording) -> Recording:
-        R = change(Rotation.from_matrix(recording.world_R_hand)).as_matrix()
-        return replace(recording, world_R_hand=R)
-
-    return undone
-
-
 def _inverted(recording: Recording) -> Recording:
     R, t = inverted(recording.world_R_hand, recording.world_t_hand)
     return replace(recording, world_R_hand=R, world_t_hand=t)
+
+
+def _transposed(recording: Recording) -> Recording:
+    return replace(recording, world_R_hand=np.swapaxes(recording.world_R_hand, 1, 2))
 
 
 def _scaled(
@@ -358,14 +355,6 @@ def _scaled(
     return replace(recording, world_t_hand=t, ranges=d)
 
 
-def _reordered(order: tuple[int, ...], signs: tuple[int, ...]) -> Change:
-    def undone(recording: Recording) -> Recording:
-        t = recording.world_t_hand[:, list(order)] * np.array(signs, dtype=float)
-        return replace(recording, world_t_hand=t)
-
-    return undone
-
-
 def _shifted(recording: Recording, rows: int) -> Recording:
     """Return a recording with the ranges of another row, without the stations that then have none."""
     count = len(recording.ranges)
@@ -373,15 +362,22 @@ def _shifted(recording: Recording, rows: int) -> Recording:
     return replace(recording.part(kept), ranges=recording.ranges[kept + rows], samples=None)
 
 
-def _of_quaternions(order: tuple[int, ...], signs: tuple[int, ...]) -> Change:
-    def change(rotation: Rotation) -> Rotation:
-        return Rotation.from_quat(rotation.as_quat()[:, [*order, 3]] * (*signs, 1))
+def _undone(recording: Recording, what: str, how: str | int | list[int]) -> Recording:
+    """Return a recording without one of the `MISTAKES`.
 
-    return _turned(change)
-
-
-def _signs(negated: tuple[str, ...]) -> tuple[int, ...]:
-    return tuple(-1 if axis in negated else 1 for axis in "xyz")
+    Axes that are exchanged or negated are given as numbers: [-1, 3, 2] is -x, z, y.
+    """
+    if isinstance(how, int):
+        return _shifted(recording, how)
+    if isinstance(how, str):
+        unit = {"mm": MM, "inch": INCH}[how]
+        return _scaled(recording, **{what: unit})
+    order, signs = np.abs(how) - 1, np.sign(how)
+    if what == "positions":
+        return replace(recording, world_t_hand=recording.world_t_hand[:, order] * signs)
+    q = Rotation.from_matrix(recording.world_R_hand).as_quat()
+    q[:, :3] = q[:, order] * signs
+    return replace(recording, world_R_hand=Rotation.from_quat(q).as_matrix())
 
 
 def _read_as(written: Convention, read: Convention) -> tuple[str, Change]:
@@ -403,55 +399,17 @@ def _read_as(written: Convention, read: Convention) -> tuple[str, Change]:
     return f"the rotations look like {both[0]} read as {both[1]}", undone
 
 
-PAIRS = {("x", "y"): (1, 0, 2), ("x", "z"): (2, 1, 0), ("y", "z"): (0, 2, 1)}
-"""Two axes, and the order in which they are exchanged."""
 HYPOTHESES: dict[str, Change] = {
     f"the poses look inverted: {INVERTED}": _inverted,
-    "the rotations look inverted (hand_R_world instead of world_R_hand)": _turned(Rotation.inv),
+    "the rotations look inverted (hand_R_world instead of world_R_hand)": _transposed,
     **{
-        f"the q{axis} of the quaternions look negated": _of_quaternions((0, 1, 2), _signs((axis,)))
-        for axis in "xyz"
+        words: partial(_undone, what=what, how=how)
+        for words, mistake in MISTAKES.items()
+        for what, how in mistake.items()
     },
-    **{
-        f"q{first} and q{second} of the quaternions look exchanged": _of_quaternions(
-            order, (1, 1, 1)
-        )
-        for (first, second), order in PAIRS.items()
-    },
-    "the positions look like millimetres": partial(_scaled, positions=MM),
-    "the ranges look like millimetres": partial(_scaled, ranges=MM),
-    "the ranges look like inches": partial(_scaled, ranges=INCH),
-    "the positions look like inches": partial(_scaled, positions=INCH),
-    **{
-        f"the {' and '.join(axes)} coordinates of the positions look negated": _reordered(
-            (0, 1, 2), _signs(axes)
-        )
-        for axes in (("x",), ("y",), ("z",), *PAIRS)
-    },
-    "the coordinates of the positions look negated": _reordered((0, 1, 2), (-1, -1, -1)),
-    **{
-        f"the {first} and {second} coordinates of the positions look exchanged": _reordered(
-            order, (1, 1, 1)
-        )
-        for (first, second), order in PAIRS.items()
-    },
-    "the x, y, z coordinates of the positions look exchanged": _reordered((1, 2, 0), (1, 1, 1)),
-    "the z, x, y coordinates of the positions look exchanged": _reordered((2, 0, 1), (1, 1, 1)),
     **dict(
         _read_as(Convention(written, angles=unit), Convention(read, angles=other))
-        for written, unit, read, other in (
-            ("wxyz", "rad", "xyzw", "rad"),
-            ("rotvec", "deg", "rotvec", "rad"),
-            ("xyz", "deg", "xyz", "rad"),
-            ("rotvec", "rad", "rotvec", "deg"),
-            ("xyz", "rad", "xyz", "deg"),
-            ("ZYX", "rad", "xyz", "rad"),
-            ("xyz", "rad", "XYZ", "rad"),
-            ("XYZ", "rad", "xyz", "rad"),
-            ("rotvec", "rad", "xyz", "rad"),
-        )
+        for written, unit, read, other in READ_AS
     ),
-    "the ranges look one row late": partial(_shifted, rows=1),
-    "the ranges look one row early": partial(_shifted, rows=-1),
 }
 """Mistakes in words, and what undoes them."""

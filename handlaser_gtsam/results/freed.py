@@ -20,7 +20,8 @@ derivatives are neglected: they are a part a / range of the others. For an incid
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -42,6 +43,7 @@ from ..model.sensor import Sensor
 from ..quantities import MOST_ROUNDS
 from ..text import count
 from .fit import linear_rows
+from .messages import warned
 from .problem import Problem
 from .projection import FreedColumns, Projection
 from .reports import FreedEffect
@@ -53,12 +55,11 @@ DETERMINED = 0.5
 """A size is determined where the readings lower the variance of its prior to below this part: then they
 say more of it than the prior."""
 
-Member = tuple[str, int, int, int, int]
-"""Code, number among the unknowns of the error, plane, beam and first station; -1 for all."""
+Member = tuple[str, str]
+"""Code of an error, and whom or what this unknown of it concerns: the name of its size."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Freed:
+class Freed(NamedTuple):
     """The freed errors at a solution, in units of their priors' sigmas.
 
     Attributes
@@ -150,8 +151,7 @@ class Freed:
             )
             found.append(CalibrationWarning("effect-undetermined", words, {"code": code}))
         if not self.settled:
-            words = "the sizes of the freed errors did not come to rest: free fewer of them"
-            found.append(CalibrationWarning("effects-unsettled", words))
+            found.append(warned("effects-unsettled"))
         return tuple(found)
 
 
@@ -229,7 +229,7 @@ def with_freed(
             break
         problem = corrected
         selection = replace(again, method=first.method, tried=first.tried)
-    return problem, selection, replace(freed, settled=settled)
+    return problem, selection, freed._replace(settled=settled)
 
 
 class _Errors:
@@ -268,20 +268,21 @@ class _Errors:
         before = SeenStations(solution.parameters, still, position, channel)
         columns, longer, twists = [], [], []
         self.members: list[Member] = []
-        self.subjects: list[str] = []
+        stations = problem.recording.station_names
         for code, sigma in prior.items():
             effect, numbers = EFFECTS[code], len(before.first[0])
             kind = effect.at(seen)
             if isinstance(kind, OnPlanes):
                 of_members = zip(kind.plane, kind.beam, kind.since, strict=True)
-                members = [(code, 0, int(p), int(b), int(s)) for p, b, s in of_members]
+                members = [
+                    (code, subject_in_words(code, *one, problem.names, stations))
+                    for one in of_members
+                ]
                 own = [kind.column_of(member, seen) for member in range(len(members))]
                 column = np.array(own).reshape(len(own), len(self.rows)).T
-                parts = [self._words(member) for member in members]
             else:
                 assert kind is not None, f"{code} can show"
-                column, parts = kind.columns, list(kind.parts)
-                members = [(code, number, -1, -1, -1) for number in range(column.shape[1])]
+                column, members = kind.columns, [(code, part) for part in kind.parts]
             if effect.twists is not None:
                 twist, reading = effect.twists(before), np.zeros_like(column)
                 by_poses = -seen.by_poses(_carried(twist, before, seen))
@@ -289,7 +290,6 @@ class _Errors:
                 twist, by_poses = np.zeros((numbers, 6, len(members))), np.zeros_like(column)
                 reading = column / seen.longer[:, None]
             self.members += members
-            self.subjects += parts
             columns.append(sigma * by_poses)
             longer.append(sigma * reading)
             twists.append(sigma * twist)
@@ -312,7 +312,7 @@ class _Errors:
         solution, problem = self.selection.solution, self.problem
         used = self.selection.used[self.rows]
         at = np.array([size.get(member, 0.0) for member in self.members])
-        codes = tuple(member[0] for member in self.members)
+        codes, subjects = zip(*self.members, strict=True)
         rows = linear_rows(problem, self.selection, rank)
         # The slope of the range error is free of the noise of the readings, as everywhere.
         k = rows.at.range_errors[rows.readings.beam]
@@ -333,7 +333,7 @@ class _Errors:
         offsets = planes[:, 2] - np.einsum("pi,piq->pq", rows.centres, normals)
         return Freed(
             columns,
-            tuple(self.subjects),
+            subjects,
             self.prior,
             covariance,
             beams.reshape(-1, BEAM.dim, len(at)),
@@ -366,12 +366,7 @@ class _Errors:
         ranges[station, order.beams[readings.beam]] = distance
         R[station], t[station] = new.world_R_hand, new.world_t_hand
         corrected = replace(recording, ranges=ranges, world_R_hand=R, world_t_hand=t)
-        return replace(recorded, recording=corrected, readings=new)
-
-    def _words(self, member: Member) -> str:
-        """Return whom a member of single planes concerns."""
-        names, stations = self.problem.names, self.problem.recording.station_names
-        return subject_in_words(member[0], *member[2:], names, stations)
+        return recorded._replace(recording=corrected, readings=new)
 
 
 def _carried(twists: FloatArray, before: SeenStations, after: SeenStations) -> FloatArray:

@@ -1,8 +1,8 @@
 """What is to be solved, and what a solver found by the names of beams and planes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from ..observability.wording import BeamAndPlaneNames
 from .reports import Beam, Plane
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class Problem(NamedTuple):
     """Readings in the order of a solver, and the recording that names them.
 
     Attributes

@@ -4,8 +4,8 @@ Planes are eliminated before beams, as everywhere, so that the cost is linear in
 Systematic errors that are unknowns come last: they are few.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -23,8 +23,7 @@ SQUARE_ROUNDING = 1e-14
 """Information, or a square, below this part of the whole is lost in rounding."""
 
 
-@dataclass(frozen=True, slots=True)
-class FreedColumns:
+class FreedColumns(NamedTuple):
     """Systematic errors that are unknowns, each in units of the sigma of its zero-mean prior.
 
     Attributes

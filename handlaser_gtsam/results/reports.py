@@ -31,6 +31,7 @@ from ..observability.rank import Indices
 from ..observability.wording import OpenPart
 from ..quantities import IN_MM, IN_PERCENT
 from .lines import decimals
+from .messages import said
 from .systematic import SystematicError
 
 Status = Literal["converged", "unobservable", "not_converged"]
@@ -302,12 +303,9 @@ class FreedEffect(Value):
         whose = self.subject if "{subject}" in effect.phrase else ""
         part = f" ({self.subject})" if self.subject and not whose else ""
         if not self.determined:
-            what = effect.without_size(self.subject or None)
-            return (
-                f"to determine {self.code} ({self.brief}, hardly better than its prior), "
-                f"{effect.reveal}: the readings do not determine {what}{part}; all standard deviations "
-                "count what is plausible of it"
-            )
+            what, how = effect.without_size(self.subject or None) + part, effect.reveal
+            code, brief = self.code, self.brief
+            return said("freed:undetermined", code=code, brief=brief, reveal=how, what=what)
         sigma = size_in_words(self.sigma, self.unit)
         return f"{effect.with_size(self.size, whose)}{part} (+- {sigma})"
 

@@ -8,7 +8,7 @@ Logs try the conventions in which poses are written, calibrations that do not fi
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +30,7 @@ Measure = Callable[[Recording, Effort], float]
 """Returns how badly a recording fits: its squared residual in parts of the squared spread."""
 
 
-@dataclass(frozen=True, slots=True)
-class Rereading:
+class Rereading(NamedTuple):
     """Another way to read a file.
 
     Attributes

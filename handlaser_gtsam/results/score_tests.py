@@ -10,7 +10,7 @@ by plane, beam and time (`PlaneErrors`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -43,8 +43,7 @@ there widens the prior: with a half here it was judged beside the widened prior,
 recordings instead of the 80 that its stated size promises."""
 
 
-@dataclass(frozen=True, slots=True)
-class AdjustedMembers:
+class AdjustedMembers(NamedTuple):
     """All members and the residuals without what the unknowns explain, with or without the prior.
 
     Attributes
@@ -127,7 +126,8 @@ class ScoreTests:
 
     def _by_code(self, value: Callable[[str], float]) -> FloatArray:
         """Return what every member (m,) has by its code."""
-        return np.concatenate([kind.by_code(value) for kind in self.kinds])
+        codes, which = np.unique(self.codes, return_inverse=True)
+        return np.array([value(code) for code in codes.tolist()], dtype=float)[which]
 
     def products(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
@@ -314,10 +314,6 @@ class CommonErrors:
         self.plane = self.beam = np.full(len(self.codes), -1)
         self.squares = self._squares(rows.how.weighed(self.columns))
 
-    def by_code(self, value: Callable[[str], float]) -> FloatArray:
-        """Return what every member (m,) has by its code."""
-        return np.array([value(code) for code in self.codes.tolist()])
-
     def dot(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
         return np.asarray(self.mix.T @ (self.columns.T @ y))
@@ -356,7 +352,7 @@ class PlaneErrors:
     """
 
     def __init__(self, rows: LinearRows, code: str, kind: OnPlanes) -> None:
-        self.rows, self.kind, self.code = rows, kind, code
+        self.rows, self.kind = rows, kind
         self.plane, self.beam, self.position = kind.plane, kind.beam, kind.since
         plane, position = self.plane, self.position
         self.codes, self.column = np.full(len(plane), code), kind.column
@@ -372,10 +368,6 @@ class PlaneErrors:
         self.products = np.zeros((*self.first.shape, rows.J.shape[1]))
         self.squares = np.zeros(len(plane))
         self._sum(rows)
-
-    def by_code(self, value: Callable[[str], float]) -> FloatArray:
-        """Return what every member (m,) has by its code."""
-        return np.full(len(self.plane), value(self.code))
 
     def dot(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""

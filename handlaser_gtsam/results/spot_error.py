@@ -198,15 +198,12 @@ def _pose_share(calibration: CalibrationData, J: FloatArray) -> float:
     if recording is None:
         return math.nan
     readings = calibration.used_in(recording).readings()
-    halved, doubled = (replace(variances, pose=times * variances.pose) for times in (0.5, 2.0))
+    scaled = [replace(variances, pose=times * variances.pose) for times in (0.5, 2.0)]
     try:
-        low = _spot_variance(calibration, J, readings, halved)
-        high = _spot_variance(calibration, J, readings, doubled)
+        low, high = (_spot_variance(calibration, J, readings, one) for one in scaled)
     except HandlaserError:
         return math.nan
-    if not low > 0.0:
-        return math.nan
-    return _part(math.log(high / low) / (2.0 * math.log(2.0)))
+    return _part(math.log(high / low) / (2.0 * math.log(2.0))) if low > 0.0 else math.nan
 
 
 def _spot_variance(

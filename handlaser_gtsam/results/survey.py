@@ -32,6 +32,7 @@ from ..quantities import IN_MM
 from ..text import count, some
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
+from .messages import Values, said, warned
 from .spot_error import radius
 from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit, pulled
 from .survey_motion import open_words
@@ -276,12 +277,11 @@ class SurveyCalibration(Value):
                 why = tuple(dict.fromkeys((*causes, *why)))
             return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
         parts = [
-            f"{sensor.name} within {sensor.spot_error * IN_MM:.2g} mm (95 %, a spot at "
-            f"{sensor.reading * IN_MM:.0f} mm)"
+            said("verdict:sensor", name=sensor.name, spot=sensor.spot_error, at=sensor.reading)
             for sensor in self.sensors.values()
         ]
         parts += [
-            f"beam {beam.name} located to {beam.location_sigma.max() * IN_MM:.2g} mm (1 sigma)"
+            said("verdict:beam", name=beam.name, sigma=float(beam.location_sigma.max()))
             for beam in self.beams.values()
         ]
         opening = "Usable" if not self.warnings else "Usable with care"
@@ -338,7 +338,9 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         # What is undetermined means nothing where shots are read as what they are not.
         status, message = "not_converged" if status == "not_converged" else "contradicted", wrong
     elif estimate.undetermined or found.images:
-        undetermined = tuple(_undetermined(found))
+        information, axes, _ = _information(found)
+        null = axes[:, information < least_information(information)]
+        undetermined = (open_sentence(*open_words(rows, estimate, null, found.images)),)
         message = undetermined[0]
     elif status != "converged" and any(one.contradicted for one in relations):
         # Labels and noise may be right, and rows do not fit because of the relation.
@@ -452,26 +454,17 @@ def _target(found: SurveyEstimate, family: str, member: int, label: str) -> Surv
 
 def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
     rows, stations = found.rows, found.rows.survey.stations
+    sensors, edgeless = [shots.name for shots in rows.survey.shots], rows.edgeless
     for item, used in zip(rows.items, found.used, strict=True):
         if not used:
-            name = _source(rows, item.family, item.member)
-            station = stations.station_names[item.station]
+            names = sensors if item.family == SENSOR.name else rows.survey.beam_names
+            station, target = stations.station_names[item.station], rows.label(item.target)
             reason = "grazing" if item.grazing else "contradicted"
-            yield RejectedShot(name, station, rows.label(item.target), reason)
-    edgeless = rows.edgeless
+            yield RejectedShot(names[item.member], station, target, reason)
     for member, at in rows.lost:
-        yield RejectedShot(
-            rows.survey.shots[member].name,
-            stations.station_names[at],
-            stations.plane_labels[at],
-            "no-edge" if stations.plane_labels[at] in edgeless else "too-few-points",
-        )
-
-
-def _source(rows: Rows, family: str, member: int) -> str:
-    if family == SENSOR.name:
-        return rows.survey.shots[member].name
-    return rows.survey.beam_names[member]
+        label = stations.plane_labels[at]
+        reason = "no-edge" if label in edgeless else "too-few-points"
+        yield RejectedShot(sensors[member], stations.station_names[at], label, reason)
 
 
 def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
@@ -515,11 +508,7 @@ def _warnings(
 ) -> Iterator[CalibrationWarning]:
     for tested in relations:
         if tested.contradicted:
-            words = (
-                f"the readings contradict what is said to be known: {tested.known.words} "
-                f"(p = {tested.p_value:.1g}); measure it again, or leave it out"
-            )
-            yield CalibrationWarning(FALSE_RELATION, words, {"p": tested.p_value})
+            yield warned(FALSE_RELATION, {"p": tested.p_value}, known=tested.known.words)
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
@@ -532,23 +521,17 @@ def _warnings(
             first, *others = sorted(found_errors, key=lambda e: -abs(e.size) / e.sigma)
             p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
             alike = " or ".join(error.code for error in others)
-            words = (
-                f"{sensor.name} reads with an error {first.code} of {first.size:.3g} +- "
-                f'{first.sigma:.2g} (p = {p:.1g}); free = ["{first.code}"] estimates it'
-            )
-            words += f"; an error {alike} would look much like it" if others else ""
-            yield CalibrationWarning(
-                "range-error", words, {"sensor": sensor.name, "size": first.size}
+            alike = f"; an error {alike} would look much like it" if others else ""
+            values: Values = {"sensor": sensor.name, "size": first.size}
+            yield warned(
+                "range-error", values, code=first.code, sigma=first.sigma, p=p, alike=alike
             )
     beams = found.rows.survey.beam_names
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
         names = some([one.words(beams) for one in out], NAMES_IN_LINE)
-        words = (
-            f"{len(out)} of {len(found.rows.items)} shots contradict the others and are left out: "
-            f"{names}; are their labels right?"
-        )
-        yield CalibrationWarning("many-rejected", words, {"shots": len(out)})
+        total = len(found.rows.items)
+        yield warned("many-rejected", {"shots": len(out)}, total=total, names=names)
     yield from unread_stations(found.rows)
     yield from found.rows.survey.warnings
 
@@ -559,18 +542,13 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
     read = {item.station for item in rows.items} | {at for _, at in rows.lost}
     unread = stations - len(read)
     if unread:
-        words = f"{unread} of {stations} stations have no reading, and were left out"
-        sizes = {"stations": unread, "total": stations}
-        yield CalibrationWarning("stations-left-out", words, sizes)
+        yield warned("stations-left-out", {"stations": unread, "total": stations})
     labels = survey.stations.plane_labels
     edgeless = rows.edgeless
     for label in edgeless:
         shots = sum(labels[at] == label for _, at in rows.lost)
-        words = (
-            f"no profile of {label} has an edge between two straight sides; look at both sides at "
-            f"once, or label it plane:{label.partition(':')[2]} if it is one plane"
-        )
-        yield CalibrationWarning("no-edge", words, {"target": label, "shots": shots})
+        values: Values = {"target": label, "shots": shots}
+        yield warned("no-edge", values, name=label.partition(":")[2])
     names = survey.stations.station_names
     lost = [
         f"sensor {survey.shots[member].name} at station {names[at]}"
@@ -578,13 +556,14 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         if labels[at] not in edgeless
     ]
     if lost:
-        words = (
-            f"{count(len(lost), 'shot')} with too few points on their target, or most of them on "
-            "something else behind or beside it: "
-            f"{some(lost, NAMES_IN_LINE)}"
+        more = "".join(f"; {one}" for one in _counted_towards(rows))
+        yield warned(
+            "too-few-points",
+            {"shots": len(lost)},
+            lost=count(len(lost), "shot"),
+            names=some(lost, NAMES_IN_LINE),
+            more=more,
         )
-        words += "".join(f"; {one}" for one in _counted_towards(rows))
-        yield CalibrationWarning("too-few-points", words, {"shots": len(lost)})
 
 
 def _counted_towards(rows: Rows) -> Iterator[str]:
@@ -615,32 +594,17 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         smaller = inside < shots.sigma
         p = float((chi2_cdf if smaller else chi2_sf)(square, many))
         if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > NOTABLE_SIGMA:
-            code = f"sigmas-too-{'large' if smaller else 'small'}"
-            message = (
-                f"readings of {shots.name} scatter by {inside * IN_MM:.2g} mm inside shots, where "
-                f"{shots.sigma * IN_MM:.2g} mm are stated; state none to have it estimated"
+            how, stated = "large" if smaller else "small", shots.sigma
+            values: Values = {"sigma_mm": inside * IN_MM, "p": p}
+            yield warned(
+                f"sigmas-too-{how}:shots", values, sensor=shots.name, inside=inside, stated=stated
             )
-            yield CalibrationWarning(code, message, {"sigma_mm": inside * IN_MM, "p": p})
             return
     chi2, dof = found.estimate.chi2, found.estimate.dof
     learned = np.isnan([*found.stated.sigma, *found.stated.pose]).any()
     if learned or dof < 1 or not math.isfinite(chi2):
         return
     times = math.sqrt(chi2 / dof)
-    for code, p, words in (
-        ("sigmas-too-small", float(chi2_sf(chi2, dof)), "too small, or the model does not hold"),
-        ("sigmas-too-large", float(chi2_cdf(chi2, dof)), "too large"),
-    ):
+    for how, p in (("small", float(chi2_sf(chi2, dof))), ("large", float(chi2_cdf(chi2, dof)))):
         if p < SINGLE_LEVEL:
-            message = (
-                f"shots misfit by {times:.2f} times what the sigmas say (p = {p:.1g}): a sigma is "
-                f"{words}; state none to have them estimated"
-            )
-            yield CalibrationWarning(code, message, {"times": times, "p": p})
-
-
-def _undetermined(found: SurveyEstimate) -> Iterator[str]:
-    """Yield what is undetermined in words, and why where that is known."""
-    information, axes, _ = _information(found)
-    null = axes[:, information < least_information(information)]
-    yield open_sentence(*open_words(found.rows, found.estimate, null, found.images))
+            yield warned(f"sigmas-too-{how}:survey", {"times": times, "p": p})

@@ -38,6 +38,7 @@ from ..model.targets.sphere import SPHERE
 from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
 from ..text import some
 from .lines import NAMES_IN_LINE
+from .messages import Values, said, warned
 
 CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
@@ -66,11 +67,7 @@ SHOTS_TRIED = 60
 MUCH_DEARER = 2.0
 """Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
-CHECKS = (
-    "check that poses are world_T_hand in the format that is stated, the units and the columns of "
-    "poses and points, that both tables call each station by one name, and the labels of the targets "
-    "with their kinds"
-)
+CHECKS = said("survey-checks")
 """What to do where no cause is known."""
 
 
@@ -80,18 +77,10 @@ def misread(rows: Rows, noise: Noise) -> Iterator[CalibrationWarning]:
     for shots in rows.survey.shots:
         better = better_convention(shots, labels)
         if better is not None:
-            words = (
-                f"the readings of {shots.name} fit better if they are {better}: set convention = "
-                f'"{better}"'
-            )
-            yield CalibrationWarning(CONVENTION, words, {"sensor": shots.name})
+            yield warned(CONVENTION, {"sensor": shots.name}, better=better)
     for label, better in better_kinds(rows.survey, noise).items():
         kind, _, name = label.partition(":")
-        words = (
-            f"the shots of {label} fit a {better}, and no {kind}: label it {better}:{name}, or look "
-            "whether its stations have the label of another target"
-        )
-        yield CalibrationWarning(KIND, words, {"target": label})
+        yield warned(KIND, {"target": label}, better=better, kind=kind, name=name)
 
 
 def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
@@ -125,12 +114,8 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     gain = (squares(1.0) - least) / (least / dof)
     if np.isfinite(gain) and f_sf(max(gain, 0.0), 1, dof) < FAMILY_LEVEL / len(tried):
         better = tried[found_at.index(least)] * stated
-        words = (
-            f"the readings fit far better with a cone of {better * IN_DEG:.2g} degrees than with one "
-            f"of {stated * IN_DEG:.3g}: set half_angle_deg, half the opening angle, near "
-            f"{better * IN_DEG:.2g}"
-        )
-        yield CalibrationWarning(HALF_ANGLE, words, {"half_angle": better})
+        degrees, near = stated * IN_DEG, better * IN_DEG
+        yield warned(HALF_ANGLE, {"half_angle": better}, stated=degrees, near=near)
 
 
 def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
@@ -168,14 +153,9 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
                 limit = float(np.ceil(far * IN_MM))
         if limit:
             short = -float(np.median(miss[(shots.before * IN_MM < limit) & np.isfinite(miss)]))
-            words = (
-                f"what {shots.name} reads behind an echo nearer than {limit:.0f} mm is "
-                f"{abs(short) * IN_MM:.2g} mm too {'short' if short > 0.0 else 'long'} for what it "
-                f"reads elsewhere, by the median: set clear_mm = {limit:.0f}"
-            )
-            yield CalibrationWarning(
-                BEHIND_ECHO, words, {"sensor": shots.name, "limit_mm": limit, "short_m": short}
-            )
+            values: Values = {"sensor": shots.name, "limit_mm": limit, "short_m": short}
+            way = "short" if short > 0.0 else "long"
+            yield warned(BEHIND_ECHO, values, size=abs(short), way=way)
 
 
 def _misses(rows: Rows, clear: SurveyEstimate, member: int) -> FloatArray:
@@ -206,12 +186,9 @@ def no_fit(
         what += "a label without a kind is a plane, and of a ball it is sphere:NAME"
     if what.startswith(CHECKS) and rows.known:
         what += "; leave out [[known]] to see whether one of them is false"
-    words = (
-        f"most shots do not fit each other: a typical one misses its target by "
-        f"{fit.distance * IN_MM:.2g} mm, {fit.misfit:.0f} times what the noise says "
-        f"({some(first_noise(rows, fit, given), NAMES_IN_LINE)}); {what}"
-    )
-    return CalibrationWarning(NO_FIT, words, {"misfit": fit.misfit, "distance_m": fit.distance})
+    noise = some(first_noise(rows, fit, given), NAMES_IN_LINE)
+    values = {"misfit": fit.misfit, "distance_m": fit.distance}
+    return warned(f"{NO_FIT}:shots", values, noise=noise, what=what)
 
 
 def first_noise(rows: Rows, fit: FirstFit, given: Noise) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from ..observability.wording import MOUNTED, WORTH_A_WORD, Kind, OpenPart, vecto
 from ..quantities import FAR_SIGMAS, IN_DEG
 from ..text import some
 from .lines import NAMES_IN_LINE
+from .messages import said
 
 ON_ONE_CIRCLE = 0.02
 """Normals are on one circle about a direction if their spread along it is below this."""
@@ -50,12 +51,9 @@ def open_words(
     parts = tuple(_parts(rows, found.values, null))
     unheard = [p for p in parts if rows.survey.half_angle and p.quantity == "direction"]
     if unheard:
-        names, degrees = some([part.name for part in unheard], 6), rows.survey.half_angle * IN_DEG
-        what += (f"direction of {names}: all readings are within the cone, where it tells nothing",)
-        cures += (
-            f"tilt its axis by more than {degrees:.3g} degrees from what is nearest, or state the "
-            'mount in [[known]] (relation = "mount")',
-        )
+        names = some([part.name for part in unheard], 6)
+        what += (said("open:cone", names=names),)
+        cures += (said("cure:cone", angle=rows.survey.half_angle),)
         parts = tuple(part for part in parts if part not in unheard)
     if not parts:
         return what, cures
@@ -90,14 +88,10 @@ def _words_of_images(
     image = "its mirror image in the plane of the motion fits as well"
     if not names and images:
         planes = some([_name_of(rows, *target) for target in images], 6)
-        return (f"which way planes {planes} lean: {image}",), (
-            'against the mirror image, state one of them in [[known]] (relation = "plane")',
-        )
+        return (f"which way planes {planes} lean: {image}",), (said("cure:mirrored-planes"),)
     # A relation tells the images apart where it makes chi2 of the false one far larger.
     cures = [
-        f'against the mirror image, state the mount of {name} in [[known]] (relation = "mount") with '
-        "a sigma_deg below "
-        f"{images[mount] * IN_DEG / FAR_SIGMAS:.2g}"
+        said("cure:mirrored-mount", name=name, sigma=images[mount] * IN_DEG / FAR_SIGMAS)
         for mount, name in names.items()
     ]
     return tuple(f"which way up {name} is: {image}" for name in names.values()), tuple(cures)
@@ -139,15 +133,9 @@ def _of_level_sensors(
     """Return what level sensors leave undetermined in planar motion, and what cures it."""
     names = some([f"{kind} {name}" for name, kind in level.items()], NAMES_IN_LINE)
     up, one = vector_words(motion.axis), len(level) == 1
-    return (
-        f"the height of {names} (location along {up}), and how {'it leans' if one else 'they lean'} "
-        f"(turns about axes across {up}), because the motion is planar and all rays lie in its plane: "
-        "walls look the same from any height, and whether they lean does not show",
-    ), (
-        f"mount {'it' if one else 'them'} so that the rays lean by 10 to 20 degrees out of that plane, "
-        "and add a board that leans by 20 to 40 degrees, which leaves one common height; take height "
-        'and lean from a drawing (relation = "mount" in [[known]]); or turn the hand about an axis '
-        f"across {up}, as over a ramp",
+    lean, them = ("it leans", "it") if one else ("they lean", "them")
+    return (said("open:level", names=names, up=up, lean=lean),), (
+        said("cure:level", them=them, up=up),
     )
 
 
@@ -230,8 +218,4 @@ def _on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str
         if spread[-1] < ON_ONE_CIRCLE * np.sqrt(len(m)):
             direction = vector_words(axes[-1])
             plane = rows.label(own[0].target)
-            yield (
-                f"the shift of {shots.name} along {direction} of its own frame, which is one number "
-                f"with the offset of {plane}: it saw its plane at one angle to the direction "
-                f"{direction} throughout, as on a cone or in turns about one axis"
-            )
+            yield said("open:circle", sensor=shots.name, direction=direction, plane=plane)

@@ -26,8 +26,8 @@ from ..data.value import Value
 from ..model.distributions import FAMILY_LEVEL
 from ..model.effects import EFFECTS, may_also_be
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import IN_MM
 from .dependence import INDEPENDENT, Dependence, dependence
+from .messages import said
 from .projection import LinearRows
 from .score_tests import ScoreTests, alike
 
@@ -288,10 +288,8 @@ def _largest_moves(
 def _effect(shift: FloatArray, twist: FloatArray, beams: Sequence[str], verb: str) -> str:
     """Say which beam is moved most, and which is turned most."""
     location, turn = np.linalg.norm(shift, axis=1), np.linalg.norm(twist, axis=1)
-    return (
-        f"the location of beam {beams[int(location.argmax())]} {verb} {location.max() * IN_MM:.2g} mm "
-        f"and the direction of beam {beams[int(turn.argmax())]} {verb} {np.rad2deg(turn.max()):.2g} deg"
-    )
+    names = {"located": beams[int(location.argmax())], "turned": beams[int(turn.argmax())]}
+    return said("moved", verb=verb, far=location.max(), turn=turn.max(), **names)
 
 
 def subject_in_words(

@@ -21,21 +21,13 @@ from ..quantities import IN_MM, IN_PERCENT
 from ..text import count, some
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import NAMES_IN_LINE
+from .messages import MESSAGES, said
 from .reports import CalibrationData
-from .spot_error import Quantity, VarianceShares, freedom, spot_radii, variance_shares
+from .spot_error import VarianceShares, freedom, spot_radii, variance_shares
 from .systematic import SystematicError
 from .warnings import MANY_OUTLIERS
 
-OPENING = {
-    "usable": "Usable",
-    "usable-with-care": "Usable with care",
-    "outside-limits": "Not usable, outside the limits",
-    "systematic-error": "Not usable, a systematic error",
-    "contradicted": "Not usable, contradicted",
-    "undetermined": "Not usable, undetermined",
-    "no-fit": "Not usable, the readings do not fit",
-    "not-converged": "Not usable, no calibration",
-}
+OPENING = MESSAGES["openings"]
 """How a sentence begins, by the code of its verdict."""
 RANDOM_ONLY = "; random errors only: state [sensor] kind"
 """What stands beside a radius where nothing says which systematic errors are plausible."""
@@ -43,12 +35,6 @@ CAUSE = "file-mistake"
 """Code of the warning that names why readings do not fit."""
 WELL_CONDITIONED = 100.0
 """A condition number below this is the usual demand: no motion is missing then."""
-MOTIONS: dict[Quantity, str] = {
-    "location": "turning the hand further, about two axes (the locations are known worst)",
-    "direction": "turning the hand further and varying the range (the directions are known worst)",
-    "range error": "a wider span of ranges (the range errors are known worst)",
-}
-"""The motion that determines each quantity better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,72 +81,49 @@ def improvement(
         The one that may be there unnoticed, where that counts for more than the noise.
     """
     fit = calibration.fit
-    outliers, total = fit.outliers, fit.readings + fit.outliers
+    total = fit.readings + fit.outliers
     codes = {one.code for one in calibration.warnings}
+    undetermined = next((one for one in calibration.effects if not one.determined), None)
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
-    if outliers > MANY_OUTLIERS * total:
-        words = f"finding the cause of {outliers} outliers among {total} readings"
-        return Improvement("outliers", words, outliers)
+    if fit.outliers > MANY_OUTLIERS * total:
+        return _best("outliers", fit.outliers, total=total)
     if codes & {"sigmas-too-small", "sigmas-too-large"}:
-        times = f"residuals are {fit.sigma0:.2g} times as large as given"
-        return Improvement("sigmas", f"sigmas that fit, or none ({times})", fit.sigma0)
+        return _best("sigmas", fit.sigma0)
     if any(one.quantity == "rms" for one in failed):
-        words = "less noise of sensor or robot (more stations do not lower residuals)"
-        return Improvement("limit-rms", words)
-    undetermined = next((one for one in calibration.effects if not one.determined), None)
+        return _best("limit-rms")
     if undetermined is not None:
-        words = f"to determine {undetermined.code}, {EFFECTS[undetermined.code].reveal}"
-        return Improvement("effect-undetermined", words)
+        code = undetermined.code
+        return _best("effect-undetermined", code=code, reveal=EFFECTS[code].reveal)
     if doubtful is not None:
-        return Improvement("hidden", f"to see it, {EFFECTS[doubtful.code].reveal}")
+        return _best("hidden", reveal=EFFECTS[doubtful.code].reveal)
     if "correlated-in-time" in codes:
-        return Improvement(
-            "stops", "stopping at the stations (errors of neighbouring stations go together)"
-        )
-    return _largest_share(calibration, shares) or _stations(calibration, failed)
-
-
-def _largest_share(
-    calibration: CalibrationData, shares: VarianceShares | None
-) -> Improvement | None:
-    """Return what would lower the largest share of the spot error, where that is worth it."""
-    if shares is None or freedom(calibration) < FEW_DEGREES:
-        return None
-    condition = calibration.observability.condition
-    weakest = 0.0 if condition is None or condition <= WELL_CONDITIONED else shares.weakest
-    candidates: tuple[tuple[str, str, float], ...] = (
-        (
-            "poses",
-            "a better robot calibration or more stations (robot errors cause {})",
-            shares.poses,
-        ),
-        (
-            "range-span",
-            "a wider span of ranges (unknown range errors cause {})",
-            shares.range_error,
-        ),
-        ("motion", MOTIONS[shares.weakest_quantity], weakest),
-    )
-    code, words, share = max(candidates, key=lambda one: np.nan_to_num(one[2], nan=-1.0))
-    if not share > 0.5:  # a cause of more than half of the variance is worth the first word
-        return None
-    return Improvement(
-        code, words.format(f"{IN_PERCENT * min(share, 0.99):.0f} % of the variance"), share
-    )
-
-
-def _stations(calibration: CalibrationData, failed: tuple[LimitCheck, ...]) -> Improvement:
+        return _best("stops")
+    few = freedom(calibration) < FEW_DEGREES
+    if shares is not None and not few:  # what would lower the largest share
+        condition = calibration.observability.condition
+        shown = condition is not None and condition > WELL_CONDITIONED
+        weakest = shares.weakest if shown else 0.0
+        causes = {"poses": shares.poses, "range-span": shares.range_error}
+        causes[f"motion:{shares.weakest_quantity}"] = weakest
+        worst = max(causes, key=lambda one: np.nan_to_num(causes[one], nan=-1.0))
+        if causes[worst] > 0.5:  # a cause of more than half of the variance is worth the first word
+            percent = IN_PERCENT * min(causes[worst], 0.99)
+            return _best(worst, causes[worst], percent=percent)
     if failed:
         times = max(one.ratio for one in failed) ** 2
         rounded = f"{math.ceil(10.0 * times) / 10.0:.1f}" if times < 10.0 else f"{math.ceil(times)}"
-        words = f"about {rounded} times as many stations (they would meet the limits)"
-        return Improvement("more-stations", words, times)
-    if freedom(calibration) < FEW_DEGREES:
-        dof = calibration.fit.dof
-        words = f"more stations ({dof} degrees of freedom hardly determine the noise)"
-        return Improvement("more-stations", words)
-    return Improvement("more-stations", "more stations (4 times as many halve the error)", 4.0)
+        return _best("more-stations:limits", times, times=rounded)
+    if few:
+        return _best("more-stations:few", dof=fit.dof)
+    return _best("more-stations", 4.0)
+
+
+def _best(message: str, number: float | None = None, **words: float | str) -> Improvement:
+    """Return an improvement by its code, with a suffix where one code has several words."""
+    if number is not None:
+        words = {"number": number, **words}
+    return Improvement(message.partition(":")[0], said(f"best:{message}", **words), number)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,7 +242,13 @@ def verdict(
         code = "outside-limits"
     elif excess > 1.0:
         code = "systematic-error"
-    asked = shares if limiting is None else _shares_of(limiting, calibration, reading)
+    asked = shares
+    if limiting is not None:
+        of: Literal["location", "direction"] = "location"
+        if limiting.quantity == "direction_sigma":
+            of = "direction"
+        owner = limiting.subject.removeprefix("beam ")
+        asked = variance_shares(calibration, owner, reading, of)
     best = improvement(calibration, asked, harmful, failed, doubtful)
     found = Verdict(
         code,
@@ -345,15 +314,12 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     if found.code == "systematic-error" and found.harmful is not None:
         yield _clause(found.harmful.message)
     elif found.spot_error is not None:
-        at = f"beam {found.spot_beam} at {_mm(found.reading)} mm"
-        at += RANDOM_ONLY if calibration.sensor_kind is None else ""
-        yield f"laser spot within {_mm(found.spot_error)} mm (95 %, {at})"
+        spot, at = _mm(found.spot_error), _mm(found.reading)
+        random = RANDOM_ONLY if calibration.sensor_kind is None else ""
+        yield said("verdict:spot", spot=spot, beam=found.spot_beam, at=at, random=random)
         if found.hidden is not None and found.hidden_error is not None:
             error = EFFECTS[found.hidden.code].with_size(found.hidden.unnoticed)
-            yield (
-                f"up to {_mm(found.spot_error + found.hidden_error)} mm if there is {error}, which is "
-                "plausible and this recording would not show"
-            )
+            yield said("verdict:hidden", up=_mm(found.spot_error + found.hidden_error), error=error)
     if found.code == "usable-with-care" and found.harmful is not None:
         one = found.harmful
         others = f" ({may_also_be(one.alike)})" if one.alike else ""
@@ -366,16 +332,6 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     yield best_improvement(found.best)
 
 
-def _shares_of(
-    limiting: LimitCheck, calibration: CalibrationData, reading: float
-) -> VarianceShares | None:
-    """Return what the value of a beam that exceeds its limit most is made of."""
-    of: Literal["location", "direction"] = "location"
-    if limiting.quantity == "direction_sigma":
-        of = "direction"
-    return variance_shares(calibration, limiting.subject.removeprefix("beam "), reading, of)
-
-
 def best_improvement(best: Improvement) -> str:
     """Return the last part of a sentence."""
     return f"best improvement: {_clause(best.words)}"
@@ -385,7 +341,7 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
     """Return the verdict on what did not converge."""
     found = calibration.observability
     if calibration.status != "unobservable":
-        best = Improvement("recording", "look into the recording")
+        best = _best("recording")
         says_why = any(one.message == calibration.message for one in calibration.warnings)
         code = "no-fit" if says_why else "not-converged"
         words = _clause(calibration.message).removeprefix("the readings do not fit: ")
@@ -393,7 +349,7 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
         if not says_why:
             causes = (CalibrationWarning(code, calibration.message), *causes)
         return Verdict(code, (words,), best, reading, causes=causes)
-    words = found.advice[0] if found.advice else "look into the recording"
+    words = found.advice[0] if found.advice else said("best:recording")
     what = calibration.message
     if found.undetermined:
         first, *more = found.undetermined

@@ -15,7 +15,6 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..data.screen import rounding
 from ..errors import CalibrationWarning
-from ..estimation.posterior import ScaleEstimate
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
 from ..estimation.task import NO_FIT
@@ -26,12 +25,13 @@ from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.sensor import BY_LIMITS
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import EXACT, FAR_SIGMAS, IN_DEG, IN_MM
+from ..quantities import EXACT, FAR_SIGMAS
 from ..solvers.refine import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.search import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .dependence import Dependence
+from .messages import Values, warned
 from .reports import Fit
 
 SUSPICIOUS_FIT = 0.06
@@ -57,10 +57,6 @@ COARSE = "coarse-readings"
 """The code of readings whose rounding alone explains why they fit so badly."""
 IMPLAUSIBLE = "implausible-range-error"
 """The code of readings that fit only with range errors that no sensor has."""
-CHECKS = (
-    "check that lengths are metres, the quaternion is qx qy qz qw, poses are world_T_hand and not its "
-    "inverse, plane labels are right, and look for outliers"
-)
 WORTH_REFINING = 100.0
 """Another minimum of one beam, the planes fixed, is refined where its chi2 is larger by at most
 this."""
@@ -77,49 +73,24 @@ def misfit(
     beams = recording.beam_names
     for name, (lost, readings_of) in zip(beams, lost_of_beams(fit, beams), strict=True):
         if lost and lost >= MOST_LOST * readings_of:
-            return CalibrationWarning(
-                "contradicting-beam",
-                f"{lost} of the {readings_of} readings of beam {name} contradict the others: look for "
-                f"another unit, a swapped column or a loose sensor, or leave beam {name} out; {CHECKS}",
-                {"beam": name, "rejected": lost, "readings": readings_of},
-            )
+            values: Values = {"beam": name, "rejected": lost, "readings": readings_of}
+            return warned("contradicting-beam", values)
     if fit.range_sigma_given and fit.dof > 0 and fit.sigma0 > TEN_TIMES:
-        return CalibrationWarning(
-            "no-fit",
-            f"the readings do not fit: residuals are {fit.sigma0:.3g} times as large as the sigmas "
-            f"say; {CHECKS}, and for a sigma in the wrong unit",
-            {"sigma0": fit.sigma0},
-        )
+        return warned("no-fit:sigmas", {"sigma0": fit.sigma0})
     if not plausible_range_errors(parameters, readings):
-        return CalibrationWarning(
-            IMPLAUSIBLE,
-            "the readings fit only with true ranges below half or above three times of them, which no "
-            f"sensor has; {CHECKS}",
-        )
+        return warned(IMPLAUSIBLE)
     spread = readings.spread()
     if fit.dof <= 0 or fit.rms <= NO_FIT * spread:
         return None
     half = rounding(readings.distance)
     if fit.rms <= half:
-        return CalibrationWarning(
-            COARSE,
-            f"the readings do not fit: they are rounded to {2e3 * half:.3g} mm where they spread by "
-            f"{spread * IN_MM:.3g} mm; write more decimals, use a finer sensor, or vary the ranges "
-            "more",
-            {"rounding_m": 2.0 * half, "spread_m": spread},
-        )
+        return warned(COARSE, {"rounding_m": 2.0 * half, "spread_m": spread})
     return poor_fit(readings, fit)
 
 
 def poor_fit(readings: Readings, fit: Fit) -> CalibrationWarning:
     """Say how far the readings are from fitting."""
-    spread = readings.spread()
-    return CalibrationWarning(
-        "no-fit",
-        f"the readings do not fit: rms {fit.rms * IN_MM:.3g} mm where they spread by "
-        f"{spread * IN_MM:.3g} mm; {CHECKS}",
-        {"rms_m": fit.rms, "spread_m": spread},
-    )
+    return warned("no-fit:spread", {"rms_m": fit.rms, "spread_m": readings.spread()})
 
 
 def implausible_mounts(
@@ -128,13 +99,7 @@ def implausible_mounts(
     """Say that beams lie where none can be: far from the hand, or on both sides of a plane."""
     far = float(np.linalg.norm(parameters.locations, axis=1).max())
     if far > NO_MOUNT:
-        return CalibrationWarning(
-            "far-beam",
-            f"a beam lies {far:.3g} m from the hand's origin, where no hand reaches: the lengths look "
-            "like millimetres; a recording has metres (`handlaser convert "
-            "--units mm` reads a log that has millimetres)",
-            {"distance_m": far},
-        )
+        return warned("far-beam:no-mount", {"distance_m": far})
     ahead = cosines(scene(parameters, readings)) > 0.0
     # Whether a beam hits a plane from the front, and from the back.
     hits = np.zeros((2, readings.planes, readings.beams), dtype=bool)
@@ -146,13 +111,8 @@ def implausible_mounts(
     labels, distance = names.sorted_beams(), np.linalg.norm(parameters.locations, axis=1)
     first, second = np.where(hits[:, from_both[0]], distance, -1.0).argmax(axis=1).tolist()
     culprit = labels[max(first, second, key=lambda i: distance[i])]
-    return CalibrationWarning(
-        "two-sides",
-        f"beams {labels[first]} and {labels[second]} hit plane {name} from its two sides, which no "
-        f"plate allows: beam {culprit} looks inverted, its readings fall as the distance grows; "
-        "correct the sign or the scale of its output",
-        {"plane": name, "beam": culprit},
-    )
+    values = {"plane": name, "beam": culprit}
+    return warned("two-sides", values, first=labels[first], second=labels[second])
 
 
 def lost_of_beams(fit: Fit, names: Sequence[str]) -> list[tuple[int, int]]:
@@ -178,44 +138,45 @@ def fit_warnings(
     solution: Solution,
     names: Sequence[str],
     together: Dependence,
-) -> tuple[CalibrationWarning, ...]:
-    """Return the warnings that a fit deserves, beside the warning of `misfit`, the gravest first.
+) -> Iterator[CalibrationWarning]:
+    """Yield the warnings that a fit deserves, beside the warning of `misfit`, the gravest first.
 
     `names` are the beams' in the order of the readings; `together` says how many readings count as one.
     """
-    parameters, variances = solution.best, solution.variances
-    treated = variances is not None and variances.pose is not None
-    poor = fit.rms > NO_FIT * readings.spread()  # then the errors of the poses were not looked at
-    return (
-        *_of_the_file(readings, parameters, fit),
-        *_same_mounts(parameters, fit, names),
-        *_wrong_sigmas(fit, solution.redundancy, together.plane_growth**2, treated=treated),
-        *(() if treated or poor else _pose_errors(fit, noise)),
-        *_large_pose_errors(solution.scales),
-        *_of_the_noise(fit, solution.redundancy),
-    )
-
-
-def _of_the_file(
-    readings: Readings, parameters: Parameters, fit: Fit
-) -> Iterator[CalibrationWarning]:
-    """Yield warnings of many outliers, and of lengths that look like millimetres."""
     outliers, total = fit.outliers, fit.readings + fit.outliers
     if outliers > MANY_OUTLIERS * total:
-        yield CalibrationWarning(
-            "many-outliers",
-            f"{outliers} of {total} readings were left out as outliers: look "
-            "for their cause before you use the result",
-            {"rejected": outliers, "readings": total},
-        )
+        yield warned("many-outliers", {"rejected": outliers, "readings": total})
     median = float(np.median(readings.distance))
     if median > LONG_RANGE:
-        words = f"the median reading is {median:.0f} m; is the file in millimetres?"
-        yield CalibrationWarning("long-ranges", words, {"median_m": median})
-    far = float(np.linalg.norm(parameters.locations, axis=1).max())
+        yield warned("long-ranges", {"median_m": median})
+    far = float(np.linalg.norm(solution.best.locations, axis=1).max())
     if FAR_BEAM < far <= NO_MOUNT:
-        words = f"a beam lies {far:.3g} m from the hand's origin; are positions in millimetres?"
-        yield CalibrationWarning("far-beam", words, {"distance_m": far})
+        yield warned("far-beam", {"distance_m": far})
+    yield from _same_mounts(solution.best, fit, names)
+    treated = solution.variances is not None and solution.variances.pose is not None
+    yield from _wrong_sigmas(fit, solution.redundancy, together.plane_growth**2, treated=treated)
+    # Of a poor fit, the errors of the poses were not looked at.
+    if not treated and fit.rms <= NO_FIT * readings.spread():
+        sigmas = _going_together(fit)
+        if sigmas > FAR_SIGMAS:
+            yield warned("poses-err", {"standard_deviations": sigmas})
+        if noise.poses_uncertain:
+            yield warned("poses-taken-as-exact")
+    for one in solution.scales:  # errors of poses that no robot of its kind has stand for others
+        expected = one.scale.unit * one.scale.prior
+        at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
+        if one.scale.name != RANGE and at_least > TEN_TIMES * expected:
+            which = "rotation" if one.scale.name == ROTATION else "position"
+            values = {"sigma": one.sigma, "expected": expected}
+            yield warned(f"large-pose-errors:{which}", values, times=one.sigma / expected)
+    (station, beam), sigmas = fit.max_standardized_residual_at, fit.max_standardized_residual
+    if fit.dof > 0 and sigmas > FAR_SIGMAS:
+        yield warned("far-reading", {"station": station, "beam": beam, "sigmas": sigmas})
+    redundancy = solution.redundancy
+    if not fit.range_sigma_given and redundancy < FEW_DEGREES:
+        some = f"only {count(redundancy, 'reading')} more than"
+        more = some if redundancy > 0 else "no more readings than"
+        yield warned("few-readings", {"redundancy": redundancy}, more=more)
 
 
 def _same_mounts(
@@ -231,21 +192,7 @@ def _same_mounts(
             turned = parameters.directions[j] - parameters.directions[i]
             near = np.linalg.norm(apart) < min(SAME_PLACE, 0.1 * fit.typical_range)
             if near and np.linalg.norm(turned) < 10.0 * SAME_PLACE:
-                yield CalibrationWarning(
-                    "column-twice",
-                    f"beams {names[i]} and {names[j]} lie in one place and point one way: if they "
-                    "are one channel logged twice, the standard deviations are too small, and one "
-                    "of the two is not calibrated",
-                    {"first": names[i], "second": names[j]},
-                )
-
-
-def noise_advice(fit: Fit) -> str:
-    """Say what to do where the motion would be enough, but not for residuals of this size."""
-    return (
-        f"the motion would be enough if the readings fitted better than {fit.rms * IN_MM:.3g} mm rms: "
-        f"{CHECKS}; otherwise add stations with more varied orientations"
-    )
+                yield warned("column-twice", {"first": names[i], "second": names[j]})
 
 
 def _wrong_sigmas(
@@ -266,57 +213,10 @@ def _wrong_sigmas(
         smaller = float(chi2_cdf(fit.chi2, redundancy))
     if larger < SINGLE_LEVEL:
         remedy = "" if treated else "state the robot's sigmas or "
-        yield CalibrationWarning(
-            "sigmas-too-small",
-            f"residuals are {fit.sigma0:.2f} times as large as the sigmas say (chi2 test): a "
-            "sigma is too small or the model does not hold, and the standard deviations are "
-            f"too small; {remedy}estimate the noise",
-            {"sigma0": fit.sigma0, "p_value": larger},
-        )
+        values = {"sigma0": fit.sigma0, "p_value": larger}
+        yield warned("sigmas-too-small", values, remedy=remedy)
     elif smaller < SINGLE_LEVEL:
-        yield CalibrationWarning(
-            "sigmas-too-large",
-            f"residuals are only {fit.sigma0:.2f} times as large as the sigmas say (chi2 "
-            "test): a sigma is too large, and so are the standard deviations",
-            {"sigma0": fit.sigma0, "p_value": smaller},
-        )
-
-
-def _pose_errors(fit: Fit, noise: Noise) -> Iterator[CalibrationWarning]:
-    """Warn of errors of the robot where they are not counted."""
-    together = _going_together(fit)
-    if together > FAR_SIGMAS:
-        yield CalibrationWarning(
-            "poses-err",
-            f"residuals of one station go together ({together:.0f} standard deviations): the "
-            "hand poses err, and the standard deviations are too small; state the robot's "
-            "sigmas or estimate the noise",
-            {"standard_deviations": together},
-        )
-    if noise.poses_uncertain:
-        yield CalibrationWarning(
-            "poses-taken-as-exact",
-            "hand poses were taken as exact although their sigma is not zero: the standard "
-            "deviations are too small",
-        )
-
-
-def _large_pose_errors(scales: Sequence[ScaleEstimate]) -> Iterator[CalibrationWarning]:
-    """Warn of estimated errors of the poses that no robot of its kind has: they stand for others."""
-    for one in scales:
-        expected = one.scale.unit * one.scale.prior
-        at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
-        if one.scale.name != RANGE and at_least > TEN_TIMES * expected:
-            turns = one.scale.name == ROTATION
-            unit, size = ("deg", IN_DEG) if turns else ("mm", IN_MM)
-            yield CalibrationWarning(
-                "large-pose-errors",
-                f"the hand's {'rotation' if turns else 'position'} errs by {one.sigma * size:.2g} "
-                f"{unit}, as estimated, {one.sigma / expected:.0f} times what is expected of the "
-                "robot: look for gross errors, wrong labels, a plate that moved or a wrong unit; or "
-                "state what the robot errs by",
-                {"sigma": one.sigma, "expected": expected},
-            )
+        yield warned("sigmas-too-large", {"sigma0": fit.sigma0, "p_value": smaller})
 
 
 def _going_together(fit: Fit) -> float:
@@ -333,30 +233,6 @@ def _going_together(fit: Fit) -> float:
         return 0.0
     products = 0.5 * float((e.sum(axis=1) ** 2 - (e**2).sum(axis=1)).sum())
     return products / (variance * float(np.sqrt(pairs)))
-
-
-def _of_the_noise(fit: Fit, redundancy: int) -> Iterator[CalibrationWarning]:
-    """Yield warnings of one reading that is far off, and of a noise that is hardly determined."""
-    far = fit.max_standardized_residual
-    if fit.dof > 0 and far > FAR_SIGMAS:
-        station, beam = fit.max_standardized_residual_at
-        yield CalibrationWarning(
-            "far-reading",
-            f"the reading of beam {beam} at station {station} is {far:.1f} sigmas off; leave it out if "
-            "it is an outlier",
-            {"station": station, "beam": beam, "sigmas": far},
-        )
-    if not fit.range_sigma_given and redundancy < FEW_DEGREES:
-        more = (
-            f"only {count(redundancy, 'reading')} more than"
-            if redundancy > 0
-            else "no more readings than"
-        )
-        words = (
-            f"{more} unknowns: the noise is hardly determined, and "
-            "neither are the standard deviations; add stations, or give the range sigma"
-        )
-        yield CalibrationWarning("few-readings", words, {"redundancy": redundancy})
 
 
 def rival_warnings(
@@ -397,11 +273,5 @@ def rival_warnings(
         chi2 = (other.squares - now.squares) / size**2
         if chi2 > NEARLY_AS_WELL or turn < FAR_SIGMAS * sigma[beam]:
             continue
-        degrees = float(np.degrees(turn))
-        yield CalibrationWarning(
-            "another-mount",
-            f"beam {listed[beam]} has another mount, turned by {degrees:.3g} degrees, that fits "
-            f"nearly as well (chi2 larger by {max(chi2, 0.0):.2g}): its standard deviations "
-            "hold for this one alone; add stations that turn the hand further, or another plane",
-            {"beam": listed[beam], "turn_deg": degrees, "chi2": chi2},
-        )
+        values: Values = {"beam": listed[beam], "turn_deg": float(np.degrees(turn)), "chi2": chi2}
+        yield warned("another-mount", values, more=max(chi2, 0.0))

@@ -1,13 +1,16 @@
 """Figures as plotly.js draws them: JSON made by hand, because a page needs no Python library for it.
 
-Plotly reads a few HTML tags in every text, so that names from files are escaped here; and it takes
-texts that look like dates or numbers for such, so that every axis has its type.
+How layouts, axes and traces look stands in `page.json`, in the words of plotly; captions stand in the
+templates of the pages. Plotly reads a few HTML tags in every text, so that names from files are escaped
+here; and it takes texts that look like dates or numbers for such, so that every axis has its type.
 """
 
 import html
+import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,14 +18,17 @@ from ...arrays import FloatArray
 from ...text import shortened
 from ..checked_text import Record
 
+STYLE: dict[str, dict[str, Any]] = json.loads((Path(__file__).parent / "page.json").read_text())
+"""The look that figures share, as plotly.js takes it, by the name of a layout, an axis or a trace; and
+the sections of pages."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#56b4e9", "#b8860b", "#6a51a3", "#6b7280")
 """Colours of beams, which people who see no red or green tell apart, too."""
-SYMBOLS = ("circle", "diamond", "square", "triangle-up", "x", "star", "cross", "pentagon")
+SYMBOLS = STYLE["symbols"]
+"""Symbols of beams by their names in plotly, as matplotlib calls them."""
 AXIS_COLOURS = ("#c0392b", "#2e8b57", "#2c6fbb")
 """Colours of x, y and z of the hand."""
 LEGEND = len(COLOURS)
 """Beams that have a legend, and a place on the map of correlations, at most: one for every colour."""
-GREY, LINE, INK = "#9aa3ad", "#e3e6ea", "#22303c"
 NAME_IN_PICTURE = 26
 """Characters of a name in a picture: half of its width."""
 MOST_POINTS = 1000
@@ -34,17 +40,14 @@ LETTERS_BELOW = 48
 """Letters of all labels below a picture on a phone."""
 SHORTEST_LABEL = 3
 """Letters of a label at least: fewer tell no names apart."""
-FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A picture: its place in the page, a caption, and traces and layout of plotly.js."""
+class Figure(NamedTuple):
+    """A picture: its place in the page, and traces and layout of plotly.js."""
 
     name: str
-    caption: str
     data: list[Record]
-    layout: Record = field(default_factory=dict)
+    layout: Record
 
     def json(self) -> Record:
         """Return what the page's script draws."""
@@ -53,18 +56,12 @@ class Figure:
 
 def label(name: str, longest: int = NAME_IN_PICTURE) -> str:
     """Return a foreign name for a picture: short, and taken neither for HTML nor for TeX."""
-    return harmless(short(name, longest))
+    return harmless(shortened(name, longest))
 
 
-def tick_labels(names: Sequence[str], room: int = LETTERS_BELOW) -> list[str]:
-    """Return names for the ticks of an axis that has room for `room` letters."""
-    longest = max(SHORTEST_LABEL, room // max(len(names), 1))
-    return [label(name, longest) for name in names]
-
-
-def short(name: str, longest: int = NAME_IN_PICTURE) -> str:
+def short(name: str) -> str:
     """Return a name, cut where it is longer than a picture has room for."""
-    return shortened(name, longest)
+    return shortened(name, NAME_IN_PICTURE)
 
 
 def harmless(words: str) -> str:
@@ -80,58 +77,51 @@ def numbers(values: FloatArray | Iterable[float], digits: int = 6) -> list[float
     ]
 
 
-def layout(
-    x: str, y: str, height: int = 320, more: Record | None = None, *, legend: bool = False
-) -> Record:
+def trace(style: str, x: FloatArray, y: FloatArray, digits: int = 6) -> Record:
+    """Return a trace of points (x, y), as one of the styles has it."""
+    return STYLE[style] | {"x": numbers(x, digits), "y": numbers(y, digits)}
+
+
+def layout(x: str, y: str, *, legend: bool = False) -> Record:
     """Return the layout that all flat figures share: thin lines, no frame, the page's font.
 
     A legend stands above a figure.
     """
-    shared: Record = {
-        "height": height,
-        "margin": {"l": 58, "r": 14, "t": 34 if legend else 12, "b": 48},
-        "font": {"family": FONT, "size": 12, "color": INK},
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "rgba(0,0,0,0)",
-        "xaxis": axis(x),
-        "yaxis": axis(y),
-        "legend": {
-            "orientation": "h",
-            "x": 0,
-            "y": 1.02,
-            "yanchor": "bottom",
-            "font": {"size": 11},
-        },
-        "hoverlabel": {"font": {"size": 12}, "align": "left"},
-        "dragmode": False,
-        "showlegend": legend,
-    }
-    return shared | (more or {})
+    shared = STYLE["flat"] | {"xaxis": axis(x), "yaxis": axis(y)}
+    return shared | (STYLE["legend"] if legend else {})
 
 
 def axis(title: str, **more: object) -> Record:
     """Return an axis with a title."""
-    shared: Record = {
-        "title": {"text": title, "standoff": 8},
-        "type": "linear",
-        "gridcolor": LINE,
-        "linecolor": GREY,
-        "zerolinecolor": GREY,
-        "zerolinewidth": 1,
-        "ticks": "outside",
-        "tickcolor": GREY,
-        "ticklen": 4,
-        "automargin": True,
-    }
-    return shared | more
+    return {"title": {"text": title, "standoff": 8}} | STYLE["axis"] | more
+
+
+def axis_of_stations(count: int) -> Record:
+    """Return the axis on which the stations stand at 1, 2 ..."""
+    return axis("station, in their order", zeroline=False, range=[0.0, count + 1.0])
+
+
+def axis_of_names(title: str, names: Sequence[str]) -> Record:
+    """Return the axis on which named things stand at 0, 1 ...; where there are many, some are named."""
+    ticks = list(
+        range(0, len(names), max(1, math.ceil(len(names) * SHORTEST_LABEL / LETTERS_BELOW)))
+    )
+    words, ends = tick_labels([names[i] for i in ticks]), [-0.6, len(names) - 0.4]
+    return axis(title, tickvals=ticks, ticktext=words, range=ends) | STYLE["names"]
+
+
+def tick_labels(names: Sequence[str], room: int = LETTERS_BELOW) -> list[str]:
+    """Return names for the ticks of an axis that has room for `room` letters."""
+    longest = max(SHORTEST_LABEL, room // max(len(names), 1))
+    return [label(name, longest) for name in names]
 
 
 def marker(index: int, count: int) -> Record:
     """Return the marker of one of `count` beams: the same for all where there are more than colours."""
-    symbol = SYMBOLS[index] if count <= LEGEND else SYMBOLS[0]
+    symbol = list(SYMBOLS)[index if count <= LEGEND else 0]
     return {"color": colour(index, count), "symbol": symbol, "size": 6}
 
 
 def colour(index: int, count: int) -> str:
     """Return the colour of one of `count` beams: the same for all where there are more than colours."""
-    return COLOURS[index] if count <= LEGEND else COLOURS[0]
+    return COLOURS[index if count <= LEGEND else 0]

@@ -1,15 +1,17 @@
 """All flat figures of a calibration of beams, in the order of the report.
 
-A further one is a line of `flat_figures`. `page` adds the scenes, and `survey` has the figures of
-surveys.
+A further one is a line of `flat_figures`. `page` adds the scenes, and `survey_figures` has the figures
+of surveys.
 """
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray, evenly
+from ...model.distributions import CONFIDENCE, beta_quantile, gaussian_quantile
 from ...model.families import BEAM
 from ...model.joint import STRONG, correlation_matrix
 from ...planning.picture import logarithmic_ticks
@@ -19,20 +21,31 @@ from .figure import (
     COLOURS,
     LEGEND,
     LETTERS_BELOW,
+    MOST_POINTS,
+    MOST_SHAPES,
+    STYLE,
     Figure,
     axis,
+    axis_of_names,
+    axis_of_stations,
     label,
     layout,
+    marker,
     numbers,
     tick_labels,
+    trace,
 )
-from .residual_figures import qq_figure, residual_figures
-from .subject import Subject
+from .subject import ReadingRows, Subject
 
+BESIDE = 0.7
+"""The part of the distance between two planes that their beams take up: a gap tells the planes
+apart."""
 LABELS_ABOVE = 7
 """Labels of an axis that fit above one another."""
 CLEAR = 0.06
 """Room above and below a logarithmic curve, in decades: its line stands clear of the edge."""
+SHADES = ("#08306b", "#6baed6", "#f7f8fa", "#fc9272", "#7f0000")
+"""Of correlations from -1 to 1: pale up to a strong one, and dark beyond."""
 
 
 def flat_figures(subject: Subject) -> list[Figure]:
@@ -46,60 +59,137 @@ def flat_figures(subject: Subject) -> list[Figure]:
     return [figure for figure in figures if figure is not None]
 
 
+def residual_figures(subject: Subject) -> list[Figure]:
+    """Return the residuals against range, incidence, station and plane; none without a recording."""
+    rows = subject.rows
+    if rows is None or not rows.used.any():
+        return []
+    recording, names = rows.recording, list(subject.calibration.beams)
+    drawn = _drawn(rows)
+    each = [(i, drawn[rows.beam[drawn] == i]) for i in range(len(names))]
+    beams = [
+        (
+            mine,
+            {
+                "name": f"beam {label(names[index])}",
+                "text": [
+                    f"station {label(recording.station_names[j])}, "
+                    f"plane {label(recording.plane_labels[j])}"
+                    for j in rows.station[mine].tolist()
+                ],
+                "marker": marker(index, len(names)) | {"opacity": 0.8},
+            },
+        )
+        for index, mine in each
+        if len(mine)
+    ]
+    # The band of one standard deviation of a reading, where nothing else lies behind the points.
+    sigma = subject.calibration.fit.range_sigma * IN_MM
+    noise = [_band("x", -sigma, sigma)] if subject.solved and math.isfinite(sigma) else []
+    planes = recording.plane_of_station
+    ends = [0.5, *(np.flatnonzero(np.diff(planes)) + 1.5).tolist(), len(planes) + 0.5]
+    every_other = [_band("y", *edges) for edges in list(pairwise(ends))[1 : 2 * MOST_SHAPES : 2]]
+    beside = BESIDE * ((rows.beam + 0.5) / len(names) - 0.5)
+    figures: dict[str, tuple[str, FloatArray, Record]] = {
+        "by-range": ("reading, mm", rows.reading * IN_MM, {}),
+        "by-incidence": ("incidence, deg", rows.incidence * IN_DEG, {}),
+        "by-station": (
+            "",
+            1.0 + rows.station.astype(np.float64),
+            {"xaxis": axis_of_stations(len(planes)), "shapes": every_other},
+        ),
+        "by-plane": (
+            "",
+            planes[rows.station] + beside,
+            {"xaxis": axis_of_names("plane", recording.plane_names)},
+        ),
+    }
+    if not subject.solved:
+        del figures["by-incidence"]
+    legend, e = 1 < len(names) <= LEGEND, rows.residual * IN_MM
+    return [
+        Figure(
+            name,
+            [trace("residuals", x[mine], e[mine]) | one for mine, one in beams],
+            layout(title, "residual, mm", legend=legend) | {"shapes": noise} | more,
+        )
+        for name, (title, x, more) in figures.items()
+    ]
+
+
+def _drawn(rows: ReadingRows) -> IntArray:
+    """Return the rows that are drawn: all, or half of them evenly spread and half the largest."""
+    used = np.flatnonzero(rows.used)
+    if len(used) <= MOST_POINTS:
+        return used
+    half = MOST_POINTS // 2
+    largest = np.argsort(-np.abs(rows.residual[used]), kind="stable")[:half]
+    return used[np.union1d(largest, evenly(len(used), half))]
+
+
+def _band(across: str, low: float, high: float) -> Record:
+    """Return a grey band that goes all `across` the figure, along x or y, between two edges."""
+    along = "y" if across == "x" else "x"
+    ends: Record = {f"{across}ref": "paper", f"{across}0": 0, f"{across}1": 1}
+    return STYLE["band"] | ends | {f"{along}0": low, f"{along}1": high}
+
+
+def qq_figure(subject: Subject) -> Figure | None:
+    """Return the standardized residuals beside Gaussian quantiles; None without a calibration."""
+    rows = subject.rows
+    if rows is None or not subject.solved:
+        return None
+    z = np.sort(rows.standardized[rows.used & np.isfinite(rows.standardized)])
+    count = len(z)
+    if count < 3 or not z.any():  # of an exact fit
+        return None
+    rank, drawn = np.arange(1, count + 1), evenly(count, MOST_POINTS)
+    x = gaussian_quantile((rank - 0.5) / count)[drawn]
+    low, high = (
+        gaussian_quantile(beta_quantile(tail, rank, count + 1 - rank))[drawn]
+        for tail in (0.5 * (1.0 - CONFIDENCE), 0.5 * (1.0 + CONFIDENCE))
+    )
+    traces = [
+        trace("edge", x, low),
+        trace("edge", x, high) | STYLE["filled"],
+        trace("edge", x, x) | STYLE["diagonal"],
+        trace("quantiles", x, z[drawn]),
+    ]
+    return Figure("qq", traces, layout("expected", "residual, standard deviations"))
+
+
 def correlation_figure(
     names: Sequence[str], directions: FloatArray, covariance: FloatArray
 ) -> Figure:
     """Return the correlations of beams as a map; arguments as of `correlation_matrix`."""
     unknowns, C = correlation_matrix(names, directions, covariance)
-    labels = [(unknown.beam, BEAM.labels[unknown.number]) for unknown in unknowns]
-    beams = list(dict.fromkeys(beam for beam, _ in labels))
-    first = [next(i for i, (beam, _) in enumerate(labels) if beam == name) for name in beams]
-    ends = [*first[1:], len(labels)]
+    owners = [unknown.beam for unknown in unknowns]
+    beams = list(dict.fromkeys(owners))
+    first = [owners.index(beam) for beam in beams]
     numbered = {beam: label(beam) for beam in beams}
     if len(set(numbered.values())) < len(beams):  # names that differ only where they are cut
         numbered = {beam: f"{label(beam)} ({i})" for i, beam in enumerate(beams, 1)}
-    words = [f"beam {numbered[beam]} {name}" for beam, name in labels]
-    trace: Record = {
-        "type": "heatmap",
-        "z": [numbers(row, 3) for row in C],
-        "x": words,
-        "y": words,
-        "hovertemplate": "%{y}<br>%{x}<br>%{z:.3f}<extra></extra>",
-        "zmin": -1,
-        "zmax": 1,
-        "colorscale": [  # pale up to a strong correlation, and dark beyond
-            (0.0, "#08306b"),
-            (0.5 * (1.0 - STRONG), "#6baed6"),
-            (0.5, "#f7f8fa"),
-            (0.5 * (1.0 + STRONG), "#fc9272"),
-            (1.0, "#7f0000"),
-        ],
-        "colorbar": {
-            "thickness": 10,
-            "len": 0.9,
-            "outlinewidth": 0,
-            "tickvals": [-1, -0.5, 0, 0.5, 1],
-        },
-    }
-    caption = "Correlations. Every beam has location x, y, z, two components of its direction, and "
-    caption += f"its range errors. Dark is above {STRONG} in size: hardly told apart."
+    words = [f"beam {numbered[one.beam]} {BEAM.labels[one.number]}" for one in unknowns]
+    at = (0.0, 0.5 * (1.0 - STRONG), 0.5, 0.5 * (1.0 + STRONG), 1.0)
+    drawn: Record = {"z": [numbers(row, 3) for row in C], "x": words, "y": words}
+    drawn["colorscale"] = list(zip(at, SHADES, strict=True))
     side = axis(
         "beam",
         type="category",
-        tickvals=[(a + b - 1) / 2.0 for a, b in zip(first, ends, strict=True)],
+        tickvals=[(a + b - 1) / 2.0 for a, b in pairwise((*first, len(owners)))],
         ticktext=tick_labels(beams, LETTERS_BELOW // 2),
-        showgrid=False,
-        zeroline=False,
         ticks="",
     )
-    white: Record = {"type": "line", "line": {"color": "white", "width": 2}}
-    borders: list[Record] = []  # between the beams
-    for edge in (start - 0.5 for start in first[1:]):
-        borders.append(white | {"xref": "paper", "x0": 0, "x1": 1, "y0": edge, "y1": edge})
-        borders.append(white | {"yref": "paper", "y0": 0, "y1": 1, "x0": edge, "x1": edge})
+    side |= STYLE["names"]
+    borders = [  # between the beams
+        STYLE["border"] | {f"{across}ref": "paper", f"{across}0": 0, f"{across}1": 1} | edge
+        for at_row in first[1:]
+        for across, along in ("xy", "yx")
+        for edge in [{f"{along}0": at_row - 0.5, f"{along}1": at_row - 0.5}]
+    ]
     upright = side | {"autorange": "reversed", "tickangle": -90}
-    more: Record = {"xaxis": side, "yaxis": upright, "shapes": borders}
-    return Figure("correlation", caption, [trace], layout("", "", 420, more))
+    square: Record = {"height": 420, "xaxis": side, "yaxis": upright, "shapes": borders}
+    return Figure("correlation", [STYLE["correlations"] | drawn], layout("", "") | square)
 
 
 def stations_figure(subject: Subject) -> Figure | None:
@@ -107,59 +197,38 @@ def stations_figure(subject: Subject) -> Figure | None:
     past, plan = subject.history, subject.plan
     if past is None or not np.isfinite(past[1].spot).any():
         return None
-    stations, known = past
-    spot = f"95 % spot at {subject.verdict.reading * IN_MM:.3g} mm, mm"
+    stations, known = past[0].astype(np.float64), past[1]
+    reading = f"{subject.verdict.reading * IN_MM:.3g} mm"
     traces: list[Record] = []
-    for index, (name, quantity, unit) in enumerate(
-        (
-            (spot, "spot", IN_MM),
-            ("location, mm", "location_sigma", IN_MM),
-            ("direction, deg (right)", "direction_sigma", IN_DEG),
-        )
+    sides: dict[str, list[float]] = {"y": [], "y2": []}
+    for shade, side, name, quantity, unit in (
+        (COLOURS[0], "y", f"95 % spot at {reading}, mm", "spot", IN_MM),
+        (COLOURS[1], "y", "location, mm", "location_sigma", IN_MM),
+        (COLOURS[2], "y2", "direction, deg (right)", "direction_sigma", IN_DEG),
     ):
-        curve: Record = {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": name,
-            "x": numbers(stations.astype(np.float64)),
-            "y": numbers(getattr(known, quantity) * unit),
-            "yaxis": "y2" if index == 2 else "y",
-            "line": {"color": COLOURS[index], "width": 2},
-            "marker": {"size": 4},
-            "hovertemplate": "%{y:.3g} after %{x} stations",
-        }
-        traces.append(curve)
+        y, line = getattr(known, quantity) * unit, {"color": shade, "width": 2}
+        curve: Record = {"name": name, "yaxis": side, "line": line}
+        traces.append(trace("curve", stations, y) | curve)
         if plan is not None:
             ahead = getattr(plan.forecast, quantity) * unit
-            x = stations[-1] + np.arange(len(ahead), dtype=np.float64)
-            line: Record = {"color": COLOURS[index], "width": 2, "dash": "dot"}
-            dashed: Record = {"x": numbers(x), "y": numbers(ahead), "line": line}
-            traces.append(curve | dashed | {"showlegend": False})
-    caption = "Largest standard deviations, and the largest 95 % spot error, after the first "
-    caption += "stations of the recording, at the noise found from all."
-    if plan is not None:
-        caption += " Dotted: what the next best stations promise."
-    right = _logarithmic(traces, "y2")
-    more: Record = {
-        "yaxis": axis("mm", **_logarithmic(traces, "y")),
-        "yaxis2": axis("deg", **right, overlaying="y", side="right", showgrid=False),
-        "margin": {"l": 58, "r": 58, "t": 34, "b": 48},
+            dotted: Record = {"line": line | {"dash": "dot"}, "showlegend": False}
+            x = stations[-1] + np.arange(len(ahead))
+            traces.append(trace("curve", x, ahead) | curve | dotted)
+            y = np.append(y, ahead)
+        sides[side] += [value for value in numbers(y) if value]
+    both: Record = {
+        "yaxis": axis("mm") | _logarithmic(sides["y"]),
+        "yaxis2": axis("deg") | _logarithmic(sides["y2"]) | STYLE["right"],
     }
-    return Figure("by-count", caption, traces, layout("stations", "mm", more=more, legend=True))
+    shown = layout("stations", "mm", legend=True) | STYLE["two sides"] | both
+    return Figure("by-count", traces, shown)
 
 
-def _logarithmic(traces: list[Record], side: str) -> Record:
-    """Return the type, the range and round ticks of an axis, for what stands on its `side`.
+def _logarithmic(values: Sequence[float]) -> Record:
+    """Return the type, the range and round ticks of an axis for such values.
 
     Left to itself plotly labels every digit, one over the other where the figure is small.
     """
-    values: list[float] = [
-        y
-        for trace in traces
-        if trace["yaxis"] == side and isinstance(trace["y"], list)
-        for y in trace["y"]
-        if y
-    ]
     if not values:  # of readings without noise
         return {"type": "linear"}
     low, high = math.log10(min(values)) - CLEAR, math.log10(max(values)) + CLEAR

@@ -21,11 +21,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...arrays import IntArray
 from ...checks import require_kind
 from ...model.distributions import FAMILY_LEVEL, chance
+from ...model.joint import STRONG
 from ...quantities import FAR_SIGMAS, IN_MM
 from ...results.calibration import Calibration
+from ...results.description.evidence import rejected_words
 from ...results.description.tables import (
     NONE,
     ROWS_ON_PAGE,
@@ -35,20 +36,20 @@ from ...results.description.tables import (
     digits_of,
     name_cell,
     number,
-    of_numbers,
-    of_words,
     significant,
+    table_of,
 )
-from ...text import count
+from ...results.lines import NAMES_ON_PAGE
+from ...text import count, printable, some
 from ...validation.hold_out import HoldOut
 from ...validation.prediction import pooled
 from ..calibration_json import calibration_text
 from ..writing import path_of, require_writable, write_text
-from . import head
-from .figure import Figure
+from .figure import STYLE, Figure
 from .figures import flat_figures
+from .head import head_of, title_of
 from .options import ReportOptions
-from .scene import in_hand, in_world, scene_figure, still_picture
+from .scene import Geometry, in_hand, in_world, scene_figure, still_picture
 from .subject import ReadingRows, Subject, subject_of
 
 if TYPE_CHECKING:
@@ -57,23 +58,10 @@ if TYPE_CHECKING:
 MOST_JSON = 400_000
 """Characters of the calibration's JSON that a page holds; a larger one is not in it."""
 HARMLESS = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
-SECTIONS = {
-    "verdict": "",
-    "next": "Next stations",
-    "mounts": "Mounts",
-    "limits": "Limits",
-    "space": "Geometry",
-    "fit": "Fit",
-    "observability": "Observability",
-    "systematic": "Systematic errors",
-    "held-out": "Hold-out",
-    "stations": "Stations",
-    "head": "What was calibrated",
-    "made": "How it was made",
-}
+SECTIONS: dict[str, str] = STYLE["sections"]
 """The sections of the page in their order, each with its name in the list of links."""
-LIVE_SECTIONS = {"verdict": "", "next": "Next stations", "mounts": "Mounts", "targets": "Targets"}
-LIVE_SECTIONS |= SECTIONS
+LIVE_SECTIONS = {name: SECTIONS[name] for name in ("verdict", "next", "mounts")}
+LIVE_SECTIONS |= STYLE["sections of a survey"] | SECTIONS
 """Those of a live page, which shows surveys, too: what a report does not have stays empty there."""
 
 
@@ -112,7 +100,7 @@ def report_text(calibration: Calibration, options: ReportOptions) -> str:
     require_kind("options", options, ReportOptions)
     subject = subject_of(calibration, options)
     sections, figures, result = content_of(subject)
-    title = f"{subject.opening} · {head.title_of(subject)}"
+    title = f"{subject.opening} · {title_of(options)}"
     return page_of(title, sections, figures, result=result, script=script_of("page.js"))
 
 
@@ -134,21 +122,21 @@ def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str
     figures = {figure.name: figure for figure in drawn}
     values = {
         "shown": subject,
-        "status": subject.calibration.status,
-        "title": head.title_of(subject),
-        "warnings": head.warnings_of(subject),
-        "head": head.head_facts(subject),
-        "promise": head.promise(subject),
-        "plan": head.plan_table(subject),
-        "made": head.made_facts(subject),
+        "title": title_of(subject.options),
+        **head_of(subject),
         "held_out": held_out_table(subject),
-        "splits": splits_words(subject),
+        "splits": pooled(subject.held_out.splits) if subject.held_out.splits else None,
         "stations": stations_table(subject),
-        "stills": {f"space-{space.frame}": still_picture(space) for space in spaces},
+        "stills": {f"space-{space.frame}": _still(space) for space in spaces},
+        "strong": STRONG,
         "figures": figures,
         "result": result,
     }
     return sections_of("sections.html.j2", SECTIONS, values), figures, result
+
+
+def _still(space: Geometry) -> str:
+    return templates().get_template("still.svg.j2").render(style=STYLE, **still_picture(space))
 
 
 def sections_of(
@@ -173,18 +161,11 @@ def live_page() -> tuple[str, str, str]:
         return page_of("handlaser watch", empty, {}, script=script, live=name, labels=LIVE_SECTIONS)
 
     name = hashlib.sha256(page("-").encode()).hexdigest()[:16]
-    policy = "; ".join(
-        (
-            "default-src 'none'",
-            f"script-src {_hash(script)} {_hash(get_plotlyjs())}",
-            "style-src 'unsafe-inline'",  # plotly.js places everything by attributes
-            "img-src data: blob:",
-            "font-src data:",
-            "connect-src 'self'",
-            "base-uri 'none'",
-            "form-action 'none'",
-            "frame-ancestors 'none'",
-        )
+    # plotly.js places everything by attributes, and so needs inline styles.
+    policy = (
+        f"default-src 'none'; script-src {_hash(script)} {_hash(get_plotlyjs())}; "
+        "style-src 'unsafe-inline'; img-src data: blob:; font-src data:; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
     return page(name), name, policy
 
@@ -231,13 +212,22 @@ def templates() -> "Environment":
     """Return the templates, compiled once: all text is escaped, and no name is missing."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    return Environment(
+    made = Environment(
         loader=PackageLoader("handlaser_gtsam.files.report", "."),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.filters |= {
+        "mm": lambda length: concise(length * IN_MM),
+        "concise": concise,
+        "named": lambda names: some(list(names), NAMES_ON_PAGE),
+        "printable": printable,
+        "file_name": lambda path: printable(Path(path).name),
+    }
+    made.globals |= {"count": count, "rejected_words": rejected_words}
+    return made
 
 
 def _hash(script: str) -> str:
@@ -276,49 +266,33 @@ def stations_table(subject: Subject) -> Table | None:
         shown = np.sort(np.argsort(-largest, kind="stable")[:ROWS_ON_PAGE])
         note = f"The {ROWS_ON_PAGE} stations of {shown_count} with the largest residuals."
     digits = digits_of([subject.calibration.fit.rms * IN_MM], 6) + 1
-    order = np.argsort(rows.station, kind="stable")
-    first = np.searchsorted(rows.station[order], np.arange(every + 1))
-    return Table(
-        "stations",
-        "Residuals are predicted less read; the largest with its beam, and in its own standard "
-        "deviations. Position of the hand in the world frame; the flattest incidence of a beam.",
-        (
-            *of_words("station", "plane"),
-            *of_numbers("x mm", "y mm", "z mm", wide=True),
-            *of_numbers("used", "rms mm", "largest mm"),
-            *of_words("beam"),
-            *of_numbers("in std dev"),
-            *of_numbers("incidence deg", wide=True),
-        ),
-        tuple(_station(rows, j, order[first[j] : first[j + 1]], digits) for j in shown.tolist()),
-        note,
-    )
+    return table_of("stations", (_station(rows, j, digits) for j in shown.tolist()), note)
 
 
-def _station(rows: ReadingRows, j: int, read: IntArray, digits: int) -> tuple[Cell, ...]:
-    """Return the row of station j, which has the rows `read` of the readings."""
-    recording = rows.recording
+def _station(rows: ReadingRows, j: int, digits: int) -> tuple[Cell, ...]:
+    """Return the row of station j."""
+    recording, read = rows.recording, np.flatnonzero(rows.station == j)
     used = read[rows.used[read]]
-    e, z = rows.residual[used], rows.standardized[used]
-    place = [number(x * IN_MM, 1) for x in recording.world_t_hand[j].tolist()]
+    e, z, angle = rows.residual[used], np.abs(rows.standardized[used]), rows.incidence[read]
     rejected = len(used) < len(read)
     words = f"{len(used)} of {len(read)}" if rejected else str(len(used))
-    head = (name_cell(recording.station_names[j]), name_cell(recording.plane_labels[j]), *place)
-    counted = Cell(words, float(len(used)), "care" if rejected else "")
+    head = (
+        name_cell(recording.station_names[j]),
+        name_cell(recording.plane_labels[j]),
+        *(number(x * IN_MM, 1) for x in recording.world_t_hand[j].tolist()),
+        Cell(words, float(len(used)), "care" if rejected else ""),
+    )
     if not len(used):
-        return *head, counted, *[Cell(NONE)] * 5
+        return *head, *[Cell(NONE)] * 5
     worst = int(np.abs(e).argmax())
-    far = float(np.nanmax(np.abs(z))) if np.isfinite(z).any() else float("nan")
-    angle = rows.incidence[read]
-    steepest = float(np.degrees(np.nanmax(angle))) if np.isfinite(angle).any() else float("nan")
+    far, steepest = (float(np.fmax.reduce(x)) for x in (z, angle))
     return (
         *head,
-        counted,
         number(float(np.sqrt(np.mean(e**2))) * IN_MM, digits),
         number(float(e[worst]) * IN_MM, digits),
         name_cell(recording.beam_names[rows.beam[used[worst]]]),
         number(far, 1, "care" if far > FAR_SIGMAS else ""),
-        number(steepest, 1),
+        number(math.degrees(steepest), 1),
     )
 
 
@@ -331,18 +305,7 @@ def held_out_table(subject: Subject) -> Table | None:
     every = len(subject.calibration.planes)
     note = f"{len(planes)} of {every} planes were held out, one at a time."
     note = note if len(planes) < every else ""
-    return Table(
-        "held-out",
-        "The plane is held out, the beams are found from the others, and its readings are compared "
-        "with them. The chance is that of so large a difference in good recordings.",
-        (
-            *of_words("without plane"),
-            *of_numbers("readings", "rms mm", "largest mm", "p"),
-            *of_words("beams"),
-        ),
-        tuple(rows),
-        note,
-    )
+    return table_of("held-out", rows, note)
 
 
 def _held(subject: Subject, plane: str, held: HoldOut | None, why: str) -> tuple[Cell, ...]:
@@ -362,17 +325,4 @@ def _held(subject: Subject, plane: str, held: HoldOut | None, why: str) -> tuple
         *numbers,
         significant(held.p_value, 2),
         state,
-    )
-
-
-def splits_words(subject: Subject) -> str:
-    """Return how 30 % of the stations are predicted from the others; empty where nothing was."""
-    splits = subject.held_out.splits
-    if not splits:
-        return ""
-    every = pooled(splits)
-    return (
-        f"30 % of the stations predicted from the other 70 %, {count(len(splits), 'time')}: rms "
-        f"{concise(every.rms * IN_MM)} mm, largest {concise(every.max_residual * IN_MM)} mm, which is "
-        f"{concise(every.standardized)} of the predicted standard deviations (expected 1)."
     )

@@ -5,7 +5,7 @@ What stands between `$` is no mathematics here, and names are shown as they are.
 
 import html
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,10 +18,10 @@ from ...results.calibration import Calibration
 from ..calibration_file import CalibrationFile
 from ..calibration_reading import mounts_of
 from ..writing import path_of, write_bytes
-from .figure import AXIS_COLOURS, GREY, INK, LEGEND, LINE, Figure, colour, short
+from .figure import LEGEND, STYLE, SYMBOLS, Figure
 from .figures import correlation_figure, flat_figures
 from .options import ReportOptions
-from .scene import Geometry, in_hand, in_world, of_hand
+from .scene import in_hand, in_world, of_hand, scene_figure
 from .subject import subject_of
 
 if TYPE_CHECKING:
@@ -33,16 +33,7 @@ SIZE = (6.0, 4.0)
 again."""
 DPI = 130
 """Dots an inch of a picture, which a page shows without enlarging it."""
-MARKERS = {
-    "circle": "o",
-    "diamond": "D",
-    "square": "s",
-    "triangle-up": "^",
-    "x": "x",
-    "star": "*",
-    "cross": "P",
-    "pentagon": "p",
-}
+GREY, LINE = (STYLE["axis"][name] for name in ("linecolor", "gridcolor"))
 
 
 def plot(
@@ -68,13 +59,14 @@ def plot(
         expected = "pip install 'handlaser-gtsam[plots]'"
         raise InputError("no matplotlib, which draws pictures", expected) from error
     if isinstance(calibration, CalibrationFile):
-        spaces, flat = _of_file(calibration)
+        figures = _of_file(calibration)
     else:
         require_kind("calibration", calibration, Calibration)
         subject = subject_of(calibration, options or ReportOptions())
-        spaces, flat = [in_world(subject), in_hand(subject)], flat_figures(subject)
-    drawn = {f"space-{one.frame}": _in_space(one) for one in spaces if one is not None}
-    return drawn | {one.name: _flat(one) for one in flat}
+        spaces = in_world(subject), in_hand(subject)
+        figures = [scene_figure(one) for one in spaces if one is not None]
+        figures += flat_figures(subject)
+    return {one.name: (_in_space if "scene" in one.layout else _flat)(one) for one in figures}
 
 
 def write_pictures(
@@ -121,18 +113,19 @@ def _png(figure: "Drawing") -> bytes:
     return content.getvalue()
 
 
-def _of_file(calibration: CalibrationFile) -> tuple[list[Geometry | None], list[Figure]]:
+def _of_file(calibration: CalibrationFile) -> list[Figure]:
     """Return what the file of a calibration tells: its beams, and their correlations."""
     if calibration.status != "converged" or calibration.beam_covariance is None:
-        return [], []
+        return []
     mounts = mounts_of(calibration)
     beams = mounts.locations, mounts.directions, mounts.range_errors
     reach = np.array(
         [np.nan if beam.spot is None else beam.spot.reading_m for beam in calibration.beams]
     )
+    hand = of_hand(mounts.names, beams, reach)
     S = mounts.covariance[: BEAM.size * LEGEND, : BEAM.size * LEGEND]
     flat = correlation_figure(mounts.names[:LEGEND], mounts.directions[:LEGEND], S)
-    return [of_hand(mounts.names, beams, reach)], [flat]
+    return [flat] if hand is None else [scene_figure(hand), flat]
 
 
 def _flat(figure: Figure) -> "Drawing":
@@ -159,11 +152,16 @@ def _flat(figure: Figure) -> "Drawing":
     _axis(axes, layout["yaxis"], "y")
     axes.spines[["top"] + ["right"] * ("yaxis2" not in layout)].set_visible(False)
     if layout["showlegend"]:
-        shown = [one for side in sides.values() for one in side.get_lines() if one.get_gid()]
-        legend = axes.legend(shown, [str(one.get_gid()) for one in shown], fontsize=7, ncols=2)
-        for text in legend.get_texts():
-            text.set_parse_math(False)
+        _legend(axes, [one for side in sides.values() for one in side.get_lines()], ncols=2)
     return drawing
+
+
+def _legend(axes: Any, drawn: Sequence[Any], ncols: int = 1) -> None:
+    """Name what has a name."""
+    shown = [one for one in drawn if one.get_gid()]
+    names = [html.unescape(str(one.get_gid())) for one in shown]
+    for text in axes.legend(shown, names, fontsize=7, ncols=ncols).get_texts():
+        text.set_parse_math(False)
 
 
 def _numbers(values: Any) -> Any:
@@ -184,13 +182,13 @@ def _trace(axes: "Axes", trace: Mapping[str, Any], before: Mapping[str, Any] | N
         y,
         ls=":" if line.get("dash") else "-" if "lines" in trace["mode"] else "",
         color=line.get("color") or marker.get("color"),
-        marker=MARKERS[marker.get("symbol", "circle")] if "markers" in trace["mode"] else "",
+        marker=SYMBOLS[marker.get("symbol", "circle")] if "markers" in trace["mode"] else "",
         ms=0.6 * marker.get("size", 6),
         lw=0.8 * line.get("width", 1),
         alpha=marker.get("opacity", 1.0),
     )
     if trace.get("name") and trace.get("showlegend", True):
-        drawn.set_gid(html.unescape(str(trace["name"])))
+        drawn.set_gid(str(trace["name"]))
 
 
 def _map(axes: "Axes", trace: Mapping[str, Any]) -> None:
@@ -235,40 +233,36 @@ def _axis(axes: Any, axis: Mapping[str, Any], side: str) -> None:
         axes.set_axisbelow(True)
 
 
-def _in_space(geometry: Geometry) -> "Drawing":
+def _in_space(figure: Figure) -> "Drawing":
     """Draw planes, beams, spots and hands."""
     from matplotlib.figure import Figure as Drawing
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
     drawing = Drawing(figsize=(1.5 * SIZE[1], 1.5 * SIZE[1]), layout="constrained")
     axes: Any = drawing.add_subplot(projection="3d")
-    corners = [corners for _, corners in geometry.planes]
-    if corners:
-        axes.add_collection3d(Poly3DCollection(corners, facecolors="#8aa0b4", alpha=0.25))
-    shown = []
-    for index, (_, segments, _) in enumerate(geometry.beams):
-        shade = colour(index, len(geometry.beams))
-        axes.add_collection3d(Line3DCollection(segments, colors=shade, lw=0.8, alpha=0.6))
-        shown.append(axes.scatter(*segments[:, 1].T, color=shade, s=7))
-    for axis, shade in enumerate(AXIS_COLOURS):
-        axes.add_collection3d(
-            Line3DCollection(geometry.hands[:, [0, 1 + axis]], colors=shade, lw=1)
-        )
-    axes.scatter(*geometry.hands[:, 0].T, color=INK, s=5)
-    points = geometry.points
-    middle, half = (
-        0.5 * (points.max(axis=0) + points.min(axis=0)),
-        0.5 * np.ptp(points, axis=0).max(),
-    )
-    for name, at in zip("xyz", middle.tolist(), strict=True):
+    shown, every = [], []
+    for trace in figure.data:
+        x: Any = trace
+        points = np.array([_numbers(x[name]) for name in "xyz"])
+        every.append(points)
+        if x["type"] == "mesh3d":
+            corners = Poly3DCollection([points.T], facecolors=x["color"], alpha=0.25)
+            axes.add_collection3d(corners)
+        elif x["mode"] == "lines":
+            line, alpha = x["line"], x.get("opacity", 1.0)
+            axes.plot(*points, color=line["color"], lw=0.3 * line["width"], alpha=alpha)
+        else:
+            mark = x["marker"]
+            shown.append(axes.scatter(*points, color=mark["color"], s=2.8 * mark["size"]))
+            shown[-1].set_gid(x["name"] if x.get("showlegend", True) else None)
+    ends = np.concatenate(every, axis=1)
+    low, high = np.nanmin(ends, axis=1), np.nanmax(ends, axis=1)
+    half = 0.5 * (high - low).max()
+    for name, at in zip("xyz", 0.5 * (low + high), strict=True):
         getattr(axes, f"set_{name}lim")(at - half, at + half)
         getattr(axes, f"set_{name}label")(f"{name}, mm", fontsize=9)
     axes.tick_params(labelsize=8)
     axes.view_init(elev=24, azim=-48)
-    if 0 < len(shown) <= LEGEND:
-        legend = axes.legend(
-            shown, [f"beam {short(name)}" for name, *_ in geometry.beams], fontsize=8
-        )
-        for text in legend.get_texts():
-            text.set_parse_math(False)
+    if figure.layout["showlegend"]:
+        _legend(axes, shown)
     return drawing

@@ -3,8 +3,8 @@
 It is drawn by plotly.js, and as a still picture (SVG) for paper.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,13 +15,10 @@ from ...quantities import IN_MM
 from ..checked_text import Record
 from .figure import (
     AXIS_COLOURS,
-    FONT,
-    GREY,
-    INK,
     LEGEND,
-    LINE,
     MOST_POINTS,
     MOST_SHAPES,
+    STYLE,
     Figure,
     colour,
     harmless,
@@ -29,7 +26,7 @@ from .figure import (
     numbers,
     short,
 )
-from .subject import ReadingRows, Subject
+from .subject import Subject
 
 PLANE_SIZE = 1.15
 """The size of a plane that is drawn, in sizes of what its spots take up: they stand clear of its
@@ -47,8 +44,7 @@ MARGIN = 28
 readable at half the size."""
 
 
-@dataclass(frozen=True, slots=True)
-class Geometry:
+class Geometry(NamedTuple):
     """A picture in space, in one frame.
 
     Attributes
@@ -93,21 +89,42 @@ def in_world(subject: Subject) -> Geometry | None:
     if rows is None:
         return None
     recording = rows.recording
-    R, t = recording.world_R_hand, recording.world_t_hand * IN_MM
-    shown = evenly(len(t), MOST_POINTS)
-    beams: tuple[Segments, ...] = ()
-    planes: tuple[tuple[str, FloatArray], ...] = ()
-    everything = t
+    R, t = recording.world_R_hand, recording.world_t_hand
+    places = [
+        f"station {short(station)}, plane {short(plane)}"
+        for station, plane in zip(recording.station_names, recording.plane_labels, strict=True)
+    ]
+    beams, planes, everything = [], [], t
     if subject.solved:
-        beams, planes = _beams(subject, rows), _planes(subject, rows)
-        everything = np.concatenate((t, rows.spot * IN_MM))
-    length = AXIS_SIZE * max(float(np.ptp(everything, axis=0).max()), 1.0)
-    ends = t[shown, None, :] + length * np.swapaxes(R[shown], 1, 2)
-    names = tuple(
-        f"station {short(recording.station_names[j])}, plane {short(recording.plane_labels[j])}"
-        for j in shown.tolist()
-    )
-    return Geometry("world", planes, beams, np.concatenate((t[shown, None], ends), axis=1), names)
+        everything = np.concatenate((t, rows.spot))
+        used = np.flatnonzero(rows.used)
+        some = used[evenly(len(used), MOST_POINTS)]
+        for index, beam in enumerate(subject.calibration.beams.values()):
+            mine = some[rows.beam[some] == index]
+            at = rows.station[mine]
+            words = tuple(
+                f"beam {short(beam.name)}, {places[j]}, reading {d * IN_MM:.3f} mm"
+                for j, d in zip(at.tolist(), rows.reading[mine].tolist(), strict=True)
+            )
+            ends = np.stack((R[at] @ beam.location + t[at], rows.spot[mine]), axis=1)
+            beams.append((beam.name, ends * IN_MM, words))
+        plane_of = recording.plane_of_station[rows.station[used]]
+        for index, plane in enumerate(list(subject.calibration.planes.values())[:MOST_SHAPES]):
+            spots = rows.spot[used[plane_of == index]]
+            if len(spots):
+                on = spots - (spots @ plane.normal + plane.offset)[:, None] * plane.normal
+                planes.append((plane.name, plate(plane.normal, on)))
+    shown = evenly(len(t), MOST_POINTS)
+    length = AXIS_SIZE * max(float(np.ptp(everything, axis=0).max()) * IN_MM, 1.0)
+    hands = hands_at(R[shown], t[shown] * IN_MM, length)
+    names = tuple(places[j] for j in shown.tolist())
+    return Geometry("world", tuple(planes), tuple(beams), hands, names)
+
+
+def hands_at(R: FloatArray, t: FloatArray, length: float) -> FloatArray:
+    """Return origins and ends of the axes (M, 4, 3) of hands with rotations R, at t (M, 3)."""
+    ends = t[:, None] + length * np.swapaxes(R, 1, 2)
+    return np.concatenate((t[:, None], ends), axis=1)
 
 
 def in_hand(subject: Subject) -> Geometry | None:
@@ -129,40 +146,9 @@ def of_hand(names: tuple[str, ...], beams: Beams, reach: FloatArray) -> Geometry
     ends = np.stack((r, r + model.corrected(reach, k)[:, None] * v), axis=1) * IN_MM
     extent = np.ptp(np.concatenate((ends.reshape(-1, 3), np.zeros((1, 3)))), axis=0)
     length = 4.0 * AXIS_SIZE * max(float(extent.max()), 1.0)
-    hand = np.concatenate((np.zeros((1, 3)), length * np.eye(3)))
+    hand = hands_at(np.eye(3)[None], np.zeros((1, 3)), length)
     drawn = zip(names, ends[:, None], ((f"beam {short(name)}",) for name in names), strict=True)
-    return Geometry("hand", (), tuple(drawn), hand[None], ("hand",))
-
-
-def _beams(subject: Subject, rows: ReadingRows) -> tuple[Segments, ...]:
-    calibration, recording = subject.calibration, rows.recording
-    used = np.flatnonzero(rows.used)
-    used = used[evenly(len(used), MOST_POINTS)]
-    found = []
-    for index, beam in enumerate(calibration.beams.values()):
-        mine = used[rows.beam[used] == index]
-        R = recording.world_R_hand[rows.station[mine]]
-        start = R @ beam.location + recording.world_t_hand[rows.station[mine]]
-        words = tuple(
-            f"beam {short(beam.name)}, station {short(recording.station_names[j])}, "
-            f"plane {short(recording.plane_labels[j])}, reading {d * IN_MM:.3f} mm"
-            for j, d in zip(rows.station[mine].tolist(), rows.reading[mine].tolist(), strict=True)
-        )
-        found.append((beam.name, np.stack((start, rows.spot[mine]), axis=1) * IN_MM, words))
-    return tuple(found)
-
-
-def _planes(subject: Subject, rows: ReadingRows) -> tuple[tuple[str, FloatArray], ...]:
-    """Return a rectangle around the spots of every plane."""
-    recording = rows.recording
-    found = []
-    for index, plane in enumerate(list(subject.calibration.planes.values())[:MOST_SHAPES]):
-        spots = rows.spot[rows.used & (recording.plane_of_station[rows.station] == index)]
-        if not len(spots):
-            continue
-        on = spots - (spots @ plane.normal + plane.offset)[:, None] * plane.normal
-        found.append((plane.name, plate(plane.normal, on)))
-    return tuple(found)
+    return Geometry("hand", (), tuple(drawn), hand, ("hand",))
 
 
 def plate(n: FloatArray, on: FloatArray) -> FloatArray:
@@ -179,196 +165,88 @@ def plate(n: FloatArray, on: FloatArray) -> FloatArray:
 
 def scene_figure(geometry: Geometry) -> Figure:
     """Return a picture in space that can be turned."""
-    traces: list[Record] = [_plane(name, corners) for name, corners in geometry.planes]
-    for index, (name, segments, words) in enumerate(geometry.beams):
-        called, shade = geometry.words(name), colour(index, len(geometry.beams))
-        traces += _beam(name, called, segments, words, shade)
-    traces += _hands(geometry)
-    sides: Record = {}
-    for name in "xyz":
-        sides[f"{name}axis"] = {
-            "title": {"text": f"{name}, mm", "font": {"size": 11}},
-            "type": "linear",
-            "gridcolor": LINE,
-            "zerolinecolor": LINE,
-            "showbackground": False,
-            "showspikes": False,
-            "tickfont": {"size": 10},
-            "nticks": 6,
-        }
     eye: Record = dict(zip("xyz", EYE, strict=True))
-    view: Record = {
-        "aspectmode": "data",
-        "camera": {"eye": eye, "center": {"x": 0, "y": 0, "z": -0.15}},
-        "dragmode": "turntable",
-    }
-    layout: Record = {
-        "height": 520,
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "font": {"family": FONT, "size": 12, "color": INK},
-        "paper_bgcolor": "rgba(0,0,0,0)",
-        "scene": sides | view,
-        "showlegend": len(geometry.beams) <= LEGEND,
-        "legend": {
-            "x": 0,
-            "y": 1,
-            "bgcolor": "rgba(255,255,255,0.7)",
-            "font": {"size": 11},
-            "itemsizing": "constant",
-        },
-        "hoverlabel": {"font": {"size": 12}, "align": "left"},
-    }
-    return Figure(f"space-{geometry.frame}", _caption(geometry), traces, layout)
+    view: Record = {"camera": {"eye": eye, "center": {"x": 0, "y": 0, "z": -0.15}}}
+    for name in "xyz":
+        title: Record = {"title": {"text": f"{name}, mm", "font": {"size": 11}}}
+        view[f"{name}axis"] = STYLE["side"] | title
+    layout = {"scene": STYLE["scene"] | view, "showlegend": len(geometry.beams) <= LEGEND}
+    return Figure(f"space-{geometry.frame}", list(_traces(geometry)), STYLE["space"] | layout)
 
 
-def _caption(geometry: Geometry) -> str:
-    if geometry.frame == "hand":
-        return "The beams in the hand frame, as long as their longest reading."
-    if not geometry.beams:
-        return "Hand stations in the world frame; beams and planes are not determined."
-    return "Hand stations, beams, laser spots and planes in the world frame."
-
-
-def _plane(name: str, corners: FloatArray) -> Record:
-    return {
-        "type": "mesh3d",
-        "name": f"plane {label(name)}",
-        **_xyz(corners),
-        "i": [0, 0],
-        "j": [1, 2],
-        "k": [2, 3],
-        "color": "#8aa0b4",
-        "opacity": 0.3,
-        "flatshading": True,
-        "hovertemplate": f"plane {label(name)}<extra></extra>".replace("%{", "% {"),
-        "showlegend": False,
-    }
-
-
-def _beam(
-    name: str, called: str, segments: FloatArray, words: tuple[str, ...], shade: str
-) -> Iterator[Record]:
-    """Yield the lines of a beam and its spots."""
-    shared: Record = {"type": "scatter3d", "legendgroup": name, "name": called}
-    yield shared | {
-        "mode": "lines",
-        **_lines(segments),
-        "line": {"color": shade, "width": 3},
-        "opacity": 0.55,
-        "hoverinfo": "skip",
-        "showlegend": False,
-    }
-    yield shared | {
-        "mode": "markers",
-        **_xyz(segments[:, 1]),
-        "text": [harmless(one) for one in words],
-        "marker": {"color": shade, "size": 2.5},
-        "hovertemplate": "%{text}<br>(%{x:.2f}, %{y:.2f}, %{z:.2f}) mm<extra></extra>",
-    }
-
-
-def _hands(geometry: Geometry) -> Iterator[Record]:
-    """Yield the origins of the hand, and its axes."""
+def _traces(geometry: Geometry) -> Iterator[Record]:
+    """Yield planes, the lines of each beam and its spots, the axes of the hand and its origins."""
+    for name, corners in geometry.planes:
+        called = f"plane {label(name)}"
+        words = f"{called}<extra></extra>".replace("%{", "% {")
+        yield STYLE["plane"] | xyz(corners) | {"name": called, "hovertemplate": words}
+    for index, (name, segments, each) in enumerate(geometry.beams):
+        shade = colour(index, len(geometry.beams))
+        shared: Record = {"legendgroup": name, "name": geometry.words(name)}
+        look: Record = {"line": {"color": shade, "width": 3}}
+        yield STYLE["beam"] | shared | _lines(segments) | look
+        look = {"text": [harmless(one) for one in each], "marker": {"color": shade, "size": 2.5}}
+        yield STYLE["spots"] | shared | xyz(segments[:, 1]) | look
     hands = geometry.hands
-    for axis, (name, shade) in enumerate(zip("xyz", AXIS_COLOURS, strict=True)):
-        yield {
-            "type": "scatter3d",
-            "mode": "lines",
-            "name": f"hand {name}",
-            **_lines(hands[:, [0, 1 + axis]]),
-            "line": {"color": shade, "width": 2},
-            "hoverinfo": "skip",
-            "showlegend": False,
-        }
-    yield {
-        "type": "scatter3d",
-        "mode": "markers",
-        "name": "hand",
-        **_xyz(hands[:, 0]),
-        "text": [harmless(one) for one in geometry.hand_names],
-        "marker": {"color": INK, "size": 2},
-        "hovertemplate": "hand at %{text}<extra></extra>"
-        if geometry.frame == "world"
-        else "%{text}<extra></extra>",
-        "showlegend": False,
-    }
+    for i, (name, shade) in enumerate(zip("xyz", AXIS_COLOURS, strict=True)):
+        look = {"name": f"hand {name}", "line": {"color": shade, "width": 2}}
+        yield STYLE["segments"] | _lines(hands[:, [0, 1 + i]]) | look
+    words = "hand at %{text}" if geometry.frame == "world" else "%{text}"
+    names = [harmless(one) for one in geometry.hand_names]
+    named: Record = {"text": names, "hovertemplate": f"{words}<extra></extra>"}
+    yield STYLE["hands"] | xyz(hands[:, 0]) | named
 
 
 def _lines(segments: FloatArray) -> Record:
     """Return segments (N, 2, 3) as one line with gaps."""
     gaps = np.full((len(segments), 1, 3), np.nan)
-    return _xyz(np.concatenate((segments, gaps), axis=1).reshape(-1, 3))
+    return xyz(np.concatenate((segments, gaps), axis=1).reshape(-1, 3))
 
 
-def _xyz(points: FloatArray) -> Record:
+def xyz(points: FloatArray) -> Record:
+    """Return points (N, 3) as plotly.js takes them."""
     return {name: numbers(points[:, axis]) for axis, name in enumerate("xyz")}
 
 
-def still_picture(geometry: Geometry) -> str:
-    """Return the same as an SVG without text from files but names of beams, which are escaped."""
-    flat, _ = _projected(geometry.points)
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    span = np.maximum(high - low, 1e-9)
-    scale = float(np.min((np.array(SIZE) - 2.0 * MARGIN) / span))
-    middle = 0.5 * (low + high)
-
-    def place(points: FloatArray) -> FloatArray:
-        on, _ = _projected(points)
-        flipped: FloatArray = (on - middle) * scale * np.array([1.0, -1.0])
-        return flipped + 0.5 * np.array(SIZE)
-
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {SIZE[0]} {SIZE[1]}" role="img">',
-        f"<title>Beams and planes, {geometry.frame} frame</title>",
-    ]
-    nearness = {name: float(_projected(c)[1].mean()) for name, c in geometry.planes}
-    for _, corners in sorted(geometry.planes, key=lambda one: nearness[one[0]]):
-        parts.append(f'<path d="{_path(place(corners))}Z" fill="#8aa0b4" fill-opacity="0.28"/>')
-    for index, (_, segments, _) in enumerate(geometry.beams):
-        shade = colour(index, len(geometry.beams))
-        ends = [place(segment) for segment in segments]
-        lines = "".join(map(_path, ends))
-        parts.append(
-            f'<path d="{lines}" fill="none" stroke="{shade}" stroke-opacity="0.6" stroke-width="1.4"/>'
-        )
-        dots = "".join(f"M{x:.1f} {y:.1f}h0" for _, (x, y) in ends)
-        parts.append(f'<path d="{dots}" stroke="{shade}" stroke-width="5" stroke-linecap="round"/>')
-    for axis, shade in enumerate(AXIS_COLOURS):
-        lines = "".join(_path(place(hand[[0, 1 + axis]])) for hand in geometry.hands)
-        parts.append(f'<path d="{lines}" fill="none" stroke="{shade}" stroke-width="1.6"/>')
-    parts += [*_key(geometry), *_ruler(scale)]
-    return "".join([*parts, "</svg>"])
-
-
-def _projected(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return points (N, 3) as seen from `EYE`, without perspective (N, 2), and how near they are."""
+def still_picture(geometry: Geometry) -> Mapping[str, object]:
+    """Return what `still.svg.j2` draws: the same from `EYE`, without perspective, as paths."""
     forward = np.array(EYE) / np.linalg.norm(EYE)
     right = np.cross([0.0, 0.0, 1.0], forward)
     right = right / np.linalg.norm(right)
-    up = np.cross(forward, right)
-    return points @ np.stack((right, up), axis=1), points @ forward
+    across = np.stack((right, np.cross(forward, right)), axis=1)
+    flat, size = geometry.points @ across, np.array(SIZE)
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    scale = float(((size - 2.0 * MARGIN) / np.maximum(high - low, 1e-9)).min())
 
+    def path(points: FloatArray) -> str:
+        on = (points @ across - 0.5 * (low + high)) * scale * [1.0, -1.0] + 0.5 * size
+        return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in on)
 
-def _path(points: FloatArray) -> str:
-    return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
-
-
-def _key(geometry: Geometry) -> Iterable[str]:
-    """Yield the names of the beams with their colours."""
-    if len(geometry.beams) > LEGEND:
-        return
-    for index, (name, _, _) in enumerate(geometry.beams):
-        y, shade = 18 + MARGIN * index, colour(index, len(geometry.beams))
-        yield f'<circle cx="12" cy="{y}" r="6" fill="{shade}"/>'
-        words = geometry.words(name)
-        yield f'<text x="26" y="{y + 6}" font-size="{2 * MARGIN // 3}" fill="{INK}">{words}</text>'
-
-
-def _ruler(scale: float) -> Iterable[str]:
-    """Yield a bar of a round length."""
-    power = 10.0 ** np.floor(np.log10(0.25 * SIZE[0] / scale))
-    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power * scale <= 0.25 * SIZE[0])
-    x, y = SIZE[0] - 12.0, SIZE[1] - 12.0
-    yield f'<path d="M{x:.1f} {y:.1f}h{-length * scale:.1f}" stroke="{GREY}" stroke-width="2"/>'
-    style = f'font-size="{2 * MARGIN // 3}" text-anchor="end" fill="{INK}"'
-    yield f'<text x="{x:.1f}" y="{y - 6.0:.1f}" {style}>{length:g} mm</text>'
+    nearness = {name: float((corners @ forward).mean()) for name, corners in geometry.planes}
+    few = len(geometry.beams) <= LEGEND
+    ruler = 0.25 * SIZE[0] / scale
+    power = 10.0 ** np.floor(np.log10(ruler))
+    return {
+        "frame": geometry.frame,
+        "size": SIZE,
+        "margin": MARGIN,
+        "planes": [
+            path(corners)
+            for _, corners in sorted(geometry.planes, key=lambda one: nearness[one[0]])
+        ],
+        "beams": [
+            {
+                "name": geometry.words(name) if few else "",
+                "shade": colour(index, len(geometry.beams)),
+                "lines": "".join(map(path, segments)),
+                "dots": "".join(f"{path(segment[1:])}h0" for segment in segments),
+            }
+            for index, (name, segments, _) in enumerate(geometry.beams)
+        ],
+        "axes": [
+            (shade, "".join(path(hand[[0, 1 + axis]]) for hand in geometry.hands))
+            for axis, shade in enumerate(AXIS_COLOURS)
+        ],
+        "ruler": max(step * power for step in (1.0, 2.0, 5.0) if step * power <= ruler),
+        "scale": scale,
+    }

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,8 +51,7 @@ class Subject(Description):
         return contradicted(p) if p else ()
 
 
-@dataclass(frozen=True, slots=True)
-class ReadingRows:
+class ReadingRows(NamedTuple):
     """One entry a reading that there is, rejected ones included, in the order of the stations.
 
     Attributes

@@ -7,9 +7,9 @@ leads there (DNS rebinding) or from its own origin. Both show in what the browse
 import ipaddress
 import re
 import socket
-from dataclasses import dataclass
 from http import HTTPStatus
 from http.client import HTTP_PORT
+from typing import NamedTuple
 
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
@@ -26,8 +26,7 @@ HEADERS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class HostNames:
+class HostNames(NamedTuple):
     """By what names a server may be asked.
 
     Attributes

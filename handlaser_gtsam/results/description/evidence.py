@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +13,7 @@ from ...model.joint import STRONG
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..lines import NAMES_IN_LINE, small_mm
+from ..messages import said
 from ..reports import CalibrationData, NoiseComponent
 from ..systematic import SystematicError
 from ..verdict import WELL_CONDITIONED
@@ -26,10 +26,9 @@ from .tables import (
     listed,
     name_cell,
     number,
-    of_numbers,
-    of_words,
     sentence,
     significant,
+    table_of,
     text,
 )
 
@@ -94,23 +93,15 @@ def observability_sentences(described: "Description") -> Iterator[str]:
             yield f"To determine it: {'; '.join(observed.advice)}."
         return
     yield f"All {observed.unknowns} unknowns are determined."
-    meets = "which it meets."
-    if observed.condition >= WELL_CONDITIONED:
-        meets = (
-            "which it does not meet; the standard deviations hold all the same, and more varied motion "
-            "lowers both."
-        )
-    yield (
-        f"The condition number is {concise(observed.condition)}; the usual demand is below "
-        f"{WELL_CONDITIONED:.0f}, {meets}"
-    )
+    meets = "met" if observed.condition < WELL_CONDITIONED else "missed"
+    number, demand = concise(observed.condition), WELL_CONDITIONED
+    yield said(f"condition:{meets}", number=number, demand=demand)
     if observed.weakest:
         yield f"The least certain is {observed.weakest}."
     yield from _shares(described)
     if observed.indices is not None:
-        names = ("O1", "O2", "O3", "O4")
-        listed = (f"{name} {concise(getattr(observed.indices, name), 2)}" for name in names)
-        yield f"Observability indices, larger is better: {', '.join(listed)}."
+        O1, O2, O3, O4 = (concise(getattr(observed.indices, f"O{i}"), 2) for i in range(1, 5))
+        yield said("indices", O1=O1, O2=O2, O3=O3, O4=O4)
 
 
 def _shares(described: "Description") -> Iterator[str]:
@@ -146,10 +137,8 @@ def advice_sentences(described: "Description") -> Iterator[str]:
     for advice in dict.fromkeys(pair.advice for pair in calibration.correlations):
         first, *further = [pair for pair in calibration.correlations if pair.advice == advice]
         others = f", as are {count(len(further), 'more pair')}" if further else ""
-        yield (
-            f"{advice[:1].upper()}{advice[1:]}: {first.first} and {first.second} are hardly told apart "
-            f"(correlation {first.coefficient:.3f}){others}."
-        )
+        pair, rho = f"{first.first} and {first.second}", first.coefficient
+        yield sentence(said("correlated", advice=advice, pair=pair, rho=rho, others=others))
 
 
 def correlations_table(described: "Description") -> Table | None:
@@ -160,8 +149,6 @@ def correlations_table(described: "Description") -> Table | None:
     pairs = calibration.correlations
     table = listed(
         "correlations",
-        "",
-        (*of_words("unknown", "and"), *of_numbers("correlation")),
         pairs,
         lambda pair: (
             text(str(pair.first)),
@@ -171,7 +158,7 @@ def correlations_table(described: "Description") -> Table | None:
         "pair",
     )
     note = f"{count(len(pairs), 'pair')} above {STRONG}. {table.note}"
-    return replace(table, note=note.rstrip())
+    return table._replace(note=note.rstrip())
 
 
 def systematic_table(described: "Description") -> Table | None:
@@ -179,18 +166,7 @@ def systematic_table(described: "Description") -> Table | None:
     tested = described.calibration.systematic
     if not tested or not described.solved:
         return None
-    return Table(
-        "systematic",
-        "Found where p is below 0.01 after Holm's correction. What is not found may still be as large "
-        "as the size given; the last column says how far it would then move a laser spot.",
-        (
-            *of_words("error", "result"),
-            *of_numbers("p"),
-            *of_words("unnoticed below"),
-            *of_numbers("spot moves mm"),
-        ),
-        tuple(_systematic(error, described.verdict.reading) for error in tested),
-    )
+    return table_of("systematic", (_systematic(one, described.verdict.reading) for one in tested))
 
 
 def _systematic(error: SystematicError, reading: float) -> tuple[Cell, ...]:
@@ -230,8 +206,6 @@ def rejected_table(described: "Description") -> Table | None:
         return None
     return listed(
         "rejected",
-        "",
-        (*of_words("station", "beam", "reason"), *of_numbers("residual mm")),
         rejected,
         lambda reading: (
             name_cell(reading.station),

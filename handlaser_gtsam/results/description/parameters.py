@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,13 +11,13 @@ from ...model.families import BEAM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ...quantities import IN_DEG, IN_MM
 from ..limits import LimitCheck
 from ..lines import UNDETERMINED, decimals
+from ..messages import said
 from ..reports import Beam, Plane
 from ..spot_error import spot, spot_radii, typical_plane
 from .tables import (
     NONE,
     ROWS_ON_PAGE,
     Cell,
-    Column,
     Table,
     concise,
     determined,
@@ -27,10 +26,9 @@ from .tables import (
     more,
     name_cell,
     number,
-    of_numbers,
-    of_words,
     plain,
     significant,
+    table_of,
     text,
 )
 
@@ -54,51 +52,29 @@ def beams_table(described: "Description") -> Table | None:
     if not any(_known(beam.sigma) for beam in beams):
         return None
     radii = spot_radii(described.calibration, described.verdict.reading) if described.solved else {}
-    spot_words = ""
+    table = listed("beams", beams, lambda beam: _beam_row(beam, radii.get(beam.name)), "beam")
     if radii:
         at = concise(described.verdict.reading * IN_MM, 4)
-        spot_words = f" 95 % of laser spots lie within the radius at a reading of {at} mm."
-    table = listed(
-        "beams",
-        "Hand frame. Standard deviations are the largest of a coordinate of the location, and that of "
-        "the angle of the direction; in parentheses, that of the last digits of k1 and k2 [1/m]."
-        + spot_words,
-        (
-            *of_words("beam"),
-            *of_numbers("x mm", "y mm", "z mm", "± mm"),
-            *of_numbers(*BEAM.numbers[OF_DIRECTION], wide=True),
-            *of_numbers("± deg"),
-            *of_numbers(*BEAM.numbers[OF_RANGE_ERROR], wide=True),
-            *of_numbers("spot mm"),
-        ),
-        beams,
-        lambda beam: _beam_row(beam, radii.get(beam.name)),
-        "beam",
-    )
+        table = table._replace(caption=table.caption + said("table:beams:spots", at=at))
     if not any(cell.mark == "care" for row in table.rows for cell in row):
         return table
     note = f"A dash stands for what the stations do not determine. {table.note}".rstrip()
-    return replace(table, note=note)
+    return table._replace(note=note)
 
 
 def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
-    location, direction = (
-        [
-            determined(x, s, digits_of(sigmas, most), NONE)
-            for x, s in zip(values.tolist(), sigmas, strict=True)
-        ]
-        for values, sigmas, most in (
-            (beam.location * IN_MM, (sigma[:3] * IN_MM).tolist(), 5),
-            (beam.direction, sigma[3:6].tolist(), 7),
-        )
-    )
+    parts = []
+    for at, _, scale, most in (PARTS["location"], PARTS["direction"]):
+        x, s = ((values[list(at)] * scale).tolist() for values in (beam.coordinates, sigma))
+        digits = digits_of(s, most)
+        parts.append([determined(*one, digits, NONE) for one in zip(x, s, strict=True)])
+    location, direction = parts
+    k, known = beam.range_error.tolist(), sigma[6:].tolist()
     errors = [
-        _concise(value, known, most) if term < beam.terms else Cell("0", 0.0)
-        for term, (value, known, most) in enumerate(
-            zip(beam.range_error.tolist(), sigma[6:].tolist(), (4, 3), strict=True)
-        )
+        _concise(k[term], known[term], most) if term < beam.terms else Cell("0", 0.0)
+        for term, most in enumerate((4, 3))
     ]
     return (
         name_cell(beam.name),
@@ -125,18 +101,7 @@ def mounts_table(described: "Description") -> Table | None:
     if not any(_known(beam.sigma) for beam in beams):
         return None
     rows = [row for beam in beams[:ROWS_ON_PAGE] for row in _parameters(described, beam)]
-    return Table(
-        "mounts",
-        "Hand frame: locations in mm, directions as unit vectors with the standard deviation of their "
-        "angle in deg, k2 in 1/m. The true range is d + k1 d + k2 d² for a reading d.",
-        (
-            *of_words("beam", "parameter"),
-            *of_numbers("value", "std dev", "95 % from", "to"),
-            Column("unit", number=False, wide=True),
-        ),
-        tuple(rows),
-        more(len(beams) - ROWS_ON_PAGE, "beam"),
-    )
+    return table_of("mounts", rows, more(len(beams) - ROWS_ON_PAGE, "beam"))
 
 
 def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ...]]:
@@ -158,15 +123,9 @@ def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ..
             yield text(beam.name), name, *(number(x * scale, digits) for x in values), unit
         turn = beam.direction_sigma
         if part == "direction" and turn is not None and math.isfinite(turn):
-            words, blank = text("direction, angle"), (Cell(NONE),) * 2
-            yield (
-                text(beam.name),
-                words,
-                Cell(NONE),
-                significant(turn * IN_DEG, 2),
-                *blank,
-                text("deg"),
-            )
+            dash, angle = Cell(NONE), significant(turn * IN_DEG, 2)
+            words = text("direction, angle")
+            yield text(beam.name), words, dash, angle, dash, dash, text("deg")
 
 
 def spots_table(described: "Description") -> Table | None:
@@ -182,31 +141,14 @@ def spots_table(described: "Description") -> Table | None:
         cells = [significant(x * IN_MM, 2) for x in numbers]
         return name_cell(name), *cells, significant(found.direction_sigma * IN_DEG, 2)
 
-    table = listed(
-        "spots",
-        f"At a reading of {concise(reading * IN_MM, 4)} mm, the working distance: the radius that "
-        "holds the spot with 95 % from the calibration alone, and its standard deviations. One reading "
-        "adds its own noise along the beam.",
-        (
-            *of_words("beam"),
-            *of_numbers(
-                "95 % spot mm", "along mm", "across mm", "reading adds mm", "direction deg"
-            ),
-        ),
-        list(radii),
-        row,
-        "beam",
-    )
+    table = listed("spots", list(radii), row, "beam", at=concise(reading * IN_MM, 4))
     measured = typical_plane(calibration)
     if measured is None:
         return table
     station, plane = measured
-    note = (
-        f"A plane measured by all beams at once, as at station {station}: "
-        f"± {concise(plane.distance_sigma * IN_MM)} mm in distance, "
-        f"± {concise(plane.angle_sigma * IN_DEG)} deg in angle. {table.note}"
-    )
-    return replace(table, note=note.rstrip())
+    far, turn = concise(plane.distance_sigma * IN_MM), concise(plane.angle_sigma * IN_DEG)
+    note = said("table:spots:plane", station=station, distance=far, angle=turn)
+    return table._replace(note=f"{note} {table.note}".rstrip())
 
 
 def planes_table(described: "Description") -> Table | None:
@@ -214,14 +156,7 @@ def planes_table(described: "Description") -> Table | None:
     planes = list(described.calibration.planes.values())
     if not any(_known(plane.sigma) for plane in planes):
         return None
-    return listed(
-        "planes",
-        "n · x + b = 0 in the world frame; n points away from the sensor.",
-        (*of_words("plane"), *of_numbers("n x", "n y", "n z", "std dev deg", "b mm", "std dev mm")),
-        planes,
-        _plane_row,
-        "plane",
-    )
+    return listed("planes", planes, _plane_row, "plane")
 
 
 def _plane_row(plane: Plane) -> tuple[Cell, ...]:
@@ -255,9 +190,4 @@ def limits_table(described: "Description") -> Table | None:
         value, limit = significant(one.value * scale), significant(one.limit * scale)
         return text(words), text(one.subject or "all"), value, limit, text(unit), state
 
-    columns = (
-        *of_words("quantity", "of"),
-        *of_numbers("value", "limit"),
-        *of_words("unit", "result"),
-    )
-    return listed("limits", "", columns, checks, row, "limit")
+    return listed("limits", checks, row, "limit")

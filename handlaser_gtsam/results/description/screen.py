@@ -7,6 +7,7 @@ from ...model.effects.effect import size_in_words
 from ...quantities import IN_MM
 from ...text import count, some
 from ..lines import NAMES_IN_LINE, WIDTH, as_many, wrapped
+from ..messages import said
 from ..systematic import SystematicError
 from .description import Description
 from .rendering import PLAIN, full_table, text_lines, text_table
@@ -142,11 +143,8 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     if not tested_for:
         return words
     worst = max(tested_for, key=lambda error: error.moved(reading, unnoticed=True))
-    return (
-        f"{words}; the worst that would go unnoticed: {worst.code} below "
-        f"{size_in_words(worst.unnoticed, worst.unit)}, moving a spot by "
-        f"{worst.moved(reading, unnoticed=True) * IN_MM:.2g} mm"
-    )
+    size, moved = size_in_words(worst.unnoticed, worst.unit), worst.moved(reading, unnoticed=True)
+    return said("unnoticed", words=words, code=worst.code, size=size, moved=moved)
 
 
 def _warnings(described: Description, room: int, width: int) -> list[str]:

@@ -13,7 +13,8 @@ from ...model.sensors.mounted import SENSOR
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..limits import LimitCheck, worst_of_each
-from ..lines import NAMES_IN_LINE, decimals
+from ..lines import NAMES_IN_LINE, UNDETERMINED, decimals
+from ..messages import said
 from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
 from .tables import (
     NONE,
@@ -23,8 +24,6 @@ from .tables import (
     determined,
     listed,
     name_cell,
-    of_numbers,
-    of_words,
     significant,
     text,
 )
@@ -43,20 +42,7 @@ def sensors_table(result: SurveyCalibration) -> Table | None:
     """Return where sensors of many rays sit: location, Euler angles, and sigmas of both."""
     if not result.sensors:
         return None
-    return listed(
-        "sensors",
-        "hand_T_sensor: location, and R = Rz(A) Ry(B) Rx(C)",
-        (
-            *of_words("sensor"),
-            *of_numbers("x [mm]", "y [mm]", "z [mm]", "sigma [mm]"),
-            *of_numbers("A [deg]", "B [deg]", "C [deg]", "sigma [deg]"),
-            *of_numbers("spot 95 % [mm]", "shots"),
-            *of_numbers("rejected", wide=True),
-        ),
-        list(result.sensors.values()),
-        _sensor_row,
-        "sensor",
-    )
+    return listed("sensors", list(result.sensors.values()), _sensor_row, "sensor")
 
 
 def _sensor_row(sensor: SensorMount) -> tuple[Cell, ...]:
@@ -93,18 +79,7 @@ def beams_table(result: SurveyCalibration) -> Table | None:
     """Return where single beams sit."""
     if not result.beams:
         return None
-    return listed(
-        "beams",
-        "location and direction in the hand",
-        (
-            *of_words("beam"),
-            *of_numbers("x [mm]", "y [mm]", "z [mm]", "sigma [mm]"),
-            *of_numbers("vx", "vy", "vz", "sigma [deg]", "readings"),
-        ),
-        list(result.beams.values()),
-        _beam_row,
-        "beam",
-    )
+    return listed("beams:survey", list(result.beams.values()), _beam_row, "beam")
 
 
 def _beam_row(beam: BeamMount) -> tuple[Cell, ...]:
@@ -119,33 +94,21 @@ def _beam_row(beam: BeamMount) -> tuple[Cell, ...]:
 
 def targets_table(result: SurveyCalibration) -> Table:
     """Return what was looked at."""
-    return listed(
-        "targets",
-        "in the world",
-        of_words("target", "kind", "place", "sigma"),
-        list(result.targets.values()),
-        lambda t: (name_cell(t.label), text(t.kind), text(_place(t)), text(_sigma(t))),
-        "target",
+    return listed("targets", list(result.targets.values()), _target_row, "target")
+
+
+def _target_row(target: SurveyTarget) -> tuple[Cell, ...]:
+    sigma, kind = dict(target.sigma), target.kind
+    words = UNDETERMINED
+    if all(map(math.isfinite, sigma.values())):
+        largest = max(sigma.get(axis, 0.0) for axis in "xyz")
+        words = said(f"sigma:{kind}", largest=largest, **sigma)
+    return (
+        name_cell(target.label),
+        text(kind),
+        text(said(f"place:{kind}", **target.values)),
+        text(words),
     )
-
-
-def _place(target: SurveyTarget) -> str:
-    v = target.values
-    if target.kind == "plane":
-        n = " ".join(f"{v[name]:.5f}" for name in ("nx", "ny", "nz"))
-        return f"normal {n}, offset {v['b'] * IN_MM:.3f} mm"
-    place = f"({', '.join(f'{v[axis] * IN_MM:.3f}' for axis in 'xyz')}) mm"
-    return f"{place}, radius {v['radius'] * IN_MM:.3f} mm" if "radius" in v else place
-
-
-def _sigma(target: SurveyTarget) -> str:
-    s = target.sigma
-    if any(not math.isfinite(x) for x in s.values()):
-        return "undetermined"
-    if target.kind == "plane":
-        return f"{s['tilt'] * IN_DEG:.2g} deg, {s['offset'] * IN_MM:.2g} mm"
-    words = f"{max(s[axis] for axis in 'xyz') * IN_MM:.2g} mm"
-    return f"{words}, {s['radius'] * IN_MM:.2g} mm" if "radius" in s else words
 
 
 def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts:
@@ -159,7 +122,7 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
     turn, shift = result.pose_sigma
     if math.isfinite(turn):
         how = " (estimated)" if result.pose_sigma_estimated else ""
-        noise.append(f"hand {shift * IN_MM:.2g} mm and {turn * IN_DEG:.2g} deg an axis{how}")
+        noise.append(said("noise:hand", shift=shift, turn=turn, how=how))
     found.append(("noise, one standard deviation", ", ".join(noise)))
     for sensor in result.sensors.values():
         if sensor.range_error:
@@ -191,8 +154,8 @@ def _counts(result: SurveyCalibration) -> str:
         return ""
     numbers = sum(i.numbers for i, used in zip(own.rows.items, own.used, strict=True) if used)
     unknowns = len(own.estimate.names)
-    more = f"{result.dof + unknowns - numbers} more of errors and relations"
-    return f": {numbers} numbers that shots say, {more}, {unknowns} unknowns"
+    more = result.dof + unknowns - numbers
+    return said("degrees", numbers=numbers, more=more, unknowns=unknowns)
 
 
 def _without(result: SurveyCalibration, other: SurveyCalibration) -> Iterator[tuple[str, str]]:
@@ -202,33 +165,25 @@ def _without(result: SurveyCalibration, other: SurveyCalibration) -> Iterator[tu
     for name, sensor in other.sensors.items():
         before = result.sensors[name]
         turn = float(Rotation.from_matrix(before.rotation.T @ sensor.rotation).magnitude())
-        moved = _moved(sensor.location - before.location, turn)
         angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
-        x, y, z = _places(sensor.location, sensor.location_sigma)
         digits = _digits(float(sensor.rotation_sigma.max()) * IN_DEG)
-        A, B, C = (f"{angle:.{digits}f}" for angle in angles.tolist())
-        yield (
-            f"{name} without it",
-            f"{moved}, to ({x}, {y}, {z}) mm and A {A} B {B} C {C} deg",
-        )
+        to = _places(sensor.location, sensor.location_sigma)
+        to |= {axis: f"{x:.{digits}f}" for axis, x in zip("ABC", angles.tolist(), strict=True)}
+        shift = float(np.linalg.norm(sensor.location - before.location))
+        yield f"{name} without it", said("without:sensor", shift=shift, turn=turn, **to)
     for name, beam in other.beams.items():
         old = result.beams[name]
         sine = float(np.linalg.norm(np.cross(beam.direction, old.direction)))
         turn = math.atan2(sine, float(beam.direction @ old.direction))
-        x, y, z = _places(beam.location, beam.location_sigma)
-        moved = _moved(beam.location - old.location, turn)
-        yield f"beam {name} without it", f"{moved}, to ({x}, {y}, {z}) mm"
+        to = _places(beam.location, beam.location_sigma)
+        shift = float(np.linalg.norm(beam.location - old.location))
+        yield f"beam {name} without it", said("without:beam", shift=shift, turn=turn, **to)
 
 
-def _moved(shift: FloatArray, turn: float) -> str:
-    """Say a shift [m] and a turn [rad]."""
-    length = float(np.linalg.norm(shift)) * IN_MM
-    return f"moves by {length:.2g} mm and {turn * IN_DEG:.2g} deg"
-
-
-def _places(location: FloatArray, sigma: FloatArray) -> list[str]:
-    """Return a location as the table of its kind has it."""
-    return [cell.text for cell in _located(location, sigma)[:3]]
+def _places(location: FloatArray, sigma: FloatArray) -> dict[str, str]:
+    """Return the coordinates of a location as the table of its kind has them."""
+    cells = _located(location, sigma)[:3]
+    return {axis: cell.text for axis, cell in zip("xyz", cells, strict=True)}
 
 
 def _errors(errors: Mapping[str, float], sigmas: FloatArray) -> str:
@@ -236,11 +191,8 @@ def _errors(errors: Mapping[str, float], sigmas: FloatArray) -> str:
     parts = []
     for (code, size), sigma in zip(errors.items(), sigmas.tolist(), strict=True):
         unit, factor = UNITS[code]
-        how = (
-            f" +- {sigma * factor:.2g} {unit}"
-            if math.isfinite(sigma)
-            else f" {unit} (undetermined)"
-        )
+        known = f" +- {sigma * factor:.2g} {unit}"
+        how = known if math.isfinite(sigma) else f" {unit} (undetermined)"
         parts.append(f"{code} {size * factor:.4g}{how}")
     return ", ".join(parts)
 
@@ -250,12 +202,10 @@ def _tested(sensor: SensorMount) -> str:
     parts = []
     for error in sensor.errors:
         unit, factor = UNITS[error.code]
-        if error.found:
-            parts.append(f"{error.code} of {error.size * factor:.3g} {unit} found")
-        else:
-            moved = error.detectable * error.spot_shift * IN_MM
-            parts.append(
-                f"{error.code} below {error.detectable * factor:.2g} {unit} would go unnoticed "
-                f"(a spot {moved:.2g} mm off)"
-            )
+        size, least = (
+            f"{x * factor:{d}} {unit}" for x, d in ((error.size, ".3g"), (error.detectable, ".2g"))
+        )
+        moved = error.detectable * error.spot_shift
+        hidden = said("tested:hidden", code=error.code, size=least, moved=moved)
+        parts.append(f"{error.code} of {size} found" if error.found else hidden)
     return "; ".join(parts)

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from ...text import count, shortened
 from ..lines import UNDETERMINED, decimals
+from ..messages import MESSAGES, TITLES, said
 
 NONE = "\N{EN DASH}"
 NAME_IN_TABLE = 60
@@ -22,8 +22,7 @@ Facts = tuple[tuple[str, str], ...]
 """Pairs of a name and words."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
+class Cell(NamedTuple):
     """Text, the number by which it sorts, and a mark: `good`, `care`, `bad`, or none."""
 
     text: str
@@ -31,8 +30,7 @@ class Cell:
     mark: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
+class Column(NamedTuple):
     """A title; whether its cells are numbers; whether it gives way where the page is narrow."""
 
     title: str
@@ -40,8 +38,7 @@ class Column:
     wide: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
+class Table(NamedTuple):
     """Rows of cells under columns, with a note on what is not shown."""
 
     name: str
@@ -74,27 +71,30 @@ def determined(value: float, sigma: float, digits: int, unknown: str = UNDETERMI
     return number(value, digits) if math.isfinite(sigma) else Cell(unknown, None, "care")
 
 
-def of_words(*titles: str) -> tuple[Column, ...]:
-    """Return columns of words."""
-    return tuple(Column(title, number=False) for title in titles)
+def table_of(name: str, rows: Iterable[tuple[Cell, ...]], note: str = "", **words: str) -> Table:
+    """Return a table, with the columns and the caption that `messages.toml` has of this name.
 
-
-def of_numbers(*titles: str, wide: bool = False) -> tuple[Column, ...]:
-    """Return columns of numbers."""
-    return tuple(Column(title, wide=wide) for title in titles)
+    A colon in the name tells tables apart that are called alike.
+    """
+    titles = TITLES[name]
+    columns = tuple(
+        Column(title, title not in titles["words"], title in titles.get("wide", ()))
+        for title in titles["titles"]
+    )
+    caption = said(f"table:{name}", **words) if f"table:{name}" in MESSAGES["sentences"] else ""
+    return Table(name.partition(":")[0], caption, columns, tuple(rows), note)
 
 
 def listed(
     name: str,
-    caption: str,
-    columns: tuple[Column, ...],
     items: Sequence[Item],
     row: Callable[[Item], tuple[Cell, ...]],
     noun: str,
+    **words: str,
 ) -> Table:
     """Return a table with a row for each of the first items, and a note on how many more there are."""
-    rows = tuple(row(item) for item in items[:ROWS_ON_PAGE])
-    return Table(name, caption, columns, rows, more(len(items) - len(rows), noun))
+    rows = [row(item) for item in items[:ROWS_ON_PAGE]]
+    return table_of(name, rows, more(len(items) - len(rows), noun), **words)
 
 
 def more(left: int, noun: str) -> str:
