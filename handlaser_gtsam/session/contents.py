@@ -50,6 +50,11 @@ class PlaneContents:
             mask[row[reading.station], column[reading.beam]] = True
         return self.recording.without(mask)
 
+    def taken_out(self, culprit: str | None = None) -> "PlaneContents":
+        """Return the plane out of the graph; excluded where a culprit is given."""
+        culprit = self.culprit if culprit is None else culprit
+        return replace(self, number=None, origin=None, culprit=culprit)
+
 
 @dataclass(frozen=True, eq=False)
 class Contents:
@@ -140,10 +145,9 @@ class Contents:
         numbers = {name: first + j for j, name in enumerate(recording.station_names)}
         return replace(self, planes=planes, station_numbers={**self.station_numbers, **numbers})
 
-    def rejecting(self, plane: str, more: tuple[Rejected, ...]) -> "Contents":
-        """Return the contents with more readings of a plane rejected."""
-        before = self.planes[plane]
-        return self._with(plane, replace(before, rejected=(*before.rejected, *more)))
+    def with_plane(self, name: str, plane: PlaneContents) -> "Contents":
+        """Return the contents with other contents of a plane."""
+        return replace(self, planes={**self.planes, name: plane})
 
     def restarted(self, rejected: Iterable[Rejected]) -> "Contents":
         """Return the contents of which nothing is in a graph, with just these readings rejected."""
@@ -206,20 +210,11 @@ class Contents:
         if not rows.size or np.isnan(recording.ranges[rows]).all():
             return self.without_plane(name)
         rejected = tuple(other for other in plane.rejected if other.station != station)
-        less = self._with(name, replace(plane, recording=recording.part(rows), rejected=rejected))
+        less = self.with_plane(
+            name, replace(plane, recording=recording.part(rows), rejected=rejected)
+        )
         numbers = {s: number for s, number in self.station_numbers.items() if s != station}
         return replace(less, station_numbers=numbers)
-
-    def placed(self, plane: str, number: int, origin: FloatArray) -> "Contents":
-        """Return the contents with a plane in the graph under a number; it is not excluded."""
-        before = self.planes[plane]
-        return self._with(plane, replace(before, number=number, origin=origin, culprit=None))
-
-    def taken_out(self, plane: str, culprit: str | None = None) -> "Contents":
-        """Return the contents with a plane out of the graph; excluded where a culprit is given."""
-        before = self.planes[plane]
-        culprit = before.culprit if culprit is None else culprit
-        return self._with(plane, replace(before, number=None, origin=None, culprit=culprit))
 
     def numbered(self, origins: Mapping[str, FloatArray]) -> "Contents":
         """Return the contents with just these planes in the graph, numbered from zero."""
@@ -247,9 +242,6 @@ class Contents:
             planes[name] = replace(planes[name], recording=recording, rejected=tuple(rejected))
         names = {**self.names, before: self.names.get(beam, beam)}
         return replace(self, planes=planes, names=names)
-
-    def _with(self, name: str, plane: PlaneContents) -> "Contents":
-        return replace(self, planes={**self.planes, name: plane})
 
 
 def named(recording: Recording, which: BoolArray, reason: str) -> tuple[Rejected, ...]:

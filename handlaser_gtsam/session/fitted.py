@@ -238,6 +238,14 @@ def fit_plane(
     return FittedPlane(config, corrected, parameters, e, how, normal, origin)
 
 
+def determined_plane(
+    config: SessionConfig, recording: Recording, beams: Beams, origin: FloatArray | None = None
+) -> FittedPlane | None:
+    """Return as `fit_plane` a plane that its readings determine; None for any other."""
+    fitted = fit_plane(config, recording, beams, origin)
+    return fitted if fitted is not None and fitted.determined() else None
+
+
 def _stepped(
     parameters: Parameters, at: Linearized, readings: Readings
 ) -> tuple[Parameters, Normal]:
@@ -269,7 +277,7 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
             return None
         bad |= now.mask(recording, np.arange(len(t)) == worst)
         rest = recording.without(bad)
-        again = fit_plane(fitted.config, rest, fitted.parameters.beams, fitted.origin)
-        if again is None or not again.determined():
+        again = determined_plane(fitted.config, rest, fitted.parameters.beams, fitted.origin)
+        if again is None:
             return None
         now = again

@@ -54,7 +54,7 @@ class FreedState:
         placed = contents.restarted((*batch.fit.rejected, *out)).numbered(origins)
         for plane, culprit in contents.excluded.items():
             if plane not in origins:
-                placed = placed.taken_out(plane, culprit)
+                placed = placed.with_plane(plane, placed.planes[plane].taken_out(culprit))
         return cls(placed, config, batch)
 
     @cached_property
@@ -122,10 +122,11 @@ class FreedState:
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...]
-    ) -> tuple["FreedState", tuple[str, ...]]:
+    ) -> tuple["FreedState", tuple[str, ...], tuple[str, ...]]:
         """Return the state with `contents`, in which only `planes` differ from the present ones.
 
-        With the planes of these that fit the others in no way: they are excluded.
+        With those of these planes that are in it, and those that fit the others in no way, which are
+        excluded.
 
         Raises
         ------
@@ -137,12 +138,14 @@ class FreedState:
         if batch.status != "converged":
             inconsistent = tuple(plane for plane in planes if plane in inside)
             for plane in inconsistent:
-                contents = contents.taken_out(plane, "")
+                contents = contents.with_plane(plane, contents.planes[plane].taken_out(""))
             rest = [plane for plane in inside if plane not in inconsistent]
             batch = self._calibrated(contents, rest) if inconsistent else batch
         if batch.status != "converged":
             raise undetermined(f" ({batch.message})")
-        return self._after(batch, contents), inconsistent
+        new = self._after(batch, contents)
+        joined = tuple(plane for plane in planes if plane in new.contents.numbers)
+        return new, joined, inconsistent
 
     def _determined(self, contents: Contents) -> list[str]:
         """Return the planes that readings and beams determine, and that are not excluded."""

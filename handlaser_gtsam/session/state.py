@@ -172,7 +172,7 @@ class SessionState:
         """
         config = self.config
         contents, history, joined, inconsistent = join_planes(
-            config, self.state, contents, self.history, planes, reject=config.reject
+            config, self.state, contents, self.history, planes
         )
         if set(planes) & set(self.contents.numbers):  # a new plane takes nothing away
             used = [contents.planes[plane].used().beam_names for plane in contents.numbers]
@@ -265,40 +265,34 @@ class SessionState:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Let the state be copied and pickled: the graph is rebuilt, linearised where it is."""
-        point, config = self.graph.linearization_point(), self.config
-        parameters = parameters_of(
-            point, config.beams, [plane_key(number) for number in self.factors]
+        point, known = (
+            self.graph.linearization_point(),
+            {f.name: getattr(self, f.name) for f in fields(self)},
         )
-        blocks = [block for of_plane in self.factors.values() for block in of_plane.blocks]
-        poses = {key: point.atPose3(key) for key in poses_of(blocks)}
-        brought = {
-            number: (of_plane.blocks, of_plane.others) for number, of_plane in self.factors.items()
-        }
-        known = [getattr(self, of_plane.name) for of_plane in fields(self)]
-        fine = bool(self.inconsistent)
-        return _restored, (brought, parameters, poses, fine, tuple(known[:2]), tuple(known[4:]))
+        planes = [plane_key(number) for number in self.factors]
+        poses = _poses_of(block for of_plane in self.factors.values() for block in of_plane.blocks)
+        known["graph"] = (
+            parameters_of(point, self.config.beams, planes),
+            {key: point.atPose3(key) for key in poses},
+        )
+        known["factors"] = {n: (part.blocks, part.others) for n, part in self.factors.items()}
+        return _restored, (known,)
 
 
-def _restored(
-    brought: Mapping[int, tuple[tuple[RangeBlock, ...], tuple[gtsam.NonlinearFactor, ...]]],
-    parameters: Parameters,
-    poses: Mapping[int, gtsam.Pose3],
-    fine: bool,
-    first: tuple[Contents, SessionConfig],
-    rest: tuple[Any, ...],
-) -> SessionState:
-    """Return a state from its fields but the graph, which is linearised at `at` and `poses`."""
-    config = first[1]
-    factors = {}
-    for number, normal, offset in zip(brought, parameters.normals, parameters.offsets, strict=True):
-        values, (blocks, others) = gtsam.Values(), brought[number]
+def _restored(known: dict[str, Any]) -> SessionState:
+    """Return a state from its fields, of which the graph is where all variables are linearised."""
+    config, (parameters, poses), factors = known["config"], known["graph"], {}
+    planes = zip(parameters.normals, parameters.offsets, known["factors"].items(), strict=True)
+    for normal, offset, (number, (blocks, others)) in planes:
+        values = gtsam.Values()
         values.insert(plane_key(number), gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
-        for key in poses_of(blocks):
+        for key in _poses_of(blocks):
             values.insert(key, poses[key])
         factors[number] = GraphPart(blocks, others, values)
     graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
+    fine = bool(known["inconsistent"])
     graph, _ = graph.changed(factors, (), config.start(parameters.beams), fine=fine)
-    return SessionState(*first, graph, factors, *rest)
+    return SessionState(**{**known, "graph": graph, "factors": factors})
 
 
 def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionState:
@@ -350,7 +344,7 @@ def _sums(fitted: Mapping[str, FittedPlane], history: DriftHistory) -> dict[str,
     }
 
 
-def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
+def _poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
     """Return the keys of the hand poses that are variables of some blocks, each once."""
     return list(dict.fromkeys(block.pose for block in blocks if block.pose is not None))
 

@@ -78,49 +78,33 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
     InputError
         The beams would not be determined.
     """
-    if isinstance(now, FreedState):
-        return _calibrated_again(now, contents, planes)
+    new: AnyState
     new, joined, inconsistent = now.changed(contents, planes)
-    gain, restarted = 0.5 * (new.state.information - now.state.information), False
-    if inconsistent and new.config.reject and not (new.trusted or new.config.links):
-        batch, config = _batch(new)
-        restarted = batch.status == "converged"
-        new = _begun_from(batch, new.contents, config) if restarted else new
-    new, comparison = compare_if_due(new)
-    if restarted or (comparison is not None and comparison.changes):
+    comparison, message = None, ""
+    if isinstance(new, SessionState):
+        if inconsistent and new.config.reject and not (new.trusted or new.config.links):
+            batch, config = _batch(new)
+            if batch.status == "converged":
+                new, message = _begun_from(batch, new.contents, config), RESTARTED
+                joined, inconsistent = tuple(new.contents.numbers), ()
+        new, comparison = compare_if_due(new)
+    begun_again = message or (comparison is not None and comparison.changes)
+    same = new.config.names == now.config.names
+    gain = 0.5 * (new.integrated.information - now.integrated.information)
+    if begun_again or not same or new.config.terms != now.config.terms:
         gain = UNKNOWN
     old = set(now.contents.rejected)
     return new, Update(
-        tuple(new.contents.numbers) if restarted else joined,
+        joined,
         new.contents.waiting,
         gain,
         new.integrated.sigmas(),
-        now.integrated.sigmas() if new.config.names == now.config.names else None,
-        RESTARTED if restarted else "",
+        now.integrated.sigmas() if same else None,
+        message,
         tuple(reading for reading in new.contents.rejected if reading not in old),
         new.moved(recently=True),
-        () if restarted else inconsistent,
+        inconsistent,
         comparison,
-    )
-
-
-def _calibrated_again(
-    now: FreedState, contents: Contents, planes: tuple[str, ...]
-) -> tuple[FreedState, Update]:
-    """Do as `changed` where systematic errors are unknowns."""
-    new, inconsistent = now.changed(contents, planes)
-    same = new.config.names == now.config.names and new.config.terms == now.config.terms
-    gain = 0.5 * (new.integrated.information - now.integrated.information)
-    old = set(now.contents.rejected)
-    return new, Update(
-        tuple(plane for plane in planes if plane in new.contents.numbers),
-        new.contents.waiting,
-        gain if same else UNKNOWN,
-        new.integrated.sigmas(),
-        now.integrated.sigmas() if same else None,
-        rejected=tuple(reading for reading in new.contents.rejected if reading not in old),
-        moved=new.moved(recently=True),
-        inconsistent=inconsistent,
     )
 
 
@@ -201,8 +185,21 @@ def split_beam(
     if isinstance(now, FreedState):
         expected = "two sessions, of the planes before and after it; or no errors that are free"
         raise InputError(f"a split of beam {beam} beside errors that are unknowns", expected)
-    config, before = now.config, f"{beam} until {since}"
-    contents = _split_contents(now, beam, since, before)
+    config, contents, before = now.config, now.contents, f"{beam} until {since}"
+    if beam not in config.names or beam in contents.names:
+        raise InputError(f"beam {beam!r}", f"one of {', '.join(now.current)}")
+    seen = {*contents.numbers, *contents.excluded}
+    order = [plane for plane in contents.planes if plane in seen]
+    if since not in order[1:] or before in config.names:
+        raise InputError(
+            f"a move of beam {beam} before plane {since!r}",
+            "a plane with others before it, and every move once",
+        )
+    contents = contents.split(beam, since, before).included(order[order.index(since) :])
+    for name in (before, beam):
+        if not any(name in contents.planes[plane].recording.beam_names for plane in order):
+            missing = f"no reading of beam {beam} on one side of plane {since}"
+            raise InputError(missing, "some on both")
     index, count = config.names.index(beam), len(config.names)
     noise = ProcessNoise(count, index, *sigmas)
     old = tuple(replace(link, now=count) if link.now == index else link for link in config.links)
@@ -226,32 +223,6 @@ def split_beam(
                 "noise as large as the move, or more planes after it",
             ) from error
         return begun
-
-
-def _split_contents(now: SessionState, beam: str, since: str, before: str) -> Contents:
-    """Return the contents with the beam renamed before the move.
-
-    Raises
-    ------
-    InputError
-        No such beam or plane, no plane before it, no reading on one side, or a move that is known.
-    """
-    names, contents = now.config.names, now.contents
-    if beam not in names or beam in contents.names:
-        raise InputError(f"beam {beam!r}", f"one of {', '.join(now.current)}")
-    seen = {*contents.numbers, *contents.excluded}
-    order = [plane for plane in contents.planes if plane in seen]
-    if since not in order[1:] or before in names:
-        raise InputError(
-            f"a move of beam {beam} before plane {since!r}",
-            "a plane with others before it, and every move once",
-        )
-    split = contents.split(beam, since, before).included(order[order.index(since) :])
-    for name in (before, beam):
-        if not any(name in split.planes[plane].recording.beam_names for plane in order):
-            missing = f"no reading of beam {beam} on one side of plane {since}"
-            raise InputError(missing, "some on both")
-    return split
 
 
 def _begun_from_nowhere(contents: Contents, config: SessionConfig) -> SessionState | None:
