@@ -80,11 +80,9 @@ class FittedPlane:
     def information(self, history: DriftHistory) -> Information:
         """Return what the plane knows of the beams, (n, n) and (n,), in natural units."""
         beams, sigma = self.parameters.beams, self.whitening.sigma
-        unit = np.ones(len(history.mask))
-        unit[history.mask] = history.unit
-        reduced = self.normal.reduced(
-            unit, PLANE.natural_units(history.config.length), history.mask
-        )
+        length = history.config.length
+        unit = np.tile(BEAM.natural_units(length), len(beams[0]))
+        reduced = self.normal.reduced(unit, PLANE.natural_units(length), history.mask)
         turn = turns(beams[1], history)
         L = turn.T @ reduced.matrix @ turn / sigma**2
         gradient = turn.T @ reduced.gradient / sigma**2
