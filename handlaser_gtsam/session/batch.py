@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..data.parameters import Beams, Parameters
+from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording, join
 from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import covariance, covariance_by_gtsam, posterior
@@ -99,7 +99,7 @@ class BatchProblem:
                 problem.graph.push_back(factor)
         return problem, marginal
 
-    def solved(self) -> tuple[CalibrationGraph, LevenbergResult]:
+    def solved(self) -> tuple[CalibrationGraph, LevenbergResult, Parameters]:
         """Return the batch solution, weights settled, from the present estimate."""
         parameters, poses = self.parameters, self.poses
         for _ in range(MOST_ROUNDS):
@@ -111,17 +111,11 @@ class BatchProblem:
                 break
             if not self.config.weights_depend:
                 break
-        return problem, result
-
-    def batch_beams(self) -> Beams:
-        """Return the beams of the batch solution."""
-        problem, result = self.solved()
-        return read_parameters(problem, result.values).beams
+        return problem, result, parameters
 
     def compared(self, state: BeamState) -> Comparison:
         """Compare the beams, scales integrated over, with the batch solution."""
-        problem, result = self.solved()
-        parameters = read_parameters(problem, result.values)
+        problem, result, parameters = self.solved()
         if self.config.learned is not None:
             learned = self.config.learned
             integrated = posterior(self.scale_problem(parameters, learned), learned)

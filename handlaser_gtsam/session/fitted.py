@@ -21,7 +21,7 @@ from ..model.joint import beams_lift
 from ..model.reduction import Normal
 from ..model.weighting import Whitening, whitening
 from ..quantities import KNOWN, NEGLIGIBLE
-from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, moved
+from ..solvers.beam_problem import jacobian_columns, linearized, moved
 from ..solvers.graph import pose_priors, station_blocks
 from ..solvers.isam import BeamState, GraphPart
 from ..starts.growing import PartialStart, grow
@@ -141,28 +141,23 @@ class FittedPlane:
         Their derivatives and the residuals (N, n + 1) times sigma inv(C), the derivatives times
         inv(C) times the residuals (n,), and the covariance (n, n).
         """
-        rows, prior = self._rows(state)
+        config, parameters, readings = self.config, self.parameters, self.readings
+        columns = jacobian_columns(parameters, readings, 2)
+        J = np.zeros((len(readings), len(config.names), BEAM.dim))
+        J[np.arange(len(J)), readings.beam] = columns[: BEAM.dim].T
+        active = modelled(config.terms).ravel()
+        rows = np.hstack((J.reshape(len(J), -1)[:, active], columns[BEAM.dim : -1].T))
         sigma = self.whitening.sigma
         heavy = self.whitening.weighed(np.column_stack((rows, self.residual))) / sigma
         normal = rows.T @ heavy / sigma
         H, right = normal[:, :-1], normal[:, -1]
-        H[: len(prior), : len(prior)] += prior
-        scale = 1.0 / np.sqrt(np.diagonal(H))
-        K = scale[:, None] * np.linalg.inv(H * np.outer(scale, scale)) * scale
-        return heavy, right, K
-
-    def _rows(self, state: BeamState) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""
-        config, parameters, readings = self.config, self.parameters, self.readings
-        columns = jacobian_columns(parameters, readings, 2)
-        active = np.flatnonzero(modelled(config.terms))
-        J = np.zeros((len(readings), len(config.names), BEAM.dim))
-        J[np.arange(len(J)), readings.beam] = columns[: BEAM.dim].T
         lift = beams_lift(model.tangent_basis(parameters.directions), config.terms)
         S = lift.T @ state.covariance @ lift
         unit = np.sqrt(np.diagonal(S))
-        prior = np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
-        return np.hstack((J.reshape(len(J), -1)[:, active], columns[BEAM.dim : -1].T)), prior
+        H[: len(S), : len(S)] += np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
+        scale = 1.0 / np.sqrt(np.diagonal(H))
+        K = scale[:, None] * np.linalg.inv(H * np.outer(scale, scale)) * scale
+        return heavy, right, K
 
     def factors(self, number: int, stations: Mapping[str, int], recording: Recording) -> GraphPart:
         """Return the factors of plane `number` in a graph.
@@ -175,30 +170,26 @@ class FittedPlane:
         recording : Recording
             Recording of this plane.
         """
-        readings, values = self.readings, gtsam.Values()
+        readings, how, values = self.readings, self.whitening, gtsam.Values()
         normal, offset = gtsam.Unit3(self.parameters.normals[0]), self.parameters.offsets[0]
         values.insert(plane_key(number), gtsam.OrientedPlane3(normal, offset))
         rows: IntArray = np.lexsort((readings.beam, readings.station))
-        plane = (plane_key(number),)
-        if self.config.poses != "estimated":
-            keys = (self.config.beams, plane, None)
-            blocks = station_blocks(readings, self.whitening, rows, readings.plane, keys)
-            return GraphPart(blocks, (), values)
-        names = recording.station_names
-        number_of = np.array([stations[name] for name in names])
-        variances = self.config.variances(len(names))
-        if variances.pose is None:
-            raise ValueError("estimated poses without a covariance")
-        how = whitening(self.parameters, readings, variances.without_poses())
-        local = pose_priors(readings, variances.pose)
-        priors = replace(local, stations=number_of[local.stations])
-        here = replace(readings, station=number_of[readings.station])
-        keys_of_poses = (self.config.beams, plane, priors)
-        blocks = station_blocks(here, how, rows, here.station, keys_of_poses)
-        graph = gtsam.NonlinearFactorGraph()
-        priors.join(graph, values, tuple(pose_key(j) for j in priors.stations.tolist()))
-        others = tuple(graph.at(i) for i in range(graph.size()))
-        return GraphPart(blocks, others, values)
+        together, priors, graph = readings.plane, None, gtsam.NonlinearFactorGraph()
+        if self.config.poses == "estimated":
+            names = recording.station_names
+            number_of = np.array([stations[name] for name in names])
+            variances = self.config.variances(len(names))
+            if variances.pose is None:
+                raise ValueError("estimated poses without a covariance")
+            how = whitening(self.parameters, readings, variances.without_poses())
+            local = pose_priors(readings, variances.pose)
+            priors = replace(local, stations=number_of[local.stations])
+            priors.join(graph, values, tuple(pose_key(j) for j in priors.stations.tolist()))
+            readings = replace(readings, station=number_of[readings.station])
+            together = readings.station
+        keys = self.config.beams, (plane_key(number),), priors
+        blocks = station_blocks(readings, how, rows, together, keys)
+        return GraphPart(blocks, tuple(graph.at(i) for i in range(graph.size())), values)
 
 
 def fit_plane(
@@ -229,10 +220,15 @@ def fit_plane(
         for _ in range(2 if terms and config.weights_depend else 1):
             corrected, how = weighed(readings, parameters, variances, terms)
             at = linearized(parameters, corrected, 2, how)
-            parameters, normal = _stepped(parameters, at, corrected)
+            still = np.zeros((len(r), BEAM.dim))
+            unit = PLANE.natural_units(corrected.typical_range())
+            reduced = at.normal.reduced(np.ones(still.size), unit)
+            parameters = moved(parameters, still, unit * reduced.local_step, at.centres)
         e = model.residuals(model.scene(parameters, corrected), corrected.distance)
     except GrazingBeamError:
         return None
+    gradient, none = reduced.gradient[None], np.zeros_like(at.normal.local_gradient)
+    normal = replace(at.normal, gradient=gradient, local_gradient=none)
     return FittedPlane(config, corrected, parameters, e, how, normal, origin)
 
 
@@ -242,18 +238,6 @@ def determined_plane(
     """Return as `fit_plane` a plane that its readings determine; None for any other."""
     fitted = fit_plane(config, recording, beams, origin)
     return fitted if fitted is not None and fitted.determined() else None
-
-
-def _stepped(
-    parameters: Parameters, at: Linearized, readings: Readings
-) -> tuple[Parameters, Normal]:
-    """Return the plane after a step of Gauss and Newton, and what follows for the normal equations."""
-    normal, beams = at.normal, len(parameters.locations)
-    unit = PLANE.natural_units(readings.typical_range())
-    reduced = normal.reduced(np.ones(normal.gradient.shape[1]), unit)
-    there = moved(parameters, np.zeros((beams, BEAM.dim)), unit * reduced.local_step, at.centres)
-    none = np.zeros_like(normal.local_gradient)
-    return there, replace(normal, gradient=reduced.gradient[None], local_gradient=none)
 
 
 def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> BoolArray | None:

@@ -224,8 +224,8 @@ class SessionState:
             normals = np.concatenate([p.parameters.normals for p in fitted.values()])
             offsets = np.concatenate([p.parameters.offsets for p in fitted.values()])
             parameters = Parameters(*self.state.beams, normals, offsets)
-            beams = BatchProblem(contents, self.config, parameters).batch_beams()
-            begun = begin(self.contents, self.config, beams)
+            _, _, solved = BatchProblem(contents, self.config, parameters).solved()
+            begun = begin(self.contents, self.config, solved.beams)
             if not self.config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:

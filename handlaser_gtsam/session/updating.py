@@ -127,7 +127,7 @@ def compare_if_due(now: SessionState) -> tuple[SessionState, Comparison | None]:
     if max(comparison.largest, comparison.largest_sigma) > SAME_OPTIMUM:
         words = "restarted from the batch solution, which it had left"
         changes = (*changes, Change("from-batch", words))
-        now = begin(now.contents, now.config, inside.batch_beams())
+        now = begin(now.contents, now.config, inside.solved()[2].beams)
     planes = len(now.contents.numbers)
     now = replace(now, compared=now.state, changes=0, learned_with=planes)
     return now, replace(comparison, changes=changes)
