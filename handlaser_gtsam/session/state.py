@@ -21,7 +21,6 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
 from ..estimation.information import Information, LinearReadings
-from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
 from ..factors import RangeBlock
 from ..factors.keys import plane_key, pose_key
@@ -90,8 +89,39 @@ class SessionState:
 
     @cached_property
     def integrated(self) -> BeamState:
-        """The beams with all scales integrated over."""
-        return integrated(self.state, self.config, self.history, self.sums)
+        """The beams with all scales integrated over, which the graph has at the most probable ones."""
+        state, history, learned = self.state, self.history, self.config.learned
+        if learned is None or not self.sums:
+            return state
+        # What is known beside the planes is so whatever the noise is.
+        total = sum(self.sums.values(), start=history.known[None])
+        terms, members = learned.terms, self.config.members
+        k = history.beams[2][:, :terms] * np.array([1.0, learned.length])[:terms]
+        here, both = (
+            BeamPosterior(part, k, learned.widest, members) for part in (total[:1], total[1:])
+        )
+        mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
+        mean, covariance = here.conditional(learned.range_error)
+        unit = history.unit
+        step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
+        change = (mixture.covariance - covariance) * np.outer(unit, unit)
+        bases = model.tangent_basis(history.beams[1])
+        lift = beams_lift(bases, [terms] * len(bases))
+        k = state.range_errors.copy()
+        k[:, :terms] += step[:, RANGE_ERROR]
+        turned = np.einsum("bij,bj->bi", bases, step[:, DIRECTION])
+        # The history has other tangents than the state, which has the tangents of a batch solution:
+        # project along every beam out of the coordinates (8,).
+        across = np.tile(np.eye(8), (len(state.directions), 1, 1))
+        across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
+        project = block_diag(*across)
+        return replace(
+            state,
+            locations=state.locations + step[:, LOCATION],
+            directions=model.normalized(state.directions + turned),
+            range_errors=k,
+            covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,
+        )
 
     @property
     def current(self) -> tuple[str, ...]:
@@ -193,20 +223,15 @@ class SessionState:
             | _sums(joined, self.history),
         )
         if fresh or gone:
-            new = new._solved(fresh, gone)
+            try:
+                fine, determines = bool(new.inconsistent), config.determines
+                graph, state = new.graph.changed(fresh, gone, None, determines, fine=fine)
+                new = replace(new, graph=graph, state=state).reweighed()
+            except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
+                new = new.solved_at_once()
         if gone and not config.links and not new.inside().determined():
             raise undetermined()
         return new, tuple(joined), inconsistent
-
-    def _solved(self, factors: Mapping[int, GraphPart], gone: list[int]) -> "SessionState":
-        """Return the same with planes added to the graph and others taken out."""
-        try:
-            graph, state = self.graph.changed(
-                factors, gone, None, self.config.determines, fine=bool(self.inconsistent)
-            )
-            return replace(self, graph=graph, state=state).reweighed()
-        except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
-            return self.solved_at_once()
 
     def solved_at_once(self) -> "SessionState":
         """Return the same from a batch solution of the contents, beside the present beams.
@@ -255,21 +280,13 @@ class SessionState:
             return now
         factors = factors_of(self.contents, fitted)
         graph, state = self.graph.changed(factors, fine=bool(self.inconsistent))
-        return replace(
-            now,
-            graph=graph,
-            factors=factors,
-            state=state,
-            sums=_sums(fitted, history),
-        )
+        sums = _sums(fitted, history)
+        return replace(now, graph=graph, factors=factors, state=state, sums=sums)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Let the state be copied and pickled: the graph is rebuilt, linearised where it is."""
-        point, known = (
-            self.graph.linearization_point(),
-            {f.name: getattr(self, f.name) for f in fields(self)},
-        )
-        planes = [plane_key(number) for number in self.factors]
+        known = {one.name: getattr(self, one.name) for one in fields(self)}
+        point, planes = self.graph.linearization_point(), [plane_key(n) for n in self.factors]
         poses = _poses_of(block for of_plane in self.factors.values() for block in of_plane.blocks)
         known["graph"] = (
             parameters_of(point, self.config.beams, planes),
@@ -336,12 +353,26 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
 
 
 def _sums(fitted: Mapping[str, FittedPlane], history: DriftHistory) -> dict[str, Information]:
-    """Return what planes know for all scales that are learned; nothing where none are."""
-    return {
-        plane: scaled_information(plane_fit, history, plane_fit.config.learned)
-        for plane, plane_fit in fitted.items()
-        if plane_fit.config.learned is not None
-    }
+    """Return what planes know for all sets of noise scales, counted as in a history.
+
+    Nothing where no scales are learned.
+    """
+    sums: dict[str, Information] = {}
+    learned = history.config.learned
+    if learned is None:
+        return sums
+    for name, plane in fitted.items():
+        readings, at = plane.readings, plane.parameters
+        variances = learned.base.for_stations(int(readings.station.max()) + 1)
+        rows = LinearReadings(at, readings, learned.terms, learned.length, variances)
+        points = [learned.mode, *learned.points]
+        information, _ = rows.information([learned.scales.noise(u) for u in points])
+        # The unknowns there are turn (x - shift).
+        turn, shift = turns(at.directions, history), history.coordinates(at.beams)
+        matrix, vector = turn.T @ information.matrix @ turn, information.vector @ turn
+        constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
+        sums[name] = Information(matrix, vector + matrix @ shift, constant)
+    return sums
 
 
 def _poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
@@ -353,72 +384,3 @@ def undetermined(why: str = "") -> InputError:
     """Return the error of a change that takes away what determines the beams."""
     change = f"a change after which the beams are undetermined{why}"
     return InputError(change, "planes that determine them")
-
-
-def scaled_information(
-    fitted: FittedPlane, history: DriftHistory, learned: LearnedScales
-) -> Information:
-    """Return what a plane knows of the beams for all sets of noise scales, counted as in a history."""
-    readings = fitted.readings
-    variances = learned.base.for_stations(int(readings.station.max()) + 1)
-    rows = LinearReadings(fitted.parameters, readings, learned.terms, learned.length, variances)
-    points = [learned.mode, *learned.points]
-    information, _ = rows.information([learned.scales.noise(u) for u in points])
-    # The unknowns there are turn (x - shift).
-    turn = turns(fitted.parameters.directions, history)
-    shift = history.coordinates(fitted.parameters.beams)
-    matrix = turn.T @ information.matrix @ turn
-    vector = information.vector @ turn
-    constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
-    return Information(matrix, vector + matrix @ shift, constant)
-
-
-def integrated(
-    state: BeamState,
-    config: SessionConfig,
-    history: DriftHistory,
-    pieces: Mapping[str, Information],
-) -> BeamState:
-    """Return beams at the most probable scales with all scales integrated over.
-
-    Parameters
-    ----------
-    state : BeamState
-    config : SessionConfig
-    history : DriftHistory
-        What is known beside the planes, whatever the noise is, and what everything is counted from.
-    pieces : mapping of str to Information
-        `scaled_information` by plane.
-    """
-    learned, members = config.learned, config.members
-    if learned is None or not pieces:
-        return state
-    total = history.known[None]
-    for piece in pieces.values():
-        total = total + piece
-    k = history.beams[2][:, : learned.terms]
-    k = k * np.array([1.0, learned.length])[: learned.terms]
-    here = BeamPosterior(total[:1], k, learned.widest, members)
-    both = BeamPosterior(total[1:], k, learned.widest, members)
-    mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
-    mean, covariance = here.conditional(learned.range_error)
-    unit = history.unit
-    step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
-    change = (mixture.covariance - covariance) * np.outer(unit, unit)
-    bases = model.tangent_basis(history.beams[1])
-    lift = beams_lift(bases, [learned.terms] * len(bases))
-    k = state.range_errors.copy()
-    k[:, : learned.terms] += step[:, RANGE_ERROR]
-    turned = np.einsum("bij,bj->bi", bases, step[:, DIRECTION])
-    # The history has other tangents than the state, which has the tangents of a batch solution:
-    # project along every beam out of the coordinates (8,).
-    across = np.tile(np.eye(8), (len(state.directions), 1, 1))
-    across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
-    project = block_diag(*across)
-    return replace(
-        state,
-        locations=state.locations + step[:, LOCATION],
-        directions=model.normalized(state.directions + turned),
-        range_errors=k,
-        covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,
-    )
