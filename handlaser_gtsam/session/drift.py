@@ -89,6 +89,11 @@ class DriftHistory:
         """Natural units of the active unknowns."""
         return np.tile(BEAM.natural_units(self.config.length), len(self.config.terms))[self.mask]
 
+    def moves(self) -> IntArray:
+        """Return which of the active unknowns belong to the mount of each beam, (B, 5)."""
+        active = np.flatnonzero(self.mask)
+        return np.flatnonzero(active % BEAM.dim < MOUNT_DIM).reshape(-1, MOUNT_DIM)
+
     def coordinates(self, beams: Beams) -> FloatArray:
         """Return the unknowns of other beams."""
         shift, turn, stretch = (there - here for there, here in zip(beams, self.beams, strict=True))
@@ -143,9 +148,7 @@ class DriftHistory:
         L = np.stack([information.matrix for information in late])
         s = np.stack([information.vector for information in late]) - L @ x
         M = L - L @ covariance @ L
-        # Which of the active unknowns belong to the mount of each beam (B, 5).
-        active = np.flatnonzero(self.mask)
-        beams = np.flatnonzero(active % BEAM.dim < MOUNT_DIM).reshape(-1, MOUNT_DIM)
+        beams = self.moves()
         values, axes = np.linalg.eigh(M[:, beams[:, :, None], beams[:, None, :]])
         along = np.einsum("ebji,ebj->ebi", axes, s[:, beams])
         keep = values > KNOWN**-2

@@ -217,23 +217,33 @@ def _problem(found: SurveyEstimate) -> SurveyProblem:
     sigma = state.sigmas()
     groups: dict[tuple[str, int, str], list[Item]] = defaultdict(list)
     for item, used in zip(rows.items, found.used, strict=True):
-        if used:
+        if used:  # all beams together
             member = -1 if item.points is None else item.member
             groups[item.family, member, item.target[0]].append(item)
-    observed = [
-        _observed(rows.survey, kind, items, sigma[family, items[0].member])
-        for (family, _, kind), items in groups.items()
-    ]
-    plane = values.get(PLANE.name, np.zeros((0, PLANE.size)))
+    observed = []
+    for (family, member, kind), items in groups.items():
+        points = [np.zeros(1, np.intp) if item.points is None else item.points for item in items]
+        which, each = np.concatenate(points), [len(some) for some in points]
+        station = np.repeat([item.station for item in items], each)
+        target = np.repeat([item.target[1] for item in items], each)
+        noise = sigma[family, items[0].member]
+        if member < 0:
+            beam = np.array([item.member for item in items])
+            reading, cone = np.array([item.reading for item in items]), rows.survey.half_angle
+            observed.append(Observed(kind, beam, station, target, noise, reading, half_angle=cone))
+        else:
+            shots = rows.survey.shots[member]
+            read = shots.reading[which], shots.across[which]
+            observed.append(Observed(kind, member, station, target, noise, *read))
     start = {
-        "sensor": values.get(SENSOR.name, np.zeros((0, SENSOR.size)))[:, : POSE.size],
-        "beam": values.get(BEAM.name, np.zeros((0, BEAM.size))),
-        "plane": np.column_stack(
-            (plane[:, :3], plane[:, 3] - (plane[:, :3] * plane[:, 4:]).sum(1))
-        ),
-        "sphere": values.get(SPHERE.name, np.zeros((0, SPHERE.size))),
-        "point": values.get(POINT.name, np.zeros((0, POINT.size))),
-        "body": values.get(BODY.name, np.zeros((0, BODY.size))),
+        family.name: values.get(family.name, np.zeros((0, family.size)))
+        for family in (SENSOR, BEAM, PLANE, SPHERE, POINT, BODY)
+    }
+    plane = start[PLANE.name]
+    offset = plane[:, 3] - (plane[:, :3] * plane[:, 4:]).sum(axis=1)
+    start |= {
+        SENSOR.name: start[SENSOR.name][:, : POSE.size],
+        PLANE.name: np.column_stack((plane[:, :3], offset)),
     }
     numbers = {
         label: (kind, i) for kind, labels in rows.targets.items() for i, label in enumerate(labels)
@@ -256,29 +266,6 @@ def _problem(found: SurveyEstimate) -> SurveyProblem:
     )
 
 
-def _observed(survey: Survey, kind: str, items: list[Item], sigma: float) -> Observed:
-    """Return the points of all shots of one sensor before one kind of target, or of all beams."""
-    station = np.array([item.station for item in items])
-    target = np.array([item.target[1] for item in items])
-    points = [item.points for item in items if item.points is not None]
-    if not points:
-        member = np.array([item.member for item in items])
-        reading = np.array([item.reading for item in items])
-        cone = survey.half_angle
-        return Observed(kind, member, station, target, sigma, reading, half_angle=cone)
-    shots, which = survey.shots[items[0].member], np.concatenate(points)
-    each = [len(some) for some in points]
-    return Observed(
-        kind,
-        items[0].member,
-        np.repeat(station, each),
-        np.repeat(target, each),
-        sigma,
-        shots.reading[which],
-        shots.across[which],
-    )
-
-
 def _differences(
     calibration: SurveyCalibration, theirs: SurveySolution
 ) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray, Mapping[str, slice]]]:
@@ -293,30 +280,23 @@ def _differences(
     for (kind, i), other in theirs.values.items():
         if kind == BODY.name:
             continue  # faces may leave it open; what it does shows in its planes
-        mine, own = plain.marginal(kind, i), values[kind][i]
+        mine, own, name = plain.marginal(kind, i), values[kind][i], ""
+        lift = np.eye(len(mine))
         if kind == SENSOR.name:
-            sensor = list(calibration.sensors.values())[i]
-            name, shots = f"sensor {sensor.name}", rows.survey.shots[i]
-            unknown = [
-                one.rpartition(".")[2] for one in plain.names if one.startswith(f"{kind}[{i}].")
-            ]
-            kept = [
-                k for k, one in enumerate(unknown) if one not in RAY_ERRORS or one in shots.free
-            ]
-            mine = mine[np.ix_(kept, kept)]
+            sensor, shots = list(calibration.sensors.values())[i], rows.survey.shots[i]
+            name = f"sensor {sensor.name}"
+            unknown = [x.rpartition(".")[2] for x in plain.names if x.startswith(f"{kind}[{i}].")]
+            lift = lift[[x not in RAY_ERRORS or x in shots.free for x in unknown]]
             own = np.append(np.zeros(6), list(sensor.range_error.values()))
         elif kind == BEAM.name:
             name = f"beam {rows.survey.beam_names[i]}"
             (lift,) = beam_lifts(bases(own[None, 3:6]))
-            mine = lift @ mine @ lift.T
-        else:
-            name = rows.label((kind, i))
-        if kind == PLANE.name:
+        elif kind == PLANE.name:
             n, c = own[:3], own[4:]
             own = np.append(n, own[3] - n @ c)
             lift = plane_lifts(bases(n), c)
-            mine = lift @ mine @ lift.T
-        yield name, own - other, mine, theirs.covariances[kind, i], COMPARED_PARTS[kind]
+        name, covariance = name or rows.label((kind, i)), lift @ mine @ lift.T
+        yield name, own - other, covariance, theirs.covariances[kind, i], COMPARED_PARTS[kind]
 
 
 def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> SurveyLeftOut:
@@ -333,7 +313,14 @@ def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> Surv
         return SurveyLeftOut(name, len(test), message=str(error))
     if found.estimate.status != "converged":
         return SurveyLeftOut(name, len(test), message=survey_calibration(found).message)
-    values = _values_of(whole, found)
+    # The whole has the values of what the rest has not seen.
+    values = {kind: x[None].copy() for kind, x in whole.estimate.values.items()}
+    for kind, x in found.estimate.values.items():
+        if kind in found.rows.targets:
+            labels = whole.rows.targets[kind]
+            values[kind][0, [labels.index(label) for label in found.rows.targets[kind]]] = x
+        elif kind != POSE.name:
+            values[kind][0, : len(x)] = x
     problem, groups = whole.at(values, found.noise).problem()
     rows = problem.rows(problem.blocks, values)
     J, e = rows.whitened()
@@ -365,18 +352,6 @@ def _without(survey: Survey, out: BoolArray) -> Survey | None:
     if len(shots) < len(survey.shots) or (ranges is not None and np.isnan(ranges).all(0).any()):
         return None
     return replace(survey, shots=tuple(shots), ranges=ranges)
-
-
-def _values_of(whole: SurveyEstimate, found: SurveyEstimate) -> dict[str, FloatArray]:
-    """Return the values that the rest has found; the whole has those that the rest has not seen."""
-    values = {name: x[None].copy() for name, x in whole.estimate.values.items()}
-    for kind, x in found.estimate.values.items():
-        if kind == PLANE.name or kind in found.rows.targets:
-            labels = whole.rows.targets[kind]
-            values[kind][0, [labels.index(label) for label in found.rows.targets[kind]]] = x
-        elif kind != POSE.name:
-            values[kind][0, : len(x)] = x
-    return values
 
 
 def _squares(J: FloatArray, e: FloatArray) -> tuple[float, int]:
