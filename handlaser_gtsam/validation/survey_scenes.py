@@ -17,7 +17,6 @@ from ..errors import InputError
 from ..estimation.survey_rows import AIMING_SIGMA
 from ..model.families import PLANE, bases
 from ..model.sensors.kinds import KINDS
-from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from .simulate import Errors
 from .survey_simulate import SurveyTruth
@@ -117,11 +116,22 @@ def survey_scene(
             expected = "planes, spheres, and points with --beams to aim at them"
             raise InputError(f"the target {label}", expected)
     lines = [_middle(fan) for fan in fans] + [(np.zeros(3), np.array([0.0, 0.0, 1.0]))] * beams
-    mounts = [_mount(u, working, rng) for _, u in lines]
-    wide = [float(_width(fan).max()) * working for fan in fans]
-    radius = 0.8 * max(wide, default=0.3 * working)
-    targets = {label: _target(label, radius, working, rng) for label in labels}
-    R, t, names = [], [], []
+    mounts = []
+    for _, u in lines:  # the middle ray looks along the hand's z axis, more or less
+        T = np.eye(4)
+        T[:3, :3] = _square(_tilted(0.3, rng)) @ _spun(rng.uniform(-np.pi, np.pi)) @ _square(u).T
+        T[:3, 3] = 0.3 * working * rng.uniform(-1.0, 1.0, 3)
+        mounts.append(T)
+    radius = 0.8 * max((_width(fan) * working for fan in fans), default=0.3 * working)
+    targets: dict[str, FloatArray] = {}
+    for label in labels:
+        place = BASE + working * rng.uniform(-1.0, 1.0, 3)
+        if kind_of(label) == PLANE.name:
+            n = _tilted(SPREAD, rng)
+            targets[label] = np.append(n, -n @ place)
+        else:
+            targets[label] = np.append(place, [radius] * (kind_of(label) == SPHERE.name))
+    poses, names = [], []
     turns = {False: 0, True: 0}  # go on from target to target: few stations are for all sensors
     for label in labels:
         of_beams = kind_of(label) == "point"
@@ -129,19 +139,13 @@ def survey_scene(
         for _ in range(count):
             i = viewers[turns[of_beams] % len(viewers)]
             turns[of_beams] += 1
-            pose = _looking(label, targets[label], lines[i], mounts[i], working, rng)
-            R.append(pose[0])
-            t.append(pose[1])
+            poses.append(_looking(label, targets[label], lines[i], mounts[i], working, rng))
             names.append(label)
-    truth = SurveyTruth(
-        {fan.name: T for fan, T in zip(fans, mounts, strict=False)},
-        {
-            str(i + 1): np.concatenate((T[:3, 3], T[:3, 2]))
-            for i, T in enumerate(mounts[len(fans) :])
-        },
-        targets,
-    )
-    return truth, StationList(np.array(R), np.array(t), tuple(names))
+    R, t = (np.array(part) for part in zip(*poses, strict=True))
+    of_fans = dict(zip((fan.name for fan in fans), mounts, strict=False))
+    single = mounts[len(fans) :]
+    of_beam = {str(i + 1): np.append(T[:3, 3], T[:3, 2]) for i, T in enumerate(single)}
+    return SurveyTruth(of_fans, of_beam, targets), StationList(R, t, tuple(names))
 
 
 def _middle(fan: Shots) -> tuple[FloatArray, FloatArray]:
@@ -151,12 +155,12 @@ def _middle(fan: Shots) -> tuple[FloatArray, FloatArray]:
     return rays.origin.mean(axis=0), u / np.linalg.norm(u)
 
 
-def _width(fan: Shots) -> FloatArray:
-    """Return how far rays are aside of the middle one at a distance of one, a fan at its distance."""
+def _width(fan: Shots) -> float:
+    """Return how far rays are aside of the middle one at most, at a distance of one, a fan at its own."""
     o, u = _middle(fan)
     rays, d = KINDS[fan.kind].rays(fan.across), float(fan.reading[0])
     at = (rays.origin - o) / d + rays.direction / (rays.direction @ u)[:, None]
-    return np.asarray(np.linalg.norm(at - (at @ u)[:, None] * u, axis=1))
+    return float(np.linalg.norm(at - (at @ u)[:, None] * u, axis=1).max())
 
 
 def _square(u: FloatArray) -> FloatArray:
@@ -174,24 +178,6 @@ def _tilted(most: float, rng: np.random.Generator) -> FloatArray:
     """Return a unit vector up to an angle from the z axis, in any direction."""
     tilt, turn = most * np.sqrt(rng.random()), rng.uniform(0.0, 2.0 * np.pi)
     return np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
-
-
-def _mount(u: FloatArray, working: float, rng: np.random.Generator) -> FloatArray:
-    """Return a mount (4, 4) whose middle ray looks along the hand's z axis, more or less."""
-    T = np.eye(4)
-    T[:3, :3] = _square(_tilted(0.3, rng)) @ _spun(rng.uniform(-np.pi, np.pi)) @ _square(u).T
-    T[:3, 3] = 0.3 * working * rng.uniform(-1.0, 1.0, 3)
-    return T
-
-
-def _target(label: str, radius: float, working: float, rng: np.random.Generator) -> FloatArray:
-    place = BASE + working * rng.uniform(-1.0, 1.0, 3)
-    if kind_of(label) == SPHERE.name:
-        return np.append(place, radius)
-    if kind_of(label) == POINT.name:
-        return place
-    n = _tilted(SPREAD, rng)
-    return np.append(n, -n @ place)
 
 
 def _looking(
