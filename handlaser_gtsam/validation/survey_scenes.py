@@ -156,7 +156,7 @@ def _middle(fan: Shots) -> tuple[FloatArray, FloatArray]:
 
 
 def _width(fan: Shots) -> float:
-    """Return how far rays are aside of the middle one at most, at a distance of one, a fan at its own."""
+    """Return how far rays are aside of the middle one at a distance of one, a fan at its own."""
     o, u = _middle(fan)
     rays, d = KINDS[fan.kind].rays(fan.across), float(fan.reading[0])
     at = (rays.origin - o) / d + rays.direction / (rays.direction @ u)[:, None]
