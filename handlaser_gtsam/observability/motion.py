@@ -147,11 +147,19 @@ def motion_before(
 
 def _open_in_general(readings: Readings, names: BeamAndPlaneNames) -> tuple[OpenPart, ...]:
     """Return what is open for random beams and planes; the draw that leaves least open counts."""
-    rng = np.random.default_rng(0)
-    best: tuple[OpenPart, ...] | None = None
+    rng, length = np.random.default_rng(0), readings.typical_range()
+    best: tuple[OpenPart, ...] = ()
     least = np.inf
     for _ in range(120):  # the first that leaves nothing undetermined is enough
-        parameters = _general_position(readings, rng)
+        # Planes are a typical range in front of the first beam.
+        main = rng.standard_normal(3)
+        v = model.normalized(main + 0.3 * rng.standard_normal((readings.beams, 3)))
+        along = np.einsum("nij,nj->ni", readings.world_R_hand, v[readings.beam])
+        aside = 0.3 * rng.standard_normal((readings.planes, 3))
+        n = model.normalized(readings.plane_means(along) + aside)
+        r = length * rng.standard_normal((readings.beams, 3))
+        b = -length * rng.uniform(0.5, 1.5, readings.planes)
+        parameters = Parameters(r, v, np.zeros((readings.beams, 2)), n, b)
         try:
             observed = observability(parameters, readings, 0, 0.0)
         except GrazingBeamError:
@@ -161,7 +169,7 @@ def _open_in_general(readings: Readings, names: BeamAndPlaneNames) -> tuple[Open
             best = open_parts(observed, parameters, names)
         if least == 0:
             break
-    return best or ()
+    return best
 
 
 def _open_before_planes(
@@ -186,24 +194,6 @@ def _open_before_planes(
         return in_general, True
     parts = open_parts(observed, at, names)
     return (in_general if leans and in_general else parts), leans
-
-
-def _general_position(readings: Readings, rng: np.random.Generator) -> Parameters:
-    """Return random beams, and planes a typical range in front of the first beam."""
-    length = readings.typical_range()
-    main = rng.standard_normal(3)
-    v = model.normalized(main + 0.3 * rng.standard_normal((readings.beams, 3)))
-    along = np.einsum("nij,nj->ni", readings.world_R_hand, v[readings.beam])
-    n = model.normalized(
-        readings.plane_means(along) + 0.3 * rng.standard_normal((readings.planes, 3))
-    )
-    return Parameters(
-        length * rng.standard_normal((readings.beams, 3)),
-        v,
-        np.zeros((readings.beams, 2)),
-        n,
-        -length * rng.uniform(0.5, 1.5, readings.planes),
-    )
 
 
 def lemma_words(check: MotionCheck, beams: Sequence[str]) -> tuple[str, ...]:

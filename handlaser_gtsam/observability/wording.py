@@ -1,7 +1,7 @@
 """What is undetermined or weak, by name and in words an engineer understands, and what would help."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -73,10 +73,31 @@ class OpenPart(Value):
 
 
 def open_parts(
-    observed: Observability, parameters: Parameters, names: BeamAndPlaneNames
+    observed: Observability,
+    parameters: Parameters,
+    names: BeamAndPlaneNames,
+    share: float = WORTH_A_WORD,
 ) -> tuple[OpenPart, ...]:
-    """Return the undetermined parts of the null space: beams first, in the order of `names`."""
-    return _parts(observed.null_space, parameters, names)
+    """Return the parts of the null space above a `share`: beams first, in the order of `names`."""
+    if observed.null_space[0].shape[-1] == 0:
+        return ()
+    # Of many planes few are open: only these are looked at one by one.
+    spans: dict[str, dict[int, FloatArray]] = {}
+    for quantity, columns in _rows(observed.null_space, parameters).items():
+        long = np.flatnonzero(np.linalg.norm(columns, axis=(1, 2)) > share)
+        spans[quantity] = dict(zip(long.tolist(), _spans(columns[long], share), strict=True))
+    kinds: tuple[tuple[Kind, tuple[tuple[str, int], ...], tuple[str, ...]], ...] = (
+        ("beam", names.beams, OF_BEAMS),
+        ("plane", names.planes, OF_PLANES),
+    )
+    parts = (
+        OpenPart(kind, name, quantity, spans[quantity][i])
+        for kind, named, quantities in kinds
+        for name, i in named
+        for quantity in quantities
+        if i in spans[quantity]
+    )
+    return tuple(part for part in parts if part.axes.shape[1])
 
 
 def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
@@ -152,9 +173,10 @@ def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlane
     beams = observed.padded(observed.weakest)
     planes = -(observed.information.local_response @ observed.weakest[:, None])
     space = beams.reshape(len(parameters.locations), -1, 1), planes
-    lengths = map(_lengths, _rows(space, parameters).values())
-    parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(map(np.max, lengths))))
-    words = undetermined(parts)
+    rows = _rows(space, parameters).values()
+    longest = max(float(np.linalg.norm(each, axis=(1, 2)).max()) for each in rows)
+    weak = replace(observed, null_space=space)
+    words = undetermined(open_parts(weak, parameters, names, WEAK_SHARE * longest))
     more = f"; and {len(words) - 1} more" if len(words) > 1 else ""
     return words[0] + more if words else ""
 
@@ -175,30 +197,6 @@ def open_coordinates(
     return np.linalg.norm(lifted, axis=2), np.linalg.norm(flat, axis=2)
 
 
-def _parts(
-    space: NullSpace, parameters: Parameters, names: BeamAndPlaneNames, share: float = WORTH_A_WORD
-) -> tuple[OpenPart, ...]:
-    if space[0].shape[-1] == 0:
-        return ()
-    # Of many planes few are open: only these are looked at one by one.
-    spans: dict[str, dict[int, FloatArray]] = {}
-    for quantity, columns in _rows(space, parameters).items():
-        long = np.flatnonzero(_lengths(columns) > share)
-        spans[quantity] = dict(zip(long.tolist(), _spans(columns[long], share), strict=True))
-    kinds: tuple[tuple[Kind, tuple[tuple[str, int], ...], tuple[str, ...]], ...] = (
-        ("beam", names.beams, OF_BEAMS),
-        ("plane", names.planes, OF_PLANES),
-    )
-    parts = (
-        OpenPart(kind, name, quantity, spans[quantity][i])
-        for kind, named, quantities in kinds
-        for name, i in named
-        for quantity in quantities
-        if i in spans[quantity]
-    )
-    return tuple(part for part in parts if part.axes.shape[1])
-
-
 def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:
     """Return the rows (B or P, D, K) of the null space for every quantity of a beam and a plane."""
     beams, planes = _normalized(space)
@@ -210,11 +208,6 @@ def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:
         # The offset is taken at the world's origin: it is undetermined with the normal.
         "offset": np.linalg.norm(planes, axis=1, keepdims=True),
     }
-
-
-def _lengths(rows: FloatArray) -> FloatArray:
-    lengths: FloatArray = np.linalg.norm(rows, axis=(1, 2))
-    return lengths
 
 
 def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.distributions import FAMILY_LEVEL
 from ..model.equation import residuals_or_infinite as residuals
-from ..observability.rank import Observability, observability
+from ..observability.rank import observability
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import FAR_SIGMAS, IN_MM, ROUNDING
 from .snooping import leverages
@@ -80,22 +80,16 @@ def reasons(
     repeated = _repeated_poses(readings)
     other = _other_planes(readings, kept, left, parameters, range_sigma)
     swapped = _swapped(readings, rows, parameters, range_sigma)
-    words = np.full(len(readings), "", dtype=object)
-    for row in rows:
-        station = int(readings.station[row])
-        count = int((readings.station == station).sum())
-        if row in swapped:
-            words[row] = f"swapped with the reading of beam {beam_names[swapped[int(row)]]}"
-        elif station in other:
-            words[row] = f"wrong plane label: fits plane {plane_names[other[station]]}"
-        elif flat[row]:
-            words[row] = "grazing"
-        elif repeated[station]:
-            words[row] = REPEATED
-        elif left[station] == 0 and count > 1:
-            words[row] = STATION
-        else:
-            words[row] = OUTLIER
+    words = np.full(len(readings), OUTLIER, dtype=object)
+    station, together = readings.station, np.bincount(readings.station)
+    words[(left[station] == 0) & (together[station] > 1)] = STATION
+    words[repeated[station]] = REPEATED
+    words[flat] = "grazing"
+    for of_station, plane in other.items():
+        words[station == of_station] = f"wrong plane label: fits plane {plane_names[plane]}"
+    for row, beam in swapped.items():
+        words[row] = f"swapped with the reading of beam {beam_names[beam]}"
+    words[kept] = ""
     residual = residuals(parameters, readings)
     unexplained = (words == OUTLIER) | (words == STATION)
     warnings = []
@@ -112,7 +106,11 @@ def _other_planes(
     parameters: Parameters,
     range_sigma: float,
 ) -> dict[int, int]:
-    """Return another plane for stations whose readings mostly contradict the plane of their label."""
+    """Return another plane for stations whose readings mostly contradict the plane of their label.
+
+    All readings of such a station fit it far better than others, and not by chance. All planes of
+    `parameters` must be seen from the origin of the hand poses.
+    """
     other: dict[int, int] = {}
     if readings.planes == 1 or kept.all():
         return other
@@ -120,38 +118,23 @@ def _other_planes(
     observed = observability(parameters, readings.subset(np.flatnonzero(kept)), 0, 0.0)
     out = np.bincount(readings.station[~kept], minlength=len(left))
     for station in np.flatnonzero((out > 0) & (out >= left)).tolist():
-        of_station = readings.subset(np.flatnonzero(readings.station == station))
-        plane = _fitting_plane(of_station, span, parameters, range_sigma, observed)
-        if plane is not None:
-            other[station] = plane
+        here = readings.subset(np.flatnonzero(readings.station == station))
+        squares, fits = np.full(here.planes, np.inf), np.zeros(here.planes, dtype=bool)
+        for plane in set(range(here.planes)) - {int(here.plane[0])}:
+            moved = replace(here, plane=np.full(len(here), plane, dtype=np.intp))
+            e = residuals(parameters, moved)
+            k = parameters.range_errors[moved.beam]
+            # It fits no plane that is behind the sensor or parallel to its beam.
+            if not (np.isfinite(e) & (e + model.corrected(moved.distance, k) > 0.0)).all():
+                continue
+            sigma = range_sigma * np.sqrt(1.0 + leverages(parameters, moved, observed))
+            chance = here.planes * np.minimum(2.0 * PLANE_CUT * sigma / span, 1.0).prod()
+            squares[plane] = float(((e / sigma) ** 2).sum())
+            fits[plane] = bool((np.abs(e) <= PLANE_CUT * sigma).all()) and chance <= PLANE_CHANCE
+        best = int(np.argmin(squares))
+        if fits[best] and np.sort(squares)[1] > squares[best] + ODDS_OF_PLANE:
+            other[station] = best
     return other
-
-
-def _fitting_plane(
-    of_station: Readings,
-    span: float,
-    parameters: Parameters,
-    range_sigma: float,
-    observed: Observability,
-) -> int | None:
-    """Return the plane that all readings of a station fit far better than others, and not by chance.
-
-    All planes of `parameters` must be seen from the origin of the hand poses. A reading fits no plane
-    that is behind the sensor or parallel to its beam; `span` [m] is the span of the good readings.
-    """
-    squares, fits = np.full(of_station.planes, np.inf), np.zeros(of_station.planes, dtype=bool)
-    for plane in set(range(of_station.planes)) - {int(of_station.plane[0])}:
-        moved = replace(of_station, plane=np.full(len(of_station), plane, dtype=np.intp))
-        e = residuals(parameters, moved)
-        k = parameters.range_errors[moved.beam]
-        if not (np.isfinite(e) & (e + model.corrected(moved.distance, k) > 0.0)).all():
-            continue
-        sigma = range_sigma * np.sqrt(1.0 + leverages(parameters, moved, observed))
-        chance = of_station.planes * np.minimum(2.0 * PLANE_CUT * sigma / span, 1.0).prod()
-        squares[plane] = float(((e / sigma) ** 2).sum())
-        fits[plane] = bool((np.abs(e) <= PLANE_CUT * sigma).all()) and chance <= PLANE_CHANCE
-    best = int(np.argmin(squares))
-    return best if fits[best] and np.sort(squares)[1] > squares[best] + ODDS_OF_PLANE else None
 
 
 def _swapped(
@@ -177,11 +160,11 @@ def _repeated_poses(readings: Readings) -> BoolArray:
     """Tell of every station whether another one has the same pose."""
     count = int(readings.station.max()) + 1
     poses = np.full((count, 12), np.nan)
-    poses[readings.station, :9] = readings.world_R_hand.reshape(-1, 9)
-    poses[readings.station, 9:] = readings.world_t_hand
+    poses[readings.station] = np.hstack(
+        (readings.world_R_hand.reshape(-1, 9), readings.world_t_hand)
+    )
     # Equal cells have equal bytes once zeros have one sign: to count these is faster than to sort rows.
-    cells = np.round(poses / ROUNDING) + 0.0
-    keys = cells.view(f"V{cells.shape[1] * cells.itemsize}").ravel().tolist()
+    keys = [cell.tobytes() for cell in np.round(poses / ROUNDING) + 0.0]
     times = Counter(keys)
     again = np.array([times[key] > 1 for key in keys], dtype=bool)
     return np.asarray(again & ~np.isnan(poses[:, 0]))
@@ -206,9 +189,14 @@ def range_ends(
         for rows, far in ((of_beam[::-1], True), (of_beam, False)):
             towards = np.isfinite(residual[rows]) & ((residual[rows] > 0.0) == far)
             marked = unexplained[rows] & towards
-            extreme = _end(marked, 0.5 * share, FAMILY_LEVEL / (2.0 * readings.beams))
-            if not extreme:
+            # The first rows with more of them than chance explains; one reading is no pattern.
+            place = np.flatnonzero(marked) + 1
+            count = np.arange(1, len(place) + 1)
+            odds = len(place) * bdtrc(count - 1.0, place, 0.5 * share)
+            odds[(count < 2) | (2 * count <= place)] = np.inf
+            if not (odds <= FAMILY_LEVEL / (2.0 * readings.beams)).any():
                 continue
+            extreme = int(place[odds.argmin()])
             limit = float(readings.distance[rows[extreme - 1]])
             out = rows[:extreme][marked[:extreme]]
             warning = CalibrationWarning(
@@ -221,15 +209,3 @@ def range_ends(
                 {"beam": name, "limit_m": limit, "rejected": len(out)},
             )
             yield out, TOO_SHORT if far else TOO_LONG, warning
-
-
-def _end(marked: BoolArray, share: float, chance: float) -> int:
-    """Return the length of the first rows with more `marked` than chance explains, or 0.
-
-    By chance, each row is marked with the probability `share`. One reading is no pattern.
-    """
-    place = np.flatnonzero(marked) + 1
-    count = np.arange(1, len(place) + 1)
-    odds = len(place) * bdtrc(count - 1.0, place, share)
-    odds[(count < 2) | (2 * count <= place)] = np.inf
-    return int(place[odds.argmin()]) if (odds <= chance).any() else 0

@@ -294,19 +294,13 @@ def leverages(
     for i, own in enumerate(beams):
         rows_of_beam = np.flatnonzero(readings.beam == i)
         a = rows_of_beams[rows_of_beam]
-        h[rows_of_beam] = _dot(a @ own, a)
+        h[rows_of_beam] = ((a @ own) * a).sum(axis=1)
     # What a plane says beside the beam and by itself, of which the former counts twice.
     pulled = rows_of_beams[:, None] @ across[readings.plane, readings.beam]
     own_pull = plane[:, None] @ rest[readings.plane]
-    h += _dot((own_pull - 2.0 * pulled)[:, 0], plane)
+    h += ((own_pull - 2.0 * pulled)[:, 0] * plane).sum(axis=1)
     # It is a variance: where hardly anything is determined, differences of large numbers are rounding.
     return np.maximum(h, 0.0)
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the products (N,) of the rows of a and b (N, i)."""
-    products: FloatArray = np.einsum("ni,ni->n", a, b)
-    return products
 
 
 def standardized(
