@@ -88,20 +88,13 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     found = reference.parameters
     off = [ours - theirs for ours, theirs in zip(own.beams, found.beams, strict=True)]
     of_planes = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
-    of_beam = {
-        "location": OF_LOCATION,
-        "direction": OF_DIRECTION,
-        "range error": OF_RANGE_ERROR,
-    }
+    of_beam = {"location": OF_LOCATION, "direction": OF_DIRECTION, "range error": OF_RANGE_ERROR}
     of_plane = {"normal": slice(0, 3), "offset": slice(3, 4)}
     S, T = variance * reference.beam_covariances, variance * reference.plane_covariances
     beams = zip(calibration.beams, np.hstack(off), joint.all_beams(), S, strict=True)
     planes = zip(calibration.planes, of_planes, joint.all_planes(), T, strict=True)
-    rows = [
-        (f"{kind} {name}", e, mine, other, parts)
-        for kind, all_of_kind, parts in (("beam", beams, of_beam), ("plane", planes, of_plane))
-        for name, e, mine, other in all_of_kind
-    ]
+    rows = [(f"beam {name}", *numbers, of_beam) for name, *numbers in beams]
+    rows += [(f"plane {name}", *numbers, of_plane) for name, *numbers in planes]
     for effect in calibration.effects:
         member = effect.code, effect.subject
         off_size = np.array([effect.size - reference.sizes[member]])
@@ -125,27 +118,20 @@ def compared(
     iterations : int
         Of the reference.
     """
-    rows = [
-        (f"{name} {quantity}", *difference)
-        for name, e, mine, other, parts in variables
-        for quantity, part in parts.items()
-        for difference in _differences(e[part], mine[part, part], other[part, part])
-    ]
+    rows = []
+    for name, e, mine, other, parts in variables:
+        for quantity, part in parts.items():
+            if not e[part].size:
+                continue
+            # Along the principal axes; those without variance, along a unit vector or of a range error
+            # that is not estimated, are omitted.
+            variances, axes = np.linalg.eigh(mine[part, part])
+            keep = variances > SINGULAR * variances[-1]
+            sigma, axes = np.sqrt(variances[keep]), axes[:, keep]
+            other_sigma = np.sqrt(np.einsum("ik,ij,jk->k", axes, other[part, part], axes))
+            off, ratio = np.abs(axes.T @ e[part]) / sigma, np.abs(other_sigma / sigma - 1.0)
+            along = zip(off.tolist(), ratio.tolist(), strict=True)
+            rows += [(f"{name} {quantity}", *difference) for difference in along]
     worst = max(rows, key=lambda row: row[1])
     worst_sigma = max(rows, key=lambda row: row[2])
     return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], iterations)
-
-
-def _differences(e: FloatArray, mine: FloatArray, other: FloatArray) -> list[tuple[float, float]]:
-    """Return differences in sigmas, and relative ones of sigma, along the principal axes.
-
-    Axes without variance, along a unit vector or of a range error that is not estimated, are omitted.
-    """
-    if not len(e):
-        return []
-    variances, axes = np.linalg.eigh(mine)
-    keep = variances > SINGULAR * variances[-1]
-    sigma, axes = np.sqrt(variances[keep]), axes[:, keep]
-    other_sigma = np.sqrt(np.einsum("ik,ij,jk->k", axes, other, axes))
-    along, ratio = np.abs(axes.T @ e) / sigma, np.abs(other_sigma / sigma - 1.0)
-    return list(zip(along.tolist(), ratio.tolist(), strict=True))
