@@ -135,12 +135,9 @@ class Contents:
         for index, name in enumerate(recording.plane_names):
             new = recording.part(np.flatnonzero(recording.plane_of_station == index))
             outside = (new.ranges < sensor.range_min) | (new.ranges > sensor.range_max)
-            rejected = named(new, outside, OUTSIDE)
-            old = planes.get(name)
-            planes[name] = PlaneContents(new, rejected)
-            if old is not None:
-                more = join([old.recording, new])
-                planes[name] = replace(old, recording=more, rejected=(*old.rejected, *rejected))
+            rejected, old = named(new, outside, OUTSIDE), planes.get(name, PlaneContents(new))
+            more = join([old.recording, new]) if name in planes else new
+            planes[name] = replace(old, recording=more, rejected=(*old.rejected, *rejected))
         first = max(self.station_numbers.values(), default=-1) + 1
         numbers = {name: first + j for j, name in enumerate(recording.station_names)}
         return replace(self, planes=planes, station_numbers={**self.station_numbers, **numbers})
@@ -151,18 +148,11 @@ class Contents:
 
     def restarted(self, rejected: Iterable[Rejected]) -> "Contents":
         """Return the contents of which nothing is in a graph, with just these readings rejected."""
-        plane_of = {
-            station: name
-            for name, plane in self.planes.items()
-            for station in plane.recording.station_names
-        }
-        of_plane: dict[str, list[Rejected]] = {name: [] for name in self.planes}
-        for reading in rejected:
-            of_plane[plane_of[reading.station]].append(replace(reading, residual=None))
-        planes = {
-            name: PlaneContents(plane.recording, tuple(of_plane[name]))
-            for name, plane in self.planes.items()
-        }
+        every, planes = [replace(reading, residual=None) for reading in rejected], {}
+        for name, plane in self.planes.items():
+            here = set(plane.recording.station_names)
+            out = tuple(reading for reading in every if reading.station in here)
+            planes[name] = PlaneContents(plane.recording, out)
         return replace(self, planes=planes)
 
     def without_plane(self, name: str) -> "Contents":

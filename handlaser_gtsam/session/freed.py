@@ -21,9 +21,8 @@ from ..results.calibration import Calibration
 from ..solvers.isam import BeamState
 from .config import SessionConfig
 from .contents import Contents
-from .drift import DriftHistory
-from .fitted import fit_plane
-from .joining import fitted_planes
+from .fitted import determined_plane
+from .joining import fitted_planes, history_of
 from .reports import Change, Comparison, Moved
 from .state import undetermined
 
@@ -94,13 +93,10 @@ class FreedState:
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         beams, used = self.integrated.beams, self.batch.used_in(self.contents.everything())
-        history = DriftHistory.empty(self.config, beams)
-        for plane in self.contents.numbers:
-            fitted = fit_plane(self.config, used.plane(plane), beams)
-            if fitted is not None and fitted.determined():
-                information = fitted.information(history)
-                if fitted.fits(information, history):
-                    history = history.with_plane(plane, information)
+        planes = self.contents.numbers
+        fitted = {name: determined_plane(self.config, used.plane(name), beams) for name in planes}
+        determined = {name: plane for name, plane in fitted.items() if plane is not None}
+        history, _ = history_of(self.config, beams, determined)
         return history.search(self.config.sigma_dof, history.recent() if recently else None)
 
     def compare(self) -> Comparison:

@@ -97,6 +97,20 @@ def fitted_planes(
     return {name: plane for name, plane in fitted.items() if plane is not None}
 
 
+def history_of(
+    config: SessionConfig, beams: Beams, fitted: Mapping[str, FittedPlane]
+) -> tuple[DriftHistory, frozenset[str]]:
+    """Return what planes beside `beams` know of these, and the planes that do not fit any beams."""
+    history, inconsistent = DriftHistory.empty(config, beams), []
+    for name, plane in fitted.items():
+        information = plane.information(history)
+        if plane.fits(information, history):
+            history = history.with_plane(name, information)
+        else:
+            inconsistent.append(name)
+    return history, frozenset(inconsistent)
+
+
 def factors_of(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, GraphPart]:
     """Return the factors of planes of the contents, by their number."""
     numbers, stations = contents.numbers, contents.station_numbers

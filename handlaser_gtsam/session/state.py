@@ -35,7 +35,7 @@ from .config import SessionConfig
 from .contents import Contents
 from .drift import DriftHistory, turns
 from .fitted import FittedPlane, fit_plane
-from .joining import factors_of, fitted_planes, join_planes
+from .joining import factors_of, fitted_planes, history_of, join_planes
 from .reports import Comparison, Moved
 
 REWEIGHED_MOVE = 3e-3
@@ -323,28 +323,11 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
     fitted = fitted_planes(contents, config, beams)
     contents = contents.numbered({plane: plane_fit.origin for plane, plane_fit in fitted.items()})
     factors = factors_of(contents, fitted)
-    history, inconsistent = DriftHistory.empty(config, beams), set[str]()
-    for plane, plane_fit in fitted.items():
-        information = plane_fit.information(history)
-        if plane_fit.fits(information, history):
-            history = history.with_plane(plane, information)
-        else:
-            inconsistent.add(plane)
+    history, inconsistent = history_of(config, beams, fitted)
     graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
     graph, state = graph.changed(factors, (), config.start(beams), fine=bool(inconsistent))
-    now = SessionState(
-        contents,
-        config,
-        graph,
-        factors,
-        state,
-        state,
-        0,
-        history,
-        frozenset(inconsistent),
-        len(fitted),
-        _sums(fitted, history),
-    )
+    sums, known = _sums(fitted, history), (history, inconsistent, len(fitted))
+    now = SessionState(contents, config, graph, factors, state, state, 0, *known, sums)
     for _ in range(MOST_ROUNDS):
         before, now = now, now.reweighed()
         if now is before:
