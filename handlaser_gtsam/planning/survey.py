@@ -11,7 +11,6 @@ guides the choice: spot errors are stated only where survey and stations determi
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, evenly
 from ..checks import require_count, require_kind
@@ -30,9 +29,9 @@ from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations
 from .bounds import MOST_PLANNED
 from .choice import choose
-from .goal import Goal
+from .goal import Forecast, Goal
 from .information import updated
-from .workspace import TURN_EXPONENT, Workspace, inside, workspace_of
+from .workspace import Workspace, drawn_turns, inside, workspace_of
 
 VIEWS = 600
 """Candidates before each target for each sensor: twice as many bring less than a tenth more."""
@@ -290,11 +289,7 @@ def _drawn(
     spots += stations.world_t_hand[station]
     family, number = items[0].target
     x = found.estimate.values[family][number]
-    turn = rng.standard_normal((ORIENTATIONS, 3))
-    turn *= (workspace.largest_turn * rng.random(ORIENTATIONS) ** (1.0 / TURN_EXPONENT))[
-        :, None
-    ] / (np.linalg.norm(turn, axis=1, keepdims=True))
-    R = workspace.home @ Rotation.from_rotvec(turn).as_matrix()
+    R = drawn_turns(workspace, ORIENTATIONS, rng)
     direction = R @ sensor.rotation @ u
     if family == PLANE.name:
         before = stations.world_R_hand[station] @ sensor.rotation @ u @ x[:3]
@@ -314,14 +309,13 @@ def _drawn(
 
 def _reached(calibration: SurveyCalibration, C: FloatArray, spot: float, goal: Goal) -> bool:
     """Tell whether all sensors are as well known as the goal asks."""
-    turns, shifts = [], []
-    place = calibration._found.rows.places().place[SENSOR.name]
-    for first, sensor in zip(place.tolist(), calibration.sensors.values(), strict=True):
-        turn, shift = slice(first, first + 3), slice(first + 3, first + 6)
-        turns.append(np.diagonal(C[turn, turn]).max())
-        shifts.append(np.diagonal(sensor.rotation @ C[shift, shift] @ sensor.rotation.T).max())
-    asked = (goal.location_sigma, max(shifts) ** 0.5), (goal.direction_sigma, max(turns) ** 0.5)
-    return all(most is None or size <= most for most, size in (*asked, (goal.spot, spot)))
+    place, turns, shifts = calibration._found.rows.places().place[SENSOR.name], [], []
+    for first, sensor in zip(place, calibration.sensors.values(), strict=True):
+        S, R = C[first : first + 6, first : first + 6], sensor.rotation
+        turns.append(np.diagonal(S[:3, :3]).max())
+        shifts.append(np.diagonal(R @ S[3:, 3:] @ R.T).max())
+    location, direction = np.sqrt([[max(shifts)], [max(turns)]])
+    return Forecast(location, direction, np.array([spot]), np.nan).reaches(goal) is not None
 
 
 def _spot_error(C: FloatArray, spots: FloatArray) -> float:

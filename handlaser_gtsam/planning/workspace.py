@@ -257,6 +257,13 @@ def safe(belief: Belief, stations: Stations, sensor: Sensor) -> BoolArray:
     return np.asarray((sensor.can_read(near) & sensor.can_read(far) & steep).all(axis=1))
 
 
+def drawn_turns(workspace: Workspace, count: int, rng: np.random.Generator) -> FloatArray:
+    """Return random orientations (count, 3, 3) of the hand in a workspace."""
+    axis = model.normalized(rng.standard_normal((count, 3)))
+    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / TURN_EXPONENT)
+    return np.asarray(workspace.home @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix())
+
+
 def joined(parts: Sequence[Stations]) -> Stations:
     """Return stations one after the other."""
     return Stations(
@@ -276,9 +283,7 @@ def _drawn(
 ) -> Stations:
     """Return random stations of the workspace, moved along the normal until the beams can read."""
     mean = belief.mean
-    axis = model.normalized(rng.standard_normal((count, 3)))
-    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / TURN_EXPONENT)
-    R = workspace.home @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
+    R = drawn_turns(workspace, count, rng)
     t = rng.uniform(workspace.low, workspace.high, (count, 3))
     n, b = mean.normals[plane], mean.offsets[plane]
     n_hand = np.einsum("mji,j->mi", R, n)
