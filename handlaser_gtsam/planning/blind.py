@@ -115,20 +115,17 @@ def blind_motion(
     # A calibration calls undetermined what is known worse than `KNOWN`: half of it is well enough, and
     # nearly all where the number of stations is given.
     enough = (0.5 if stations is None else 0.8) * KNOWN
-    motion: Stations | None = None
     most = MOST_BLIND if stations is None else stations
-    for number in range(stations or LEAST_BLIND, most + 1, 4):
-        more = number - len(first)
-        if len(turns) < more:
-            break
+    counts = np.arange(stations or LEAST_BLIND, most + 1, 4) - len(first)
+    for more in counts[counts <= len(turns)].tolist():
         chosen, worst = known.best(beliefs, before, turns, more)
         if worst <= enough:
-            motion = joined([first, turns[chosen]])
             break
-    if motion is None:
+    else:
         raise known.refusal(
             "no motion that determines the mounts and keeps", "a wider workspace, more stations"
         )
+    motion = joined([first, turns[chosen]])
     plates = {plane_name(p): bounds.plate for p in range(planes)}
     belief = known.belief(bounds.middle()).before(plates, only=True)
     every = joined([replace(motion, plane=np.full(len(motion), p)) for p in range(planes)])
@@ -235,15 +232,14 @@ class Blind:
     def belief(self, at: Parameters) -> Belief:
         """Return what a calibration would start from about some beams and a plate: next to nothing.
 
-        It does not use the bounds; they are the `spread`.
+        It does not use the bounds; those of the beams are the `spread`, and a plate has its own.
         """
         bounds, plate, sensor = self.bounds, self.bounds.plate, self.sensor
-        uniform = 1.0 / math.sqrt(3.0)  # sigma of a uniform number over its half-width
         k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), ROUNDING)])
         unknown = np.tile([*[UNKNOWN_LENGTH] * 3, *[UNKNOWN_ANGLE] * 2, *k], len(bounds.locations))
-        within = [*[uniform * bounds.location_within] * 3, *[0.5 * bounds.cone] * 2, *k]
-        placed = [0.5 * plate.tilt, 0.5 * plate.tilt, uniform * plate.within]
-        spread = np.append(np.tile(within, len(bounds.locations)), placed)
+        # The sigma of a uniform number is its half-width over the root of three.
+        box, cone = bounds.location_within / math.sqrt(3.0), 0.5 * bounds.cone
+        spread = np.tile([*[box] * 3, *[cone] * 2, *k], len(bounds.locations))
         return Belief(
             at,
             np.diag(np.append(unknown, UNKNOWN_PLANE) ** 2),
@@ -252,7 +248,7 @@ class Blind:
             plate.point[None],
             self.variances,
             ("plate",),
-            np.diag(np.maximum(spread, ROUNDING) ** 2),
+            np.diag(np.append(np.maximum(spread, ROUNDING), UNKNOWN_PLANE) ** 2),
         )
 
     def facing(self) -> FloatArray:
