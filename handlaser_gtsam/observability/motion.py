@@ -7,6 +7,7 @@ and planes in general position: what stays open there stays open for any.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..quantities import SINGULAR
 from ..starts.choice import find_start
 from ..starts.translations import SPANNING
 from ..text import some
-from .poor_motion import COUNTED_TURN, LEAST_MOVE, PoorMotion, named, poor_motion, some_plane_leans
+from .poor_motion import COUNTED_TURN, LEAST_MOVE, named, poor_motion, some_plane_leans
 from .rank import observability
 from .wording import MIRROR, MIRROR_ADVICE, BeamAndPlaneNames, OpenPart, open_parts
 
@@ -104,7 +105,16 @@ def check_motion(recording: Recording) -> MotionCheck:
     parts, leans, unknowns = _open_in_general(readings, names), True, count_unknowns(readings, 0)
     motion = poor_motion(readings)
     if motion is not None:
-        parts, leans = _open_before_planes(readings, names, motion, parts)
+        # Of a motion that is poor but for a floor that is not flat, nothing is undetermined in general,
+        # for readings without noise; the noise of the readings decides, before the planes there are.
+        at = find_start(readings, terms=0, effort="normal").parameters
+        with suppress(GrazingBeamError):
+            e = model.residuals(model.scene(at, readings), readings.distance)
+            rms = float(np.sqrt(e @ e / max(len(readings) - unknowns, 1)))
+            sigma = max(rms, LEAST_NOISE * readings.typical_range())
+            observed = observability(at, readings, 0, sigma)
+            leans = some_plane_leans(motion, at, readings, sigma)
+            parts = parts if leans and parts else open_parts(observed, at, names)
     words, help_ = named(motion, parts, leans=leans, k1_free=None)
     moved = float(np.abs(readings.world_t_hand).max())
     if not parts and moved < LEAST_MOVE * readings.typical_range():
@@ -170,30 +180,6 @@ def _open_in_general(readings: Readings, names: BeamAndPlaneNames) -> tuple[Open
         if least == 0:
             break
     return best
-
-
-def _open_before_planes(
-    readings: Readings,
-    names: BeamAndPlaneNames,
-    motion: PoorMotion,
-    in_general: tuple[OpenPart, ...],
-) -> tuple[tuple[OpenPart, ...], bool]:
-    """Return what is undetermined before the planes that there are, and whether one of them leans.
-
-    Of a motion that is poor but for a floor that is not flat, nothing is undetermined in general, for
-    readings without noise; that of the readings decides.
-    """
-    at = find_start(readings, terms=0, effort="normal").parameters
-    try:
-        e = model.residuals(model.scene(at, readings), readings.distance)
-        rms = float(np.sqrt(e @ e / max(len(readings) - count_unknowns(readings, 0), 1)))
-        sigma = max(rms, LEAST_NOISE * readings.typical_range())
-        observed = observability(at, readings, 0, sigma)
-        leans = some_plane_leans(motion, at, readings, sigma)
-    except GrazingBeamError:
-        return in_general, True
-    parts = open_parts(observed, at, names)
-    return (in_general if leans and in_general else parts), leans
 
 
 def lemma_words(check: MotionCheck, beams: Sequence[str]) -> tuple[str, ...]:

@@ -69,7 +69,10 @@ def reasons(
     range_sigma: float,
     names: BeamAndPlaneNames,
 ) -> Reasons:
-    """Explain every reading that is not `kept` (N,); good ones have the sigma `range_sigma` [m]."""
+    """Explain every reading that is not `kept` (N,); good ones have the sigma `range_sigma` [m].
+
+    All planes of `parameters` must be seen from the origin of the hand poses.
+    """
     if kept.all():
         return Reasons((), {}, (), residuals(parameters, readings))
     beam_names, plane_names = names.sorted_beams(), names.sorted_planes()
@@ -78,7 +81,30 @@ def reasons(
     x = model.scene(parameters, readings)
     flat = np.abs(model.cosines(x)) < GRAZING_COSINE
     repeated = _repeated_poses(readings)
-    other = _other_planes(readings, kept, left, parameters, range_sigma)
+    # Stations whose readings mostly contradict the plane of their label, and all fit another plane far
+    # better than any others, and not by chance.
+    other: dict[int, int] = {}
+    span = float(np.ptp(readings.distance[kept]))
+    observed = observability(parameters, readings.subset(np.flatnonzero(kept)), 0, 0.0)
+    out = np.bincount(readings.station[~kept], minlength=len(left))
+    doubtful = np.flatnonzero((out > 0) & (out >= left)) if readings.planes > 1 else rows[:0]
+    for station in doubtful.tolist():
+        here = readings.subset(np.flatnonzero(readings.station == station))
+        squares, fits = np.full(here.planes, np.inf), np.zeros(here.planes, dtype=bool)
+        for plane in set(range(here.planes)) - {int(here.plane[0])}:
+            moved = replace(here, plane=np.full(len(here), plane, dtype=np.intp))
+            e = residuals(parameters, moved)
+            k = parameters.range_errors[moved.beam]
+            # It fits no plane that is behind the sensor or parallel to its beam.
+            if not (np.isfinite(e) & (e + model.corrected(moved.distance, k) > 0.0)).all():
+                continue
+            sigma = range_sigma * np.sqrt(1.0 + leverages(parameters, moved, observed))
+            chance = here.planes * np.minimum(2.0 * PLANE_CUT * sigma / span, 1.0).prod()
+            squares[plane] = float(((e / sigma) ** 2).sum())
+            fits[plane] = bool((np.abs(e) <= PLANE_CUT * sigma).all()) and chance <= PLANE_CHANCE
+        best = int(np.argmin(squares))
+        if fits[best] and np.sort(squares)[1] > squares[best] + ODDS_OF_PLANE:
+            other[station] = best
     swapped = _swapped(readings, rows, parameters, range_sigma)
     words = np.full(len(readings), OUTLIER, dtype=object)
     station, together = readings.station, np.bincount(readings.station)
@@ -97,44 +123,6 @@ def reasons(
         words[of_end] = reason
         warnings.append(warning)
     return Reasons(tuple(words[rows].tolist()), other, tuple(warnings), residual)
-
-
-def _other_planes(
-    readings: Readings,
-    kept: BoolArray,
-    left: IntArray,
-    parameters: Parameters,
-    range_sigma: float,
-) -> dict[int, int]:
-    """Return another plane for stations whose readings mostly contradict the plane of their label.
-
-    All readings of such a station fit it far better than others, and not by chance. All planes of
-    `parameters` must be seen from the origin of the hand poses.
-    """
-    other: dict[int, int] = {}
-    if readings.planes == 1 or kept.all():
-        return other
-    span = float(np.ptp(readings.distance[kept]))
-    observed = observability(parameters, readings.subset(np.flatnonzero(kept)), 0, 0.0)
-    out = np.bincount(readings.station[~kept], minlength=len(left))
-    for station in np.flatnonzero((out > 0) & (out >= left)).tolist():
-        here = readings.subset(np.flatnonzero(readings.station == station))
-        squares, fits = np.full(here.planes, np.inf), np.zeros(here.planes, dtype=bool)
-        for plane in set(range(here.planes)) - {int(here.plane[0])}:
-            moved = replace(here, plane=np.full(len(here), plane, dtype=np.intp))
-            e = residuals(parameters, moved)
-            k = parameters.range_errors[moved.beam]
-            # It fits no plane that is behind the sensor or parallel to its beam.
-            if not (np.isfinite(e) & (e + model.corrected(moved.distance, k) > 0.0)).all():
-                continue
-            sigma = range_sigma * np.sqrt(1.0 + leverages(parameters, moved, observed))
-            chance = here.planes * np.minimum(2.0 * PLANE_CUT * sigma / span, 1.0).prod()
-            squares[plane] = float(((e / sigma) ** 2).sum())
-            fits[plane] = bool((np.abs(e) <= PLANE_CUT * sigma).all()) and chance <= PLANE_CHANCE
-        best = int(np.argmin(squares))
-        if fits[best] and np.sort(squares)[1] > squares[best] + ODDS_OF_PLANE:
-            other[station] = best
-    return other
 
 
 def _swapped(

@@ -137,7 +137,30 @@ def candidates(
     """
     require_range(sensor)
     mean, name = belief.mean, belief.plane_names[plane]
-    require_facing(f"plane {name}", workspace, mean.directions, mean.normals[plane])
+    n, b, k = mean.normals[plane], mean.offsets[plane], mean.range_errors
+    require_facing(f"plane {name}", workspace, mean.directions, n)
+    low, high = (
+        np.asarray(model.corrected(np.full(len(k), end), k))
+        for end in (sensor.range_min, sensor.range_max)
+    )
+
+    def moved_to_read(count: int) -> Stations:
+        """Return random stations of the workspace, moved along the normal until the beams can read."""
+        R = drawn_turns(workspace, count, rng)
+        t = rng.uniform(workspace.low, workspace.high, (count, 3))
+        n_hand = np.einsum("mji,j->mi", R, n)
+        cosine = n_hand @ mean.directions.T
+        good = (cosine > least_cosine(sensor)).all(axis=1)
+        R, t, n_hand, cosine = R[good], t[good], n_hand[good], cosine[good]
+        s = -(n_hand @ mean.locations.T + (t @ n + b)[:, None]) / cosine
+        # A step back by h along the normal lengthens the range of a beam by h over its cosine.
+        nearest = ((low - s) * cosine).max(axis=1)
+        farthest = ((high - s) * cosine).min(axis=1)
+        fits = farthest > nearest
+        share = rng.beta(ENDS, ENDS, size=int(fits.sum()))
+        back = nearest[fits] + share * (farthest - nearest)[fits]
+        return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(back), plane))
+
     kept: list[Stations] = []
     drawn = good = asked = 0
     while drawn < MOST_TRIED * count and good < count and asked < MOST_ASKED * count:
@@ -147,7 +170,7 @@ def candidates(
             missing = MORE_THAN_MISSING * (count - good) * drawn / max(good, 1)
             wanted = int(np.clip(missing, 0.1 * count, most))
         drawn += wanted
-        tried = _drawn(belief, plane, workspace, sensor, wanted, rng)
+        tried = moved_to_read(wanted)
         tried = tried[inside(workspace, tried)]
         if not len(tried):
             continue
@@ -271,33 +294,3 @@ def joined(parts: Sequence[Stations]) -> Stations:
         np.concatenate([one.world_t_hand for one in parts]),
         np.concatenate([one.plane for one in parts]),
     )
-
-
-def _drawn(
-    belief: Belief,
-    plane: int,
-    workspace: Workspace,
-    sensor: Sensor,
-    count: int,
-    rng: np.random.Generator,
-) -> Stations:
-    """Return random stations of the workspace, moved along the normal until the beams can read."""
-    mean = belief.mean
-    R = drawn_turns(workspace, count, rng)
-    t = rng.uniform(workspace.low, workspace.high, (count, 3))
-    n, b = mean.normals[plane], mean.offsets[plane]
-    n_hand = np.einsum("mji,j->mi", R, n)
-    cosine = n_hand @ mean.directions.T
-    good = (cosine > least_cosine(sensor)).all(axis=1)
-    R, t, n_hand, cosine = R[good], t[good], n_hand[good], cosine[good]
-    s = -(n_hand @ mean.locations.T + (t @ n + b)[:, None]) / cosine
-    k = mean.range_errors
-    low = np.asarray(model.corrected(np.full(len(k), sensor.range_min), k))
-    high = np.asarray(model.corrected(np.full(len(k), sensor.range_max), k))
-    # A step back by h along the normal lengthens the range of a beam by h over its cosine.
-    nearest = ((low - s) * cosine).max(axis=1)
-    farthest = ((high - s) * cosine).min(axis=1)
-    fits = farthest > nearest
-    share = rng.beta(ENDS, ENDS, size=int(fits.sum()))
-    back = nearest[fits] + share * (farthest - nearest)[fits]
-    return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(back), plane))

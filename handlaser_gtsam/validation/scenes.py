@@ -125,7 +125,7 @@ def _scene(kind: _Kind, layout: Layout, rng: np.random.Generator) -> tuple[Param
     Beams are on a circle in the front of the hand (its +z), each tilted a little; planes are above the
     hand, each tilted to its own side, through a point near the base.
     """
-    count = layout.beams
+    count, (low, high) = layout.beams, kind.working
     angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
     circle = np.stack((np.cos(angle), np.sin(angle), np.zeros(count)), axis=1)
     r = kind.beam_circle * (circle + rng.uniform(-0.2, 0.2, (count, 3)))
@@ -140,7 +140,19 @@ def _scene(kind: _Kind, layout: Layout, rng: np.random.Generator) -> tuple[Param
         normals.append(n)
         offsets.append(offset)
         R.append(_turns(layout.stations, kind, rng))
-        t.append(_positions(R[p], (n, offset), (r, v), kind, rng))
+        # Positions at which the readings of all beams lie in the working range, if they fit.
+        wander = rng.uniform(-1.0, 1.0, (layout.stations, 3)) * (high - low)
+        at = np.array(kind.base) + wander
+        at -= (at @ n + offset)[:, None] * n
+        n_hand = np.einsum("mji,j->mi", R[p], n)
+        cosine = n_hand @ v.T
+        s = -(n_hand @ r.T) / cosine
+        # A step back by h lengthens the range of beam i by h / cosine_i: keep each within [low, high].
+        nearest = ((low - s) * cosine).max(axis=1)
+        farthest = ((high - s) * cosine).min(axis=1)
+        share = (np.arange(layout.stations) + 0.5)[rng.permutation(layout.stations)]
+        share = share / layout.stations
+        t.append(at - (nearest + share * np.maximum(farthest - nearest, 0.0))[:, None] * n)
     k = np.tile([layout.k1, layout.k2], (count, 1))
     truth = Parameters(r, v, k, np.array(normals), np.array(offsets))
     label = np.repeat(np.arange(layout.planes), layout.stations)
@@ -188,25 +200,3 @@ def draw_scene(
     k = truth.range_errors + rng.standard_normal(truth.range_errors.shape) * range_error_sigmas
     truth = Parameters(truth.locations, truth.directions, k, truth.normals, truth.offsets)
     return simulate(truth, stations, errors or ERRORS[scene], rng, SENSORS[scene]), truth
-
-
-def _positions(
-    R: FloatArray,
-    plane: tuple[FloatArray, float],
-    beams: tuple[FloatArray, FloatArray],
-    kind: _Kind,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Hand positions at which the readings of all beams lie in the working range, if they fit."""
-    (n, b), (r, v), (low, high), count = plane, beams, kind.working, len(R)
-    t = np.array(kind.base) + rng.uniform(-1.0, 1.0, (count, 3)) * (high - low)
-    t -= (t @ n + b)[:, None] * n
-    n_hand = np.einsum("mji,j->mi", R, n)
-    cosine = n_hand @ v.T
-    s = -(n_hand @ r.T) / cosine
-    # A step back by h lengthens the range of beam i by h / cosine_i: keep each within [low, high].
-    nearest = ((low - s) * cosine).max(axis=1)
-    farthest = ((high - s) * cosine).min(axis=1)
-    share = (np.arange(count) + 0.5)[rng.permutation(count)] / count
-    back = nearest + share * np.maximum(farthest - nearest, 0.0)
-    return np.asarray(t - back[:, None] * n)

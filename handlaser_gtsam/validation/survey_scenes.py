@@ -131,6 +131,24 @@ def survey_scene(
             targets[label] = np.append(n, -n @ place)
         else:
             targets[label] = np.append(place, [radius] * (kind_of(label) == SPHERE.name))
+
+    def looking(label: str, viewer: int) -> tuple[FloatArray, FloatArray]:
+        """Return a hand pose whose sensor looks at a target with its middle ray."""
+        x, (o, u), mount = targets[label], lines[viewer], mounts[viewer]
+        if kind_of(label) == PLANE.name:
+            w = _square(x[:3]) @ _tilted(STEEPEST_LOOK, rng)
+            at = BASE + working * rng.uniform(-0.5, 0.5, 3)
+            at = at - (at @ x[:3] + x[3]) * x[:3]
+        elif kind_of(label) == SPHERE.name:
+            w = _tilted(2.0 * SPREAD, rng)
+            at = x[:3] + x[3] * (bases(w) @ rng.uniform(-0.3, 0.3, 2) - w)
+        else:
+            w = _tilted(2.0 * SPREAD, rng)
+            at = x[:3] + AIMING_SIGMA * (bases(w) @ rng.standard_normal(2))
+        sensor = _square(w) @ _spun(rng.uniform(-SPINS, SPINS)) @ _square(u).T
+        R = sensor @ mount[:3, :3].T
+        return R, at - working * rng.uniform(0.8, 1.2) * w - sensor @ o - R @ mount[:3, 3]
+
     poses, names = [], []
     turns = {False: 0, True: 0}  # go on from target to target: few stations are for all sensors
     for label in labels:
@@ -139,7 +157,7 @@ def survey_scene(
         for _ in range(count):
             i = viewers[turns[of_beams] % len(viewers)]
             turns[of_beams] += 1
-            poses.append(_looking(label, targets[label], lines[i], mounts[i], working, rng))
+            poses.append(looking(label, i))
             names.append(label)
     R, t = (np.array(part) for part in zip(*poses, strict=True))
     of_fans = dict(zip((fan.name for fan in fans), mounts, strict=False))
@@ -178,28 +196,3 @@ def _tilted(most: float, rng: np.random.Generator) -> FloatArray:
     """Return a unit vector up to an angle from the z axis, in any direction."""
     tilt, turn = most * np.sqrt(rng.random()), rng.uniform(0.0, 2.0 * np.pi)
     return np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
-
-
-def _looking(
-    label: str,
-    x: FloatArray,
-    line: tuple[FloatArray, FloatArray],
-    mount: FloatArray,
-    working: float,
-    rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray]:
-    """Return a hand pose whose sensor looks at a target with its middle ray."""
-    if kind_of(label) == PLANE.name:
-        w = _square(x[:3]) @ _tilted(STEEPEST_LOOK, rng)
-        at = BASE + working * rng.uniform(-0.5, 0.5, 3)
-        at = at - (at @ x[:3] + x[3]) * x[:3]
-    else:
-        w, at = _tilted(2.0 * SPREAD, rng), x[:3]
-        if kind_of(label) == SPHERE.name:
-            at = at + x[3] * (bases(w) @ rng.uniform(-0.3, 0.3, 2) - w)
-        else:
-            at = at + AIMING_SIGMA * (bases(w) @ rng.standard_normal(2))
-    sensor = _square(w) @ _spun(rng.uniform(-SPINS, SPINS)) @ _square(line[1]).T
-    R = sensor @ mount[:3, :3].T
-    start = sensor @ line[0] + R @ mount[:3, 3]
-    return R, at - working * rng.uniform(0.8, 1.2) * w - start
