@@ -84,10 +84,11 @@ def reasons(
     # Stations whose readings mostly contradict the plane of their label, and all fit another plane far
     # better than any others, and not by chance.
     other: dict[int, int] = {}
-    span = float(np.ptp(readings.distance[kept]))
-    observed = observability(parameters, readings.subset(np.flatnonzero(kept)), 0, 0.0)
+    good, span = readings.subset(np.flatnonzero(kept)), float(np.ptp(readings.distance[kept]))
     out = np.bincount(readings.station[~kept], minlength=len(left))
     doubtful = np.flatnonzero((out > 0) & (out >= left)) if readings.planes > 1 else rows[:0]
+    if len(doubtful):
+        observed = observability(parameters, good, 0, 0.0)
     for station in doubtful.tolist():
         here = readings.subset(np.flatnonzero(readings.station == station))
         squares, fits = np.full(here.planes, np.inf), np.zeros(here.planes, dtype=bool)

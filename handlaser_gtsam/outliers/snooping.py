@@ -22,7 +22,6 @@ so that nothing grows with the readings times the unknowns.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaln
 
 from .. import model
 from ..arrays import BoolArray, FloatArray
@@ -46,8 +45,6 @@ MOST_SPAN = 0.5
 """A rejected reading is not taken back where the cut about its prediction is wider than this part of
 the span of good readings: far from the spots of its plane, or along it, that test passes gross errors,
 and the fit would follow them."""
-PRICE_OF_UNKNOWN = 2.0
-"""Logarithm of how many different values of an unknown a search may have tried, to be safe."""
 LARGEST_LEVERAGES = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
 there, and the information takes too long to invert."""
@@ -118,49 +115,10 @@ def screen(
         seen.add(kept.tobytes())
     if not model.plausible_range_errors(parameters, readings.subset(np.flatnonzero(kept))):
         return None
-    return Screening(kept, parameters, sigma, _evidence(readings, kept, parameters, sigma))
+    return Screening(kept, parameters, sigma, evidence(readings, kept, parameters, sigma))
 
 
-def quick_evidence(
-    readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
-) -> float:
-    """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
-    e = np.abs(residuals(parameters, readings))
-    best = np.inf
-    for cut in (FAR_SIGMAS * scale, 2.0 * FAR_SIGMAS * scale):
-        kept = e <= cut
-        good = readings.subset(np.flatnonzero(kept))
-        if enough(readings, kept, terms) and model.plausible_range_errors(parameters, good):
-            sigma = _sigma_of(readings, e[kept], terms, range_sigma)
-            best = min(best, _evidence(readings, kept, parameters, sigma))
-    return float(best)
-
-
-def beyond_chance(
-    readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
-) -> float:
-    r"""Return by how many nats the readings that agree on a candidate are beyond chance.
-
-    As many readings as there are unknowns u can be fitted whatever they are. That m of N readings
-    agree within sigma by chance, where each would lie anywhere within the span W of those, has the
-    expected number of cases (compare Moisan and Stival, IJCV 2004)
-
-        (N over m) (sqrt(2 pi e) sigma / W)^(m - u) exp(price u)
-
-    of which this is the negative logarithm, for readings within a cut of the `scale`.
-    """
-    e = np.abs(residuals(parameters, readings))
-    kept = e <= FAR_SIGMAS * scale
-    total, good, unknowns = len(e), int(kept.sum()), count_unknowns(readings, terms)
-    if good <= unknowns:
-        return -np.inf
-    sigma = _sigma_of(readings, e[kept], terms, range_sigma)
-    each = price(readings.distance[kept], sigma) - 0.5
-    choices = gammaln(total + 1) - gammaln(good + 1) - gammaln(total - good + 1)
-    return float((good - unknowns) * each - choices - PRICE_OF_UNKNOWN * unknowns)
-
-
-def _sigma_of(
+def sigma_of(
     readings: Readings, residual: FloatArray, terms: int, range_sigma: float | None
 ) -> float:
     """Return the sigma [m] of the residuals of agreeing readings, at least the given one."""
@@ -258,9 +216,10 @@ def enough(readings: Readings, kept: BoolArray, terms: int) -> bool:
     return bool(beams.all() and planes.all())
 
 
-def _evidence(
+def evidence(
     readings: Readings, kept: BoolArray, parameters: Parameters, range_sigma: float
 ) -> float:
+    """Return the criterion of readings that are `kept` (N,), with a standard deviation [m]."""
     e = residuals(parameters, readings)[kept]
     total, good = len(kept), int(kept.sum())
     bad = total - good
