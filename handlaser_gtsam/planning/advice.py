@@ -20,7 +20,7 @@ from .information import station_rows
 from .plan import POOL, planned_with_spare, without
 from .route import Plan
 from .task import planning_task
-from .workspace import Workspace, reachable
+from .workspace import Workspace
 
 ADVISED = 3
 """Stations that are named: more are a plan."""
@@ -45,8 +45,7 @@ def next_stations(
     try:
         task = planning_task(calibration, sensor, workspace, Goal() if goal is None else goal)
         share = POOL // 5 // len(task.belief.plane_names)  # so that nobody waits
-        rng = np.random.default_rng(0)
-        pool = reachable(task.belief, task.workspace, sensor, share, rng)
+        pool = task.reachable(share, np.random.default_rng(0))
         chosen = task.chosen(station_rows(task.belief, pool)[None], ADVISED)
         return planned_with_spare(task, pool[chosen], without(pool, chosen), {})
     except HandlaserError:

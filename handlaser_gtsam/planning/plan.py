@@ -20,7 +20,7 @@ from .goal import Goal
 from .information import station_rows, updated
 from .route import Plan, planned
 from .task import Task, planning_task
-from .workspace import Workspace, candidates, inside, joined, reachable, safe, within_reach
+from .workspace import Workspace, inside, joined
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
@@ -81,8 +81,7 @@ def plan(
         put = _placed(task, placement, max(stations // placement.count, 1), rng)
         task = replace(task, belief=task.belief.before(put, only=True))
     belief = task.belief
-    share = max(POOL // len(belief.plane_names), 2 * stations)
-    pool = reachable(belief, task.workspace, sensor, share, rng)
+    pool = task.reachable(max(POOL // len(belief.plane_names), 2 * stations), rng)
     each = [station_rows(belief, pool)]
     for _ in range(COMPARED_DRAWS):
         try:
@@ -129,7 +128,7 @@ def _placed(
             belief = before.before({name: plate})
             plane, trial = len(belief.plane_names) - 1, replace(task, belief=belief)
             try:
-                pool = candidates(belief, plane, task.workspace, task.sensor, POOL // 20, rng)
+                pool = trial.candidates(plane, POOL // 20, rng)
             except InputError:
                 continue
             rows = station_rows(belief, pool)
@@ -165,8 +164,8 @@ def _refined(task: Task, stations: Stations, rng: np.random.Generator) -> Statio
         )
         near = near[inside(workspace, near)]
         try:
-            near = near[safe(belief, near, sensor)]
-            near = near[within_reach(belief, workspace, near)]
+            near = near[task.safe(near)]
+            near = near[task.within_reach(near)]
         except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
         pool = joined([stations, near])
