@@ -1,5 +1,6 @@
 """What is undetermined or weak, by name and in words an engineer understands, and what would help."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -29,6 +30,12 @@ MOUNTED = "beam", "sensor"
 OF_BEAMS = "location", "direction", "range error"
 OF_PLANES = "normal", "offset"
 OF_TARGETS = *OF_PLANES, "place", "radius"
+
+ALONG_AND_ACROSS = {
+    "location": ("location along", "location across"),
+    "turn": ("turns about", "turns about axes across"),
+}
+"""What is said of a quantity that is open along one axis, and along all across one."""
 
 MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
@@ -102,14 +109,13 @@ def open_parts(
 
 def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     """Say what is undetermined, one sentence a mount or kind of target; once for many mounts alike."""
-    of_mounts: dict[tuple[Kind, str], list[OpenPart]] = {}
+    of_mounts: dict[tuple[Kind, str], list[OpenPart]] = defaultdict(list)
     for part in parts:
         if part.kind in MOUNTED:
-            of_mounts.setdefault((part.kind, part.name), []).append(part)
-    alike: dict[tuple[str, ...], list[tuple[Kind, str]]] = {}
-    for mount, open_of_mount in of_mounts.items():
-        quantities = tuple(part.quantity for part in open_of_mount)
-        alike.setdefault((mount[0], *quantities), []).append(mount)
+            of_mounts[part.kind, part.name].append(part)
+    alike: dict[tuple[str, ...], list[tuple[Kind, str]]] = defaultdict(list)
+    for mount, opened in of_mounts.items():
+        alike[mount[0], *(part.quantity for part in opened)].append(mount)
     words = []
     for mounts in alike.values():
         shown = mounts if len(mounts) <= MOST_NAMED else mounts[:1]
@@ -222,12 +228,9 @@ def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:
 
 def _part_words(part: OpenPart) -> str:
     axes, count = part.axes, part.axes.shape[1]
-    if part.quantity == "location" and count < 3:
+    if part.quantity in ALONG_AND_ACROSS and count < 3:
         across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
-        return f"location {'across' if count == 2 else 'along'} {vector_words(across)}"
-    if part.quantity == "turn" and count < 3:
-        across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
-        return f"turns about {'axes across ' if count == 2 else ''}{vector_words(across)}"
+        return f"{ALONG_AND_ACROSS[part.quantity][count - 1]} {vector_words(across)}"
     if part.quantity == "direction" and count == 1:
         return f"direction towards {vector_words(axes[:, 0])}"
     if part.quantity == "range error":

@@ -10,12 +10,24 @@ from ..checks import require_kind
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
-from ..model.families import OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
+from ..model.families import BEAM, PLANE
+from ..model.sensors.mounted import SENSOR
+from ..model.targets.point import POINT
+from ..model.targets.sphere import SPHERE
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
 from ..solvers.reference import ReferenceNoise, solve_reference
 from ..solvers.reference_errors import ERRORS
 from ..starts import find_start
+
+COMPARED_PARTS = {
+    SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
+    BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
+    PLANE.name: {"normal": slice(0, 3), "offset": slice(3, None)},
+    SPHERE.name: {"centre": slice(0, 3), "radius": slice(3, None)},
+    POINT.name: {"position": slice(0, None)},
+}
+"""What is compared at a time of each kind of variable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -88,13 +100,11 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     found = reference.parameters
     off = [ours - theirs for ours, theirs in zip(own.beams, found.beams, strict=True)]
     of_planes = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
-    of_beam = {"location": OF_LOCATION, "direction": OF_DIRECTION, "range error": OF_RANGE_ERROR}
-    of_plane = {"normal": slice(0, 3), "offset": slice(3, 4)}
     S, T = variance * reference.beam_covariances, variance * reference.plane_covariances
     beams = zip(calibration.beams, np.hstack(off), joint.all_beams(), S, strict=True)
     planes = zip(calibration.planes, of_planes, joint.all_planes(), T, strict=True)
-    rows = [(f"beam {name}", *numbers, of_beam) for name, *numbers in beams]
-    rows += [(f"plane {name}", *numbers, of_plane) for name, *numbers in planes]
+    rows = [(f"beam {name}", *numbers, COMPARED_PARTS[BEAM.name]) for name, *numbers in beams]
+    rows += [(f"plane {name}", *numbers, COMPARED_PARTS[PLANE.name]) for name, *numbers in planes]
     for effect in calibration.effects:
         member = effect.code, effect.subject
         off_size = np.array([effect.size - reference.sizes[member]])

@@ -30,7 +30,7 @@ from ..model.targets.sphere import SPHERE
 from ..quantities import SINGULAR
 from ..results.survey import SurveyCalibration, survey_calibration
 from ..solvers.survey_reference import Observed, SurveyProblem, SurveySolution, solve_survey
-from .cross_check import CrossCheck, compared
+from .cross_check import COMPARED_PARTS, CrossCheck, compared
 from .leave_out import PART_LEFT_OUT, USUAL_SPLITS
 
 FITS = "converged", "contradicted"
@@ -40,14 +40,6 @@ LARGEST_DIFFERENCE = 0.5
 by this part. Shots are condensed to first order in their noise: of balls that are read with a noise of
 2 % of the range they differ by up to 0.47, which makes errors a tenth larger than is stated. An array
 of 16 zones with a noise of 1 mm before two balls differs by 1.1."""
-COMPARED_PARTS = {
-    SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
-    BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
-    PLANE.name: {"normal": slice(0, 3), "offset": slice(3, None)},
-    SPHERE.name: {"centre": slice(0, 3), "radius": slice(3, None)},
-    POINT.name: {"position": slice(0, None)},
-}
-"""What is compared at a time of each kind of variable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -336,7 +328,15 @@ def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> Surv
     redundancy = int((~predicted).sum()) - known_rank
     learned = bool(np.isnan([*whole.stated.sigma, *whole.stated.pose]).any())
     p = f_sf(squares / dof, dof, max(redundancy, 1)) if learned else chi2_sf(squares, dof)
-    return SurveyLeftOut(name, len(test), squares, dof, float(p), _shift(calibration, found))
+    # By how much spots at working distance move at most; of beams, their locations.
+    rest_of, shifts = survey_calibration(found), [0.0]
+    for own, sensor in calibration.sensors.items():
+        other, spot = rest_of.sensors[own], sensor.spot
+        there = other.rotation @ spot + other.location
+        shifts.append(float(np.linalg.norm(sensor.rotation @ spot + sensor.location - there)))
+    for own, beam in calibration.beams.items():
+        shifts.append(float(np.linalg.norm(beam.location - rest_of.beams[own].location)))
+    return SurveyLeftOut(name, len(test), squares, dof, float(p), max(shifts))
 
 
 def _without(survey: Survey, out: BoolArray) -> Survey | None:
@@ -360,15 +360,3 @@ def _squares(J: FloatArray, e: FloatArray) -> tuple[float, int]:
     U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
     U = U[:, size > SINGULAR**0.5 * size.max()]
     return float(e @ e - ((U.T @ e) ** 2).sum()), U.shape[1]
-
-
-def _shift(calibration: SurveyCalibration, found: SurveyEstimate) -> float:
-    """Return by how much spots at working distance move at most [m]; of beams, their locations."""
-    rest, shifts = survey_calibration(found), [0.0]
-    for name, sensor in calibration.sensors.items():
-        other, spot = rest.sensors[name], sensor.spot
-        there = other.rotation @ spot + other.location
-        shifts.append(float(np.linalg.norm(sensor.rotation @ spot + sensor.location - there)))
-    for name, beam in calibration.beams.items():
-        shifts.append(float(np.linalg.norm(beam.location - rest.beams[name].location)))
-    return max(shifts)
