@@ -233,29 +233,26 @@ def leverages(
     parameters: Parameters, readings: Readings, observability: Observability
 ) -> FloatArray:
     """Return h (N,) of all readings for the information `observability` of the readings in use."""
-    active = observability.active.reshape(readings.beams, -1)
-    width = active.shape[1]
+    active, beams = observability.active, readings.beams
+    width, each = len(active) // beams, np.arange(beams)
     columns = jacobian_columns(parameters, readings, width - 5, observability.centres)
-    unit = observability.padded(observability.beam_unit).reshape(active.shape)
+    unit = observability.padded(observability.beam_unit).reshape(beams, width)
     rows_of_beams = np.ascontiguousarray(columns[:width].T * unit[readings.beam])
     plane = columns[width : width + 3].T * observability.plane_unit
     S, W = observability.covariance(), observability.information.local_response
     follow = S @ np.swapaxes(W, 1, 2)
     rest = observability.information.local_inverse + W @ follow
-    beams = np.zeros((readings.beams, width, width))
-    across = np.zeros((readings.planes, readings.beams, width, 3))
-    ends = np.cumsum(active.sum(axis=1))
-    for i, end in enumerate(ends.tolist()):
-        rows, has = slice(end - int(active[i].sum()), end), np.flatnonzero(active[i])
-        beams[i][np.ix_(has, has)] = S[rows, rows]
-        across[:, i, has] = follow[:, rows]
+    padded, across = np.zeros((len(active),) * 2), np.zeros((readings.planes, len(active), 3))
+    padded[np.ix_(active, active)], across[:, active] = S, follow
+    of_beams = padded.reshape(beams, width, beams, width)[each, :, each]
+    of_both = across.reshape(readings.planes, beams, width, 3)
     h = np.empty(len(readings))
-    for i, own in enumerate(beams):
+    for i, own in enumerate(of_beams):
         rows_of_beam = np.flatnonzero(readings.beam == i)
         a = rows_of_beams[rows_of_beam]
         h[rows_of_beam] = ((a @ own) * a).sum(axis=1)
     # What a plane says beside the beam and by itself, of which the former counts twice.
-    pulled = rows_of_beams[:, None] @ across[readings.plane, readings.beam]
+    pulled = rows_of_beams[:, None] @ of_both[readings.plane, readings.beam]
     own_pull = plane[:, None] @ rest[readings.plane]
     h += ((own_pull - 2.0 * pulled)[:, 0] * plane).sum(axis=1)
     # It is a variance: where hardly anything is determined, differences of large numbers are rounding.

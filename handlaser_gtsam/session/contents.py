@@ -43,12 +43,10 @@ class PlaneContents:
         """Return all stations with the readings that are used."""
         if not self.rejected:
             return self.recording
-        row = {name: j for j, name in enumerate(self.recording.station_names)}
-        column = {name: i for i, name in enumerate(self.recording.beam_names)}
-        mask = np.zeros(self.recording.ranges.shape, dtype=bool)
-        for reading in self.rejected:
-            mask[row[reading.station], column[reading.beam]] = True
-        return self.recording.without(mask)
+        recording, out = self.recording, {(one.station, one.beam) for one in self.rejected}
+        names = recording.station_names, recording.beam_names
+        mask = [[(station, beam) in out for beam in names[1]] for station in names[0]]
+        return recording.without(np.array(mask))
 
     def taken_out(self, culprit: str | None = None) -> "PlaneContents":
         """Return the plane out of the graph; excluded where a culprit is given."""

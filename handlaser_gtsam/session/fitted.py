@@ -70,11 +70,10 @@ class FittedPlane:
 
     def mask(self, recording: Recording, rows: BoolArray) -> BoolArray:
         """Return the mask (M, B) of some of the readings in their recording."""
-        column = {name: i for i, name in enumerate(recording.beam_names)}
+        beam = np.array(self.config.names)[self.readings.beam[rows]]
+        column = [recording.beam_names.index(name) for name in beam.tolist()]
         mask = np.zeros(recording.ranges.shape, dtype=bool)
-        for row in np.flatnonzero(rows).tolist():
-            beam = column[self.config.names[self.readings.beam[row]]]
-            mask[self.readings.station[row], beam] = True
+        mask[self.readings.station[rows], column] = True
         return mask
 
     def information(self, history: DriftHistory) -> Information:
