@@ -110,15 +110,15 @@ def blind_motion(
     first = known.translations(mounts)
     turns = known.turns(rng)
     turns = known.safe(turns, (bounds.draw(rng, FIRST_MOUNTS), mounts))
-    beliefs = [known.belief(bounds.draw(rng)) for _ in range(COMPARED_DRAWS)]
-    before = [updated(belief.covariance, station_rows(belief, first)) for belief in beliefs]
+    drawn = [known.belief(bounds.draw(rng)) for _ in range(COMPARED_DRAWS)]
+    beliefs = [_after(belief, station_rows(belief, first)) for belief in drawn]
     # A calibration calls undetermined what is known worse than `KNOWN`: half of it is well enough, and
     # nearly all where the number of stations is given.
     enough = (0.5 if stations is None else 0.8) * KNOWN
     most = MOST_BLIND if stations is None else stations
     counts = np.arange(stations or LEAST_BLIND, most + 1, 4) - len(first)
     for more in counts[counts <= len(turns)].tolist():
-        chosen, worst = known.best(beliefs, before, turns, more)
+        chosen, worst = known.best(beliefs, turns, more)
         if worst <= enough:
             break
     else:
@@ -161,9 +161,17 @@ def completing_motion(
     workspace = workspace_of(recording) if workspace is None else workspace
     known = assumed(bounds, sensor, workspace, noise)
     plates = dict.fromkeys(recording.plane_names, bounds.plate)
-    drawn = [bounds.draw(rng) for _ in range(COMPARED_DRAWS)]
-    beliefs = [known.belief(at).before(plates, only=True) for at in drawn]
-    before = [_after(belief, recording) for belief in beliefs]
+    beliefs = []
+    for at in (*(bounds.draw(rng) for _ in range(COMPARED_DRAWS)), bounds.middle()):
+        belief = known.belief(at).before(plates, only=True)
+        rows = recorded_rows(belief, recording)
+        if not len(rows):
+            raise InputError(
+                "bounds of beams and plate that face each other at no station of the recording",
+                "the normal of the plate away from the sensor, and directions in the hand frame",
+            )
+        beliefs.append(_after(belief, rows))
+    *beliefs, belief = beliefs
     # Turns before the last plane, and moves without a turn from stations recorded there.
     taken = Stations(recording.world_R_hand, recording.world_t_hand, recording.plane_of_station)
     last = np.flatnonzero(taken.plane == taken.plane[-1])
@@ -180,25 +188,17 @@ def completing_motion(
         expected = "narrower bounds of mount and plate, a wider workspace or a longer range"
         raise InputError("no stations that are safe for all mounts within the bounds", expected)
     for count in COMPLETING_COUNTS:
-        chosen, worst = known.best(beliefs, before, pool, count)
+        chosen, worst = known.best(beliefs, pool, count)
         if worst <= 0.5 * KNOWN:
             break
-    belief = known.belief(bounds.middle()).before(plates, only=True)
-    belief = replace(belief, covariance=_after(belief, recording))
     goal = Goal() if goal is None else goal
     task = Task(belief, workspace, sensor, goal, recording.station_names)
     return planned(task, pool[chosen])[0]
 
 
-def _after(belief: Belief, recording: Recording) -> FloatArray:
-    """Return what is known after the readings of a recording, where all beams can read."""
-    rows = recorded_rows(belief, recording)
-    if not len(rows):
-        raise InputError(
-            "bounds of beams and plate that face each other at no station of the recording",
-            "the normal of the plate away from the sensor, and directions in the hand frame",
-        )
-    return updated(belief.covariance, rows)
+def _after(belief: Belief, rows: FloatArray) -> Belief:
+    """Return what is known after stations with whitened rows (M, B, U)."""
+    return replace(belief, covariance=updated(belief.covariance, rows))
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,11 +326,7 @@ class Blind:
         return stations[self.workspace.robot.reachable(R, t, self.bounds.plate)]
 
     def best(
-        self,
-        beliefs: Sequence[Belief],
-        before: Sequence[FloatArray],
-        stations: Stations,
-        count: int,
+        self, beliefs: Sequence[Belief], stations: Stations, count: int
     ) -> tuple[IntArray, float]:
         """Return the stations after which the largest standard deviation is least, and it.
 
@@ -340,15 +336,14 @@ class Blind:
         Parameters
         ----------
         beliefs : K of Belief
-            About several mounts within the bounds.
-        before : K of (U, U)
-            Covariance before these stations, about the same mount.
+            About several mounts within the bounds, before these stations.
         stations : Stations
         count : int
         """
         rows = np.stack([station_rows(belief, stations) for belief in beliefs])
         weight = goal_rows(beliefs[0], Goal("E", self.middle, 1.0), self.middle)
-        best, _, _ = choose(rows, np.stack(before), weight, count, "E", exchange=False)
+        before = np.stack([belief.covariance for belief in beliefs])
+        best, _, _ = choose(rows, before, weight, count, "E", exchange=False)
         after = (updated(C, each[best]) for C, each in zip(before, rows, strict=True))
         return best, max(math.sqrt(value(C, weight, "E")) for C in after)
 

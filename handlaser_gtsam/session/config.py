@@ -32,6 +32,10 @@ TWO_TERMS = "q"
 """Letter of range errors with two terms: iSAM2 has one threshold a letter."""
 
 
+Given = tuple[Noise, CalibrationOptions, IncrementalOptions]
+"""What a session is given, once."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
     """Process noise between a beam before and after it may have moved, by index.
@@ -117,13 +121,7 @@ class SessionConfig:
     learned: LearnedScales | None = None
 
     @classmethod
-    def of(
-        cls,
-        calibration: Calibration,
-        noise: Noise,
-        options: CalibrationOptions,
-        incremental: IncrementalOptions,
-    ) -> "SessionConfig":
+    def of(cls, calibration: Calibration, given: Given) -> "SessionConfig":
         """Return what all planes have in common after a calibration."""
         beams, fit = calibration.beams.values(), calibration.fit
         return cls(
@@ -131,13 +129,18 @@ class SessionConfig:
             terms=tuple(beam.terms for beam in beams),
             length=fit.typical_range,
             sigma=fit.range_sigma,
-            sigma_dof=np.inf if noise.range_sigma is not None else float(max(fit.dof, 1)),
-            noise=noise,
+            sigma_dof=np.inf if given[0].range_sigma is not None else float(max(fit.dof, 1)),
+            noise=given[0],
             poses=fit.poses,
-            options=options,
-            incremental=incremental,
+            options=given[1],
+            incremental=given[2],
             learned=calibration.learned,
         )
+
+    @property
+    def given(self) -> Given:
+        """What the session was given."""
+        return self.noise, self.options, self.incremental
 
     @property
     def reject(self) -> bool:

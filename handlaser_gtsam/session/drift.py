@@ -115,9 +115,7 @@ class DriftHistory:
         back = 2 ** np.arange(max(count, 1).bit_length())
         return count - back[back < count]
 
-    def search(
-        self, dof: float, epochs: IntArray | None = None, false_alarms: float = FALSE_ALARMS
-    ) -> Moved | None:
+    def search(self, dof: float, epochs: IntArray | None = None) -> Moved | None:
         """Return the beam that has moved; None where there is no clear sign of it.
 
         Parameters
@@ -126,8 +124,6 @@ class DriftHistory:
             Degrees of freedom behind the range sigma; infinite where it was given.
         epochs : (E,), optional
             Numbers of planes before the move; all where not given, and once any of them shows a move.
-        false_alarms : float
-            Probability of finding one where nothing has moved.
         """
         count = len(self.pieces)
         if epochs is None:
@@ -158,10 +154,10 @@ class DriftHistory:
         log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
         best = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
         p_value = min(float(np.exp(log_p[best])) * log_p.size, 1.0)
-        if p_value >= false_alarms:
+        if p_value >= FALSE_ALARMS:
             return None
         if len(epochs) < count - 1:
-            return self.search(dof, None, false_alarms)  # something has moved: look at every epoch
+            return self.search(dof)  # something has moved: look at every epoch
         d = axes[best] @ np.where(keep, along / safe, 0.0)[best] * self.unit[beams[best[1]]]
         return Moved(
             self.config.names[best[1]],

@@ -162,9 +162,7 @@ class FreedState:
         return batch
 
     def _after(self, batch: Calibration, contents: Contents) -> "FreedState":
-        now = self.config
-        config = SessionConfig.of(batch, now.noise, now.options, now.incremental)
-        return FreedState.of(batch, contents, config)
+        return FreedState.of(batch, contents, SessionConfig.of(batch, self.config.given))
 
     def _apart(self, batch: Calibration) -> Comparison:
         """Compare the beams with those of another calibration."""

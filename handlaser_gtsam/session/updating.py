@@ -4,16 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..data.noise import Noise
 from ..data.parameters import Beams
 from ..data.recording import join
 from ..errors import GrazingBeamError, InputError
-from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from ..quantities import FAR_SIGMAS, SAME_OPTIMUM
 from ..results.calibration import Calibration
-from ..solvers.isam import IncrementalOptions
-from .config import ProcessNoise, SessionConfig
+from .config import Given, ProcessNoise, SessionConfig
 from .contents import Contents
 from .freed import FreedState
 from .reports import Change, Comparison, Update
@@ -30,11 +27,7 @@ LEAST_CHANGES = 4
 
 
 def started(
-    now: AnyState | None,
-    contents: Contents,
-    noise: Noise,
-    options: CalibrationOptions,
-    incremental: IncrementalOptions,
+    now: AnyState | None, contents: Contents, given: Given
 ) -> tuple[AnyState | None, Update]:
     """Calibrate everything together, and start from there if that converges.
 
@@ -46,6 +39,7 @@ def started(
     if now is not None and now.config.links:
         beam = "a new beam after another one was split"
         raise InputError(beam, "a session of its own for it")
+    noise, options, _ = given
     waits = Update((), contents.waiting, UNKNOWN, None, None)
     try:
         batch = calibrate(contents.everything(), noise, options)
@@ -57,7 +51,7 @@ def started(
         if now is not None:  # a new beam that is not determined: nothing is lost
             raise InputError(f"a new beam ({batch.message})", "readings that determine it")
         return None, replace(waits, message=batch.message)
-    config = SessionConfig.of(batch, noise, options, incremental)
+    config = SessionConfig.of(batch, given)
     new = (FreedState.of if options.free else _begun_from)(batch, contents, config)
     return new, Update(
         tuple(new.contents.numbers),
@@ -242,9 +236,8 @@ def _begun_from_nowhere(contents: Contents, config: SessionConfig) -> SessionSta
 
 def _batch(now: SessionState) -> tuple[Calibration, SessionConfig]:
     """Return the batch calibration of everything, and what all planes have in common after it."""
-    noise, options = now.config.noise, now.config.options
-    batch = calibrate(now.contents.everything(), noise, options)
-    return batch, SessionConfig.of(batch, noise, options, now.config.incremental)
+    batch = calibrate(now.contents.everything(), now.config.noise, now.config.options)
+    return batch, SessionConfig.of(batch, now.config.given)
 
 
 def _begun_from(batch: Calibration, contents: Contents, config: SessionConfig) -> SessionState:
