@@ -229,7 +229,7 @@ class SessionState:
                 new = replace(new, graph=graph, state=state).reweighed()
             except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
                 new = new.solved_at_once()
-        if gone and not config.links and not new.inside().determined():
+        if gone and not config.links and not new.inside().solution().observability.full:
             raise undetermined()
         return new, tuple(joined), inconsistent
 
