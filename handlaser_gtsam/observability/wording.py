@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -41,8 +41,7 @@ MIRROR = "on which side of the hand the beams lie: their mirror image fits as we
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
 
 
-@dataclass(frozen=True, slots=True)
-class BeamAndPlaneNames:
+class BeamAndPlaneNames(NamedTuple):
     """Names of beams and planes, each with its index, in the order in which they are listed."""
 
     beams: tuple[tuple[str, int], ...]

@@ -2,8 +2,9 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import bdtrc
@@ -35,8 +36,7 @@ PLANE_CHANCE = 0.05
 """Another plane is suggested when a random reading would fit one with less than this probability."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reasons:
+class Reasons(NamedTuple):
     """A reason for every rejected reading, and stations that fit another plane.
 
     Attributes

@@ -19,7 +19,7 @@ by its plane has
 so that nothing grows with the readings times the unknowns.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -50,8 +50,7 @@ LARGEST_LEVERAGES = 50_000_000
 there, and the information takes too long to invert."""
 
 
-@dataclass(frozen=True, slots=True)
-class Screening:
+class Screening(NamedTuple):
     """Which readings agree on one solution.
 
     Attributes

@@ -9,8 +9,9 @@ mount that was drawn from the bounds within the sensor's limits.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -201,8 +202,7 @@ def _after(belief: Belief, rows: FloatArray) -> Belief:
     return replace(belief, covariance=updated(belief.covariance, rows))
 
 
-@dataclass(frozen=True, slots=True)
-class Blind:
+class Blind(NamedTuple):
     """What is known before any calibration.
 
     Attributes

@@ -9,6 +9,7 @@ held out has contributed to them.
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,8 +41,7 @@ LEAST_HELD_OUT = 10
 """Planes that are held out at least, however many there are."""
 
 
-@dataclass(frozen=True, slots=True)
-class WholeSolution:
+class WholeSolution(NamedTuple):
     """What stays as it was found from everything.
 
     Attributes

@@ -12,8 +12,9 @@ with an orientation of its own: no pure translations at all.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -55,8 +56,7 @@ class Layout:
 Scene = Callable[[Layout, np.random.Generator], tuple[Parameters, Stations]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
+class _Kind(NamedTuple):
     """Distances of a scene [m], how far the hand and the planes tilt [rad], and what is usual in it."""
 
     working: tuple[float, float]
@@ -102,7 +102,7 @@ _PAPER = _Kind(
 """The bench of the paper, of which other scenes differ in a few fields."""
 _KINDS = {
     "paper": _PAPER,
-    "unplanned": replace(_PAPER, designed=False),
+    "unplanned": _PAPER._replace(designed=False),
     "arm": _Kind(
         working=(0.15, 0.45),
         beam_circle=0.050,
