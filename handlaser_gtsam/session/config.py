@@ -172,13 +172,6 @@ class SessionConfig:
         """Tell whether the beams are known to a part of their natural units."""
         return bool((state.sigmas() < KNOWN * BEAM.number_units(self.length)).all())
 
-    def apart(self, beams: Beams, other: Beams) -> float:
-        """Return how far two estimates of the beams are apart, in natural units."""
-        shift = float(np.abs(beams[0] - other[0]).max()) / self.length
-        turn = float(np.abs(beams[1] - other[1]).max())
-        stretch = np.abs(beams[2] - other[2]) @ [1.0, self.length]
-        return max(shift, turn, float(stretch.max()))
-
     def changes(self, before: "SessionConfig") -> tuple[Change, ...]:
         """Return what is estimated differently than before."""
         if self.learned is not None and before.learned is not None:
@@ -201,12 +194,6 @@ class SessionConfig:
             return None
         return self.learned.prior(self.members, len(self.names))
 
-    @property
-    def known(self) -> tuple[gtsam.NonlinearFactor, ...]:
-        """Factors of the beams alone: links, and priors of range errors."""
-        links = [factor for link in self.links for factor in link.factors(self.beams, self.terms)]
-        return (*links, *range_error_priors(self.beams, self.terms, self.prior))
-
     def variances(self, stations: int) -> Variances:
         """Return the variances behind the covariance of the readings of that many stations."""
         if self.learned is not None:
@@ -227,6 +214,8 @@ class SessionConfig:
         return replace(readings, beam=beam, beams=len(self.names)).subset(order)
 
     def start(self, start: Beams) -> GraphPart:
-        """Return the beams as the start of a graph, with their links."""
+        """Return the beams as the start of a graph, with their links and priors of range errors."""
+        links = [factor for link in self.links for factor in link.factors(self.beams, self.terms)]
+        priors = range_error_priors(self.beams, self.terms, self.prior)
         beams = Parameters(*start, np.empty((0, 3)), np.empty(0))
-        return GraphPart((), self.known, start_values(beams, self.beams, (), self.terms))
+        return GraphPart((), (*links, *priors), start_values(beams, self.beams, (), self.terms))

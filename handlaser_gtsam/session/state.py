@@ -263,7 +263,11 @@ class SessionState:
         """Return the same with weights and history of the present beams, where these have moved."""
         config, beams = self.config, self.state.beams
         limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
-        if config.apart(beams, self.history.beams) < limit:
+        shift, turn, stretch = (
+            np.abs(a - b) for a, b in zip(beams, self.history.beams, strict=True)
+        )
+        stretched = stretch @ [1.0, config.length]
+        if max(shift.max() / config.length, turn.max(), stretched.max()) < limit:
             return self
         fitted = {}
         for plane in self.contents.numbers:
