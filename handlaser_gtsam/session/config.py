@@ -172,6 +172,17 @@ class SessionConfig:
         """Tell whether the beams are known to a part of their natural units."""
         return bool((state.sigmas() < KNOWN * BEAM.number_units(self.length)).all())
 
+    def beams_of(self, batch: Calibration) -> Beams:
+        """Return the beams of a calibration in the order of the session."""
+        order = [list(batch.beams).index(name) for name in self.names]
+        r, v, k = (array[order] for array in batch.parameters().beams)
+        return r, v, k
+
+    def apart(self, state: BeamState, batch: Calibration) -> tuple[float, float]:
+        """Return how far beams are from those of a calibration; see `BeamState.apart`."""
+        sigmas = np.array([batch.beams[name].sigma for name in self.names])
+        return state.apart(self.beams_of(batch), sigmas)
+
     def changes(self, before: "SessionConfig") -> tuple[Change, ...]:
         """Return what is estimated differently than before."""
         if self.learned is not None and before.learned is not None:

@@ -14,7 +14,6 @@ import numpy as np
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import InputError
-from ..model.families import BEAM
 from ..model.joint import JointCovariance
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
@@ -166,11 +165,7 @@ class FreedState:
 
     def _apart(self, batch: Calibration) -> Comparison:
         """Compare the beams with those of another calibration."""
-        beams, names = batch.parameters().beams, list(batch.beams)
-        sigmas = np.sqrt(np.diagonal(_joint(batch).matrix(planes=[]))).reshape(-1, BEAM.size)
-        order = [names.index(name) for name in self.config.names]
-        r, v, k = (array[order] for array in beams)
-        return Comparison(*self.integrated.apart((r, v, k), sigmas[order]))
+        return Comparison(*self.config.apart(self.integrated, batch))
 
 
 def _joint(batch: Calibration) -> JointCovariance:

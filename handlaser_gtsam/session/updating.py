@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..data.parameters import Beams
 from ..data.recording import join
 from ..errors import GrazingBeamError, InputError
 from ..pipeline import calibrate
@@ -164,9 +163,7 @@ def recalibrate(now: AnyState) -> tuple[AnyState, Comparison]:
         r, v, k = (array[order] for array in now.state.beams)
         now = begin(contents, config, (r, v, k))
     now = replace(now, learned_with=len(now.contents.numbers))
-    sigmas = np.array([batch.beams[name].sigma for name in now.config.names])
-    apart = now.integrated.apart(_beams_of(batch, now.config.names), sigmas)
-    return now, Comparison(*apart, changes)
+    return now, Comparison(*now.config.apart(now.integrated, batch), changes)
 
 
 def split_beam(
@@ -226,7 +223,7 @@ def _begun_from_nowhere(contents: Contents, config: SessionConfig) -> SessionSta
     calibration = calibrate(recording, replace(config.noise, range_sigma=config.sigma), options)
     if calibration.status != "converged":
         return None
-    r, v, k = _beams_of(calibration, config.names)
+    r, v, k = config.beams_of(calibration)
     estimated = np.arange(2) < np.array(config.terms)[:, None]
     try:
         return begin(contents, config, (r, v, np.where(estimated, k, 0.0)))
@@ -243,10 +240,3 @@ def _batch(now: SessionState) -> tuple[Calibration, SessionConfig]:
 def _begun_from(batch: Calibration, contents: Contents, config: SessionConfig) -> SessionState:
     """Begin from a batch calibration of everything."""
     return begin(contents.restarted(batch.fit.rejected), config, batch.parameters().beams)
-
-
-def _beams_of(calibration: Calibration, names: tuple[str, ...]) -> Beams:
-    """Return the beams of a calibration by their names."""
-    order = [list(calibration.beams).index(name) for name in names]
-    r, v, k = (array[order] for array in calibration.parameters().beams)
-    return r, v, k
