@@ -9,7 +9,8 @@ Where the hand turns about one axis only, planes whose lean is not significant a
 lean that noise gives them, heights would look determined that are not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,8 +34,7 @@ SHORTEST = 0.1
 """A step that leads off the solutions is halved, down to this part."""
 
 
-@dataclass(frozen=True, slots=True)
-class Judge:
+class Judge(NamedTuple):
     """Tells which solutions fit, and what they leave undetermined.
 
     Attributes
@@ -96,7 +96,7 @@ def held(
     """
     if observed.full:
         return parameters, observed
-    exact = replace(judge, range_sigma=0.0)
+    exact = judge._replace(range_sigma=0.0)
     at_rest = exact.seen(parameters)
     if at_rest is not None and not at_rest.full:
         there, _ = _drawn_to_the_hand(parameters, at_rest, exact)

@@ -79,7 +79,7 @@ def plan(
     put: Mapping[str, Plate] = {}
     if placement is not None:
         put = _placed(task, placement, max(stations // placement.count, 1), rng)
-        task = replace(task, belief=task.belief.before(put, only=True))
+        task = task._replace(belief=task.belief.before(put, only=True))
     belief = task.belief
     pool = task.reachable(max(POOL // len(belief.plane_names), 2 * stations), rng)
     each = [station_rows(belief, pool)]
@@ -126,7 +126,7 @@ def _placed(
         before = task.belief
         for plate in placement.orientations(last):
             belief = before.before({name: plate})
-            plane, trial = len(belief.plane_names) - 1, replace(task, belief=belief)
+            plane, trial = len(belief.plane_names) - 1, task._replace(belief=belief)
             try:
                 pool = trial.candidates(plane, POOL // 20, rng)
             except InputError:
@@ -142,7 +142,7 @@ def _placed(
                 "no orientation of the plate in which every beam reads it safely",
                 "a workspace that reaches the sensor's range, or beams that are known better",
             )
-        task = replace(task, belief=after)
+        task = task._replace(belief=after)
     return put
 
 

@@ -1,7 +1,7 @@
 """What a plan starts from: what is known, where the hand may go, what the beams read, and the goal."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -47,8 +47,7 @@ LEAST_CANDIDATES = 10
 """Fewer are no choice."""
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
+class Task(NamedTuple):
     """What a plan starts from.
 
     Attributes

@@ -1,7 +1,8 @@
 """One plane beside beams that are known: fitted, judged, and made into factors."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -34,8 +35,7 @@ SESSION_CUT = 4.5
 """A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
 
 
-@dataclass(frozen=True, slots=True)
-class FittedPlane:
+class FittedPlane(NamedTuple):
     """Readings of one plane in its own frame, with the plane that fits them beside known beams.
 
     Attributes
