@@ -94,6 +94,10 @@ class Contents:
         planes = self.planes.items()
         return {name: p.culprit for name, p in planes if p.culprit is not None}
 
+    def current(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of beams as they are, without those of their states before a move."""
+        return tuple(name for name in names if name not in self.names)
+
     def everything(self) -> Recording:
         """Return everything as it was added, stations in the order in which they came.
 

@@ -67,11 +67,6 @@ class FreedState:
         return BeamState(*beams, covariance, float(information))
 
     @property
-    def current(self) -> tuple[str, ...]:
-        """Names of the beams."""
-        return self.config.names
-
-    @property
     def learned_with(self) -> int:
         """Planes behind the scales that were learned: all of them."""
         return len(self.contents.numbers)

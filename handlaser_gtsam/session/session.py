@@ -241,7 +241,8 @@ class Session:
         now = self.state
         state, config = now.integrated, now.config
         mounts = Mounts(config.names, *state.beams, config.terms, state.covariance, config.sigma)
-        return mounts if now.current == mounts.names else mounts.arranged(now.current)
+        current = now.contents.current(config.names)
+        return mounts if current == mounts.names else mounts.arranged(current)
 
     def calibration(self) -> Calibration:
         """Return the calibration at the present estimate, with all that a batch calibration states.

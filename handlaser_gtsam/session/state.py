@@ -124,11 +124,6 @@ class SessionState:
         )
 
     @property
-    def current(self) -> tuple[str, ...]:
-        """Names of the beams as they are, without their states before a move."""
-        return tuple(name for name in self.config.names if name not in self.contents.names)
-
-    @property
     def trusted(self) -> bool:
         """Whether planes that were excluded are rather at fault than the beams as they are.
 

@@ -178,7 +178,7 @@ def split_beam(
         raise InputError(f"a split of beam {beam} beside errors that are unknowns", expected)
     config, contents, before = now.config, now.contents, f"{beam} until {since}"
     if beam not in config.names or beam in contents.names:
-        raise InputError(f"beam {beam!r}", f"one of {', '.join(now.current)}")
+        raise InputError(f"beam {beam!r}", f"one of {', '.join(contents.current(config.names))}")
     seen = {*contents.numbers, *contents.excluded}
     order = [plane for plane in contents.planes if plane in seen]
     if since not in order[1:] or before in config.names:
