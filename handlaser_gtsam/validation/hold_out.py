@@ -214,9 +214,8 @@ def _tested(
         return float(f_sf(statistic / degrees, degrees, max(dof, 1)))
 
     n = len(unit)
-    none, own = np.empty((n, 0)), covariance_roots(covariance[None])[0]
-    held, _ = least(own, none)
-    moved, _ = least(none, np.eye(n))
+    own = covariance_roots(covariance[None])[0]
+    held, moved = least(own, own[:, :0])[0], float((along**2 / values).sum())
     chi2, drift = cost / scale - moved, moved - held
     beams = []
     for index, name in enumerate(mounts.names if each_beam else ()):

@@ -4,7 +4,7 @@ Nothing is planned: hands look at each target in turns with all sensors and beam
 with turns about their line of sight that are drawn. That determines everything.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from ..data.survey import Shots, kind_of, normal_label
 from ..errors import InputError
 from ..estimation.survey_rows import AIMING_SIGMA
 from ..model.families import PLANE, bases
+from ..model.geometry import normalized
 from ..model.sensors.kinds import KINDS
 from ..model.targets.sphere import SPHERE
 from .simulate import Errors
@@ -63,21 +64,20 @@ def fan_of(
     """
     line = np.linspace(-1.0, 1.0, POINTS_OF_LINE)
     if kind == "profiler":
-        x = PROFILE * working * line
-        return Shots.profiler(name, np.zeros(len(x), np.intp), x, np.full(len(x), working), **noise)
-    if kind == "scanner":
-        a = FAN * line
-        return Shots.scanner(name, np.zeros(len(a), np.intp), a, np.full(len(a), working), **noise)
-    u = zones
-    if u is None:
+        across = PROFILE * working * line
+    elif kind == "scanner":
+        across = FAN * line
+    elif zones is None:
         side = np.tan(CONE) * np.linspace(-1.0, 1.0, POINTS_OF_SIDE)
         x, y = (one.ravel() for one in np.meshgrid(side, side))
-        u = np.column_stack((x, y, np.ones_like(x)))
-    u = u / np.linalg.norm(u, axis=1)[:, None]
-    station = np.zeros(len(u), np.intp)
-    if kind == "array":
-        return Shots.array(name, station, u, np.full(len(u), working), **noise)
-    return Shots.points(name, station, working * u, **noise)
+        across = normalized(np.column_stack((x, y, np.ones_like(x))))
+    else:
+        across = normalized(zones)
+    station = np.zeros(len(across), np.intp)
+    if kind == "points":
+        return Shots.points(name, station, working * across, **noise)
+    make: Callable[..., Shots] = getattr(Shots, kind)
+    return make(name, station, across, np.full(len(across), working), **noise)
 
 
 def survey_scene(
