@@ -137,12 +137,9 @@ class SessionState:
     def inside(self) -> BatchProblem:
         """Return the planes in the graph as one problem, at the present estimate."""
         graph, contents = self.graph, self.contents
-        parameters = graph.parameters()
         place = {number: index for index, number in enumerate(graph.planes)}
         order = [place[number] for number in contents.numbers.values()]
-        parameters = replace(
-            parameters, normals=parameters.normals[order], offsets=parameters.offsets[order]
-        )
+        parameters = graph.parameters().part(np.arange(len(self.config.names)), order)
         problem = BatchProblem(contents, self.config, parameters)
         if self.config.poses != "estimated":
             return problem
@@ -168,16 +165,16 @@ class SessionState:
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         epochs = self.history.recent() if recently else None
-        moved, far = self.history.search(self.config.sigma_dof, epochs), None
-        for plane, beam in self.contents.excluded.items():
-            if beam:  # without it planes that were excluded would fit: it has moved far
-                unknown = float("nan")
-                far = Moved(beam, plane, unknown, 0.0, np.full(3, unknown), unknown)
-                break
-        if moved is None or far is None or far.beam != moved.beam:
-            return moved or far
+        moved = self.history.search(self.config.sigma_dof, epochs)
+        # A beam without which planes that were excluded would fit has moved far.
+        excluded = self.contents.excluded.items()
+        plane, beam = next((far for far in excluded if far[1]), ("", ""))
+        if beam and moved is None:
+            return Moved(beam, plane, np.nan, 0.0, np.full(3, np.nan), np.nan)
+        if moved is None or moved.beam != beam:
+            return moved
         order = list(self.contents.planes)
-        return replace(moved, since=min(moved.since, far.since, key=order.index))
+        return replace(moved, since=min(moved.since, plane, key=order.index))
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...]
