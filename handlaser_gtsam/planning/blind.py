@@ -232,7 +232,7 @@ class Blind(NamedTuple):
     def belief(self, at: Parameters) -> Belief:
         """Return what a calibration would start from about some beams and a plate: next to nothing.
 
-        It does not use the bounds; those of the beams are the `spread`, and a plate has its own.
+        It does not use the bounds. The bounds of the beams are the `spread`; a plate has its own.
         """
         bounds, plate, sensor = self.bounds, self.bounds.plate, self.sensor
         k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), ROUNDING)])

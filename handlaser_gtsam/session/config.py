@@ -179,7 +179,7 @@ class SessionConfig:
         return r, v, k
 
     def apart(self, state: BeamState, batch: Calibration) -> tuple[float, float]:
-        """Return how far beams are from those of a calibration; see `BeamState.apart`."""
+        """Return how far beams are from the beams of a calibration; see `BeamState.apart`."""
         sigmas = np.array([batch.beams[name].sigma for name in self.names])
         return state.apart(self.beams_of(batch), sigmas)
 

@@ -95,7 +95,7 @@ class Contents:
         return {name: p.culprit for name, p in planes if p.culprit is not None}
 
     def current(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of beams as they are, without those of their states before a move."""
+        """Return the names of beams as they are, without the names of states before a move."""
         return tuple(name for name in names if name not in self.names)
 
     def everything(self) -> Recording:

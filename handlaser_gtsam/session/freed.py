@@ -115,8 +115,8 @@ class FreedState:
     ) -> tuple["FreedState", tuple[str, ...], tuple[str, ...]]:
         """Return the state with `contents`, in which only `planes` differ from the present ones.
 
-        With those of these planes that are in it, and those that fit the others in no way, which are
-        excluded.
+        The second result names the `planes` that are in it, the third the planes that fit the others in
+        no way: they are excluded.
 
         Raises
         ------
