@@ -26,7 +26,7 @@ from ..errors import InputError
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
 from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
-from ..validation.simulate import Stations, plane_name
+from ..validation.simulate import Stations, generator, plane_name
 from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
 from .bounds import MOST_PLANNED, SIDES, Bounds
 from .choice import choose, value
@@ -105,7 +105,7 @@ def blind_motion(
     if stations is not None:
         require_count("stations before each plane", stations, LEAST_BLIND, MOST_BLIND)
     require_count("planes", planes, 1, MOST_PLANNED)
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = generator(rng)
     known = assumed(bounds, sensor, workspace, noise)
     mounts = bounds.draw(rng, MOUNTS)
     first = known.translations(mounts)

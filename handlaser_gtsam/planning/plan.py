@@ -12,7 +12,7 @@ from ..errors import GrazingBeamError, InputError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..validation.simulate import Stations, plane_name
+from ..validation.simulate import Stations, generator, plane_name
 from .belief import COMPARED_DRAWS
 from .bounds import MOST_PLANNED, Placement, Plate
 from .choice import value
@@ -68,7 +68,7 @@ def plan(
         No covariance, plane, workspace or sensor's range is known, or no station is safe.
     """
     goal = Goal() if goal is None else goal
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = generator(rng)
     require_kind("sensor", sensor, Sensor)
     require_count("stations", stations, 1, MOST_PLANNED)
     if not isinstance(calibration, Mounts):

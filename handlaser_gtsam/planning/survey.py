@@ -26,7 +26,7 @@ from ..model.sensors.mounted import SENSOR
 from ..model.weighting import covariance_roots
 from ..results.spot_error import radius
 from ..results.survey import SurveyCalibration
-from ..validation.simulate import Stations
+from ..validation.simulate import Stations, generator
 from .bounds import MOST_PLANNED
 from .choice import choose
 from .goal import Forecast, Goal
@@ -130,9 +130,7 @@ def plan_survey(
         raise InputError(
             f"a survey of {single} alone, which no stations are planned for", OF_BEAMS[single]
         )
-    if rng is not None:
-        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = generator(rng)
     if workspace is None:
         workspace = workspace_of(found.rows.survey.stations)
     names, place = list(calibration.sensors), found.rows.places().place[SENSOR.name]

@@ -26,6 +26,7 @@ from ..results.verdict import Verdict, best_improvement, failures, verdict
 from ..text import some
 from .hold_out import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
+from .simulate import generator
 
 PART_LEFT_OUT = 0.3
 """Part of the stations that a random split predicts; in recordings, of the stations of every plane."""
@@ -98,13 +99,11 @@ def validate(
         The whole recording gives no calibration.
     """
     require_count("splits", splits, 0, 10**9)
-    if rng is not None:
-        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
+    rng = generator(rng)
     of_surveys = "a Recording; hl.validation.validate_survey takes a Survey"
     require_kind("recording", recording, Recording, of_surveys)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
-    rng = rng or np.random.default_rng(0)
     with told_to(progress):
         planes = recording.plane_names if len(recording.plane_names) > 1 else ()
         total = 2 + len(planes) + splits

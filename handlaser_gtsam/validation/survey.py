@@ -32,6 +32,7 @@ from ..results.survey import SurveyCalibration, survey_calibration
 from ..solvers.survey_reference import Observed, SurveyProblem, SurveySolution, solve_survey
 from .cross_check import COMPARED_PARTS, CrossCheck, compared
 from .leave_out import PART_LEFT_OUT, USUAL_SPLITS
+from .simulate import generator
 
 FITS = "converged", "contradicted"
 """Status of a survey that has a minimum."""
@@ -159,10 +160,8 @@ def validate_survey(
     """
     require_kind("survey", survey, Survey)
     require_count("splits", splits, 0, 10**9)
-    if rng is not None:
-        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
+    rng = generator(rng)
     noise = Noise() if noise is None else noise
-    rng = np.random.default_rng(0) if rng is None else rng
     whole = estimate_survey(survey, noise)
     calibration = survey_calibration(whole)
     if not _fits(calibration):
