@@ -11,7 +11,7 @@ from benchmarks.planned_cell import SENSOR, cell
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.route import planned
 from handlaser_gtsam.planning.task import Task
-from handlaser_gtsam.planning.workspace import candidates, joined
+from handlaser_gtsam.planning.workspace import joined
 from handlaser_gtsam.validation.simulate import Errors
 
 ERRORS = Errors(1e-5, 2e-5, math.radians(0.01), (0, 1, 2))
@@ -80,8 +80,8 @@ def random_plan(
     """Return safe stations before all planes, drawn instead of chosen."""
     belief = belief_of(calibration).before(plates)
     planes = range(len(belief.plane_names))
-    pool = joined([candidates(belief, p, workspace, SENSOR, 40, rng) for p in planes])
+    task = Task(belief, workspace, SENSOR, GOAL)
+    pool = joined([task.candidates(p, 40, rng) for p in planes])
     every = len(pool.plane)
     chosen = rng.choice(every, count, replace=False)
-    task = Task(belief, workspace, SENSOR, GOAL)
     return planned(task, pool[chosen], plates=plates)[0]

@@ -37,8 +37,8 @@ from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.choice import choose
 from handlaser_gtsam.planning.information import station_rows
-from handlaser_gtsam.planning.task import goal_rows
-from handlaser_gtsam.planning.workspace import candidates, joined
+from handlaser_gtsam.planning.task import Task, goal_rows
+from handlaser_gtsam.planning.workspace import joined
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import simulate
 
@@ -234,7 +234,8 @@ def speed_line() -> str:
     here = cell(rng)
     recording = simulate(truth, stations, here.errors, rng, SENSOR)
     belief = belief_of(hl.calibrate(recording, here.noise, OPTIONS))
-    parts = [candidates(belief, p, here.workspace, SENSOR, 300, rng) for p in range(4)]
+    task = Task(belief, here.workspace, SENSOR, hl.planning.Goal())
+    parts = [task.candidates(p, 300, rng) for p in range(4)]
     drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(4))]
     rows = np.stack([station_rows(one, joined(parts)) for one in drawn])
     weight = goal_rows(belief, hl.planning.Goal(), 0.015)

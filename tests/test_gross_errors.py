@@ -10,11 +10,12 @@ from benchmarks.right_angles import Scene, coded, plates, relabelled
 from handlaser_gtsam import model
 from handlaser_gtsam.model.losses import Loss
 from handlaser_gtsam.model.search import LossScale
-from handlaser_gtsam.outliers.snooping import beyond_chance
+from handlaser_gtsam.outliers.consensus import ConsensusJudge
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts.directions import direction_starts, subset_starts
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import mended
+from handlaser_gtsam.starts.search import Candidate
 
 EXACT = Scene(joint_sigma_deg=0.0, range_sigma=0.0, k1=0.0, k2=0.0)
 
@@ -149,9 +150,10 @@ def test_a_plane_is_mended_from_its_beams():
 def test_agreement_by_chance_is_told_from_a_solution():
     readings, _, bad = labelled()
     at = solved_without_the_wrong(readings, bad)
-    assert beyond_chance(readings, 2, None, at, 1e-4) > 100.0
+    solution = Candidate("", at, 0.0, 1e-4)
+    assert ConsensusJudge(readings, 2, None).beyond_chance(solution) > 100.0
     rng = np.random.default_rng(0)
     noise = replace(readings, distance=rng.uniform(0.1, 0.5, len(readings)))
     starts = [grow(start, noise) for start in direction_starts(noise, 8)]
     for one in refine_many(starts, noise, 2, 40, Loss("cauchy"), LossScale(1e-9, 0.65)):
-        assert beyond_chance(noise, 2, None, one.parameters, one.scale) < 0.0
+        assert ConsensusJudge(noise, 2, None).beyond_chance(one) < 0.0

@@ -20,9 +20,9 @@ from handlaser_gtsam.planning.belief import belief_of, transported
 from handlaser_gtsam.planning.blind import completing_motion
 from handlaser_gtsam.planning.choice import choose, value
 from handlaser_gtsam.planning.information import outlook, station_rows, updated
-from handlaser_gtsam.planning.task import goal_rows, spot_rows
+from handlaser_gtsam.planning.task import Task, goal_rows, spot_rows
 from handlaser_gtsam.planning.way import divided, shortest
-from handlaser_gtsam.planning.workspace import candidates, inside, joined, safe
+from handlaser_gtsam.planning.workspace import inside, joined
 from handlaser_gtsam.results.mounts import Mounts
 from handlaser_gtsam.results.spot_error import spot
 from handlaser_gtsam.validation.scenes import SCENES, Layout
@@ -46,10 +46,14 @@ def belief(recorded):
     return belief_of(recorded[2])
 
 
+def before(belief):
+    return Task(belief, WORKSPACE, SENSOR, hl.planning.Goal())
+
+
 @pytest.fixture(scope="module")
 def pool(belief):
     rng = np.random.default_rng(0)
-    return joined([candidates(belief, p, WORKSPACE, SENSOR, 60, rng) for p in (0, 1)])
+    return joined([before(belief).candidates(p, 60, rng) for p in (0, 1)])
 
 
 # --- what stations would tell ------------------------------------------------------------------------
@@ -215,7 +219,7 @@ def test_planned_stations_beat_random_ones(belief, pool):
 def test_no_reading_leaves_the_limits_for_nearly_all_truths(belief, pool, count):
     """Monte Carlo over the posterior and the noise of the robot, against the linear margins."""
     rng, sensor = np.random.default_rng(1), SENSOR
-    assert safe(belief, pool, sensor).all()
+    assert before(belief).safe(pool).all()
     assert inside(WORKSPACE, pool).all()
     unsafe = 0
     for _ in range(count):

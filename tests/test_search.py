@@ -96,7 +96,7 @@ def test_a_beam_that_loses_a_quarter_of_its_readings_is_not_settled_by_a_plain_s
     assert judge.settles(one, agreed=False)
     kept = one.kept.copy()
     kept[:10] = False
-    assert not judge.settles(replace(one, kept=kept), agreed=True)
+    assert not judge.settles(one._replace(kept=kept), agreed=True)
 
 
 def shifted(recording):

@@ -9,12 +9,12 @@ Where the hand turns about one axis only, planes whose lean is not significant a
 lean that noise gives them, heights would look determined that are not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import GrazingBeamError
@@ -34,8 +34,7 @@ SHORTEST = 0.1
 """A step that leads off the solutions is halved, down to this part."""
 
 
-@dataclass(frozen=True, slots=True)
-class Judge:
+class Judge(NamedTuple):
     """Tells which solutions fit, and what they leave undetermined.
 
     Attributes
@@ -76,16 +75,9 @@ class Judge:
         """Return what is determined at parameters that fit; None where they do not."""
         if not self.squares(parameters) <= self.most_squares:
             return None
+        how = self.options, self.whitening, self.prior
         try:
-            return observability(
-                parameters,
-                self.readings,
-                self.terms,
-                self.range_sigma,
-                self.options,
-                self.whitening,
-                self.prior,
-            )
+            return observability(parameters, self.readings, self.terms, self.range_sigma, *how)
         except GrazingBeamError:
             return None
 
@@ -104,7 +96,7 @@ def held(
     """
     if observed.full:
         return parameters, observed
-    exact = replace(judge, range_sigma=0.0)
+    exact = judge._replace(range_sigma=0.0)
     at_rest = exact.seen(parameters)
     if at_rest is not None and not at_rest.full:
         there, _ = _drawn_to_the_hand(parameters, at_rest, exact)
@@ -154,52 +146,27 @@ def _drawn_to_the_hand(
     """Return where steps along the null space lead, none of which determines more."""
     share = 1.0
     for _ in range(STEPS):
-        beam, plane, length = _towards_the_hand(parameters, observed)
-        if length < NEGLIGIBLE:
+        beams, planes = observed.null_space
+        width, K = beams.shape[1:]
+        # In natural units; how far it leads counts locations and range errors.
+        errors = (parameters.range_errors * [1.0, observed.length])[:, : width - MOUNT_DIM]
+        away = np.hstack((parameters.locations / observed.length, errors)).ravel()
+        part = np.delete(beams, [3, 4], axis=1).reshape(-1, K)
+        along = -np.linalg.lstsq(part, away, rcond=NEGLIGIBLE)[0]
+        if np.linalg.norm(part @ along) < NEGLIGIBLE:
             break
-        there = _stepped(parameters, observed, share * beam, share * plane, judge)
-        seen = None if there is None else judge.seen(there)
-        if there is None or seen is None or seen.rank > observed.rank:
+        unit = observed.padded(observed.beam_unit).reshape(beams.shape[:2])
+        step = share * (beams @ along) * unit, share * (planes @ along) * observed.plane_unit
+        there = moved(parameters, *step, observed.centres)
+        if judge.squares(there) > judge.most_squares:
+            # Where the solutions lie along a curve, refinement leads back to it.
+            refined = refine(there, judge.readings, judge.free_terms, MOST_ROUNDS)
+            there = there if refined is None else refined.parameters
+        seen = judge.seen(there)  # none where it does not fit
+        if seen is None or seen.rank > observed.rank:
             share *= 0.5
             if share < SHORTEST:
                 break
             continue
         parameters, observed = there, seen
     return parameters, observed
-
-
-def _towards_the_hand(
-    parameters: Parameters, observed: Observability
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return a step along the null space, beams (B, W) and planes (P, 3), and its length.
-
-    All are in natural units. The length counts locations and range errors.
-    """
-    beams, planes = observed.null_space
-    width, K = beams.shape[1:]
-    errors = (parameters.range_errors * [1.0, observed.length])[:, : width - MOUNT_DIM]
-    away = np.hstack((parameters.locations / observed.length, errors)).ravel()
-    part = np.delete(beams, [3, 4], axis=1).reshape(-1, K)
-    along = -np.linalg.lstsq(part, away, rcond=NEGLIGIBLE)[0]
-    return beams @ along, planes @ along, float(np.linalg.norm(part @ along))
-
-
-def _stepped(
-    parameters: Parameters,
-    observed: Observability,
-    beam: FloatArray,
-    plane: FloatArray,
-    judge: Judge,
-) -> Parameters | None:
-    """Return where a step in natural units leads, or the minimum beside it where that does not fit."""
-    there = moved(
-        parameters,
-        beam * observed.padded(observed.beam_unit).reshape(beam.shape),
-        plane * observed.plane_unit,
-        observed.centres,
-    )
-    if judge.squares(there) <= judge.most_squares:
-        return there
-    # Where the solutions lie along a curve, refinement leads back to it.
-    refined = refine(there, judge.readings, judge.free_terms, MOST_ROUNDS)
-    return None if refined is None else refined.parameters

@@ -7,6 +7,7 @@ and planes in general position: what stays open there stays open for any.
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ from ..quantities import SINGULAR
 from ..starts.choice import find_start
 from ..starts.translations import SPANNING
 from ..text import some
-from .poor_motion import COUNTED_TURN, LEAST_MOVE, PoorMotion, named, poor_motion, some_plane_leans
+from .poor_motion import COUNTED_TURN, LEAST_MOVE, named, poor_motion, some_plane_leans
 from .rank import observability
 from .wording import MIRROR, MIRROR_ADVICE, BeamAndPlaneNames, OpenPart, open_parts
 
@@ -104,7 +105,16 @@ def check_motion(recording: Recording) -> MotionCheck:
     parts, leans, unknowns = _open_in_general(readings, names), True, count_unknowns(readings, 0)
     motion = poor_motion(readings)
     if motion is not None:
-        parts, leans = _open_before_planes(readings, names, motion, parts)
+        # Of a motion that is poor but for a floor that is not flat, nothing is undetermined in general,
+        # for readings without noise; the noise of the readings decides, before the planes there are.
+        at = find_start(readings, terms=0, effort="normal").parameters
+        with suppress(GrazingBeamError):
+            e = model.residuals(model.scene(at, readings), readings.distance)
+            rms = float(np.sqrt(e @ e / max(len(readings) - unknowns, 1)))
+            sigma = max(rms, LEAST_NOISE * readings.typical_range())
+            observed = observability(at, readings, 0, sigma)
+            leans = some_plane_leans(motion, at, readings, sigma)
+            parts = parts if leans and parts else open_parts(observed, at, names)
     words, help_ = named(motion, parts, leans=leans, k1_free=None)
     moved = float(np.abs(readings.world_t_hand).max())
     if not parts and moved < LEAST_MOVE * readings.typical_range():
@@ -147,11 +157,19 @@ def motion_before(
 
 def _open_in_general(readings: Readings, names: BeamAndPlaneNames) -> tuple[OpenPart, ...]:
     """Return what is open for random beams and planes; the draw that leaves least open counts."""
-    rng = np.random.default_rng(0)
-    best: tuple[OpenPart, ...] | None = None
+    rng, length = np.random.default_rng(0), readings.typical_range()
+    best: tuple[OpenPart, ...] = ()
     least = np.inf
     for _ in range(120):  # the first that leaves nothing undetermined is enough
-        parameters = _general_position(readings, rng)
+        # Planes are a typical range in front of the first beam.
+        main = rng.standard_normal(3)
+        v = model.normalized(main + 0.3 * rng.standard_normal((readings.beams, 3)))
+        along = np.einsum("nij,nj->ni", readings.world_R_hand, v[readings.beam])
+        aside = 0.3 * rng.standard_normal((readings.planes, 3))
+        n = model.normalized(readings.plane_means(along) + aside)
+        r = length * rng.standard_normal((readings.beams, 3))
+        b = -length * rng.uniform(0.5, 1.5, readings.planes)
+        parameters = Parameters(r, v, np.zeros((readings.beams, 2)), n, b)
         try:
             observed = observability(parameters, readings, 0, 0.0)
         except GrazingBeamError:
@@ -161,49 +179,7 @@ def _open_in_general(readings: Readings, names: BeamAndPlaneNames) -> tuple[Open
             best = open_parts(observed, parameters, names)
         if least == 0:
             break
-    return best or ()
-
-
-def _open_before_planes(
-    readings: Readings,
-    names: BeamAndPlaneNames,
-    motion: PoorMotion,
-    in_general: tuple[OpenPart, ...],
-) -> tuple[tuple[OpenPart, ...], bool]:
-    """Return what is undetermined before the planes that there are, and whether one of them leans.
-
-    Of a motion that is poor but for a floor that is not flat, nothing is undetermined in general, for
-    readings without noise; that of the readings decides.
-    """
-    at = find_start(readings, terms=0, effort="normal").parameters
-    try:
-        e = model.residuals(model.scene(at, readings), readings.distance)
-        rms = float(np.sqrt(e @ e / max(len(readings) - count_unknowns(readings, 0), 1)))
-        sigma = max(rms, LEAST_NOISE * readings.typical_range())
-        observed = observability(at, readings, 0, sigma)
-        leans = some_plane_leans(motion, at, readings, sigma)
-    except GrazingBeamError:
-        return in_general, True
-    parts = open_parts(observed, at, names)
-    return (in_general if leans and in_general else parts), leans
-
-
-def _general_position(readings: Readings, rng: np.random.Generator) -> Parameters:
-    """Return random beams, and planes a typical range in front of the first beam."""
-    length = readings.typical_range()
-    main = rng.standard_normal(3)
-    v = model.normalized(main + 0.3 * rng.standard_normal((readings.beams, 3)))
-    along = np.einsum("nij,nj->ni", readings.world_R_hand, v[readings.beam])
-    n = model.normalized(
-        readings.plane_means(along) + 0.3 * rng.standard_normal((readings.planes, 3))
-    )
-    return Parameters(
-        length * rng.standard_normal((readings.beams, 3)),
-        v,
-        np.zeros((readings.beams, 2)),
-        n,
-        -length * rng.uniform(0.5, 1.5, readings.planes),
-    )
+    return best
 
 
 def lemma_words(check: MotionCheck, beams: Sequence[str]) -> tuple[str, ...]:

@@ -17,8 +17,6 @@ to change the incidence. What is determined is so everywhere on the set; so othe
 for, from starts all around, and the one that leaves most open is taken.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from ..data.parameters import Parameters
@@ -110,7 +108,7 @@ def least_observed(
     readings, margin = judge.readings, CHI2_MARGIN * judge.range_sigma**2
     if len(readings) > EXCERPT_READINGS:
         return held(
-            parameters, observed, replace(judge, most_squares=judge.squares(parameters) + margin)
+            parameters, observed, judge._replace(most_squares=judge.squares(parameters) + margin)
         )
     partial = random_starts(readings, 16, np.random.default_rng(0))
     partial += direction_starts(readings, 8)
@@ -129,7 +127,7 @@ def least_observed(
     if not others:
         return parameters, observed
     best = min(map(judge.squares, others))
-    judge = replace(judge, most_squares=best + margin)
+    judge = judge._replace(most_squares=best + margin)
     standing = upright(others[0], judge)
 
     def order(one: Parameters) -> tuple[bool, float]:

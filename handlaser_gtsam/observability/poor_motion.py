@@ -15,8 +15,7 @@ standard deviations of metres. Turns and moves that are too small to count are t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -44,8 +43,7 @@ SEEN = {"beam": "plane", "sensor": "target"}
 Kind = Literal["planar", "one axis", "in space", "in a plane", "on a line"]
 
 
-@dataclass(frozen=True, slots=True)
-class PoorMotion:
+class PoorMotion(NamedTuple):
     """A motion that determines less than everything before any planes.
 
     Attributes

@@ -181,13 +181,27 @@ def observability(
     GrazingBeamError
     """
     options = options or ObservabilityOptions()
-    counts, planes = per_beam(terms, readings.beams), readings.planes
+    counts, planes, length = (
+        per_beam(terms, readings.beams),
+        readings.planes,
+        readings.typical_range(),
+    )
     most, at = max(counts), linearized(parameters, readings, max(counts), whitening)
     width, normal = MOUNT_DIM + most, at.normal
-    unit, plane_unit = _units(readings, most, options, prior)
+    of_beam, plane_unit = BEAM.natural_units(length)[:width], PLANE.natural_units(length)
+    if prior is not None:
+        sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)[:most]
+        widest = WITHIN_PRIOR / options.most_sigma * sigma
+        of_beam = np.append(of_beam[:MOUNT_DIM], np.maximum(of_beam[MOUNT_DIM:], widest))
+    unit = np.tile(of_beam, readings.beams)
     active = modelled(counts)[:, :width].ravel()
     diagonal = np.diagonal(normal.matrix[0]) * unit**2
-    known = _prior_information(prior, unit, most, range_sigma, float(diagonal.max()))
+    known = np.zeros(len(unit))  # what the prior of the range errors adds for unit weights
+    if prior is not None:
+        # Beside readings without noise it would be lost; it counts for a little all the same.
+        added = (range_sigma / (prior.sigma[:, :most] / of_beam[MOUNT_DIM:])) ** 2
+        rows = known.reshape(-1, width)
+        rows[:, MOUNT_DIM:] = np.maximum(added, SINGULAR * float(diagonal.max()))
     of_planes = float((np.einsum("pii->pi", normal.local[0]) * plane_unit**2).max())
     least_of_planes = max(_least_information(of_planes, range_sigma, options))
     information = normal.reduced(unit, plane_unit, active, known, least_of_planes)
@@ -212,7 +226,7 @@ def observability(
         unknowns=len(beam) + PLANE.dim * planes,
         condition=float(np.sqrt(top / float(values[0]) if short == 0 else np.inf)),
         null_space=(null_beams.reshape(readings.beams, width, short), null_planes),
-        length=readings.typical_range(),
+        length=length,
         readings=len(readings),
         terms=counts,
         information=information,
@@ -226,38 +240,6 @@ def observability(
         mean_log=mean_log,
         weakest=axes[:, 0],
     )
-
-
-def _units(
-    readings: Readings, terms: int, options: ObservabilityOptions, prior: RangeErrorPrior | None
-) -> tuple[FloatArray, FloatArray]:
-    """Return the natural units of the beams' (B W,) and a plane's (3,) unknowns."""
-    length = readings.typical_range()
-    mount, error_unit = np.split(BEAM.natural_units(length), [MOUNT_DIM])
-    if prior is not None:
-        sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)
-        error_unit = np.maximum(error_unit, WITHIN_PRIOR / options.most_sigma * sigma)
-    of_beam = np.concatenate((mount, error_unit[:terms]))
-    return np.tile(of_beam, readings.beams), PLANE.natural_units(length)
-
-
-def _prior_information(
-    prior: RangeErrorPrior | None,
-    beam_unit: FloatArray,
-    terms: int,
-    range_sigma: float,
-    largest: float,
-) -> FloatArray:
-    """Return what the prior of the range errors adds (B W,) for unit weights, natural units.
-
-    Beside readings without noise it would be lost; it counts for a little all the same.
-    """
-    known = np.zeros(len(beam_unit))
-    if prior is not None:
-        rows = known.reshape(-1, MOUNT_DIM + terms)
-        sigma = prior.sigma[:, :terms] / beam_unit[MOUNT_DIM : MOUNT_DIM + terms]
-        rows[:, MOUNT_DIM:] = np.maximum((range_sigma / sigma) ** 2, SINGULAR * largest)
-    return known
 
 
 def _least_information(

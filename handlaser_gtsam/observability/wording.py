@@ -1,8 +1,9 @@
 """What is undetermined or weak, by name and in words an engineer understands, and what would help."""
 
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -30,12 +31,17 @@ OF_BEAMS = "location", "direction", "range error"
 OF_PLANES = "normal", "offset"
 OF_TARGETS = *OF_PLANES, "place", "radius"
 
+ALONG_AND_ACROSS = {
+    "location": ("location along", "location across"),
+    "turn": ("turns about", "turns about axes across"),
+}
+"""What is said of a quantity that is open along one axis, and along all across one."""
+
 MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
 
 
-@dataclass(frozen=True, slots=True)
-class BeamAndPlaneNames:
+class BeamAndPlaneNames(NamedTuple):
     """Names of beams and planes, each with its index, in the order in which they are listed."""
 
     beams: tuple[tuple[str, int], ...]
@@ -73,22 +79,42 @@ class OpenPart(Value):
 
 
 def open_parts(
-    observed: Observability, parameters: Parameters, names: BeamAndPlaneNames
+    observed: Observability,
+    parameters: Parameters,
+    names: BeamAndPlaneNames,
+    share: float = WORTH_A_WORD,
 ) -> tuple[OpenPart, ...]:
-    """Return the undetermined parts of the null space: beams first, in the order of `names`."""
-    return _parts(observed.null_space, parameters, names)
+    """Return the parts of the null space above a `share`: beams first, in the order of `names`."""
+    if observed.null_space[0].shape[-1] == 0:
+        return ()
+    # Of many planes few are open: only these are looked at one by one.
+    spans: dict[str, dict[int, FloatArray]] = {}
+    for quantity, columns in _rows(observed.null_space, parameters).items():
+        long = np.flatnonzero(np.linalg.norm(columns, axis=(1, 2)) > share)
+        spans[quantity] = dict(zip(long.tolist(), _spans(columns[long], share), strict=True))
+    kinds: tuple[tuple[Kind, tuple[tuple[str, int], ...], tuple[str, ...]], ...] = (
+        ("beam", names.beams, OF_BEAMS),
+        ("plane", names.planes, OF_PLANES),
+    )
+    parts = (
+        OpenPart(kind, name, quantity, spans[quantity][i])
+        for kind, named, quantities in kinds
+        for name, i in named
+        for quantity in quantities
+        if i in spans[quantity]
+    )
+    return tuple(part for part in parts if part.axes.shape[1])
 
 
 def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     """Say what is undetermined, one sentence a mount or kind of target; once for many mounts alike."""
-    of_mounts: dict[tuple[Kind, str], list[OpenPart]] = {}
+    of_mounts: dict[tuple[Kind, str], list[OpenPart]] = defaultdict(list)
     for part in parts:
         if part.kind in MOUNTED:
-            of_mounts.setdefault((part.kind, part.name), []).append(part)
-    alike: dict[tuple[str, ...], list[tuple[Kind, str]]] = {}
-    for mount, open_of_mount in of_mounts.items():
-        quantities = tuple(part.quantity for part in open_of_mount)
-        alike.setdefault((mount[0], *quantities), []).append(mount)
+            of_mounts[part.kind, part.name].append(part)
+    alike: dict[tuple[str, ...], list[tuple[Kind, str]]] = defaultdict(list)
+    for mount, opened in of_mounts.items():
+        alike[mount[0], *(part.quantity for part in opened)].append(mount)
     words = []
     for mounts in alike.values():
         shown = mounts if len(mounts) <= MOST_NAMED else mounts[:1]
@@ -152,9 +178,10 @@ def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlane
     beams = observed.padded(observed.weakest)
     planes = -(observed.information.local_response @ observed.weakest[:, None])
     space = beams.reshape(len(parameters.locations), -1, 1), planes
-    lengths = map(_lengths, _rows(space, parameters).values())
-    parts = _parts(space, parameters, names, share=WEAK_SHARE * float(max(map(np.max, lengths))))
-    words = undetermined(parts)
+    rows = _rows(space, parameters).values()
+    longest = max(float(np.linalg.norm(each, axis=(1, 2)).max()) for each in rows)
+    weak = replace(observed, null_space=space)
+    words = undetermined(open_parts(weak, parameters, names, WEAK_SHARE * longest))
     more = f"; and {len(words) - 1} more" if len(words) > 1 else ""
     return words[0] + more if words else ""
 
@@ -175,30 +202,6 @@ def open_coordinates(
     return np.linalg.norm(lifted, axis=2), np.linalg.norm(flat, axis=2)
 
 
-def _parts(
-    space: NullSpace, parameters: Parameters, names: BeamAndPlaneNames, share: float = WORTH_A_WORD
-) -> tuple[OpenPart, ...]:
-    if space[0].shape[-1] == 0:
-        return ()
-    # Of many planes few are open: only these are looked at one by one.
-    spans: dict[str, dict[int, FloatArray]] = {}
-    for quantity, columns in _rows(space, parameters).items():
-        long = np.flatnonzero(_lengths(columns) > share)
-        spans[quantity] = dict(zip(long.tolist(), _spans(columns[long], share), strict=True))
-    kinds: tuple[tuple[Kind, tuple[tuple[str, int], ...], tuple[str, ...]], ...] = (
-        ("beam", names.beams, OF_BEAMS),
-        ("plane", names.planes, OF_PLANES),
-    )
-    parts = (
-        OpenPart(kind, name, quantity, spans[quantity][i])
-        for kind, named, quantities in kinds
-        for name, i in named
-        for quantity in quantities
-        if i in spans[quantity]
-    )
-    return tuple(part for part in parts if part.axes.shape[1])
-
-
 def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:
     """Return the rows (B or P, D, K) of the null space for every quantity of a beam and a plane."""
     beams, planes = _normalized(space)
@@ -210,11 +213,6 @@ def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:
         # The offset is taken at the world's origin: it is undetermined with the normal.
         "offset": np.linalg.norm(planes, axis=1, keepdims=True),
     }
-
-
-def _lengths(rows: FloatArray) -> FloatArray:
-    lengths: FloatArray = np.linalg.norm(rows, axis=(1, 2))
-    return lengths
 
 
 def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:
@@ -229,12 +227,9 @@ def _normalized(space: NullSpace) -> tuple[FloatArray, FloatArray]:
 
 def _part_words(part: OpenPart) -> str:
     axes, count = part.axes, part.axes.shape[1]
-    if part.quantity == "location" and count < 3:
+    if part.quantity in ALONG_AND_ACROSS and count < 3:
         across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
-        return f"location {'across' if count == 2 else 'along'} {vector_words(across)}"
-    if part.quantity == "turn" and count < 3:
-        across = np.cross(axes[:, 0], axes[:, 1]) if count == 2 else axes[:, 0]
-        return f"turns about {'axes across ' if count == 2 else ''}{vector_words(across)}"
+        return f"{ALONG_AND_ACROSS[part.quantity][count - 1]} {vector_words(across)}"
     if part.quantity == "direction" and count == 1:
         return f"direction towards {vector_words(axes[:, 0])}"
     if part.quantity == "range error":

@@ -8,15 +8,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import gammaln
 
 from ..arrays import BoolArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.equation import plausible_range_errors
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import count_unknowns
 from ..model.losses import Loss
 from ..model.search import LossScale
-from ..quantities import MAJORITY
+from ..quantities import FAR_SIGMAS, MAJORITY
 from ..solvers.refine import Refined, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
@@ -24,7 +26,7 @@ from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms
 from ..starts.growing import Excerpt, excerpt_of
 from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
 from ..starts.search import FINALISTS, LAST_STEPS, Candidate, Round, agreeing
-from .snooping import Screening, beyond_chance, enough, quick_evidence, screen
+from .snooping import Screening, enough, evidence, price, screen, sigma_of
 
 SUSPICIOUS = 0.35
 """The scale of the better half of the readings over the scale of all, below which there are outliers to
@@ -39,6 +41,8 @@ FEW_REJECTED = 0.2
 nothing: that beam or plane may have followed its outliers, and the good readings are rejected."""
 SAME_EVIDENCE = 0.1
 """Criteria are the same to this part of what is beyond chance: not every candidate has arrived."""
+PRICE_OF_UNKNOWN = 2.0
+"""Logarithm of how many different values of an unknown a search may have tried, to be safe."""
 IN_VAIN = 50
 """Candidates after which the search ends if none is beyond chance. With 30 % of the readings replaced,
 or a station of another plane, 12 or more of the first 19 agreed in each of 24 recordings."""
@@ -113,18 +117,44 @@ class ConsensusJudge:
             return screening.range_sigma <= MISFIT * self.range_sigma
         return screening.range_sigma <= part * self.readings.spread()
 
-    def criterion(self, refined: Refined) -> float:
-        """Return the criterion of a screening without its fit."""
-        return quick_evidence(
-            self.readings, self.terms, self.range_sigma, refined.parameters, refined.scale
-        )
+    def criterion(self, candidate: Refined) -> float:
+        """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
+        readings, at = self.readings, candidate.parameters
+        e, best = np.abs(residuals(at, readings)), np.inf
+        for cut in (FAR_SIGMAS * candidate.scale, 2.0 * FAR_SIGMAS * candidate.scale):
+            kept = e <= cut
+            good = readings.subset(np.flatnonzero(kept))
+            if enough(readings, kept, self.terms) and plausible_range_errors(at, good):
+                sigma = sigma_of(readings, e[kept], self.terms, self.range_sigma)
+                best = min(best, evidence(readings, kept, at, sigma))
+        return float(best)
+
+    def beyond_chance(self, candidate: Refined | Candidate) -> float:
+        r"""Return by how many nats the readings that agree on a candidate are beyond chance.
+
+        As many readings as there are unknowns u can be fitted whatever they are. That m of N readings
+        agree within sigma by chance, where each would lie anywhere within the span W of those, has the
+        expected number of cases (compare Moisan and Stival, IJCV 2004)
+
+            (N over m) (sqrt(2 pi e) sigma / W)^(m - u) exp(price u)
+
+        of which this is the negative logarithm, for readings within a cut of the candidate's scale.
+        """
+        readings, terms = self.readings, self.terms
+        e = np.abs(residuals(candidate.parameters, readings))
+        kept = e <= FAR_SIGMAS * candidate.scale
+        total, good, unknowns = len(e), int(kept.sum()), count_unknowns(readings, terms)
+        if good <= unknowns:
+            return -np.inf
+        sigma = sigma_of(readings, e[kept], terms, self.range_sigma)
+        each = price(readings.distance[kept], sigma) - 0.5
+        choices = gammaln(total + 1) - gammaln(good + 1) - gammaln(total - good + 1)
+        return float((good - unknowns) * each - choices - PRICE_OF_UNKNOWN * unknowns)
 
     def convinced(self, candidates: Sequence[Candidate], latest: Round, _before: float) -> bool:
         """Tell whether the best is beyond chance and enough agree with it, or the search is in vain."""
         best = candidates[0]
-        beyond = beyond_chance(
-            self.readings, self.terms, self.range_sigma, best.parameters, best.scale
-        )
+        beyond = self.beyond_chance(best)
         if beyond <= 0.0:
             return len(candidates) >= IN_VAIN
         same = best.criterion + max(SAME_CRITERION, SAME_EVIDENCE * beyond)

@@ -2,8 +2,9 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import bdtrc
@@ -15,7 +16,7 @@ from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.distributions import FAMILY_LEVEL
 from ..model.equation import residuals_or_infinite as residuals
-from ..observability.rank import Observability, observability
+from ..observability.rank import observability
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import FAR_SIGMAS, IN_MM, ROUNDING
 from .snooping import leverages
@@ -35,8 +36,7 @@ PLANE_CHANCE = 0.05
 """Another plane is suggested when a random reading would fit one with less than this probability."""
 
 
-@dataclass(frozen=True, slots=True)
-class Reasons:
+class Reasons(NamedTuple):
     """A reason for every rejected reading, and stations that fit another plane.
 
     Attributes
@@ -69,7 +69,10 @@ def reasons(
     range_sigma: float,
     names: BeamAndPlaneNames,
 ) -> Reasons:
-    """Explain every reading that is not `kept` (N,); good ones have the sigma `range_sigma` [m]."""
+    """Explain every reading that is not `kept` (N,); good ones have the sigma `range_sigma` [m].
+
+    All planes of `parameters` must be seen from the origin of the hand poses.
+    """
     if kept.all():
         return Reasons((), {}, (), residuals(parameters, readings))
     beam_names, plane_names = names.sorted_beams(), names.sorted_planes()
@@ -78,24 +81,42 @@ def reasons(
     x = model.scene(parameters, readings)
     flat = np.abs(model.cosines(x)) < GRAZING_COSINE
     repeated = _repeated_poses(readings)
-    other = _other_planes(readings, kept, left, parameters, range_sigma)
+    # Stations whose readings mostly contradict the plane of their label, and all fit another plane far
+    # better than any others, and not by chance.
+    other: dict[int, int] = {}
+    good, span = readings.subset(np.flatnonzero(kept)), float(np.ptp(readings.distance[kept]))
+    out = np.bincount(readings.station[~kept], minlength=len(left))
+    doubtful = np.flatnonzero((out > 0) & (out >= left)) if readings.planes > 1 else rows[:0]
+    if len(doubtful):
+        observed = observability(parameters, good, 0, 0.0)
+    for station in doubtful.tolist():
+        here = readings.subset(np.flatnonzero(readings.station == station))
+        squares, fits = np.full(here.planes, np.inf), np.zeros(here.planes, dtype=bool)
+        for plane in set(range(here.planes)) - {int(here.plane[0])}:
+            moved = replace(here, plane=np.full(len(here), plane, dtype=np.intp))
+            e = residuals(parameters, moved)
+            k = parameters.range_errors[moved.beam]
+            # It fits no plane that is behind the sensor or parallel to its beam.
+            if not (np.isfinite(e) & (e + model.corrected(moved.distance, k) > 0.0)).all():
+                continue
+            sigma = range_sigma * np.sqrt(1.0 + leverages(parameters, moved, observed))
+            chance = here.planes * np.minimum(2.0 * PLANE_CUT * sigma / span, 1.0).prod()
+            squares[plane] = float(((e / sigma) ** 2).sum())
+            fits[plane] = bool((np.abs(e) <= PLANE_CUT * sigma).all()) and chance <= PLANE_CHANCE
+        best = int(np.argmin(squares))
+        if fits[best] and np.sort(squares)[1] > squares[best] + ODDS_OF_PLANE:
+            other[station] = best
     swapped = _swapped(readings, rows, parameters, range_sigma)
-    words = np.full(len(readings), "", dtype=object)
-    for row in rows:
-        station = int(readings.station[row])
-        count = int((readings.station == station).sum())
-        if row in swapped:
-            words[row] = f"swapped with the reading of beam {beam_names[swapped[int(row)]]}"
-        elif station in other:
-            words[row] = f"wrong plane label: fits plane {plane_names[other[station]]}"
-        elif flat[row]:
-            words[row] = "grazing"
-        elif repeated[station]:
-            words[row] = REPEATED
-        elif left[station] == 0 and count > 1:
-            words[row] = STATION
-        else:
-            words[row] = OUTLIER
+    words = np.full(len(readings), OUTLIER, dtype=object)
+    station, together = readings.station, np.bincount(readings.station)
+    words[(left[station] == 0) & (together[station] > 1)] = STATION
+    words[repeated[station]] = REPEATED
+    words[flat] = "grazing"
+    for of_station, plane in other.items():
+        words[station == of_station] = f"wrong plane label: fits plane {plane_names[plane]}"
+    for row, beam in swapped.items():
+        words[row] = f"swapped with the reading of beam {beam_names[beam]}"
+    words[kept] = ""
     residual = residuals(parameters, readings)
     unexplained = (words == OUTLIER) | (words == STATION)
     warnings = []
@@ -103,55 +124,6 @@ def reasons(
         words[of_end] = reason
         warnings.append(warning)
     return Reasons(tuple(words[rows].tolist()), other, tuple(warnings), residual)
-
-
-def _other_planes(
-    readings: Readings,
-    kept: BoolArray,
-    left: IntArray,
-    parameters: Parameters,
-    range_sigma: float,
-) -> dict[int, int]:
-    """Return another plane for stations whose readings mostly contradict the plane of their label."""
-    other: dict[int, int] = {}
-    if readings.planes == 1 or kept.all():
-        return other
-    span = float(np.ptp(readings.distance[kept]))
-    observed = observability(parameters, readings.subset(np.flatnonzero(kept)), 0, 0.0)
-    out = np.bincount(readings.station[~kept], minlength=len(left))
-    for station in np.flatnonzero((out > 0) & (out >= left)).tolist():
-        of_station = readings.subset(np.flatnonzero(readings.station == station))
-        plane = _fitting_plane(of_station, span, parameters, range_sigma, observed)
-        if plane is not None:
-            other[station] = plane
-    return other
-
-
-def _fitting_plane(
-    of_station: Readings,
-    span: float,
-    parameters: Parameters,
-    range_sigma: float,
-    observed: Observability,
-) -> int | None:
-    """Return the plane that all readings of a station fit far better than others, and not by chance.
-
-    All planes of `parameters` must be seen from the origin of the hand poses. A reading fits no plane
-    that is behind the sensor or parallel to its beam; `span` [m] is the span of the good readings.
-    """
-    squares, fits = np.full(of_station.planes, np.inf), np.zeros(of_station.planes, dtype=bool)
-    for plane in set(range(of_station.planes)) - {int(of_station.plane[0])}:
-        moved = replace(of_station, plane=np.full(len(of_station), plane, dtype=np.intp))
-        e = residuals(parameters, moved)
-        k = parameters.range_errors[moved.beam]
-        if not (np.isfinite(e) & (e + model.corrected(moved.distance, k) > 0.0)).all():
-            continue
-        sigma = range_sigma * np.sqrt(1.0 + leverages(parameters, moved, observed))
-        chance = of_station.planes * np.minimum(2.0 * PLANE_CUT * sigma / span, 1.0).prod()
-        squares[plane] = float(((e / sigma) ** 2).sum())
-        fits[plane] = bool((np.abs(e) <= PLANE_CUT * sigma).all()) and chance <= PLANE_CHANCE
-    best = int(np.argmin(squares))
-    return best if fits[best] and np.sort(squares)[1] > squares[best] + ODDS_OF_PLANE else None
 
 
 def _swapped(
@@ -177,11 +149,11 @@ def _repeated_poses(readings: Readings) -> BoolArray:
     """Tell of every station whether another one has the same pose."""
     count = int(readings.station.max()) + 1
     poses = np.full((count, 12), np.nan)
-    poses[readings.station, :9] = readings.world_R_hand.reshape(-1, 9)
-    poses[readings.station, 9:] = readings.world_t_hand
+    poses[readings.station] = np.hstack(
+        (readings.world_R_hand.reshape(-1, 9), readings.world_t_hand)
+    )
     # Equal cells have equal bytes once zeros have one sign: to count these is faster than to sort rows.
-    cells = np.round(poses / ROUNDING) + 0.0
-    keys = cells.view(f"V{cells.shape[1] * cells.itemsize}").ravel().tolist()
+    keys = [cell.tobytes() for cell in np.round(poses / ROUNDING) + 0.0]
     times = Counter(keys)
     again = np.array([times[key] > 1 for key in keys], dtype=bool)
     return np.asarray(again & ~np.isnan(poses[:, 0]))
@@ -206,9 +178,14 @@ def range_ends(
         for rows, far in ((of_beam[::-1], True), (of_beam, False)):
             towards = np.isfinite(residual[rows]) & ((residual[rows] > 0.0) == far)
             marked = unexplained[rows] & towards
-            extreme = _end(marked, 0.5 * share, FAMILY_LEVEL / (2.0 * readings.beams))
-            if not extreme:
+            # The first rows with more of them than chance explains; one reading is no pattern.
+            place = np.flatnonzero(marked) + 1
+            count = np.arange(1, len(place) + 1)
+            odds = len(place) * bdtrc(count - 1.0, place, 0.5 * share)
+            odds[(count < 2) | (2 * count <= place)] = np.inf
+            if not (odds <= FAMILY_LEVEL / (2.0 * readings.beams)).any():
                 continue
+            extreme = int(place[odds.argmin()])
             limit = float(readings.distance[rows[extreme - 1]])
             out = rows[:extreme][marked[:extreme]]
             warning = CalibrationWarning(
@@ -221,15 +198,3 @@ def range_ends(
                 {"beam": name, "limit_m": limit, "rejected": len(out)},
             )
             yield out, TOO_SHORT if far else TOO_LONG, warning
-
-
-def _end(marked: BoolArray, share: float, chance: float) -> int:
-    """Return the length of the first rows with more `marked` than chance explains, or 0.
-
-    By chance, each row is marked with the probability `share`. One reading is no pattern.
-    """
-    place = np.flatnonzero(marked) + 1
-    count = np.arange(1, len(place) + 1)
-    odds = len(place) * bdtrc(count - 1.0, place, share)
-    odds[(count < 2) | (2 * count <= place)] = np.inf
-    return int(place[odds.argmin()]) if (odds <= chance).any() else 0

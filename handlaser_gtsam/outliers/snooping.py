@@ -19,10 +19,9 @@ by its plane has
 so that nothing grows with the readings times the unknowns.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammaln
 
 from .. import model
 from ..arrays import BoolArray, FloatArray
@@ -46,15 +45,12 @@ MOST_SPAN = 0.5
 """A rejected reading is not taken back where the cut about its prediction is wider than this part of
 the span of good readings: far from the spots of its plane, or along it, that test passes gross errors,
 and the fit would follow them."""
-PRICE_OF_UNKNOWN = 2.0
-"""Logarithm of how many different values of an unknown a search may have tried, to be safe."""
 LARGEST_LEVERAGES = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
 there, and the information takes too long to invert."""
 
 
-@dataclass(frozen=True, slots=True)
-class Screening:
+class Screening(NamedTuple):
     """Which readings agree on one solution.
 
     Attributes
@@ -118,49 +114,10 @@ def screen(
         seen.add(kept.tobytes())
     if not model.plausible_range_errors(parameters, readings.subset(np.flatnonzero(kept))):
         return None
-    return Screening(kept, parameters, sigma, _evidence(readings, kept, parameters, sigma))
+    return Screening(kept, parameters, sigma, evidence(readings, kept, parameters, sigma))
 
 
-def quick_evidence(
-    readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
-) -> float:
-    """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
-    e = np.abs(residuals(parameters, readings))
-    best = np.inf
-    for cut in (FAR_SIGMAS * scale, 2.0 * FAR_SIGMAS * scale):
-        kept = e <= cut
-        good = readings.subset(np.flatnonzero(kept))
-        if enough(readings, kept, terms) and model.plausible_range_errors(parameters, good):
-            sigma = _sigma_of(readings, e[kept], terms, range_sigma)
-            best = min(best, _evidence(readings, kept, parameters, sigma))
-    return float(best)
-
-
-def beyond_chance(
-    readings: Readings, terms: int, range_sigma: float | None, parameters: Parameters, scale: float
-) -> float:
-    r"""Return by how many nats the readings that agree on a candidate are beyond chance.
-
-    As many readings as there are unknowns u can be fitted whatever they are. That m of N readings
-    agree within sigma by chance, where each would lie anywhere within the span W of those, has the
-    expected number of cases (compare Moisan and Stival, IJCV 2004)
-
-        (N over m) (sqrt(2 pi e) sigma / W)^(m - u) exp(price u)
-
-    of which this is the negative logarithm, for readings within a cut of the `scale`.
-    """
-    e = np.abs(residuals(parameters, readings))
-    kept = e <= FAR_SIGMAS * scale
-    total, good, unknowns = len(e), int(kept.sum()), count_unknowns(readings, terms)
-    if good <= unknowns:
-        return -np.inf
-    sigma = _sigma_of(readings, e[kept], terms, range_sigma)
-    each = price(readings.distance[kept], sigma) - 0.5
-    choices = gammaln(total + 1) - gammaln(good + 1) - gammaln(total - good + 1)
-    return float((good - unknowns) * each - choices - PRICE_OF_UNKNOWN * unknowns)
-
-
-def _sigma_of(
+def sigma_of(
     readings: Readings, residual: FloatArray, terms: int, range_sigma: float | None
 ) -> float:
     """Return the sigma [m] of the residuals of agreeing readings, at least the given one."""
@@ -258,9 +215,10 @@ def enough(readings: Readings, kept: BoolArray, terms: int) -> bool:
     return bool(beams.all() and planes.all())
 
 
-def _evidence(
+def evidence(
     readings: Readings, kept: BoolArray, parameters: Parameters, range_sigma: float
 ) -> float:
+    """Return the criterion of readings that are `kept` (N,), with a standard deviation [m]."""
     e = residuals(parameters, readings)[kept]
     total, good = len(kept), int(kept.sum())
     bad = total - good
@@ -274,39 +232,30 @@ def leverages(
     parameters: Parameters, readings: Readings, observability: Observability
 ) -> FloatArray:
     """Return h (N,) of all readings for the information `observability` of the readings in use."""
-    active = observability.active.reshape(readings.beams, -1)
-    width = active.shape[1]
+    active, beams = observability.active, readings.beams
+    width, each = len(active) // beams, np.arange(beams)
     columns = jacobian_columns(parameters, readings, width - 5, observability.centres)
-    unit = observability.padded(observability.beam_unit).reshape(active.shape)
+    unit = observability.padded(observability.beam_unit).reshape(beams, width)
     rows_of_beams = np.ascontiguousarray(columns[:width].T * unit[readings.beam])
     plane = columns[width : width + 3].T * observability.plane_unit
     S, W = observability.covariance(), observability.information.local_response
     follow = S @ np.swapaxes(W, 1, 2)
     rest = observability.information.local_inverse + W @ follow
-    beams = np.zeros((readings.beams, width, width))
-    across = np.zeros((readings.planes, readings.beams, width, 3))
-    ends = np.cumsum(active.sum(axis=1))
-    for i, end in enumerate(ends.tolist()):
-        rows, has = slice(end - int(active[i].sum()), end), np.flatnonzero(active[i])
-        beams[i][np.ix_(has, has)] = S[rows, rows]
-        across[:, i, has] = follow[:, rows]
+    padded, across = np.zeros((len(active),) * 2), np.zeros((readings.planes, len(active), 3))
+    padded[np.ix_(active, active)], across[:, active] = S, follow
+    of_beams = padded.reshape(beams, width, beams, width)[each, :, each]
+    of_both = across.reshape(readings.planes, beams, width, 3)
     h = np.empty(len(readings))
-    for i, own in enumerate(beams):
+    for i, own in enumerate(of_beams):
         rows_of_beam = np.flatnonzero(readings.beam == i)
         a = rows_of_beams[rows_of_beam]
-        h[rows_of_beam] = _dot(a @ own, a)
+        h[rows_of_beam] = ((a @ own) * a).sum(axis=1)
     # What a plane says beside the beam and by itself, of which the former counts twice.
-    pulled = rows_of_beams[:, None] @ across[readings.plane, readings.beam]
+    pulled = rows_of_beams[:, None] @ of_both[readings.plane, readings.beam]
     own_pull = plane[:, None] @ rest[readings.plane]
-    h += _dot((own_pull - 2.0 * pulled)[:, 0], plane)
+    h += ((own_pull - 2.0 * pulled)[:, 0] * plane).sum(axis=1)
     # It is a variance: where hardly anything is determined, differences of large numbers are rounding.
     return np.maximum(h, 0.0)
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the products (N,) of the rows of a and b (N, i)."""
-    products: FloatArray = np.einsum("ni,ni->n", a, b)
-    return products
 
 
 def standardized(

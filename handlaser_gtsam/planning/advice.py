@@ -1,6 +1,7 @@
 """The next best stations of a calibration, found at once: the last word of a verdict."""
 
 from collections.abc import Iterator
+from itertools import accumulate, chain
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +21,7 @@ from .information import station_rows
 from .plan import POOL, planned_with_spare, without
 from .route import Plan
 from .task import planning_task
-from .workspace import Workspace, reachable
+from .workspace import Workspace
 
 ADVISED = 3
 """Stations that are named: more are a plan."""
@@ -45,8 +46,7 @@ def next_stations(
     try:
         task = planning_task(calibration, sensor, workspace, Goal() if goal is None else goal)
         share = POOL // 5 // len(task.belief.plane_names)  # so that nobody waits
-        rng = np.random.default_rng(0)
-        pool = reachable(task.belief, task.workspace, sensor, share, rng)
+        pool = task.reachable(share, np.random.default_rng(0))
         chosen = task.chosen(station_rows(task.belief, pool)[None], ADVISED)
         return planned_with_spare(task, pool[chosen], without(pool, chosen), {})
     except HandlaserError:
@@ -98,11 +98,9 @@ def advice_within(plan: Plan, most: int, width: int) -> list[str]:
     What is said before them is always there.
     """
     head, *stations = [wrapped(line, None, width) for line in advice_lines(plan)]
-    lines = [line for station in stations for line in station]
-    if len(head) + len(lines) <= most:
-        return [*head, *lines]
-    shown, number = list(head), 0
-    while len(shown) + len(stations[number]) < most:  # one line says how many more there are
-        shown += stations[number]
-        number += 1
-    return [*shown, f"  and {len(stations) - number} more: --verbose"]
+    ends = list(accumulate(map(len, stations), initial=len(head)))
+    if ends[-1] <= most:
+        return [*head, *chain(*stations)]
+    number = sum(end < most for end in ends[1:])  # one line says how many more there are
+    more = f"  and {len(stations) - number} more: --verbose"
+    return [*head, *chain(*stations[:number]), more]

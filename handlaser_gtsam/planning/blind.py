@@ -9,8 +9,9 @@ mount that was drawn from the bounds within the sensor's limits.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,7 +26,7 @@ from ..errors import InputError
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
 from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
-from ..validation.simulate import Stations, plane_name
+from ..validation.simulate import Stations, generator, plane_name
 from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
 from .bounds import MOST_PLANNED, SIDES, Bounds
 from .choice import choose, value
@@ -104,31 +105,28 @@ def blind_motion(
     if stations is not None:
         require_count("stations before each plane", stations, LEAST_BLIND, MOST_BLIND)
     require_count("planes", planes, 1, MOST_PLANNED)
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = generator(rng)
     known = assumed(bounds, sensor, workspace, noise)
     mounts = bounds.draw(rng, MOUNTS)
     first = known.translations(mounts)
     turns = known.turns(rng)
     turns = known.safe(turns, (bounds.draw(rng, FIRST_MOUNTS), mounts))
-    beliefs = [known.belief(bounds.draw(rng)) for _ in range(COMPARED_DRAWS)]
-    before = [updated(belief.covariance, station_rows(belief, first)) for belief in beliefs]
+    drawn = [known.belief(bounds.draw(rng)) for _ in range(COMPARED_DRAWS)]
+    beliefs = [_after(belief, station_rows(belief, first)) for belief in drawn]
     # A calibration calls undetermined what is known worse than `KNOWN`: half of it is well enough, and
     # nearly all where the number of stations is given.
     enough = (0.5 if stations is None else 0.8) * KNOWN
-    motion: Stations | None = None
     most = MOST_BLIND if stations is None else stations
-    for number in range(stations or LEAST_BLIND, most + 1, 4):
-        more = number - len(first)
-        if len(turns) < more:
-            break
-        chosen, worst = known.best(beliefs, before, turns, more)
+    counts = np.arange(stations or LEAST_BLIND, most + 1, 4) - len(first)
+    for more in counts[counts <= len(turns)].tolist():
+        chosen, worst = known.best(beliefs, turns, more)
         if worst <= enough:
-            motion = joined([first, turns[chosen]])
             break
-    if motion is None:
+    else:
         raise known.refusal(
             "no motion that determines the mounts and keeps", "a wider workspace, more stations"
         )
+    motion = joined([first, turns[chosen]])
     plates = {plane_name(p): bounds.plate for p in range(planes)}
     belief = known.belief(bounds.middle()).before(plates, only=True)
     every = joined([replace(motion, plane=np.full(len(motion), p)) for p in range(planes)])
@@ -164,9 +162,17 @@ def completing_motion(
     workspace = workspace_of(recording) if workspace is None else workspace
     known = assumed(bounds, sensor, workspace, noise)
     plates = dict.fromkeys(recording.plane_names, bounds.plate)
-    drawn = [bounds.draw(rng) for _ in range(COMPARED_DRAWS)]
-    beliefs = [known.belief(at).before(plates, only=True) for at in drawn]
-    before = [_after(belief, recording) for belief in beliefs]
+    beliefs = []
+    for at in (*(bounds.draw(rng) for _ in range(COMPARED_DRAWS)), bounds.middle()):
+        belief = known.belief(at).before(plates, only=True)
+        rows = recorded_rows(belief, recording)
+        if not len(rows):
+            raise InputError(
+                "bounds of beams and plate that face each other at no station of the recording",
+                "the normal of the plate away from the sensor, and directions in the hand frame",
+            )
+        beliefs.append(_after(belief, rows))
+    *beliefs, belief = beliefs
     # Turns before the last plane, and moves without a turn from stations recorded there.
     taken = Stations(recording.world_R_hand, recording.world_t_hand, recording.plane_of_station)
     last = np.flatnonzero(taken.plane == taken.plane[-1])
@@ -183,29 +189,20 @@ def completing_motion(
         expected = "narrower bounds of mount and plate, a wider workspace or a longer range"
         raise InputError("no stations that are safe for all mounts within the bounds", expected)
     for count in COMPLETING_COUNTS:
-        chosen, worst = known.best(beliefs, before, pool, count)
+        chosen, worst = known.best(beliefs, pool, count)
         if worst <= 0.5 * KNOWN:
             break
-    belief = known.belief(bounds.middle()).before(plates, only=True)
-    belief = replace(belief, covariance=_after(belief, recording))
     goal = Goal() if goal is None else goal
     task = Task(belief, workspace, sensor, goal, recording.station_names)
     return planned(task, pool[chosen])[0]
 
 
-def _after(belief: Belief, recording: Recording) -> FloatArray:
-    """Return what is known after the readings of a recording, where all beams can read."""
-    rows = recorded_rows(belief, recording)
-    if not len(rows):
-        raise InputError(
-            "bounds of beams and plate that face each other at no station of the recording",
-            "the normal of the plate away from the sensor, and directions in the hand frame",
-        )
-    return updated(belief.covariance, rows)
+def _after(belief: Belief, rows: FloatArray) -> Belief:
+    """Return what is known after stations with whitened rows (M, B, U)."""
+    return replace(belief, covariance=updated(belief.covariance, rows))
 
 
-@dataclass(frozen=True, slots=True)
-class Blind:
+class Blind(NamedTuple):
     """What is known before any calibration.
 
     Attributes
@@ -235,15 +232,14 @@ class Blind:
     def belief(self, at: Parameters) -> Belief:
         """Return what a calibration would start from about some beams and a plate: next to nothing.
 
-        It does not use the bounds; they are the `spread`.
+        It does not use the bounds. The bounds of the beams are the `spread`; a plate has its own.
         """
         bounds, plate, sensor = self.bounds, self.bounds.plate, self.sensor
-        uniform = 1.0 / math.sqrt(3.0)  # sigma of a uniform number over its half-width
         k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), ROUNDING)])
         unknown = np.tile([*[UNKNOWN_LENGTH] * 3, *[UNKNOWN_ANGLE] * 2, *k], len(bounds.locations))
-        within = [*[uniform * bounds.location_within] * 3, *[0.5 * bounds.cone] * 2, *k]
-        placed = [0.5 * plate.tilt, 0.5 * plate.tilt, uniform * plate.within]
-        spread = np.append(np.tile(within, len(bounds.locations)), placed)
+        # The sigma of a uniform number is its half-width over the root of three.
+        box, cone = bounds.location_within / math.sqrt(3.0), 0.5 * bounds.cone
+        spread = np.tile([*[box] * 3, *[cone] * 2, *k], len(bounds.locations))
         return Belief(
             at,
             np.diag(np.append(unknown, UNKNOWN_PLANE) ** 2),
@@ -252,7 +248,7 @@ class Blind:
             plate.point[None],
             self.variances,
             ("plate",),
-            np.diag(np.maximum(spread, ROUNDING) ** 2),
+            np.diag(np.append(np.maximum(spread, ROUNDING), UNKNOWN_PLANE) ** 2),
         )
 
     def facing(self) -> FloatArray:
@@ -330,11 +326,7 @@ class Blind:
         return stations[self.workspace.robot.reachable(R, t, self.bounds.plate)]
 
     def best(
-        self,
-        beliefs: Sequence[Belief],
-        before: Sequence[FloatArray],
-        stations: Stations,
-        count: int,
+        self, beliefs: Sequence[Belief], stations: Stations, count: int
     ) -> tuple[IntArray, float]:
         """Return the stations after which the largest standard deviation is least, and it.
 
@@ -344,15 +336,14 @@ class Blind:
         Parameters
         ----------
         beliefs : K of Belief
-            About several mounts within the bounds.
-        before : K of (U, U)
-            Covariance before these stations, about the same mount.
+            About several mounts within the bounds, before these stations.
         stations : Stations
         count : int
         """
         rows = np.stack([station_rows(belief, stations) for belief in beliefs])
         weight = goal_rows(beliefs[0], Goal("E", self.middle, 1.0), self.middle)
-        best, _, _ = choose(rows, np.stack(before), weight, count, "E", exchange=False)
+        before = np.stack([belief.covariance for belief in beliefs])
+        best, _, _ = choose(rows, before, weight, count, "E", exchange=False)
         after = (updated(C, each[best]) for C, each in zip(before, rows, strict=True))
         return best, max(math.sqrt(value(C, weight, "E")) for C in after)
 

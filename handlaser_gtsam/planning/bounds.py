@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -96,11 +97,10 @@ class Placement:
         """Return the plates that are compared: as it stands, and turned about its point."""
         across = model.tangent_basis(plate.normal[None])[0]
         normals = [plate.normal]
-        if self.largest_tilt > 0.0:
-            for tilt in self.largest_tilt * np.array(TILT_SHARES):
-                for side in 2.0 * math.pi * np.arange(SIDES) / SIDES:
-                    toward = across @ np.array([math.cos(side), math.sin(side)])
-                    normals.append(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
+        tilts = self.largest_tilt * np.array(TILT_SHARES if self.largest_tilt > 0.0 else ())
+        for tilt, side in product(tilts, 2.0 * math.pi * np.arange(SIDES) / SIDES):
+            toward = across @ np.array([math.cos(side), math.sin(side)])
+            normals.append(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
         return [Plate(plate.point, n, self.within, self.tilt) for n in normals]
 
 

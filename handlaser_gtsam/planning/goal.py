@@ -148,14 +148,13 @@ class Forecast(Value):
 
         Zero stations reach a goal that states nothing.
         """
-        good = np.ones(len(self.location_sigma), dtype=bool)
-        for values, most in (
+        pairs = (
             (self.location_sigma, goal.location_sigma),
             (self.direction_sigma, goal.direction_sigma),
             (self.spot, goal.spot),
-        ):
-            if most is not None:
-                good &= values <= most
+        )
+        asked = [values <= most for values, most in pairs if most is not None]
+        good = np.all(asked, axis=0) if asked else np.ones(len(self.spot), dtype=bool)
         return int(good.argmax()) if good.any() else None
 
     def words(self, stations: int) -> str:

@@ -74,32 +74,24 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     """
     count, beams = len(stations), belief.beams
     readings, x = predicted_readings(belief.mean, stations)
-    J = _derivatives(belief, readings, x).reshape(count, beams, BEAM.dim + PLANE.dim)
-    rows = np.zeros((count, beams, len(belief.covariance)))
-    each = np.arange(beams)
-    by_beam = rows[..., : belief.first_error].reshape(count, beams, beams, BEAM.dim)
-    by_beam[:, each, each] = J[..., : BEAM.dim]
-    rows[..., : belief.first_error] = by_beam.reshape(count, beams, -1)
+    rows = np.zeros((count * beams, len(belief.covariance)))
+    of_beam = BEAM.dim * readings.beam[:, None] + np.arange(BEAM.dim)
+    of_plane = belief.first_plane + PLANE.dim * readings.plane[:, None] + np.arange(PLANE.dim)
+    columns = np.hstack((of_beam, of_plane))
+    np.put_along_axis(rows, columns, _derivatives(belief, readings, x), axis=1)
     if belief.errors:
         counted_from = belief.turned_from, belief.bent_from
+        each = np.arange(beams)
         seen = SeenStations(belief.mean, readings, readings.station, each, *counted_from)
         for column, code in enumerate(belief.errors, belief.first_error):
-            rows[..., column] = _error_column(code, seen).reshape(count, beams)
-    for plane in range(len(belief.plane_names)):
-        first, here = belief.first_plane + PLANE.dim * plane, stations.plane == plane
-        rows[here, :, first : first + PLANE.dim] = J[here, :, BEAM.dim :]
+            if code in OF_READINGS:
+                rows[:, column] = OF_READINGS[code](seen, 1.0)
+            else:
+                found = EFFECTS[code].at(seen)
+                assert isinstance(found, Everywhere), "it is of stations"
+                rows[:, column] = found.columns[:, 0]
     how = whitening(belief.mean, readings, belief.variances.for_stations(count))
-    white = how.apply_rows(rows.reshape(count * beams, -1)) / how.sigma
-    return white.reshape(rows.shape)
-
-
-def _error_column(code: str, stations: SeenStations) -> FloatArray:
-    """Return the derivatives (N,) by an error that stations have by themselves; see `Belief.errors`."""
-    if code in OF_READINGS:
-        return OF_READINGS[code](stations, 1.0)
-    found = EFFECTS[code].at(stations)
-    assert isinstance(found, Everywhere), "it is of stations"
-    return np.asarray(found.columns[:, 0])
+    return (how.apply_rows(rows) / how.sigma).reshape(count, beams, -1)
 
 
 def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:

@@ -12,7 +12,7 @@ from ..errors import GrazingBeamError, InputError
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..validation.simulate import Stations, plane_name
+from ..validation.simulate import Stations, generator, plane_name
 from .belief import COMPARED_DRAWS
 from .bounds import MOST_PLANNED, Placement, Plate
 from .choice import value
@@ -20,7 +20,7 @@ from .goal import Goal
 from .information import station_rows, updated
 from .route import Plan, planned
 from .task import Task, planning_task
-from .workspace import Workspace, candidates, inside, joined, reachable, safe, within_reach
+from .workspace import Workspace, inside, joined
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
@@ -68,7 +68,7 @@ def plan(
         No covariance, plane, workspace or sensor's range is known, or no station is safe.
     """
     goal = Goal() if goal is None else goal
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = generator(rng)
     require_kind("sensor", sensor, Sensor)
     require_count("stations", stations, 1, MOST_PLANNED)
     if not isinstance(calibration, Mounts):
@@ -79,10 +79,9 @@ def plan(
     put: Mapping[str, Plate] = {}
     if placement is not None:
         put = _placed(task, placement, max(stations // placement.count, 1), rng)
-        task = replace(task, belief=task.belief.before(put, only=True))
+        task = task._replace(belief=task.belief.before(put, only=True))
     belief = task.belief
-    share = max(POOL // len(belief.plane_names), 2 * stations)
-    pool = reachable(belief, task.workspace, sensor, share, rng)
+    pool = task.reachable(max(POOL // len(belief.plane_names), 2 * stations), rng)
     each = [station_rows(belief, pool)]
     for _ in range(COMPARED_DRAWS):
         try:
@@ -127,9 +126,9 @@ def _placed(
         before = task.belief
         for plate in placement.orientations(last):
             belief = before.before({name: plate})
-            plane, trial = len(belief.plane_names) - 1, replace(task, belief=belief)
+            plane, trial = len(belief.plane_names) - 1, task._replace(belief=belief)
             try:
-                pool = candidates(belief, plane, task.workspace, task.sensor, POOL // 20, rng)
+                pool = trial.candidates(plane, POOL // 20, rng)
             except InputError:
                 continue
             rows = station_rows(belief, pool)
@@ -143,7 +142,7 @@ def _placed(
                 "no orientation of the plate in which every beam reads it safely",
                 "a workspace that reaches the sensor's range, or beams that are known better",
             )
-        task = replace(task, belief=after)
+        task = task._replace(belief=after)
     return put
 
 
@@ -165,8 +164,8 @@ def _refined(task: Task, stations: Stations, rng: np.random.Generator) -> Statio
         )
         near = near[inside(workspace, near)]
         try:
-            near = near[safe(belief, near, sensor)]
-            near = near[within_reach(belief, workspace, near)]
+            near = near[task.safe(near)]
+            near = near[task.within_reach(near)]
         except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
         pool = joined([stations, near])

@@ -1,7 +1,7 @@
 """The arm of a plan: which poses it reaches beside a plate, and which ways between them are free."""
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -132,8 +132,7 @@ class Robot(Value):
         if R.shape != (len(R), 3, 3) or t.shape != (len(R), 3):
             raise InputError(f"poses of shapes {R.shape} and {t.shape}", "(M, 3, 3) and (M, 3)")
         check_poses(R, t, numbered(len(t)))
-        scene, rng = self._scene(), np.random.default_rng(0)
-        arm, front = scene.arm, _front(plate)
+        arm, touches, rng = self._scene().arm, self._touching(plate), np.random.default_rng(0)
         stands = self.start if len(self.start) else 0.5 * (arm.low + arm.high)
         joints = np.full((len(t), len(arm.low)), np.nan)
         for attempt in range(STARTS + 2):
@@ -150,7 +149,7 @@ class Robot(Value):
                 start = rng.uniform(arm.low, arm.high, (len(left), len(arm.low)))
             for pose, begin in zip(left, start, strict=True):
                 q = arm.inverse(R[pose], t[pose], begin)
-                if q is not None and not scene.touches(q, front):
+                if q is not None and not touches(q):
                     joints[pose] = arm.nearest(q, stands)
         return joints
 
@@ -175,8 +174,8 @@ class Robot(Value):
 
     def free(self, joints: FloatArray, plate: Plate | None = None) -> BoolArray:
         """Tell at which joints (N, J) the arm touches neither itself, the plate nor the table."""
-        scene, front = self._scene(), _front(plate)
-        return np.array([not scene.touches(q, front) for q in np.atleast_2d(joints)], dtype=bool)
+        touches = self._touching(plate)
+        return np.array([not touches(q) for q in np.atleast_2d(joints)], dtype=bool)
 
     def free_way(
         self,
@@ -197,8 +196,7 @@ class Robot(Value):
             beyond = np.maximum(box[0] - t, t - box[1]).max(axis=1)
             if max(beyond[0], beyond[-1]) <= 0.0 and beyond.max() > LEEWAY:
                 return False
-        scene, front = self._scene(), _front(plate)
-        return not any(scene.touches(q, front) for q in way)
+        return not any(map(self._touching(plate), way))
 
     def poses(self, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return world_R_hand (N, 3, 3) and world_t_hand (N, 3) [m] of joints (N, J)."""
@@ -206,14 +204,15 @@ class Robot(Value):
         R, t, _ = zip(*(arm.hand(q) for q in np.atleast_2d(joints)), strict=True)
         return np.stack(R), np.stack(t)
 
+    def _touching(self, plate: Plate | None) -> Callable[[FloatArray], bool]:
+        """Return a function that tells whether anything touches at joints (J,)."""
+        scene, front = self._scene(), None if plate is None else (plate.point, plate.normal)
+        return lambda q: scene.touches(q, front)
+
     def _scene(self) -> Scene:
         """Return the arm among bodies; loaded again when the file has changed."""
         path = Path(self.urdf)
         return _loaded(pickle.dumps(self), path.stat().st_mtime_ns if path.is_file() else 0)
-
-
-def _front(plate: Plate | None) -> tuple[FloatArray, FloatArray] | None:
-    return None if plate is None else (plate.point, plate.normal)
 
 
 @lru_cache  # loading takes a second

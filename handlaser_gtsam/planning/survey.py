@@ -8,12 +8,11 @@ a metre, or a radian: so the first stations go where the motion has been too poo
 guides the choice: spot errors are stated only where survey and stations determine everything.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray, IntArray, evenly
+from ..arrays import FloatArray, evenly
 from ..checks import require_count, require_kind
 from ..data.station_list import StationList
 from ..data.value import Value
@@ -22,17 +21,17 @@ from ..estimation.estimate import information_axes, least_information
 from ..estimation.survey_rows import Item, rays_on
 from ..model.families import FAMILIES, PLANE, POSE, bases
 from ..model.geometry import skew
-from ..model.sensors.kinds import KINDS, Rayset
+from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.weighting import covariance_roots
 from ..results.spot_error import radius
 from ..results.survey import SurveyCalibration
-from ..validation.simulate import Stations
+from ..validation.simulate import Stations, generator
 from .bounds import MOST_PLANNED
 from .choice import choose
-from .goal import Goal
+from .goal import Forecast, Goal
 from .information import updated
-from .workspace import TURN_EXPONENT, Workspace, inside, workspace_of
+from .workspace import Workspace, drawn_turns, inside, workspace_of
 
 VIEWS = 600
 """Candidates before each target for each sensor: twice as many bring less than a tenth more."""
@@ -131,25 +130,25 @@ def plan_survey(
         raise InputError(
             f"a survey of {single} alone, which no stations are planned for", OF_BEAMS[single]
         )
-    if rng is not None:
-        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
-    rng = np.random.default_rng(0) if rng is None else rng
+    rng = generator(rng)
     if workspace is None:
         workspace = workspace_of(found.rows.survey.stations)
-    names, sensors, labels = list(calibration.sensors), [], []
-    place = found.rows.places().place[SENSOR.name]
+    names, place = list(calibration.sensors), found.rows.places().place[SENSOR.name]
+    seen: dict[tuple[int, tuple[str, int]], list[Item]] = {}
+    for item in found.rows.items:
+        if item.family == SENSOR.name:
+            seen.setdefault((item.member, item.target), []).append(item)
     views: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    of_rays = (item for item in found.rows.items if item.family == SENSOR.name)
-    for member, target in dict.fromkeys((item.member, item.target) for item in of_rays):
-        view = _views(calibration, member, target, workspace, rng)
+    looks: list[tuple[str, str]] = []
+    for (member, target), items in seen.items():
+        view = _views(calibration, items, workspace, rng)
         if view is not None:
             R, t, said = view
             # What a sensor says at further stations counts as little as what it has said.
             views.append(
                 (R, t, said / found.spread[place[member] : place[member] + POSE.dim].max())
             )
-            sensors += [names[member]] * len(view[0])
-            labels += [found.rows.label(target)] * len(view[0])
+            looks += [(names[member], found.rows.label(target))] * len(R)
     if not views:
         expected = "a workspace with room for other orientations before the targets"
         raise InputError("no place from which a sensor sees its target", expected)
@@ -161,18 +160,19 @@ def plan_survey(
     size, axes = np.linalg.eigh(information * np.outer(scale, scale))
     root = axes / np.sqrt(np.maximum(size, np.finfo(float).eps))
     spread = found.spread
-    before = np.asarray((root @ root.T) * np.outer(scale, scale) * np.outer(spread, spread))
-    weight = _weight(calibration, J.shape[1])
-    R, t = (np.concatenate([view[i] for view in views]) for i in (0, 1))
+    C = np.asarray((root @ root.T) * np.outer(scale, scale) * np.outer(spread, spread))
     most = max(said.shape[1] for _, _, said in views)
-    rows = np.concatenate(
-        [np.pad(said, ((0, 0), (0, most - said.shape[1]), (0, 0))) for _, _, said in views]
-    )
-    taken, _, _ = choose(rows[None], before, weight, min(count, len(rows)))
+    padded = [(R, t, np.pad(x, ((0, 0), (0, most - x.shape[1]), (0, 0)))) for R, t, x in views]
+    R, t, rows = (np.concatenate(parts) for parts in zip(*padded, strict=True))
+    # Derivatives (3 sensors, U) of the spots at working distance, in their sensors' frames.
+    spots = np.zeros((len(names), 3, J.shape[1]))
+    for own, first, sensor in zip(spots, place, calibration.sensors.values(), strict=True):
+        own[:, first : first + 6] = np.hstack((-skew(sensor.spot), np.eye(3)))
+    taken, _, _ = choose(rows[None], C, spots.reshape(-1, J.shape[1]), min(count, len(rows)))
     information, axes, unit = information_axes(problem, problem.blocks, values)
     told = np.sqrt(information)[:, None] * axes.T
-    known, reached = not calibration.undetermined, False
-    C, errors = before, [_spot_error(before, weight) if known else np.nan]
+    known, asked = not calibration.undetermined, goal if goal is not None and goal.stated else None
+    reached, errors = False, [_spot_error(C, spots) if known else np.nan]
     for A in rows[taken]:
         if reached:
             break
@@ -181,69 +181,89 @@ def plan_survey(
         if not known:  # rows of unit weight and in natural units: do they determine all unknowns
             information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
             known = bool(information.min() >= least_information(information))
-        errors.append(_spot_error(C, weight) if known else np.nan)
-        if known and goal is not None and goal.stated:
-            reached = _reached(calibration, C, errors[-1], goal)
+        errors.append(_spot_error(C, spots) if known else np.nan)
+        if known and asked is not None:
+            reached = _reached(calibration, C, errors[-1], asked)
     taken = taken[: len(errors) - 1]
     return SurveyPlan(
-        StationList(R[taken], t[taken], tuple(labels[i] for i in taken)),
-        tuple(sensors[i] for i in taken),
+        StationList(R[taken], t[taken], tuple(looks[i][1] for i in taken)),
+        tuple(looks[i][0] for i in taken),
         np.array(errors),
         calibration.undetermined,
-        reached if goal is not None and goal.stated else None,
+        None if asked is None else reached,
     )
 
 
 def _views(
     calibration: SurveyCalibration,
-    member: int,
-    target: tuple[str, int],
+    items: list[Item],
     workspace: Workspace,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Draw candidates of one sensor, and keep those that see their target; None where none does.
+    """Draw candidates of the sensor of some items, and keep those that see the target of these.
 
     Returns
     -------
     R, t : (N, 3, 3), (N, 3)
         Hand poses.
     rows : (N, B, U)
-        What they say, of unit weight, over all unknowns.
+        What they say, of unit weight, over all unknowns. None in place of all where none sees it.
     """
-    rows = calibration._found.rows
-    items = [
-        item
-        for item in rows.items
-        if (item.family, item.member, item.target) == (SENSOR.name, member, target)
-    ]
-    rays, weight = _typical(calibration, items)
+    found, member, (family, number) = calibration._found, items[0].member, items[0].target
     R, t = _drawn(calibration, items, workspace, rng)
     good = inside(workspace, Stations(R, t, np.zeros(len(R), dtype=np.intp)))
     R, t = R[good], t[good]
     if not len(R):
         return None
-    own = calibration._found
-    values = {name: x[None] for name, x in own.estimate.values.items()}
+    shots = found.rows.survey.shots[member]
+    # Some rays of the largest shot have the weight of all.
+    points = max((item.points for item in items if item.points is not None), key=len)
+    some = points[evenly(len(points), RAYS)]
+    rays = KINDS[shots.kind].rays(shots.across[some])
+    values = {name: x[None] for name, x in found.estimate.values.items()}
     values[POSE.name] = np.hstack((R.reshape(-1, 9), t))[None]
-    s, hit = _ranges(values, member, target, rays)
+    none = np.zeros(1)
+    columns, missed = rays_on(values, member, family, np.full(len(R), number), rays, none, none)
+    s = columns[-1, 0]
     reading = np.concatenate([item.shot.reading for item in items if item.shot is not None])
-    good = (s > 0.8 * reading.min()) & (s < 1.2 * reading.max()) & hit
-    needed = FEWEST if target[0] == PLANE.name else FEWEST / 3.0
-    enough = good.mean(axis=1) >= needed
+    good = (s > 0.8 * reading.min()) & (s < 1.2 * reading.max()) & np.isfinite(s) & ~missed
+    enough = good.mean(axis=1) >= (FEWEST if family == PLANE.name else FEWEST / 3.0)
     if not enough.any():
         return None
     R, t, s, good = R[enough], t[enough], s[enough], good[enough]
     values[POSE.name] = values[POSE.name][:, enough]
-    root = good * np.sqrt(weight) / own.noise.sigma[member]
-    return R, t, _said(calibration, values, member, target, rays, s, root)
-
-
-def _typical(calibration: SurveyCalibration, items: list[Item]) -> tuple[Rayset, float]:
-    """Return rays of the largest shot, and how many of its readings each stands for."""
-    shots = calibration._found.rows.survey.shots[items[0].member]
-    points = max((item.points for item in items if item.points is not None), key=len)
-    some = points[evenly(len(points), RAYS)]
-    return KINDS[shots.kind].rays(shots.across[some]), len(points) / len(some)
+    at = np.full(len(R), number)
+    h = 1e-6  # of the scale, by differences: it is rarely unknown
+    scaled = replace(
+        rays,
+        origin=rays.origin + h * rays.origin_by_scale,
+        direction=rays.direction + h * rays.direction_by_scale,
+    )
+    stretched, _ = rays_on(values, member, family, at, scaled, none, none)
+    by_scale = (stretched[-1, 0] - s) / h
+    by_scale = np.where(np.isfinite(by_scale), by_scale, 0.0)
+    flat = np.where(np.isfinite(s), s, 0.0)
+    by_error = np.stack((np.ones_like(flat), flat, flat**2, -by_scale))[:, None]
+    columns, _ = rays_on(values, member, family, at, rays, flat, by_error)
+    root = good * np.sqrt(len(points) / len(some)) / found.noise.sigma[member]
+    columns = np.moveaxis(np.where(root > 0.0, columns[:, 0] * root, 0.0), 0, 2)  # (N, S, c)
+    seen = np.arange(FAMILIES[family].dim)
+    place, widths = found.rows.places(), found.rows.unknown()
+    free = np.flatnonzero(np.broadcast_to(widths[SENSOR.name], SENSOR.dim))
+    J = columns[..., np.append(free, SENSOR.dim + seen)]
+    # The hand's errors are those of the first station.
+    covariance = found.at(values, found.noise).pose_covariance()
+    A = columns[..., SENSOR.dim + len(seen) :][..., :6] @ covariance_roots(covariance[:1])[0]
+    AJ = np.swapaxes(A, 1, 2) @ J
+    M = np.swapaxes(J, 1, 2) @ J
+    M -= np.swapaxes(AJ, 1, 2) @ np.linalg.solve(np.eye(6) + np.swapaxes(A, 1, 2) @ A, AJ)
+    size, axes = np.linalg.eigh(M)
+    rows = np.zeros((*size.shape, len(place.names)))
+    of_sensor = place.place[SENSOR.name][member] + np.arange(len(free))
+    rows[..., np.append(of_sensor, place.place[family][number] + seen)] = np.sqrt(
+        np.maximum(size, 0.0)
+    )[..., None] * np.swapaxes(axes, 1, 2)
+    return R, t, rows
 
 
 def _drawn(
@@ -267,11 +287,7 @@ def _drawn(
     spots += stations.world_t_hand[station]
     family, number = items[0].target
     x = found.estimate.values[family][number]
-    turn = rng.standard_normal((ORIENTATIONS, 3))
-    turn *= (workspace.largest_turn * rng.random(ORIENTATIONS) ** (1.0 / TURN_EXPONENT))[
-        :, None
-    ] / (np.linalg.norm(turn, axis=1, keepdims=True))
-    R = workspace.home @ Rotation.from_rotvec(turn).as_matrix()
+    R = drawn_turns(workspace, ORIENTATIONS, rng)
     direction = R @ sensor.rotation @ u
     if family == PLANE.name:
         before = stations.world_R_hand[station] @ sensor.rotation @ u @ x[:3]
@@ -289,91 +305,17 @@ def _drawn(
     return R, at - d * direction - start
 
 
-def _ranges(
-    values: dict[str, FloatArray], member: int, target: tuple[str, int], rays: Rayset
-) -> tuple[FloatArray, BoolArray]:
-    """Return the ranges (N, S) of rays at each candidate, and which meet the target."""
-    seen = np.full(values[POSE.name].shape[1], target[1])
-    columns, impossible = rays_on(values, member, target[0], seen, rays, np.zeros(1), np.zeros(1))
-    s = columns[-1, 0]
-    return s, np.isfinite(s) & ~impossible
-
-
-def _said(
-    calibration: SurveyCalibration,
-    values: dict[str, FloatArray],
-    member: int,
-    target: tuple[str, int],
-    rays: Rayset,
-    s: FloatArray,
-    root: FloatArray,
-) -> FloatArray:
-    """Return rows (N, B, U) of unit weight that say what all rays of each candidate say."""
-    found = calibration._found
-    h = 1e-6  # of the scale, by differences: it is rarely unknown
-    scaled = Rayset(
-        rays.origin + h * rays.origin_by_scale,
-        rays.direction + h * rays.direction_by_scale,
-        rays.origin_by_scale,
-        rays.direction_by_scale,
-    )
-    by_scale = (_ranges(values, member, target, scaled)[0] - s) / h
-    by_scale = np.where(np.isfinite(by_scale), by_scale, 0.0)
-    flat = np.where(np.isfinite(s), s, 0.0)
-    by_error = np.stack((np.ones_like(flat), flat, flat**2, -by_scale))[:, None]
-    seen_by = np.full(len(flat), target[1])
-    columns, _ = rays_on(values, member, target[0], seen_by, rays, flat, by_error)
-    columns = np.where(root > 0.0, columns[:, 0] * root, 0.0)  # (c, N, S)
-    sensor, seen = slice(0, SENSOR.dim), FAMILIES[target[0]].dim
-    place, widths = found.rows.places(), found.rows.unknown()
-    free = np.flatnonzero(np.broadcast_to(widths[SENSOR.name], SENSOR.dim))
-    J = np.concatenate((columns[sensor][free], columns[SENSOR.dim : SENSOR.dim + seen]))
-    A = columns[SENSOR.dim + seen : SENSOR.dim + seen + 6]
-    state = found.at(values, found.noise)
-    covariance = state.pose_covariance()  # as at the first station
-    A = np.einsum("cns,cd->dns", A, covariance_roots(covariance[:1])[0])
-    J, A = np.moveaxis(J, 0, 2), np.moveaxis(A, 0, 2)  # (N, S, c)
-    AJ = np.swapaxes(A, 1, 2) @ J
-    M = np.swapaxes(J, 1, 2) @ J
-    M -= np.swapaxes(AJ, 1, 2) @ np.linalg.solve(np.eye(6) + np.swapaxes(A, 1, 2) @ A, AJ)
-    size, axes = np.linalg.eigh(M)
-    own: FloatArray = np.sqrt(np.maximum(size, 0.0))[..., None] * np.swapaxes(axes, 1, 2)
-    at: IntArray = np.concatenate(
-        (
-            place.place[SENSOR.name][member] + np.arange(len(free)),
-            place.place[target[0]][target[1]] + np.arange(seen),
-        )
-    )
-    rows = np.zeros((*own.shape[:2], len(place.names)))
-    rows[..., at] = own
-    return rows
-
-
-def _weight(calibration: SurveyCalibration, unknowns: int) -> FloatArray:
-    """Return derivatives (3 sensors, U) of the spots at working distance, in their sensors' frames."""
-    place = calibration._found.rows.places().place[SENSOR.name]
-    weight = np.zeros((3 * len(calibration.sensors), unknowns))
-    for i, sensor in enumerate(calibration.sensors.values()):
-        own = slice(3 * i, 3 * i + 3)
-        weight[own, place[i] + np.arange(3)] = -skew(sensor.spot)
-        weight[own, place[i] + 3 + np.arange(3)] = np.eye(3)
-    return weight
-
-
 def _reached(calibration: SurveyCalibration, C: FloatArray, spot: float, goal: Goal) -> bool:
     """Tell whether all sensors are as well known as the goal asks."""
-    turns, shifts = [], []
-    place = calibration._found.rows.places().place[SENSOR.name]
-    for first, sensor in zip(place.tolist(), calibration.sensors.values(), strict=True):
-        turn, shift = slice(first, first + 3), slice(first + 3, first + 6)
-        turns.append(np.diagonal(C[turn, turn]).max())
-        shifts.append(np.diagonal(sensor.rotation @ C[shift, shift] @ sensor.rotation.T).max())
-    asked = (goal.location_sigma, max(shifts) ** 0.5), (goal.direction_sigma, max(turns) ** 0.5)
-    return all(most is None or size <= most for most, size in (*asked, (goal.spot, spot)))
+    place, turns, shifts = calibration._found.rows.places().place[SENSOR.name], [], []
+    for first, sensor in zip(place, calibration.sensors.values(), strict=True):
+        S, R = C[first : first + 6, first : first + 6], sensor.rotation
+        turns.append(np.diagonal(S[:3, :3]).max())
+        shifts.append(np.diagonal(R @ S[3:, 3:] @ R.T).max())
+    location, direction = np.sqrt([[max(shifts)], [max(turns)]])
+    return Forecast(location, direction, np.array([spot]), np.nan).reaches(goal) is not None
 
 
-def _spot_error(C: FloatArray, weight: FloatArray) -> float:
+def _spot_error(C: FloatArray, spots: FloatArray) -> float:
     """Return the largest radius that holds a spot with 95 % [m]."""
-    S = weight @ C @ weight.T
-    each = [slice(i, i + 3) for i in range(0, len(weight), 3)]
-    return max(radius(S[own, own]) for own in each)
+    return max(radius(own @ C @ own.T) for own in spots)

@@ -1,29 +1,53 @@
 """What a plan starts from: what is known, where the hand may go, what the beams read, and the goal."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..model.sensor import Sensor
+from ..quantities import FAR_SIGMAS
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..results.spot_error import radius
+from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .bounds import Plate
 from .choice import choose
 from .goal import Forecast, Goal
-from .information import updated, with_errors
-from .workspace import Workspace, workspace_of
+from .information import outlook, updated, with_errors
+from .workspace import (
+    Workspace,
+    drawn_turns,
+    inside,
+    joined,
+    least_cosine,
+    require_facing,
+    require_range,
+    workspace_of,
+)
+
+ENDS = 0.4
+"""Both exponents of the beta distribution of where in the range candidates read: mostly at its ends."""
+MOST_TRIED = 40
+"""Multiple of the candidates wanted that are drawn, before giving up: of a workspace of which a
+fortieth is good."""
+MOST_AT_ONCE = 3000
+"""Poses drawn in one round, or as many as are wanted if those are more: they fit into memory."""
+MORE_THAN_MISSING = 1.3
+"""Multiple of the poses that seem to be missing that are drawn: most rounds are the last."""
+MOST_ASKED = 3
+"""Multiple of the candidates wanted of which an arm is asked, which takes longer than drawing them."""
+LEAST_CANDIDATES = 10
+"""Fewer are no choice."""
 
 
-@dataclass(frozen=True, slots=True)
-class Task:
+class Task(NamedTuple):
     """What a plan starts from.
 
     Attributes
@@ -63,6 +87,118 @@ class Task:
         known, weight = self.belief.covariance if covariance is None else covariance, self.weight
         criterion = self.goal.criterion
         return choose(rows, known, weight, count, criterion, exchange=exchange, start=start)[0]
+
+    def safe(self, stations: Stations) -> BoolArray:
+        """Tell at which stations (M,) all readings are within the sensor's limits, with a margin.
+
+        The margin is `FAR_SIGMAS`: of a hundred readings at its very edge, less than one in a hundred
+        plans has one beyond the limits.
+
+        Raises
+        ------
+        GrazingBeamError, InputError
+            As `outlook` does.
+        """
+        reading, spread, cosine, cosine_sigma = outlook(self.belief, stations)
+        near, far = reading - FAR_SIGMAS * spread, reading + FAR_SIGMAS * spread
+        steep = cosine - FAR_SIGMAS * cosine_sigma >= least_cosine(self.sensor)
+        readable = self.sensor.can_read(near) & self.sensor.can_read(far)
+        return np.asarray((readable & steep).all(axis=1))
+
+    def within_reach(self, stations: Stations) -> BoolArray:
+        """Tell which stations (M,) the arm reaches without touching the plate; all without an arm."""
+        reached, robot = np.ones(len(stations), dtype=bool), self.workspace.robot
+        for plane, plate in enumerate(self.belief.plates() if robot is not None else ()):
+            there = stations.plane == plane
+            if robot is not None and there.any():
+                R, t = stations.world_R_hand[there], stations.world_t_hand[there]
+                reached[there] = robot.reachable(R, t, plate)
+        return reached
+
+    def candidates(self, plane: int, count: int, rng: np.random.Generator) -> Stations:
+        """Return up to `count` stations before a plane at which every beam can read it safely.
+
+        Raises
+        ------
+        InputError
+            The sensor's range is not stated, or there is hardly a station.
+        """
+        belief, workspace, sensor = self.belief, self.workspace, self.sensor
+        require_range(sensor)
+        mean, name = belief.mean, belief.plane_names[plane]
+        n, b, k = mean.normals[plane], mean.offsets[plane], mean.range_errors
+        require_facing(f"plane {name}", workspace, mean.directions, n)
+        low, high = (
+            np.asarray(model.corrected(np.full(len(k), end), k))
+            for end in (sensor.range_min, sensor.range_max)
+        )
+
+        def moved_to_read(count: int) -> Stations:
+            """Return random stations, moved along the normal until the beams can read."""
+            R = drawn_turns(workspace, count, rng)
+            t = rng.uniform(workspace.low, workspace.high, (count, 3))
+            n_hand = np.einsum("mji,j->mi", R, n)
+            cosine = n_hand @ mean.directions.T
+            good = (cosine > least_cosine(sensor)).all(axis=1)
+            R, t, n_hand, cosine = R[good], t[good], n_hand[good], cosine[good]
+            s = -(n_hand @ mean.locations.T + (t @ n + b)[:, None]) / cosine
+            # A step back by h along the normal lengthens the range of a beam by h over its cosine.
+            nearest = ((low - s) * cosine).max(axis=1)
+            farthest = ((high - s) * cosine).min(axis=1)
+            fits = farthest > nearest
+            share = rng.beta(ENDS, ENDS, size=int(fits.sum()))
+            back = nearest[fits] + share * (farthest - nearest)[fits]
+            return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(back), plane))
+
+        kept: list[Stations] = []
+        drawn = good = asked = 0
+        while drawn < MOST_TRIED * count and good < count and asked < MOST_ASKED * count:
+            wanted = count
+            if drawn:  # by how many of those drawn were good so far
+                most = min(max(MOST_AT_ONCE, count), MOST_TRIED * count - drawn)
+                missing = MORE_THAN_MISSING * (count - good) * drawn / max(good, 1)
+                wanted = int(np.clip(missing, 0.1 * count, most))
+            drawn += wanted
+            tried = moved_to_read(wanted)
+            tried = tried[inside(workspace, tried)]
+            if not len(tried):
+                continue
+            tried = tried[self.safe(tried)]
+            if workspace.robot is not None:
+                tried = tried[np.arange(min(len(tried), count))]
+                asked += len(tried)
+            kept.append(tried[self.within_reach(tried)])
+            good += len(kept[-1])
+        if good >= LEAST_CANDIDATES:
+            return joined(kept)[np.arange(min(count, good))]
+        if asked >= LEAST_CANDIDATES:
+            raise InputError(
+                f"no station before plane {name} that the arm reaches without a collision, of {asked} "
+                "that are safe for the sensor",
+                "another place of the plate or of the arm's base, or a smaller clearance",
+            )
+        raise InputError(
+            f"no station before plane {name} at which every beam reads it safely",
+            "a workspace that reaches the sensor's range, or a calibration that is known better",
+        )
+
+    def reachable(self, count: int, rng: np.random.Generator) -> Stations:
+        """Return up to `count` safe stations before each plane; some planes may be out of reach.
+
+        Raises
+        ------
+        InputError
+            The sensor's range is not stated, or all planes are out of reach.
+        """
+        parts, refusal = [], None
+        for plane in range(len(self.belief.plane_names)):
+            try:
+                parts.append(self.candidates(plane, count, rng))
+            except InputError as error:
+                refusal = refusal or error
+        if refusal is not None and not parts:
+            raise refusal
+        return joined(parts)
 
     def forecast(self, rows: FloatArray) -> Forecast:
         """Return what will be known after each of some stations, given by whitened rows (M, B, U)."""

@@ -8,6 +8,8 @@ the plate will be.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -124,18 +126,67 @@ def driven(
     InputError
         No way to any of the stations was found.
     """
-    driver = _Driver(robot, workspace, plates)
+    # Where no table says how far down the hand may go, it keeps to the box of its stations.
+    box = None if robot.table is not None else (workspace.low, workspace.high)
     parts: list[Stations] = []
     joints: list[FloatArray] = []
     origin: list[int] = []
+
+    def withdrawn(station: Stations) -> list[Stations]:
+        """Return where the hand is withdrawn from the plate, as far as the workspace allows."""
+        n, t = plates[int(station.plane[0])].normal, station.world_t_hand
+        moved = (replace(station, world_t_hand=t - far * n) for far in WITHDRAWN_BY)
+        return [away for away in moved if inside(workspace, away).all()]
+
+    def ways(before: Stations | None, station: Stations) -> Iterator[Stations]:
+        """Yield what the hand can pass on its way to a station, which is the last."""
+        back = withdrawn(station)
+        if before is None:
+            yield station
+            if len(robot.start):
+                yield from (joined([away, station]) for away in back)
+            return
+        routes = [[before, station]] if before.plane[0] == station.plane[0] else []
+        both = list(zip(withdrawn(before), back, strict=False))
+        routes += [[before, one, other, station] for one, other in both]
+        if len(robot.start):
+            home = Stations(*robot.poses(robot.start), station.plane)
+            routes += [[before, one, home, other, station] for one, other in both]
+        for route in routes:
+            passed, _ = divided(joined(route), workspace.largest_step)
+            yield passed[np.arange(1, len(passed))]
+
+    def along(q: FloatArray, before: int, way: Stations, left: Iterator[int]) -> list[FloatArray]:
+        """Return joints of a way from joints q before plane `before`; fewer where none is free.
+
+        No plate stands on the way to another plane. `left` ends after as many ways as may be tried.
+        """
+        if not len(way):
+            return []
+        plane, rest = int(way.plane[0]), way[np.arange(1, len(way))]
+        R, t = way.world_R_hand[0], way.world_t_hand[0]
+        solutions = robot.solutions(R, t, plates[plane], q)
+        for solved, _ in zip(islice(solutions, TRIED_SOLUTIONS), left, strict=False):
+            if robot.free_way(q, solved, plates[plane] if plane == before else None, box):
+                found = [solved, *along(solved, plane, rest, left)]
+                if len(found) == len(way):
+                    return found
+        return []
+
     before: Stations | None = None
     for index in range(len(stations)):
         station = stations[np.array([index])]
-        for way in driver.ways(before, station):
-            along = driver.joints_along(way, before, joints[-1] if joints else robot.start)
-            if along is not None:
+        for way in ways(before, station):
+            q = joints[-1] if joints else robot.start
+            plane = int((way if before is None else before).plane[0])
+            if len(q):
+                found = along(q, plane, way, iter(range(MOST_WAYS)))
+            else:  # where no joints are known before, only those of the station matter
+                solved = robot.joints(way.world_R_hand, way.world_t_hand, plates[plane])
+                found = [] if np.isnan(solved).any() else list(solved)
+            if found:
                 parts.append(way)
-                joints += along
+                joints += found
                 origin += [-1] * (len(way) - 1) + [index]
                 before = station
                 break
@@ -145,78 +196,3 @@ def driven(
             "more room around the plate, a smaller clearance or other start joints",
         )
     return joined(parts), np.array(origin, dtype=np.intp), np.array(joints)
-
-
-class _Driver:
-    """An arm in its workspace, before the plate of every plane."""
-
-    def __init__(self, robot: Robot, workspace: Workspace, plates: Sequence[Plate]) -> None:
-        self.robot, self.workspace, self.plates = robot, workspace, plates
-        # Where no table says how far down the hand may go, it keeps to the box of its stations.
-        self.box = None if robot.table is not None else (workspace.low, workspace.high)
-        self.left = 0
-
-    def ways(self, before: Stations | None, station: Stations) -> Iterator[Stations]:
-        """Yield what the hand can pass on its way to a station, which is the last."""
-        back = self._withdrawn(station)
-        if before is None:
-            yield station
-            if len(self.robot.start):
-                yield from (joined([away, station]) for away in back)
-            return
-        routes = [[before, station]] if before.plane[0] == station.plane[0] else []
-        both = list(zip(self._withdrawn(before), back, strict=False))
-        routes += [[before, one, other, station] for one, other in both]
-        if len(self.robot.start):
-            R, t = self.robot.poses(self.robot.start)
-            home = Stations(R, t, station.plane)
-            routes += [[before, one, home, other, station] for one, other in both]
-        for route in routes:
-            passed, _ = divided(joined(route), self.workspace.largest_step)
-            yield passed[np.arange(1, len(passed))]
-
-    def joints_along(
-        self, way: Stations, before: Stations | None, q: FloatArray
-    ) -> list[FloatArray] | None:
-        """Return the joints of all stations of a way that begins at joints q; None where none is free.
-
-        Where no q is known, only the joints of the station itself matter.
-        """
-        plane = int(way.plane[0])
-        if not len(q):
-            R, t = way.world_R_hand, way.world_t_hand
-            joints = self.robot.joints(R, t, self.plates[plane])
-            return None if np.isnan(joints).any() else list(joints)
-        self.left = MOST_WAYS
-        return self._from(q, plane if before is None else int(before.plane[0]), way, 0)
-
-    def _from(
-        self, q: FloatArray, before: int, way: Stations, index: int
-    ) -> list[FloatArray] | None:
-        """Return joints of a way from a station on, coming from joints q before plane `before`.
-
-        No plate stands on the way to another plane.
-        """
-        if index == len(way):
-            return []
-        plane = int(way.plane[index])
-        plate = self.plates[plane]
-        solutions = self.robot.solutions(way.world_R_hand[index], way.world_t_hand[index], plate, q)
-        for tried, joints in enumerate(solutions):
-            if tried == TRIED_SOLUTIONS or self.left <= 0:
-                break
-            self.left -= 1
-            if self.robot.free_way(q, joints, plate if plane == before else None, self.box):
-                rest = self._from(joints, plane, way, index + 1)
-                if rest is not None:
-                    return [joints, *rest]
-        return None
-
-    def _withdrawn(self, station: Stations) -> list[Stations]:
-        """Return where the hand is withdrawn from the plate, as far as the workspace allows."""
-        n = self.plates[int(station.plane[0])].normal
-        moved = [
-            Stations(station.world_R_hand, station.world_t_hand - far * n, station.plane)
-            for far in WITHDRAWN_BY
-        ]
-        return [away for away in moved if inside(self.workspace, away).all()]

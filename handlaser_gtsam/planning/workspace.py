@@ -16,11 +16,9 @@ from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..model.sensor import Sensor
-from ..quantities import FAR_SIGMAS, LARGEST_LENGTH, MM, ROUNDING
+from ..quantities import LARGEST_LENGTH, MM, ROUNDING
 from ..validation.simulate import Stations
-from .belief import Belief
 from .bounds import vectors
-from .information import outlook
 from .robot import Robot
 
 STEEPEST = math.radians(75.0)
@@ -29,22 +27,9 @@ ROOMY = 0.25
 """A workspace that is not stated surrounds the stations so far by this part of their extent."""
 SMALLEST_TURN = math.radians(20.0)
 """Largest turn of a workspace that is not stated, where the hand has not turned: any hand can."""
-ENDS = 0.4
-"""Both exponents of the beta distribution of where in the range candidates read: mostly at its ends."""
 TURN_EXPONENT = 9.0
 """The turns of candidates are the largest one times the root of this order of a uniform number: nine of
 ten turn by more than three quarters of it, because stations that turn far say most."""
-MOST_TRIED = 40
-"""Multiple of the candidates wanted that are drawn, before giving up: of a workspace of which a
-fortieth is good."""
-MOST_AT_ONCE = 3000
-"""Poses drawn in one round, or as many as are wanted if those are more: they fit into memory."""
-MORE_THAN_MISSING = 1.3
-"""Multiple of the poses that seem to be missing that are drawn: most rounds are the last."""
-MOST_ASKED = 3
-"""Multiple of the candidates wanted of which an arm is asked, which takes longer than drawing them."""
-LEAST_CANDIDATES = 10
-"""Fewer are no choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -100,17 +85,6 @@ def inside(workspace: Workspace, stations: Stations) -> BoolArray:
     return np.asarray(within & (turn <= workspace.largest_turn + ROUNDING))
 
 
-def within_reach(belief: Belief, workspace: Workspace, stations: Stations) -> BoolArray:
-    """Tell which stations (M,) the arm reaches without touching the plate; all without an arm."""
-    reached = np.ones(len(stations), dtype=bool)
-    if workspace.robot is not None:
-        for plane, plate in enumerate(belief.plates()):
-            there = stations.plane == plane
-            R, t = stations.world_R_hand[there], stations.world_t_hand[there]
-            reached[there] = workspace.robot.reachable(R, t, plate) if len(t) else True
-    return reached
-
-
 def workspace_of(recording: Recording | StationList) -> Workspace:
     """Return the workspace that the stations of a recording show."""
     t, R = recording.world_t_hand, Rotation.from_matrix(recording.world_R_hand)
@@ -118,57 +92,6 @@ def workspace_of(recording: Recording | StationList) -> Workspace:
     turn = max(float((home.inv() * R).magnitude().max()), SMALLEST_TURN)
     room = max(ROOMY * float(np.ptp(t, axis=0).max()), MM)  # for a hand that has not moved
     return Workspace(t.min(axis=0) - room, t.max(axis=0) + room, home.as_matrix(), turn)
-
-
-def candidates(
-    belief: Belief,
-    plane: int,
-    workspace: Workspace,
-    sensor: Sensor,
-    count: int,
-    rng: np.random.Generator,
-) -> Stations:
-    """Return up to `count` stations before a plane at which every beam can read it safely.
-
-    Raises
-    ------
-    InputError
-        The sensor's range is not stated, or there is hardly a station.
-    """
-    require_range(sensor)
-    mean, name = belief.mean, belief.plane_names[plane]
-    require_facing(f"plane {name}", workspace, mean.directions, mean.normals[plane])
-    kept: list[Stations] = []
-    drawn = good = asked = 0
-    while drawn < MOST_TRIED * count and good < count and asked < MOST_ASKED * count:
-        wanted = count
-        if drawn:  # by how many of those drawn were good so far
-            most = min(max(MOST_AT_ONCE, count), MOST_TRIED * count - drawn)
-            missing = MORE_THAN_MISSING * (count - good) * drawn / max(good, 1)
-            wanted = int(np.clip(missing, 0.1 * count, most))
-        drawn += wanted
-        tried = _drawn(belief, plane, workspace, sensor, wanted, rng)
-        tried = tried[inside(workspace, tried)]
-        if not len(tried):
-            continue
-        tried = tried[safe(belief, tried, sensor)]
-        if workspace.robot is not None:
-            tried = tried[np.arange(min(len(tried), count))]
-            asked += len(tried)
-        kept.append(tried[within_reach(belief, workspace, tried)])
-        good += len(kept[-1])
-    if good >= LEAST_CANDIDATES:
-        return joined(kept)[np.arange(min(count, good))]
-    if asked >= LEAST_CANDIDATES:
-        raise InputError(
-            f"no station before plane {name} that the arm reaches without a collision, of {asked} that "
-            "are safe for the sensor",
-            "another place of the plate or of the arm's base, or a smaller clearance",
-        )
-    raise InputError(
-        f"no station before plane {name} at which every beam reads it safely",
-        "a workspace that reaches the sensor's range, or a calibration that is known better",
-    )
 
 
 def require_facing(
@@ -203,27 +126,6 @@ def require_facing(
     )
 
 
-def reachable(
-    belief: Belief, workspace: Workspace, sensor: Sensor, count: int, rng: np.random.Generator
-) -> Stations:
-    """Return up to `count` safe stations before each plane; some planes may be out of reach.
-
-    Raises
-    ------
-    InputError
-        The sensor's range is not stated, or all planes are out of reach.
-    """
-    parts, refusal = [], None
-    for plane in range(len(belief.plane_names)):
-        try:
-            parts.append(candidates(belief, plane, workspace, sensor, count, rng))
-        except InputError as error:
-            refusal = refusal or error
-    if refusal is not None and not parts:
-        raise refusal
-    return joined(parts)
-
-
 def require_range(sensor: Sensor) -> None:
     """Refuse a sensor whose range is not stated.
 
@@ -240,21 +142,11 @@ def least_cosine(sensor: Sensor) -> float:
     return math.cos(min(sensor.max_incidence, STEEPEST))
 
 
-def safe(belief: Belief, stations: Stations, sensor: Sensor) -> BoolArray:
-    """Tell at which stations (M,) all readings are within the sensor's limits, with a margin.
-
-    The margin is `FAR_SIGMAS`: of a hundred readings at its very edge, less than one in a hundred plans
-    has one beyond the limits.
-
-    Raises
-    ------
-    GrazingBeamError, InputError
-        As `outlook` does.
-    """
-    reading, spread, cosine, cosine_sigma = outlook(belief, stations)
-    near, far = reading - FAR_SIGMAS * spread, reading + FAR_SIGMAS * spread
-    steep = cosine - FAR_SIGMAS * cosine_sigma >= least_cosine(sensor)
-    return np.asarray((sensor.can_read(near) & sensor.can_read(far) & steep).all(axis=1))
+def drawn_turns(workspace: Workspace, count: int, rng: np.random.Generator) -> FloatArray:
+    """Return random orientations (count, 3, 3) of the hand in a workspace."""
+    axis = model.normalized(rng.standard_normal((count, 3)))
+    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / TURN_EXPONENT)
+    return np.asarray(workspace.home @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix())
 
 
 def joined(parts: Sequence[Stations]) -> Stations:
@@ -264,35 +156,3 @@ def joined(parts: Sequence[Stations]) -> Stations:
         np.concatenate([one.world_t_hand for one in parts]),
         np.concatenate([one.plane for one in parts]),
     )
-
-
-def _drawn(
-    belief: Belief,
-    plane: int,
-    workspace: Workspace,
-    sensor: Sensor,
-    count: int,
-    rng: np.random.Generator,
-) -> Stations:
-    """Return random stations of the workspace, moved along the normal until the beams can read."""
-    mean = belief.mean
-    axis = model.normalized(rng.standard_normal((count, 3)))
-    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / TURN_EXPONENT)
-    R = workspace.home @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix()
-    t = rng.uniform(workspace.low, workspace.high, (count, 3))
-    n, b = mean.normals[plane], mean.offsets[plane]
-    n_hand = np.einsum("mji,j->mi", R, n)
-    cosine = n_hand @ mean.directions.T
-    good = (cosine > least_cosine(sensor)).all(axis=1)
-    R, t, n_hand, cosine = R[good], t[good], n_hand[good], cosine[good]
-    s = -(n_hand @ mean.locations.T + (t @ n + b)[:, None]) / cosine
-    k = mean.range_errors
-    low = np.asarray(model.corrected(np.full(len(k), sensor.range_min), k))
-    high = np.asarray(model.corrected(np.full(len(k), sensor.range_max), k))
-    # A step back by h along the normal lengthens the range of a beam by h over its cosine.
-    nearest = ((low - s) * cosine).max(axis=1)
-    farthest = ((high - s) * cosine).min(axis=1)
-    fits = farthest > nearest
-    share = rng.beta(ENDS, ENDS, size=int(fits.sum()))
-    back = nearest[fits] + share * (farthest - nearest)[fits]
-    return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(back), plane))

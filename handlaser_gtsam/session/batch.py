@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..data.parameters import Beams, Parameters
+from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording, join
 from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import covariance, covariance_by_gtsam, posterior
@@ -18,7 +18,7 @@ from ..model.errors_in_variables import weighed
 from ..model.families import BEAM
 from ..model.sensor import FLAT, OUTSIDE
 from ..model.weighting import Whitening, unequal, whitening
-from ..observability.rank import Observability, ObservabilityOptions, observability
+from ..observability.rank import ObservabilityOptions, observability
 from ..quantities import MOST_ROUNDS
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
@@ -99,7 +99,7 @@ class BatchProblem:
                 problem.graph.push_back(factor)
         return problem, marginal
 
-    def solved(self) -> tuple[CalibrationGraph, LevenbergResult]:
+    def solved(self) -> tuple[CalibrationGraph, LevenbergResult, Parameters]:
         """Return the batch solution, weights settled, from the present estimate."""
         parameters, poses = self.parameters, self.poses
         for _ in range(MOST_ROUNDS):
@@ -111,17 +111,11 @@ class BatchProblem:
                 break
             if not self.config.weights_depend:
                 break
-        return problem, result
-
-    def batch_beams(self) -> Beams:
-        """Return the beams of the batch solution."""
-        problem, result = self.solved()
-        return read_parameters(problem, result.values).beams
+        return problem, result, parameters
 
     def compared(self, state: BeamState) -> Comparison:
         """Compare the beams, scales integrated over, with the batch solution."""
-        problem, result = self.solved()
-        parameters = read_parameters(problem, result.values)
+        problem, result, parameters = self.solved()
         if self.config.learned is not None:
             learned = self.config.learned
             integrated = posterior(self.scale_problem(parameters, learned), learned)
@@ -155,47 +149,37 @@ class BatchProblem:
         problem = self.scale_problem(self.parameters, before)
         return problem.learned(problem.mode(before.mode))
 
+    def solution(self) -> Solution:
+        """Return the present estimate and what the readings determine; nothing is solved again."""
+        config, parameters = self.config, self.parameters
+        graph, how = self.problem(parameters, self.poses)
+        result = evaluated(graph, "the incremental estimate")
+        ended = replace(Minimum.of_graph(graph, result), parameters=parameters)
+        options, prior, readings = ObservabilityOptions(), config.prior, graph.readings
+        seen = observability(parameters, readings, config.terms, how.sigma, options, how, prior)
+        variances = config.variances(len(self.recording.plane_labels))
+        if not unequal(variances, max(config.terms), readings):
+            return Solution(ended, seen, prior=prior)
+        return Solution(ended, seen, variances, how, prior)
+
     def range_sigma(self) -> tuple[float, int]:
         """Return the range sigma [m] that the residuals show, and its degrees of freedom."""
-        problem, marginal = self.problem(self.parameters, self.poses)
-        result = evaluated(problem, METHOD)
-        ended = replace(Minimum.of_graph(problem, result), parameters=self.parameters)
-        solution = Solution(ended, self._observability(problem, marginal))
-        white = float(result.white @ result.white) / problem.range_sigma**2
+        solution = self.solution()
+        white = float(solution.at.white @ solution.at.white) / solution.at.sigma**2
         return self.config.sigma * float(np.sqrt(white / max(solution.dof, 1))), solution.dof
-
-    def determined(self) -> bool:
-        """Tell whether the readings determine everything, as a batch calibration judges it."""
-        return self._observability(*self.problem(self.parameters, self.poses)).full
-
-    def _observability(self, graph: CalibrationGraph, how: Whitening) -> Observability:
-        terms, options = self.config.terms, ObservabilityOptions()
-        prior = self.config.prior
-        return observability(self.parameters, graph.readings, terms, how.sigma, options, how, prior)
 
     def calibration(self) -> Calibration:
         """Return the calibration at the present estimate; nothing is solved again."""
-        graph, marginal = self.problem(self.parameters, self.poses)
-        result = evaluated(graph, "the incremental estimate")
-        variances = self.config.variances(len(self.recording.plane_labels))
-        differ = unequal(variances, max(self.config.terms), graph.readings)
-        observability, learned = self._observability(graph, marginal), self.config.learned
-        weighted_by, how = (variances, marginal) if differ else (None, None)
-        ended = replace(Minimum.of_graph(graph, result), parameters=self.parameters)
-        joint = covariance_by_gtsam(graph, result.values) if observability.full else None
-        solution = Solution(ended, observability, weighted_by, how, self.config.prior, joint=joint)
+        solution, learned = self.solution(), self.config.learned
+        at = solution.at
+        if solution.observability.full and at.graph is not None and at.values is not None:
+            solution = replace(solution, joint=covariance_by_gtsam(at.graph, at.values))
         if learned is not None:
             whole = posterior(self.scale_problem(self.parameters, learned), learned)
             solution = replace(solution, posterior=whole, scales=whole.scales)
-        rms = float(np.sqrt(np.mean(result.residual**2)))
-        selection = Selection(
-            self.used,
-            self.rejected(OUTSIDE),
-            self.rejected(FLAT),
-            METHOD,
-            ((METHOD, rms),),
-            solution,
-        )
+        tried = ((METHOD, float(np.sqrt(np.mean(at.residual**2)))),)
+        outside, flat = self.rejected(OUTSIDE), self.rejected(FLAT)
+        selection = Selection(self.used, outside, flat, METHOD, tried, solution)
         noise, sensor = self.config.noise, self.config.options.sensor
         problem = Problem.as_recorded(self.recording, self.readings, self.origins, noise, sensor)
         return assemble(problem, selection)

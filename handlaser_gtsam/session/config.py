@@ -32,6 +32,10 @@ TWO_TERMS = "q"
 """Letter of range errors with two terms: iSAM2 has one threshold a letter."""
 
 
+Given = tuple[Noise, CalibrationOptions, IncrementalOptions]
+"""What a session is given, once."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
     """Process noise between a beam before and after it may have moved, by index.
@@ -117,13 +121,7 @@ class SessionConfig:
     learned: LearnedScales | None = None
 
     @classmethod
-    def of(
-        cls,
-        calibration: Calibration,
-        noise: Noise,
-        options: CalibrationOptions,
-        incremental: IncrementalOptions,
-    ) -> "SessionConfig":
+    def of(cls, calibration: Calibration, given: Given) -> "SessionConfig":
         """Return what all planes have in common after a calibration."""
         beams, fit = calibration.beams.values(), calibration.fit
         return cls(
@@ -131,13 +129,18 @@ class SessionConfig:
             terms=tuple(beam.terms for beam in beams),
             length=fit.typical_range,
             sigma=fit.range_sigma,
-            sigma_dof=np.inf if noise.range_sigma is not None else float(max(fit.dof, 1)),
-            noise=noise,
+            sigma_dof=np.inf if given[0].range_sigma is not None else float(max(fit.dof, 1)),
+            noise=given[0],
             poses=fit.poses,
-            options=options,
-            incremental=incremental,
+            options=given[1],
+            incremental=given[2],
             learned=calibration.learned,
         )
+
+    @property
+    def given(self) -> Given:
+        """What the session was given."""
+        return self.noise, self.options, self.incremental
 
     @property
     def reject(self) -> bool:
@@ -169,12 +172,16 @@ class SessionConfig:
         """Tell whether the beams are known to a part of their natural units."""
         return bool((state.sigmas() < KNOWN * BEAM.number_units(self.length)).all())
 
-    def apart(self, beams: Beams, other: Beams) -> float:
-        """Return how far two estimates of the beams are apart, in natural units."""
-        shift = float(np.abs(beams[0] - other[0]).max()) / self.length
-        turn = float(np.abs(beams[1] - other[1]).max())
-        stretch = np.abs(beams[2] - other[2]) @ [1.0, self.length]
-        return max(shift, turn, float(stretch.max()))
+    def beams_of(self, batch: Calibration) -> Beams:
+        """Return the beams of a calibration in the order of the session."""
+        order = [list(batch.beams).index(name) for name in self.names]
+        r, v, k = (array[order] for array in batch.parameters().beams)
+        return r, v, k
+
+    def apart(self, state: BeamState, batch: Calibration) -> tuple[float, float]:
+        """Return how far beams are from the beams of a calibration; see `BeamState.apart`."""
+        sigmas = np.array([batch.beams[name].sigma for name in self.names])
+        return state.apart(self.beams_of(batch), sigmas)
 
     def changes(self, before: "SessionConfig") -> tuple[Change, ...]:
         """Return what is estimated differently than before."""
@@ -198,12 +205,6 @@ class SessionConfig:
             return None
         return self.learned.prior(self.members, len(self.names))
 
-    @property
-    def known(self) -> tuple[gtsam.NonlinearFactor, ...]:
-        """Factors of the beams alone: links, and priors of range errors."""
-        links = [factor for link in self.links for factor in link.factors(self.beams, self.terms)]
-        return (*links, *range_error_priors(self.beams, self.terms, self.prior))
-
     def variances(self, stations: int) -> Variances:
         """Return the variances behind the covariance of the readings of that many stations."""
         if self.learned is not None:
@@ -224,6 +225,8 @@ class SessionConfig:
         return replace(readings, beam=beam, beams=len(self.names)).subset(order)
 
     def start(self, start: Beams) -> GraphPart:
-        """Return the beams as the start of a graph, with their links."""
+        """Return the beams as the start of a graph, with their links and priors of range errors."""
+        links = [factor for link in self.links for factor in link.factors(self.beams, self.terms)]
+        priors = range_error_priors(self.beams, self.terms, self.prior)
         beams = Parameters(*start, np.empty((0, 3)), np.empty(0))
-        return GraphPart((), self.known, start_values(beams, self.beams, (), self.terms))
+        return GraphPart((), (*links, *priors), start_values(beams, self.beams, (), self.terms))

@@ -43,12 +43,15 @@ class PlaneContents:
         """Return all stations with the readings that are used."""
         if not self.rejected:
             return self.recording
-        row = {name: j for j, name in enumerate(self.recording.station_names)}
-        column = {name: i for i, name in enumerate(self.recording.beam_names)}
-        mask = np.zeros(self.recording.ranges.shape, dtype=bool)
-        for reading in self.rejected:
-            mask[row[reading.station], column[reading.beam]] = True
-        return self.recording.without(mask)
+        recording, out = self.recording, {(one.station, one.beam) for one in self.rejected}
+        names = recording.station_names, recording.beam_names
+        mask = [[(station, beam) in out for beam in names[1]] for station in names[0]]
+        return recording.without(np.array(mask))
+
+    def taken_out(self, culprit: str | None = None) -> "PlaneContents":
+        """Return the plane out of the graph; excluded where a culprit is given."""
+        culprit = self.culprit if culprit is None else culprit
+        return replace(self, number=None, origin=None, culprit=culprit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +94,10 @@ class Contents:
         planes = self.planes.items()
         return {name: p.culprit for name, p in planes if p.culprit is not None}
 
+    def current(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of beams as they are, without the names of states before a move."""
+        return tuple(name for name in names if name not in self.names)
+
     def everything(self) -> Recording:
         """Return everything as it was added, stations in the order in which they came.
 
@@ -130,35 +137,24 @@ class Contents:
         for index, name in enumerate(recording.plane_names):
             new = recording.part(np.flatnonzero(recording.plane_of_station == index))
             outside = (new.ranges < sensor.range_min) | (new.ranges > sensor.range_max)
-            rejected = named(new, outside, OUTSIDE)
-            old = planes.get(name)
-            planes[name] = PlaneContents(new, rejected)
-            if old is not None:
-                more = join([old.recording, new])
-                planes[name] = replace(old, recording=more, rejected=(*old.rejected, *rejected))
+            rejected, old = named(new, outside, OUTSIDE), planes.get(name, PlaneContents(new))
+            more = join([old.recording, new]) if name in planes else new
+            planes[name] = replace(old, recording=more, rejected=(*old.rejected, *rejected))
         first = max(self.station_numbers.values(), default=-1) + 1
         numbers = {name: first + j for j, name in enumerate(recording.station_names)}
         return replace(self, planes=planes, station_numbers={**self.station_numbers, **numbers})
 
-    def rejecting(self, plane: str, more: tuple[Rejected, ...]) -> "Contents":
-        """Return the contents with more readings of a plane rejected."""
-        before = self.planes[plane]
-        return self._with(plane, replace(before, rejected=(*before.rejected, *more)))
+    def with_plane(self, name: str, plane: PlaneContents) -> "Contents":
+        """Return the contents with other contents of a plane."""
+        return replace(self, planes={**self.planes, name: plane})
 
     def restarted(self, rejected: Iterable[Rejected]) -> "Contents":
         """Return the contents of which nothing is in a graph, with just these readings rejected."""
-        plane_of = {
-            station: name
-            for name, plane in self.planes.items()
-            for station in plane.recording.station_names
-        }
-        of_plane: dict[str, list[Rejected]] = {name: [] for name in self.planes}
-        for reading in rejected:
-            of_plane[plane_of[reading.station]].append(replace(reading, residual=None))
-        planes = {
-            name: PlaneContents(plane.recording, tuple(of_plane[name]))
-            for name, plane in self.planes.items()
-        }
+        every, planes = [replace(reading, residual=None) for reading in rejected], {}
+        for name, plane in self.planes.items():
+            here = set(plane.recording.station_names)
+            out = tuple(reading for reading in every if reading.station in here)
+            planes[name] = PlaneContents(plane.recording, out)
         return replace(self, planes=planes)
 
     def without_plane(self, name: str) -> "Contents":
@@ -206,20 +202,11 @@ class Contents:
         if not rows.size or np.isnan(recording.ranges[rows]).all():
             return self.without_plane(name)
         rejected = tuple(other for other in plane.rejected if other.station != station)
-        less = self._with(name, replace(plane, recording=recording.part(rows), rejected=rejected))
+        less = self.with_plane(
+            name, replace(plane, recording=recording.part(rows), rejected=rejected)
+        )
         numbers = {s: number for s, number in self.station_numbers.items() if s != station}
         return replace(less, station_numbers=numbers)
-
-    def placed(self, plane: str, number: int, origin: FloatArray) -> "Contents":
-        """Return the contents with a plane in the graph under a number; it is not excluded."""
-        before = self.planes[plane]
-        return self._with(plane, replace(before, number=number, origin=origin, culprit=None))
-
-    def taken_out(self, plane: str, culprit: str | None = None) -> "Contents":
-        """Return the contents with a plane out of the graph; excluded where a culprit is given."""
-        before = self.planes[plane]
-        culprit = before.culprit if culprit is None else culprit
-        return self._with(plane, replace(before, number=None, origin=None, culprit=culprit))
 
     def numbered(self, origins: Mapping[str, FloatArray]) -> "Contents":
         """Return the contents with just these planes in the graph, numbered from zero."""
@@ -247,9 +234,6 @@ class Contents:
             planes[name] = replace(planes[name], recording=recording, rejected=tuple(rejected))
         names = {**self.names, before: self.names.get(beam, beam)}
         return replace(self, planes=planes, names=names)
-
-    def _with(self, name: str, plane: PlaneContents) -> "Contents":
-        return replace(self, planes={**self.planes, name: plane})
 
 
 def named(recording: Recording, which: BoolArray, reason: str) -> tuple[Rejected, ...]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import betaln, gammaln
 
 from .. import model
@@ -26,7 +27,7 @@ from ..estimation.information import Information
 from ..model.distributions import chi2_sf, f_sf
 from ..model.families import BEAM, DIRECTION, MOUNT_DIM, modelled
 from ..quantities import KNOWN
-from .config import ProcessNoise, SessionConfig
+from .config import SessionConfig
 from .reports import Moved
 
 FALSE_ALARMS = 2e-5
@@ -56,29 +57,27 @@ class DriftHistory:
 
     @classmethod
     def empty(cls, config: SessionConfig, beams: Beams) -> "DriftHistory":
-        """Return a history without planes, counted from these beams."""
-        size = int(modelled(config.terms).sum())
-        nothing = Information(np.zeros((size, size)), np.zeros(size), np.zeros(()))
-        history = cls(config, beams, nothing)
-        for link in config.links:
-            history = replace(history, known=history.known + history.linked(link))
-        return history
+        """Return a history without planes, counted from these beams.
 
-    def linked(self, link: ProcessNoise) -> Information:
-        """Return what process noise between two beams says of all."""
-        size, basis = len(self.unit), model.tangent_basis(self.beams[1])
-        active, a, b = self.active.tolist(), link.before, link.now
-        rows = [active.index(BEAM.dim * a + i) for i in range(MOUNT_DIM + self.config.terms[a])]
-        other = [active.index(BEAM.dim * b + i) for i in range(MOUNT_DIM + self.config.terms[b])]
-        J = np.zeros((len(rows), size))
-        J[:, rows], J[:, other] = -np.eye(len(rows)), np.eye(len(rows))
-        J[DIRECTION, other[DIRECTION]] = basis[a].T @ basis[b]
-        shift, turn, stretch = (array[b] - array[a] for array in self.beams)
-        error = np.concatenate((shift, basis[a].T @ turn, stretch[: self.config.terms[a]]))
-        location, direction = [link.location_sigma] * 3, [link.direction_sigma] * 2
-        sigmas = np.array([*location, *direction, *link.range_error_sigmas])[: len(rows)]
-        J = J * self.unit / sigmas[:, None]
-        return Information(J.T @ J, -J.T @ (error / sigmas), np.zeros(()))
+        What process noise between two beams says of all is known beside the planes.
+        """
+        size, basis = int(modelled(config.terms).sum()), model.tangent_basis(beams[1])
+        known = Information(np.zeros((size, size)), np.zeros(size), np.zeros(()))
+        history = cls(config, beams, known)
+        place = np.cumsum(history.mask) - 1
+        for link in config.links:
+            a, b, own = link.before, link.now, np.arange(MOUNT_DIM + config.terms[link.before])
+            rows, other = place[BEAM.dim * a + own], place[BEAM.dim * b + own]
+            J = np.zeros((len(own), size))
+            J[:, rows], J[:, other] = -np.eye(len(own)), np.eye(len(own))
+            J[DIRECTION, other[DIRECTION]] = basis[a].T @ basis[b]
+            shift, turn, stretch = (array[b] - array[a] for array in beams)
+            error = np.concatenate((shift, basis[a].T @ turn, stretch))[: len(own)]
+            mount = [link.location_sigma] * 3 + [link.direction_sigma] * 2
+            sigmas = np.array([*mount, *link.range_error_sigmas])[: len(own)]
+            J = J * history.unit / sigmas[:, None]
+            known = known + Information(J.T @ J, -J.T @ (error / sigmas), np.zeros(()))
+        return replace(history, known=known)
 
     @property
     def mask(self) -> BoolArray:
@@ -86,32 +85,20 @@ class DriftHistory:
         return modelled(self.config.terms).ravel()
 
     @property
-    def active(self) -> IntArray:
-        """Which of 7 unknowns a beam are estimated."""
-        return np.flatnonzero(self.mask)
-
-    @property
     def unit(self) -> FloatArray:
         """Natural units of the active unknowns."""
-        return np.tile(BEAM.natural_units(self.config.length), len(self.config.terms))[self.active]
+        return np.tile(BEAM.natural_units(self.config.length), len(self.config.terms))[self.mask]
 
     def moves(self) -> IntArray:
         """Return which of the active unknowns belong to the mount of each beam, (B, 5)."""
-        active = self.active
+        active = np.flatnonzero(self.mask)
         return np.flatnonzero(active % BEAM.dim < MOUNT_DIM).reshape(-1, MOUNT_DIM)
 
     def coordinates(self, beams: Beams) -> FloatArray:
         """Return the unknowns of other beams."""
-        basis = model.tangent_basis(self.beams[1])
-        x = np.hstack(
-            (
-                beams[0] - self.beams[0],
-                np.einsum("bij,bi->bj", basis, beams[1] - self.beams[1]),
-                beams[2] - self.beams[2],
-            )
-        )
-        coordinates: FloatArray = x.ravel()[self.active] / self.unit
-        return coordinates
+        shift, turn, stretch = (there - here for there, here in zip(beams, self.beams, strict=True))
+        tilt = np.einsum("bij,bi->bj", model.tangent_basis(self.beams[1]), turn)
+        return np.asarray(np.hstack((shift, tilt, stretch)).ravel()[self.mask] / self.unit)
 
     def with_plane(self, name: str, piece: Information) -> "DriftHistory":
         """Return the history with one more plane, or with more known of one."""
@@ -128,9 +115,7 @@ class DriftHistory:
         back = 2 ** np.arange(max(count, 1).bit_length())
         return count - back[back < count]
 
-    def search(
-        self, dof: float, epochs: IntArray | None = None, false_alarms: float = FALSE_ALARMS
-    ) -> Moved | None:
+    def search(self, dof: float, epochs: IntArray | None = None) -> Moved | None:
         """Return the beam that has moved; None where there is no clear sign of it.
 
         Parameters
@@ -139,8 +124,6 @@ class DriftHistory:
             Degrees of freedom behind the range sigma; infinite where it was given.
         epochs : (E,), optional
             Numbers of planes before the move; all where not given, and once any of them shows a move.
-        false_alarms : float
-            Probability of finding one where nothing has moved.
         """
         count = len(self.pieces)
         if epochs is None:
@@ -161,14 +144,6 @@ class DriftHistory:
         L = np.stack([information.matrix for information in late])
         s = np.stack([information.vector for information in late]) - L @ x
         M = L - L @ covariance @ L
-        clearest = self._clearest(s, M, dof, epochs)
-        if clearest.p_value >= false_alarms:
-            return None
-        if len(epochs) == count - 1:
-            return clearest
-        return self.search(dof, None, false_alarms)  # something has moved: look at every epoch
-
-    def _clearest(self, s: FloatArray, M: FloatArray, dof: float, epochs: IntArray) -> Moved:
         beams = self.moves()
         values, axes = np.linalg.eigh(M[:, beams[:, :, None], beams[:, None, :]])
         along = np.einsum("ebji,ebj->ebi", axes, s[:, beams])
@@ -176,15 +151,19 @@ class DriftHistory:
         safe = np.where(keep, values, 1.0)
         rank = keep.sum(axis=2)
         statistic = np.where(keep, along**2 / safe, 0.0).sum(axis=2)
-        moves = np.einsum("ebij,ebj->ebi", axes, np.where(keep, along / safe, 0.0))
         log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), dof), 0.0)
         best = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
-        d = moves[best] * self.unit[beams[best[1]]]
+        p_value = min(float(np.exp(log_p[best])) * log_p.size, 1.0)
+        if p_value >= FALSE_ALARMS:
+            return None
+        if len(epochs) < count - 1:
+            return self.search(dof)  # something has moved: look at every epoch
+        d = axes[best] @ np.where(keep, along / safe, 0.0)[best] * self.unit[beams[best[1]]]
         return Moved(
             self.config.names[best[1]],
             list(self.pieces)[int(epochs[best[0]])],
             float(statistic[best]),
-            min(float(np.exp(log_p[best])) * log_p.size, 1.0),
+            p_value,
             d[:3],
             float(np.linalg.norm(d[3:])),
         )
@@ -209,9 +188,4 @@ def turns(directions: FloatArray, history: DriftHistory) -> FloatArray:
     here, there = model.tangent_basis(directions), model.tangent_basis(history.beams[1])
     turns = np.tile(np.eye(BEAM.dim), (len(directions), 1, 1))
     turns[:, DIRECTION, DIRECTION] = np.swapaxes(here, 1, 2) @ there
-    whole = np.zeros((len(directions), BEAM.dim, len(directions), BEAM.dim))
-    each = np.arange(len(directions))
-    whole[each, :, each, :] = turns
-    size, active = BEAM.dim * len(directions), history.active
-    matrix: FloatArray = whole.reshape(size, size)[np.ix_(active, active)]
-    return matrix
+    return np.asarray(block_diag(*turns)[np.ix_(history.mask, history.mask)])

@@ -1,7 +1,8 @@
 """One plane beside beams that are known: fitted, judged, and made into factors."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -21,7 +22,7 @@ from ..model.joint import beams_lift
 from ..model.reduction import Normal
 from ..model.weighting import Whitening, whitening
 from ..quantities import KNOWN, NEGLIGIBLE
-from ..solvers.beam_problem import Linearized, jacobian_columns, linearized, moved
+from ..solvers.beam_problem import jacobian_columns, linearized, moved
 from ..solvers.graph import pose_priors, station_blocks
 from ..solvers.isam import BeamState, GraphPart
 from ..starts.growing import PartialStart, grow
@@ -34,8 +35,7 @@ SESSION_CUT = 4.5
 """A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
 
 
-@dataclass(frozen=True, slots=True)
-class FittedPlane:
+class FittedPlane(NamedTuple):
     """Readings of one plane in its own frame, with the plane that fits them beside known beams.
 
     Attributes
@@ -70,21 +70,18 @@ class FittedPlane:
 
     def mask(self, recording: Recording, rows: BoolArray) -> BoolArray:
         """Return the mask (M, B) of some of the readings in their recording."""
-        column = {name: i for i, name in enumerate(recording.beam_names)}
+        beam = np.array(self.config.names)[self.readings.beam[rows]]
+        column = [recording.beam_names.index(name) for name in beam.tolist()]
         mask = np.zeros(recording.ranges.shape, dtype=bool)
-        for row in np.flatnonzero(rows).tolist():
-            beam = column[self.config.names[self.readings.beam[row]]]
-            mask[self.readings.station[row], beam] = True
+        mask[self.readings.station[rows], column] = True
         return mask
 
     def information(self, history: DriftHistory) -> Information:
         """Return what the plane knows of the beams, (n, n) and (n,), in natural units."""
         beams, sigma = self.parameters.beams, self.whitening.sigma
-        unit = np.ones(len(history.mask))
-        unit[history.mask] = history.unit
-        reduced = self.normal.reduced(
-            unit, PLANE.natural_units(history.config.length), history.mask
-        )
+        length = history.config.length
+        unit = np.tile(BEAM.natural_units(length), len(beams[0]))
+        reduced = self.normal.reduced(unit, PLANE.natural_units(length), history.mask)
         turn = turns(beams[1], history)
         L = turn.T @ reduced.matrix @ turn / sigma**2
         gradient = turn.T @ reduced.gradient / sigma**2
@@ -143,28 +140,23 @@ class FittedPlane:
         Their derivatives and the residuals (N, n + 1) times sigma inv(C), the derivatives times
         inv(C) times the residuals (n,), and the covariance (n, n).
         """
-        rows, prior = self._rows(state)
+        config, parameters, readings = self.config, self.parameters, self.readings
+        columns = jacobian_columns(parameters, readings, 2)
+        J = np.zeros((len(readings), len(config.names), BEAM.dim))
+        J[np.arange(len(J)), readings.beam] = columns[: BEAM.dim].T
+        active = modelled(config.terms).ravel()
+        rows = np.hstack((J.reshape(len(J), -1)[:, active], columns[BEAM.dim : -1].T))
         sigma = self.whitening.sigma
         heavy = self.whitening.weighed(np.column_stack((rows, self.residual))) / sigma
         normal = rows.T @ heavy / sigma
         H, right = normal[:, :-1], normal[:, -1]
-        H[: len(prior), : len(prior)] += prior
-        scale = 1.0 / np.sqrt(np.diagonal(H))
-        K = scale[:, None] * np.linalg.inv(H * np.outer(scale, scale)) * scale
-        return heavy, right, K
-
-    def _rows(self, state: BeamState) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives (N, nb + 3) by beams and plane, and the information of the beams."""
-        config, parameters, readings = self.config, self.parameters, self.readings
-        columns = jacobian_columns(parameters, readings, 2)
-        active = np.flatnonzero(modelled(config.terms))
-        J = np.zeros((len(readings), len(config.names), BEAM.dim))
-        J[np.arange(len(J)), readings.beam] = columns[: BEAM.dim].T
         lift = beams_lift(model.tangent_basis(parameters.directions), config.terms)
         S = lift.T @ state.covariance @ lift
         unit = np.sqrt(np.diagonal(S))
-        prior = np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
-        return np.hstack((J.reshape(len(J), -1)[:, active], columns[BEAM.dim : -1].T)), prior
+        H[: len(S), : len(S)] += np.linalg.inv(S / np.outer(unit, unit)) / np.outer(unit, unit)
+        scale = 1.0 / np.sqrt(np.diagonal(H))
+        K = scale[:, None] * np.linalg.inv(H * np.outer(scale, scale)) * scale
+        return heavy, right, K
 
     def factors(self, number: int, stations: Mapping[str, int], recording: Recording) -> GraphPart:
         """Return the factors of plane `number` in a graph.
@@ -177,30 +169,26 @@ class FittedPlane:
         recording : Recording
             Recording of this plane.
         """
-        readings, values = self.readings, gtsam.Values()
+        readings, how, values = self.readings, self.whitening, gtsam.Values()
         normal, offset = gtsam.Unit3(self.parameters.normals[0]), self.parameters.offsets[0]
         values.insert(plane_key(number), gtsam.OrientedPlane3(normal, offset))
         rows: IntArray = np.lexsort((readings.beam, readings.station))
-        plane = (plane_key(number),)
-        if self.config.poses != "estimated":
-            keys = (self.config.beams, plane, None)
-            blocks = station_blocks(readings, self.whitening, rows, readings.plane, keys)
-            return GraphPart(blocks, (), values)
-        names = recording.station_names
-        number_of = np.array([stations[name] for name in names])
-        variances = self.config.variances(len(names))
-        if variances.pose is None:
-            raise ValueError("estimated poses without a covariance")
-        how = whitening(self.parameters, readings, variances.without_poses())
-        local = pose_priors(readings, variances.pose)
-        priors = replace(local, stations=number_of[local.stations])
-        here = replace(readings, station=number_of[readings.station])
-        keys_of_poses = (self.config.beams, plane, priors)
-        blocks = station_blocks(here, how, rows, here.station, keys_of_poses)
-        graph = gtsam.NonlinearFactorGraph()
-        priors.join(graph, values, tuple(pose_key(j) for j in priors.stations.tolist()))
-        others = tuple(graph.at(i) for i in range(graph.size()))
-        return GraphPart(blocks, others, values)
+        together, priors, graph = readings.plane, None, gtsam.NonlinearFactorGraph()
+        if self.config.poses == "estimated":
+            names = recording.station_names
+            number_of = np.array([stations[name] for name in names])
+            variances = self.config.variances(len(names))
+            if variances.pose is None:
+                raise ValueError("estimated poses without a covariance")
+            how = whitening(self.parameters, readings, variances.without_poses())
+            local = pose_priors(readings, variances.pose)
+            priors = replace(local, stations=number_of[local.stations])
+            priors.join(graph, values, tuple(pose_key(j) for j in priors.stations.tolist()))
+            readings = replace(readings, station=number_of[readings.station])
+            together = readings.station
+        keys = self.config.beams, (plane_key(number),), priors
+        blocks = station_blocks(readings, how, rows, together, keys)
+        return GraphPart(blocks, tuple(graph.at(i) for i in range(graph.size())), values)
 
 
 def fit_plane(
@@ -231,23 +219,24 @@ def fit_plane(
         for _ in range(2 if terms and config.weights_depend else 1):
             corrected, how = weighed(readings, parameters, variances, terms)
             at = linearized(parameters, corrected, 2, how)
-            parameters, normal = _stepped(parameters, at, corrected)
+            still = np.zeros((len(r), BEAM.dim))
+            unit = PLANE.natural_units(corrected.typical_range())
+            reduced = at.normal.reduced(np.ones(still.size), unit)
+            parameters = moved(parameters, still, unit * reduced.local_step, at.centres)
         e = model.residuals(model.scene(parameters, corrected), corrected.distance)
     except GrazingBeamError:
         return None
+    gradient, none = reduced.gradient[None], np.zeros_like(at.normal.local_gradient)
+    normal = replace(at.normal, gradient=gradient, local_gradient=none)
     return FittedPlane(config, corrected, parameters, e, how, normal, origin)
 
 
-def _stepped(
-    parameters: Parameters, at: Linearized, readings: Readings
-) -> tuple[Parameters, Normal]:
-    """Return the plane after a step of Gauss and Newton, and what follows for the normal equations."""
-    normal, beams = at.normal, len(parameters.locations)
-    unit = PLANE.natural_units(readings.typical_range())
-    reduced = normal.reduced(np.ones(normal.gradient.shape[1]), unit)
-    there = moved(parameters, np.zeros((beams, BEAM.dim)), unit * reduced.local_step, at.centres)
-    none = np.zeros_like(normal.local_gradient)
-    return there, replace(normal, gradient=reduced.gradient[None], local_gradient=none)
+def determined_plane(
+    config: SessionConfig, recording: Recording, beams: Beams, origin: FloatArray | None = None
+) -> FittedPlane | None:
+    """Return as `fit_plane` a plane that its readings determine; None for any other."""
+    fitted = fit_plane(config, recording, beams, origin)
+    return fitted if fitted is not None and fitted.determined() else None
 
 
 def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> BoolArray | None:
@@ -269,7 +258,7 @@ def outliers(fitted: FittedPlane, recording: Recording, state: BeamState) -> Boo
             return None
         bad |= now.mask(recording, np.arange(len(t)) == worst)
         rest = recording.without(bad)
-        again = fit_plane(fitted.config, rest, fitted.parameters.beams, fitted.origin)
-        if again is None or not again.determined():
+        again = determined_plane(fitted.config, rest, fitted.parameters.beams, fitted.origin)
+        if again is None:
             return None
         now = again

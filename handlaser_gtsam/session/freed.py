@@ -14,16 +14,14 @@ import numpy as np
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import InputError
-from ..model.families import BEAM
 from ..model.joint import JointCovariance
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..solvers.isam import BeamState
 from .config import SessionConfig
 from .contents import Contents
-from .drift import DriftHistory
-from .fitted import fit_plane
-from .joining import fitted_planes
+from .fitted import determined_plane
+from .joining import fitted_planes, history_of
 from .reports import Change, Comparison, Moved
 from .state import undetermined
 
@@ -54,7 +52,7 @@ class FreedState:
         placed = contents.restarted((*batch.fit.rejected, *out)).numbered(origins)
         for plane, culprit in contents.excluded.items():
             if plane not in origins:
-                placed = placed.taken_out(plane, culprit)
+                placed = placed.with_plane(plane, placed.planes[plane].taken_out(culprit))
         return cls(placed, config, batch)
 
     @cached_property
@@ -67,11 +65,6 @@ class FreedState:
         information = -correlated - 2.0 * np.log(unit).sum()
         beams, covariance = self.batch.parameters().beams, joint.matrix(planes=[])
         return BeamState(*beams, covariance, float(information))
-
-    @property
-    def current(self) -> tuple[str, ...]:
-        """Names of the beams."""
-        return self.config.names
 
     @property
     def learned_with(self) -> int:
@@ -94,13 +87,10 @@ class FreedState:
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         beams, used = self.integrated.beams, self.batch.used_in(self.contents.everything())
-        history = DriftHistory.empty(self.config, beams)
-        for plane in self.contents.numbers:
-            fitted = fit_plane(self.config, used.plane(plane), beams)
-            if fitted is not None and fitted.determined():
-                information = fitted.information(history)
-                if fitted.fits(information, history):
-                    history = history.with_plane(plane, information)
+        planes = self.contents.numbers
+        fitted = {name: determined_plane(self.config, used.plane(name), beams) for name in planes}
+        determined = {name: plane for name, plane in fitted.items() if plane is not None}
+        history, _ = history_of(self.config, beams, determined)
         return history.search(self.config.sigma_dof, history.recent() if recently else None)
 
     def compare(self) -> Comparison:
@@ -122,10 +112,11 @@ class FreedState:
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...]
-    ) -> tuple["FreedState", tuple[str, ...]]:
+    ) -> tuple["FreedState", tuple[str, ...], tuple[str, ...]]:
         """Return the state with `contents`, in which only `planes` differ from the present ones.
 
-        With the planes of these that fit the others in no way: they are excluded.
+        The second result names the `planes` that are in it, the third the planes that fit the others in
+        no way: they are excluded.
 
         Raises
         ------
@@ -137,12 +128,14 @@ class FreedState:
         if batch.status != "converged":
             inconsistent = tuple(plane for plane in planes if plane in inside)
             for plane in inconsistent:
-                contents = contents.taken_out(plane, "")
+                contents = contents.with_plane(plane, contents.planes[plane].taken_out(""))
             rest = [plane for plane in inside if plane not in inconsistent]
             batch = self._calibrated(contents, rest) if inconsistent else batch
         if batch.status != "converged":
             raise undetermined(f" ({batch.message})")
-        return self._after(batch, contents), inconsistent
+        new = self._after(batch, contents)
+        joined = tuple(plane for plane in planes if plane in new.contents.numbers)
+        return new, joined, inconsistent
 
     def _determined(self, contents: Contents) -> list[str]:
         """Return the planes that readings and beams determine, and that are not excluded."""
@@ -163,17 +156,11 @@ class FreedState:
         return batch
 
     def _after(self, batch: Calibration, contents: Contents) -> "FreedState":
-        now = self.config
-        config = SessionConfig.of(batch, now.noise, now.options, now.incremental)
-        return FreedState.of(batch, contents, config)
+        return FreedState.of(batch, contents, SessionConfig.of(batch, self.config.given))
 
     def _apart(self, batch: Calibration) -> Comparison:
         """Compare the beams with those of another calibration."""
-        beams, names = batch.parameters().beams, list(batch.beams)
-        sigmas = np.sqrt(np.diagonal(_joint(batch).matrix(planes=[]))).reshape(-1, BEAM.size)
-        order = [names.index(name) for name in self.config.names]
-        r, v, k = (array[order] for array in beams)
-        return Comparison(*self.integrated.apart((r, v, k), sigmas[order]))
+        return Comparison(*self.config.apart(self.integrated, batch))
 
 
 def _joint(batch: Calibration) -> JointCovariance:

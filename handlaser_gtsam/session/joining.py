@@ -1,19 +1,21 @@
 """Planes that join: fitted beside the beams, judged, and made into factors; nothing is changed yet."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from ..arrays import BoolArray
 from ..data.parameters import Beams
 from ..data.recording import Recording
 from ..model.families import MOUNT_DIM
-from ..model.sensor import FLAT, Rejected, within_incidence
+from ..model.sensor import FLAT, within_incidence
 from ..outliers.snooping import price
 from ..solvers.isam import BeamState, GraphPart
 from .config import SessionConfig
-from .contents import CONTRADICTED, Contents, named
+from .contents import CONTRADICTED, Contents, PlaneContents, named
 from .drift import DriftHistory
-from .fitted import FittedPlane, fit_plane, outliers
+from .fitted import FittedPlane, determined_plane, outliers
 
 GROSS_ERROR = 0.02
 """Prior probability that a reading is a gross error."""
@@ -27,8 +29,6 @@ def join_planes(
     contents: Contents,
     history: DriftHistory,
     planes: tuple[str, ...],
-    *,
-    reject: bool,
 ) -> tuple[Contents, DriftHistory, Mapping[str, FittedPlane], tuple[str, ...]]:
     """Join `planes` to the beams as they are, or take out those that are not determined.
 
@@ -40,8 +40,6 @@ def join_planes(
         With the changes of these planes in them.
     history : DriftHistory
     planes : tuple of str
-    reject : bool
-        Whether readings that the others contradict are rejected.
 
     Returns
     -------
@@ -58,28 +56,35 @@ def join_planes(
     inconsistent: list[str] = []
     free = max(contents.numbers.values(), default=-1) + 1
     for plane in planes:
-        own = contents.planes.get(plane)
-        fitted = None if own is None else fit_plane(config, own.used(), state.beams, own.origin)
-        if own is None or fitted is None or not fitted.determined():
-            contents = contents if own is None else contents.taken_out(plane)
-            history = history.without_plane(plane)
+        own, before = contents.planes.get(plane), history.without_plane(plane)
+        if own is None:
+            history = before
             continue
-        contents, fitted = _within_incidence(fitted, contents, plane, state)
-        if reject:
-            contents, fitted = _screened(fitted, contents, plane, state, history)
+        fitted = determined_plane(config, own.used(), state.beams, own.origin)
+        if fitted is None:
+            contents, history = contents.with_plane(plane, own.taken_out()), before
+            continue
+        less = _less(own, fitted, _flat(fitted, own.used()), FLAT, state)
+        own, fitted = less or (own, fitted)
+        if config.reject:
+            # Unless a beam that has moved explains them, readings that contradict others are out.
+            contradicted = outliers(fitted, own.used(), state)
+            less = _less(own, fitted, contradicted, CONTRADICTED, state)
+            if less is not None and not _rather_moved(fitted, less[1], before, plane, state):
+                own, fitted = less
         known = fitted.information(history)
         if fitted.fits(known, history):
             history = history.with_plane(plane, known)
         else:
-            history = history.without_plane(plane)
+            history = before
             inconsistent.append(plane)
-            if reject:
-                culprit = _culprit(fitted, contents.planes[plane].used(), state)
-                contents = contents.taken_out(plane, culprit)
+            if config.reject:
+                culprit = _culprit(fitted, own.used(), state)
+                contents = contents.with_plane(plane, own.taken_out(culprit))
                 continue
         number = free + len(joined) if own.number is None else own.number
-        contents = contents.placed(plane, number, fitted.origin)
-        joined[plane] = fitted
+        own = replace(own, number=number, origin=fitted.origin, culprit=None)
+        contents, joined[plane] = contents.with_plane(plane, own), fitted
     return contents, history, joined, tuple(inconsistent)
 
 
@@ -87,53 +92,53 @@ def fitted_planes(
     contents: Contents, config: SessionConfig, beams: Beams
 ) -> Mapping[str, FittedPlane]:
     """Return the planes that are determined beside `beams`, and not excluded."""
-    determined = {}
-    for name, plane in contents.planes.items():
-        fitted = None if plane.culprit is not None else fit_plane(config, plane.used(), beams)
-        if fitted is not None and fitted.determined():
-            determined[name] = fitted
-    return determined
+    taking_part = {name: p for name, p in contents.planes.items() if p.culprit is None}
+    fitted = {name: determined_plane(config, p.used(), beams) for name, p in taking_part.items()}
+    return {name: plane for name, plane in fitted.items() if plane is not None}
+
+
+def history_of(
+    config: SessionConfig, beams: Beams, fitted: Mapping[str, FittedPlane]
+) -> tuple[DriftHistory, frozenset[str]]:
+    """Return what planes beside `beams` know of these, and the planes that do not fit any beams."""
+    history, inconsistent = DriftHistory.empty(config, beams), []
+    for name, plane in fitted.items():
+        information = plane.information(history)
+        if plane.fits(information, history):
+            history = history.with_plane(name, information)
+        else:
+            inconsistent.append(name)
+    return history, frozenset(inconsistent)
 
 
 def factors_of(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, GraphPart]:
     """Return the factors of planes of the contents, by their number."""
-    factors = {}
-    for plane, fitted_plane in fitted.items():
-        plane_contents = contents.planes[plane]
-        if plane_contents.number is not None:
-            factors[plane_contents.number] = fitted_plane.factors(
-                plane_contents.number, contents.station_numbers, plane_contents.used()
-            )
-    return factors
+    numbers, stations = contents.numbers, contents.station_numbers
+    return {
+        numbers[name]: plane.factors(numbers[name], stations, contents.planes[name].used())
+        for name, plane in fitted.items()
+    }
 
 
 def _less(
-    fitted: FittedPlane,
-    contents: Contents,
-    plane: str,
-    rejected: tuple[Rejected, ...],
-    state: BeamState,
-) -> tuple[Contents, FittedPlane] | None:
-    """Return contents and plane with more readings rejected; None where too few are left."""
-    less = contents.rejecting(plane, rejected)
-    again = fit_plane(fitted.config, less.planes[plane].used(), state.beams, fitted.origin)
-    return None if again is None or not again.determined() else (less, again)
+    own: PlaneContents, fitted: FittedPlane, bad: BoolArray | None, reason: str, state: BeamState
+) -> tuple[PlaneContents, FittedPlane] | None:
+    """Return contents and plane with readings (M, B) rejected; None for none, or too few left."""
+    if bad is None or not bad.any():
+        return None
+    less = replace(own, rejected=(*own.rejected, *named(own.used(), bad, reason)))
+    again = determined_plane(fitted.config, less.used(), state.beams, fitted.origin)
+    return None if again is None else (less, again)
 
 
-def _within_incidence(
-    fitted: FittedPlane, contents: Contents, plane: str, state: BeamState
-) -> tuple[Contents, FittedPlane]:
-    """Reject the readings that meet the plane flatter than the sensor allows."""
-    readings, config = fitted.readings, fitted.config
-    if config.options.sensor.max_incidence >= 0.5 * np.pi:
-        return contents, fitted
+def _flat(fitted: FittedPlane, used: Recording) -> BoolArray | None:
+    """Return the readings (M, B) that meet the plane flatter than the sensor allows."""
+    readings, sensor = fitted.readings, fitted.config.options.sensor
+    if sensor.max_incidence >= 0.5 * np.pi:
+        return None
     flat = np.ones(len(readings), dtype=bool)
-    flat[within_incidence(readings, fitted.parameters, config.options.sensor)] = False
-    if not flat.any() or flat.all():
-        return contents, fitted
-    used = contents.planes[plane].used()
-    rejected = named(used, fitted.mask(used, flat), FLAT)
-    return _less(fitted, contents, plane, rejected, state) or (contents, fitted)
+    flat[within_incidence(readings, fitted.parameters, sensor)] = False
+    return None if flat.all() else fitted.mask(used, flat)
 
 
 def _culprit(fitted: FittedPlane, used: Recording, state: BeamState) -> str:
@@ -142,24 +147,10 @@ def _culprit(fitted: FittedPlane, used: Recording, state: BeamState) -> str:
     for name in used.beam_names if len(used.beam_names) > 1 else ():
         bad = np.zeros(used.ranges.shape, dtype=bool)
         bad[:, used.beam_names.index(name)] = True
-        rest = fit_plane(fitted.config, used.without(bad), state.beams, fitted.origin)
-        if rest is not None and rest.determined() and rest.agrees(state):
+        rest = determined_plane(fitted.config, used.without(bad), state.beams, fitted.origin)
+        if rest is not None and rest.agrees(state):
             culprits.append(name)
     return culprits[0] if len(culprits) == 1 else ""
-
-
-def _screened(
-    fitted: FittedPlane, contents: Contents, plane: str, state: BeamState, history: DriftHistory
-) -> tuple[Contents, FittedPlane]:
-    """Reject readings that the others contradict, unless a beam that has moved explains them."""
-    used = contents.planes[plane].used()
-    bad = outliers(fitted, used, state)
-    if bad is None or not bad.any():
-        return contents, fitted
-    less = _less(fitted, contents, plane, named(used, bad, CONTRADICTED), state)
-    if less is None or _rather_moved(fitted, less[1], history.without_plane(plane), plane, state):
-        return contents, fitted
-    return less
 
 
 def _rather_moved(

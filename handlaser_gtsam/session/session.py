@@ -160,9 +160,8 @@ class Session:
         with self._lock:
             now, contents = self._now, self._contents.added(recording, self.options.sensor)
             if now is None or not set(recording.beam_names) <= set(now.config.names):
-                self._now, update = started(
-                    now, contents, self.noise, self.options, self.incremental
-                )
+                given = self.noise, self.options, self.incremental
+                self._now, update = started(now, contents, given)
                 self._early = contents
             else:
                 self._now, update = changed(now, contents, recording.plane_names)
@@ -242,7 +241,8 @@ class Session:
         now = self.state
         state, config = now.integrated, now.config
         mounts = Mounts(config.names, *state.beams, config.terms, state.covariance, config.sigma)
-        return mounts if now.current == mounts.names else mounts.arranged(now.current)
+        current = now.contents.current(config.names)
+        return mounts if current == mounts.names else mounts.arranged(current)
 
     def calibration(self) -> Calibration:
         """Return the calibration at the present estimate, with all that a batch calibration states.

@@ -21,7 +21,6 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
 from ..estimation.information import Information, LinearReadings
-from ..estimation.learned import LearnedScales
 from ..estimation.mixture import BeamPosterior
 from ..factors import RangeBlock
 from ..factors.keys import plane_key, pose_key
@@ -36,7 +35,7 @@ from .config import SessionConfig
 from .contents import Contents
 from .drift import DriftHistory, turns
 from .fitted import FittedPlane, fit_plane
-from .joining import factors_of, fitted_planes, join_planes
+from .joining import factors_of, fitted_planes, history_of, join_planes
 from .reports import Comparison, Moved
 
 REWEIGHED_MOVE = 3e-3
@@ -90,13 +89,39 @@ class SessionState:
 
     @cached_property
     def integrated(self) -> BeamState:
-        """The beams with all scales integrated over."""
-        return integrated(self.state, self.config, self.history, self.sums)
-
-    @property
-    def current(self) -> tuple[str, ...]:
-        """Names of the beams as they are, without their states before a move."""
-        return tuple(name for name in self.config.names if name not in self.contents.names)
+        """The beams with all scales integrated over, which the graph has at the most probable ones."""
+        state, history, learned = self.state, self.history, self.config.learned
+        if learned is None or not self.sums:
+            return state
+        # What is known beside the planes is so whatever the noise is.
+        total = sum(self.sums.values(), start=history.known[None])
+        terms, members = learned.terms, self.config.members
+        k = history.beams[2][:, :terms] * np.array([1.0, learned.length])[:terms]
+        here, both = (
+            BeamPosterior(part, k, learned.widest, members) for part in (total[:1], total[1:])
+        )
+        mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
+        mean, covariance = here.conditional(learned.range_error)
+        unit = history.unit
+        step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
+        change = (mixture.covariance - covariance) * np.outer(unit, unit)
+        bases = model.tangent_basis(history.beams[1])
+        lift = beams_lift(bases, [terms] * len(bases))
+        k = state.range_errors.copy()
+        k[:, :terms] += step[:, RANGE_ERROR]
+        turned = np.einsum("bij,bj->bi", bases, step[:, DIRECTION])
+        # The history has other tangents than the state, which has the tangents of a batch solution:
+        # project along every beam out of the coordinates (8,).
+        across = np.tile(np.eye(8), (len(state.directions), 1, 1))
+        across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
+        project = block_diag(*across)
+        return replace(
+            state,
+            locations=state.locations + step[:, LOCATION],
+            directions=model.normalized(state.directions + turned),
+            range_errors=k,
+            covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,
+        )
 
     @property
     def trusted(self) -> bool:
@@ -112,12 +137,9 @@ class SessionState:
     def inside(self) -> BatchProblem:
         """Return the planes in the graph as one problem, at the present estimate."""
         graph, contents = self.graph, self.contents
-        parameters = graph.parameters()
         place = {number: index for index, number in enumerate(graph.planes)}
         order = [place[number] for number in contents.numbers.values()]
-        parameters = replace(
-            parameters, normals=parameters.normals[order], offsets=parameters.offsets[order]
-        )
+        parameters = graph.parameters().part(np.arange(len(self.config.names)), order)
         problem = BatchProblem(contents, self.config, parameters)
         if self.config.poses != "estimated":
             return problem
@@ -143,16 +165,16 @@ class SessionState:
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         epochs = self.history.recent() if recently else None
-        moved, far = self.history.search(self.config.sigma_dof, epochs), None
-        for plane, beam in self.contents.excluded.items():
-            if beam:  # without it planes that were excluded would fit: it has moved far
-                unknown = float("nan")
-                far = Moved(beam, plane, unknown, 0.0, np.full(3, unknown), unknown)
-                break
-        if moved is None or far is None or far.beam != moved.beam:
-            return moved or far
+        moved = self.history.search(self.config.sigma_dof, epochs)
+        # A beam without which planes that were excluded would fit has moved far.
+        excluded = self.contents.excluded.items()
+        plane, beam = next((far for far in excluded if far[1]), ("", ""))
+        if beam and moved is None:
+            return Moved(beam, plane, np.nan, 0.0, np.full(3, np.nan), np.nan)
+        if moved is None or moved.beam != beam:
+            return moved
         order = list(self.contents.planes)
-        return replace(moved, since=min(moved.since, far.since, key=order.index))
+        return replace(moved, since=min(moved.since, plane, key=order.index))
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...]
@@ -172,7 +194,7 @@ class SessionState:
         """
         config = self.config
         contents, history, joined, inconsistent = join_planes(
-            config, self.state, contents, self.history, planes, reject=config.reject
+            config, self.state, contents, self.history, planes
         )
         if set(planes) & set(self.contents.numbers):  # a new plane takes nothing away
             used = [contents.planes[plane].used().beam_names for plane in contents.numbers]
@@ -193,20 +215,15 @@ class SessionState:
             | _sums(joined, self.history),
         )
         if fresh or gone:
-            new = new._solved(fresh, gone)
-        if gone and not config.links and not new.inside().determined():
+            try:
+                fine, determines = bool(new.inconsistent), config.determines
+                graph, state = new.graph.changed(fresh, gone, None, determines, fine=fine)
+                new = replace(new, graph=graph, state=state).reweighed()
+            except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
+                new = new.solved_at_once()
+        if gone and not config.links and not new.inside().solution().observability.full:
             raise undetermined()
         return new, tuple(joined), inconsistent
-
-    def _solved(self, factors: Mapping[int, GraphPart], gone: list[int]) -> "SessionState":
-        """Return the same with planes added to the graph and others taken out."""
-        try:
-            graph, state = self.graph.changed(
-                factors, gone, None, self.config.determines, fine=bool(self.inconsistent)
-            )
-            return replace(self, graph=graph, state=state).reweighed()
-        except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
-            return self.solved_at_once()
 
     def solved_at_once(self) -> "SessionState":
         """Return the same from a batch solution of the contents, beside the present beams.
@@ -224,8 +241,8 @@ class SessionState:
             normals = np.concatenate([p.parameters.normals for p in fitted.values()])
             offsets = np.concatenate([p.parameters.offsets for p in fitted.values()])
             parameters = Parameters(*self.state.beams, normals, offsets)
-            beams = BatchProblem(contents, self.config, parameters).batch_beams()
-            begun = begin(self.contents, self.config, beams)
+            _, _, solved = BatchProblem(contents, self.config, parameters).solved()
+            begun = begin(self.contents, self.config, solved.beams)
             if not self.config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:
@@ -238,7 +255,11 @@ class SessionState:
         """Return the same with weights and history of the present beams, where these have moved."""
         config, beams = self.config, self.state.beams
         limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
-        if config.apart(beams, self.history.beams) < limit:
+        shift, turn, stretch = (
+            np.abs(a - b) for a, b in zip(beams, self.history.beams, strict=True)
+        )
+        stretched = stretch @ [1.0, config.length]
+        if max(shift.max() / config.length, turn.max(), stretched.max()) < limit:
             return self
         fitted = {}
         for plane in self.contents.numbers:
@@ -255,50 +276,36 @@ class SessionState:
             return now
         factors = factors_of(self.contents, fitted)
         graph, state = self.graph.changed(factors, fine=bool(self.inconsistent))
-        return replace(
-            now,
-            graph=graph,
-            factors=factors,
-            state=state,
-            sums=_sums(fitted, history),
-        )
+        sums = _sums(fitted, history)
+        return replace(now, graph=graph, factors=factors, state=state, sums=sums)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Let the state be copied and pickled: the graph is rebuilt, linearised where it is."""
-        point, config = self.graph.linearization_point(), self.config
-        parameters = parameters_of(
-            point, config.beams, [plane_key(number) for number in self.factors]
+        known = {one.name: getattr(self, one.name) for one in fields(self)}
+        point, planes = self.graph.linearization_point(), [plane_key(n) for n in self.factors]
+        poses = _poses_of(block for of_plane in self.factors.values() for block in of_plane.blocks)
+        known["graph"] = (
+            parameters_of(point, self.config.beams, planes),
+            {key: point.atPose3(key) for key in poses},
         )
-        blocks = [block for of_plane in self.factors.values() for block in of_plane.blocks]
-        poses = {key: point.atPose3(key) for key in poses_of(blocks)}
-        brought = {
-            number: (of_plane.blocks, of_plane.others) for number, of_plane in self.factors.items()
-        }
-        known = [getattr(self, of_plane.name) for of_plane in fields(self)]
-        fine = bool(self.inconsistent)
-        return _restored, (brought, parameters, poses, fine, tuple(known[:2]), tuple(known[4:]))
+        known["factors"] = {n: (part.blocks, part.others) for n, part in self.factors.items()}
+        return _restored, (known,)
 
 
-def _restored(
-    brought: Mapping[int, tuple[tuple[RangeBlock, ...], tuple[gtsam.NonlinearFactor, ...]]],
-    parameters: Parameters,
-    poses: Mapping[int, gtsam.Pose3],
-    fine: bool,
-    first: tuple[Contents, SessionConfig],
-    rest: tuple[Any, ...],
-) -> SessionState:
-    """Return a state from its fields but the graph, which is linearised at `at` and `poses`."""
-    config = first[1]
-    factors = {}
-    for number, normal, offset in zip(brought, parameters.normals, parameters.offsets, strict=True):
-        values, (blocks, others) = gtsam.Values(), brought[number]
+def _restored(known: dict[str, Any]) -> SessionState:
+    """Return a state from its fields, of which the graph is where all variables are linearised."""
+    config, (parameters, poses), factors = known["config"], known["graph"], {}
+    planes = zip(parameters.normals, parameters.offsets, known["factors"].items(), strict=True)
+    for normal, offset, (number, (blocks, others)) in planes:
+        values = gtsam.Values()
         values.insert(plane_key(number), gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
-        for key in poses_of(blocks):
+        for key in _poses_of(blocks):
             values.insert(key, poses[key])
         factors[number] = GraphPart(blocks, others, values)
     graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
+    fine = bool(known["inconsistent"])
     graph, _ = graph.changed(factors, (), config.start(parameters.beams), fine=fine)
-    return SessionState(*first, graph, factors, *rest)
+    return SessionState(**{**known, "graph": graph, "factors": factors})
 
 
 def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionState:
@@ -312,28 +319,11 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
     fitted = fitted_planes(contents, config, beams)
     contents = contents.numbered({plane: plane_fit.origin for plane, plane_fit in fitted.items()})
     factors = factors_of(contents, fitted)
-    history, inconsistent = DriftHistory.empty(config, beams), set[str]()
-    for plane, plane_fit in fitted.items():
-        information = plane_fit.information(history)
-        if plane_fit.fits(information, history):
-            history = history.with_plane(plane, information)
-        else:
-            inconsistent.add(plane)
+    history, inconsistent = history_of(config, beams, fitted)
     graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
     graph, state = graph.changed(factors, (), config.start(beams), fine=bool(inconsistent))
-    now = SessionState(
-        contents,
-        config,
-        graph,
-        factors,
-        state,
-        state,
-        0,
-        history,
-        frozenset(inconsistent),
-        len(fitted),
-        _sums(fitted, history),
-    )
+    sums, known = _sums(fitted, history), (history, inconsistent, len(fitted))
+    now = SessionState(contents, config, graph, factors, state, state, 0, *known, sums)
     for _ in range(MOST_ROUNDS):
         before, now = now, now.reweighed()
         if now is before:
@@ -342,15 +332,29 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
 
 
 def _sums(fitted: Mapping[str, FittedPlane], history: DriftHistory) -> dict[str, Information]:
-    """Return what planes know for all scales that are learned; nothing where none are."""
-    return {
-        plane: scaled_information(plane_fit, history, plane_fit.config.learned)
-        for plane, plane_fit in fitted.items()
-        if plane_fit.config.learned is not None
-    }
+    """Return what planes know for all sets of noise scales, counted as in a history.
+
+    Nothing where no scales are learned.
+    """
+    sums: dict[str, Information] = {}
+    learned = history.config.learned
+    if learned is None:
+        return sums
+    for name, plane in fitted.items():
+        readings, at = plane.readings, plane.parameters
+        variances = learned.base.for_stations(int(readings.station.max()) + 1)
+        rows = LinearReadings(at, readings, learned.terms, learned.length, variances)
+        points = [learned.mode, *learned.points]
+        information, _ = rows.information([learned.scales.noise(u) for u in points])
+        # The unknowns there are turn (x - shift).
+        turn, shift = turns(at.directions, history), history.coordinates(at.beams)
+        matrix, vector = turn.T @ information.matrix @ turn, information.vector @ turn
+        constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
+        sums[name] = Information(matrix, vector + matrix @ shift, constant)
+    return sums
 
 
-def poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
+def _poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
     """Return the keys of the hand poses that are variables of some blocks, each once."""
     return list(dict.fromkeys(block.pose for block in blocks if block.pose is not None))
 
@@ -359,72 +363,3 @@ def undetermined(why: str = "") -> InputError:
     """Return the error of a change that takes away what determines the beams."""
     change = f"a change after which the beams are undetermined{why}"
     return InputError(change, "planes that determine them")
-
-
-def scaled_information(
-    fitted: FittedPlane, history: DriftHistory, learned: LearnedScales
-) -> Information:
-    """Return what a plane knows of the beams for all sets of noise scales, counted as in a history."""
-    readings = fitted.readings
-    variances = learned.base.for_stations(int(readings.station.max()) + 1)
-    rows = LinearReadings(fitted.parameters, readings, learned.terms, learned.length, variances)
-    points = [learned.mode, *learned.points]
-    information, _ = rows.information([learned.scales.noise(u) for u in points])
-    # The unknowns there are turn (x - shift).
-    turn = turns(fitted.parameters.directions, history)
-    shift = history.coordinates(fitted.parameters.beams)
-    matrix = turn.T @ information.matrix @ turn
-    vector = information.vector @ turn
-    constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
-    return Information(matrix, vector + matrix @ shift, constant)
-
-
-def integrated(
-    state: BeamState,
-    config: SessionConfig,
-    history: DriftHistory,
-    pieces: Mapping[str, Information],
-) -> BeamState:
-    """Return beams at the most probable scales with all scales integrated over.
-
-    Parameters
-    ----------
-    state : BeamState
-    config : SessionConfig
-    history : DriftHistory
-        What is known beside the planes, whatever the noise is, and what everything is counted from.
-    pieces : mapping of str to Information
-        `scaled_information` by plane.
-    """
-    learned, members = config.learned, config.members
-    if learned is None or not pieces:
-        return state
-    total = history.known[None]
-    for piece in pieces.values():
-        total = total + piece
-    k = history.beams[2][:, : learned.terms]
-    k = k * np.array([1.0, learned.length])[: learned.terms]
-    here = BeamPosterior(total[:1], k, learned.widest, members)
-    both = BeamPosterior(total[1:], k, learned.widest, members)
-    mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
-    mean, covariance = here.conditional(learned.range_error)
-    unit = history.unit
-    step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
-    change = (mixture.covariance - covariance) * np.outer(unit, unit)
-    bases = model.tangent_basis(history.beams[1])
-    lift = beams_lift(bases, [learned.terms] * len(bases))
-    k = state.range_errors.copy()
-    k[:, : learned.terms] += step[:, RANGE_ERROR]
-    turned = np.einsum("bij,bj->bi", bases, step[:, DIRECTION])
-    # The history has other tangents than the state, which has the tangents of a batch solution:
-    # project along every beam out of the coordinates (8,).
-    across = np.tile(np.eye(8), (len(state.directions), 1, 1))
-    across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
-    project = block_diag(*across)
-    return replace(
-        state,
-        locations=state.locations + step[:, LOCATION],
-        directions=model.normalized(state.directions + turned),
-        range_errors=k,
-        covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,
-    )

@@ -4,16 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..data.noise import Noise
-from ..data.parameters import Beams
 from ..data.recording import join
 from ..errors import GrazingBeamError, InputError
-from ..estimation.options import CalibrationOptions
 from ..pipeline import calibrate
 from ..quantities import FAR_SIGMAS, SAME_OPTIMUM
 from ..results.calibration import Calibration
-from ..solvers.isam import IncrementalOptions
-from .config import ProcessNoise, SessionConfig
+from .config import Given, ProcessNoise, SessionConfig
 from .contents import Contents
 from .freed import FreedState
 from .reports import Change, Comparison, Update
@@ -30,11 +26,7 @@ LEAST_CHANGES = 4
 
 
 def started(
-    now: AnyState | None,
-    contents: Contents,
-    noise: Noise,
-    options: CalibrationOptions,
-    incremental: IncrementalOptions,
+    now: AnyState | None, contents: Contents, given: Given
 ) -> tuple[AnyState | None, Update]:
     """Calibrate everything together, and start from there if that converges.
 
@@ -46,6 +38,7 @@ def started(
     if now is not None and now.config.links:
         beam = "a new beam after another one was split"
         raise InputError(beam, "a session of its own for it")
+    noise, options, _ = given
     waits = Update((), contents.waiting, UNKNOWN, None, None)
     try:
         batch = calibrate(contents.everything(), noise, options)
@@ -57,7 +50,7 @@ def started(
         if now is not None:  # a new beam that is not determined: nothing is lost
             raise InputError(f"a new beam ({batch.message})", "readings that determine it")
         return None, replace(waits, message=batch.message)
-    config = SessionConfig.of(batch, noise, options, incremental)
+    config = SessionConfig.of(batch, given)
     new = (FreedState.of if options.free else _begun_from)(batch, contents, config)
     return new, Update(
         tuple(new.contents.numbers),
@@ -78,49 +71,33 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
     InputError
         The beams would not be determined.
     """
-    if isinstance(now, FreedState):
-        return _calibrated_again(now, contents, planes)
+    new: AnyState
     new, joined, inconsistent = now.changed(contents, planes)
-    gain, restarted = 0.5 * (new.state.information - now.state.information), False
-    if inconsistent and new.config.reject and not (new.trusted or new.config.links):
-        batch, config = _batch(new)
-        restarted = batch.status == "converged"
-        new = _begun_from(batch, new.contents, config) if restarted else new
-    new, comparison = compare_if_due(new)
-    if restarted or (comparison is not None and comparison.changes):
+    comparison, message = None, ""
+    if isinstance(new, SessionState):
+        if inconsistent and new.config.reject and not (new.trusted or new.config.links):
+            batch, config = _batch(new)
+            if batch.status == "converged":
+                new, message = _begun_from(batch, new.contents, config), RESTARTED
+                joined, inconsistent = tuple(new.contents.numbers), ()
+        new, comparison = compare_if_due(new)
+    begun_again = message or (comparison is not None and comparison.changes)
+    same = new.config.names == now.config.names
+    gain = 0.5 * (new.integrated.information - now.integrated.information)
+    if begun_again or not same or new.config.terms != now.config.terms:
         gain = UNKNOWN
     old = set(now.contents.rejected)
     return new, Update(
-        tuple(new.contents.numbers) if restarted else joined,
+        joined,
         new.contents.waiting,
         gain,
         new.integrated.sigmas(),
-        now.integrated.sigmas() if new.config.names == now.config.names else None,
-        RESTARTED if restarted else "",
+        now.integrated.sigmas() if same else None,
+        message,
         tuple(reading for reading in new.contents.rejected if reading not in old),
         new.moved(recently=True),
-        () if restarted else inconsistent,
+        inconsistent,
         comparison,
-    )
-
-
-def _calibrated_again(
-    now: FreedState, contents: Contents, planes: tuple[str, ...]
-) -> tuple[FreedState, Update]:
-    """Do as `changed` where systematic errors are unknowns."""
-    new, inconsistent = now.changed(contents, planes)
-    same = new.config.names == now.config.names and new.config.terms == now.config.terms
-    gain = 0.5 * (new.integrated.information - now.integrated.information)
-    old = set(now.contents.rejected)
-    return new, Update(
-        tuple(plane for plane in planes if plane in new.contents.numbers),
-        new.contents.waiting,
-        gain if same else UNKNOWN,
-        new.integrated.sigmas(),
-        now.integrated.sigmas() if same else None,
-        rejected=tuple(reading for reading in new.contents.rejected if reading not in old),
-        moved=new.moved(recently=True),
-        inconsistent=inconsistent,
     )
 
 
@@ -143,7 +120,7 @@ def compare_if_due(now: SessionState) -> tuple[SessionState, Comparison | None]:
     if max(comparison.largest, comparison.largest_sigma) > SAME_OPTIMUM:
         words = "restarted from the batch solution, which it had left"
         changes = (*changes, Change("from-batch", words))
-        now = begin(now.contents, now.config, inside.batch_beams())
+        now = begin(now.contents, now.config, inside.solved()[2].beams)
     planes = len(now.contents.numbers)
     now = replace(now, compared=now.state, changes=0, learned_with=planes)
     return now, replace(comparison, changes=changes)
@@ -186,9 +163,7 @@ def recalibrate(now: AnyState) -> tuple[AnyState, Comparison]:
         r, v, k = (array[order] for array in now.state.beams)
         now = begin(contents, config, (r, v, k))
     now = replace(now, learned_with=len(now.contents.numbers))
-    sigmas = np.array([batch.beams[name].sigma for name in now.config.names])
-    apart = now.integrated.apart(_beams_of(batch, now.config.names), sigmas)
-    return now, Comparison(*apart, changes)
+    return now, Comparison(*now.config.apart(now.integrated, batch), changes)
 
 
 def split_beam(
@@ -201,8 +176,21 @@ def split_beam(
     if isinstance(now, FreedState):
         expected = "two sessions, of the planes before and after it; or no errors that are free"
         raise InputError(f"a split of beam {beam} beside errors that are unknowns", expected)
-    config, before = now.config, f"{beam} until {since}"
-    contents = _split_contents(now, beam, since, before)
+    config, contents, before = now.config, now.contents, f"{beam} until {since}"
+    if beam not in config.names or beam in contents.names:
+        raise InputError(f"beam {beam!r}", f"one of {', '.join(contents.current(config.names))}")
+    seen = {*contents.numbers, *contents.excluded}
+    order = [plane for plane in contents.planes if plane in seen]
+    if since not in order[1:] or before in config.names:
+        raise InputError(
+            f"a move of beam {beam} before plane {since!r}",
+            "a plane with others before it, and every move once",
+        )
+    contents = contents.split(beam, since, before).included(order[order.index(since) :])
+    for name in (before, beam):
+        if not any(name in contents.planes[plane].recording.beam_names for plane in order):
+            missing = f"no reading of beam {beam} on one side of plane {since}"
+            raise InputError(missing, "some on both")
     index, count = config.names.index(beam), len(config.names)
     noise = ProcessNoise(count, index, *sigmas)
     old = tuple(replace(link, now=count) if link.now == index else link for link in config.links)
@@ -228,32 +216,6 @@ def split_beam(
         return begun
 
 
-def _split_contents(now: SessionState, beam: str, since: str, before: str) -> Contents:
-    """Return the contents with the beam renamed before the move.
-
-    Raises
-    ------
-    InputError
-        No such beam or plane, no plane before it, no reading on one side, or a move that is known.
-    """
-    names, contents = now.config.names, now.contents
-    if beam not in names or beam in contents.names:
-        raise InputError(f"beam {beam!r}", f"one of {', '.join(now.current)}")
-    seen = {*contents.numbers, *contents.excluded}
-    order = [plane for plane in contents.planes if plane in seen]
-    if since not in order[1:] or before in names:
-        raise InputError(
-            f"a move of beam {beam} before plane {since!r}",
-            "a plane with others before it, and every move once",
-        )
-    split = contents.split(beam, since, before).included(order[order.index(since) :])
-    for name in (before, beam):
-        if not any(name in split.planes[plane].recording.beam_names for plane in order):
-            missing = f"no reading of beam {beam} on one side of plane {since}"
-            raise InputError(missing, "some on both")
-    return split
-
-
 def _begun_from_nowhere(contents: Contents, config: SessionConfig) -> SessionState | None:
     """Begin from a batch calibration: the beam has moved too far for the present estimate."""
     recording = join([plane.used() for plane in contents.planes.values()])
@@ -261,7 +223,7 @@ def _begun_from_nowhere(contents: Contents, config: SessionConfig) -> SessionSta
     calibration = calibrate(recording, replace(config.noise, range_sigma=config.sigma), options)
     if calibration.status != "converged":
         return None
-    r, v, k = _beams_of(calibration, config.names)
+    r, v, k = config.beams_of(calibration)
     estimated = np.arange(2) < np.array(config.terms)[:, None]
     try:
         return begin(contents, config, (r, v, np.where(estimated, k, 0.0)))
@@ -271,18 +233,10 @@ def _begun_from_nowhere(contents: Contents, config: SessionConfig) -> SessionSta
 
 def _batch(now: SessionState) -> tuple[Calibration, SessionConfig]:
     """Return the batch calibration of everything, and what all planes have in common after it."""
-    noise, options = now.config.noise, now.config.options
-    batch = calibrate(now.contents.everything(), noise, options)
-    return batch, SessionConfig.of(batch, noise, options, now.config.incremental)
+    batch = calibrate(now.contents.everything(), now.config.noise, now.config.options)
+    return batch, SessionConfig.of(batch, now.config.given)
 
 
 def _begun_from(batch: Calibration, contents: Contents, config: SessionConfig) -> SessionState:
     """Begin from a batch calibration of everything."""
     return begin(contents.restarted(batch.fit.rejected), config, batch.parameters().beams)
-
-
-def _beams_of(calibration: Calibration, names: tuple[str, ...]) -> Beams:
-    """Return the beams of a calibration by their names."""
-    order = [list(calibration.beams).index(name) for name in names]
-    r, v, k = (array[order] for array in calibration.parameters().beams)
-    return r, v, k

@@ -10,12 +10,24 @@ from ..checks import require_kind
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
-from ..model.families import OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
+from ..model.families import BEAM, PLANE
+from ..model.sensors.mounted import SENSOR
+from ..model.targets.point import POINT
+from ..model.targets.sphere import SPHERE
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
 from ..solvers.reference import ReferenceNoise, solve_reference
 from ..solvers.reference_errors import ERRORS
 from ..starts import find_start
+
+COMPARED_PARTS = {
+    SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
+    BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
+    PLANE.name: {"normal": slice(0, 3), "offset": slice(3, None)},
+    SPHERE.name: {"centre": slice(0, 3), "radius": slice(3, None)},
+    POINT.name: {"position": slice(0, None)},
+}
+"""What is compared at a time of each kind of variable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -88,20 +100,11 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     found = reference.parameters
     off = [ours - theirs for ours, theirs in zip(own.beams, found.beams, strict=True)]
     of_planes = np.column_stack((own.normals - found.normals, own.offsets - found.offsets))
-    of_beam = {
-        "location": OF_LOCATION,
-        "direction": OF_DIRECTION,
-        "range error": OF_RANGE_ERROR,
-    }
-    of_plane = {"normal": slice(0, 3), "offset": slice(3, 4)}
     S, T = variance * reference.beam_covariances, variance * reference.plane_covariances
     beams = zip(calibration.beams, np.hstack(off), joint.all_beams(), S, strict=True)
     planes = zip(calibration.planes, of_planes, joint.all_planes(), T, strict=True)
-    rows = [
-        (f"{kind} {name}", e, mine, other, parts)
-        for kind, all_of_kind, parts in (("beam", beams, of_beam), ("plane", planes, of_plane))
-        for name, e, mine, other in all_of_kind
-    ]
+    rows = [(f"beam {name}", *numbers, COMPARED_PARTS[BEAM.name]) for name, *numbers in beams]
+    rows += [(f"plane {name}", *numbers, COMPARED_PARTS[PLANE.name]) for name, *numbers in planes]
     for effect in calibration.effects:
         member = effect.code, effect.subject
         off_size = np.array([effect.size - reference.sizes[member]])
@@ -125,27 +128,20 @@ def compared(
     iterations : int
         Of the reference.
     """
-    rows = [
-        (f"{name} {quantity}", *difference)
-        for name, e, mine, other, parts in variables
-        for quantity, part in parts.items()
-        for difference in _differences(e[part], mine[part, part], other[part, part])
-    ]
+    rows = []
+    for name, e, mine, other, parts in variables:
+        for quantity, part in parts.items():
+            if not e[part].size:
+                continue
+            # Along the principal axes; those without variance, along a unit vector or of a range error
+            # that is not estimated, are omitted.
+            variances, axes = np.linalg.eigh(mine[part, part])
+            keep = variances > SINGULAR * variances[-1]
+            sigma, axes = np.sqrt(variances[keep]), axes[:, keep]
+            other_sigma = np.sqrt(np.einsum("ik,ij,jk->k", axes, other[part, part], axes))
+            off, ratio = np.abs(axes.T @ e[part]) / sigma, np.abs(other_sigma / sigma - 1.0)
+            along = zip(off.tolist(), ratio.tolist(), strict=True)
+            rows += [(f"{name} {quantity}", *difference) for difference in along]
     worst = max(rows, key=lambda row: row[1])
     worst_sigma = max(rows, key=lambda row: row[2])
     return CrossCheck(worst[1], worst[0], worst_sigma[2], worst_sigma[0], iterations)
-
-
-def _differences(e: FloatArray, mine: FloatArray, other: FloatArray) -> list[tuple[float, float]]:
-    """Return differences in sigmas, and relative ones of sigma, along the principal axes.
-
-    Axes without variance, along a unit vector or of a range error that is not estimated, are omitted.
-    """
-    if not len(e):
-        return []
-    variances, axes = np.linalg.eigh(mine)
-    keep = variances > SINGULAR * variances[-1]
-    sigma, axes = np.sqrt(variances[keep]), axes[:, keep]
-    other_sigma = np.sqrt(np.einsum("ik,ij,jk->k", axes, other, axes))
-    along, ratio = np.abs(axes.T @ e) / sigma, np.abs(other_sigma / sigma - 1.0)
-    return list(zip(along.tolist(), ratio.tolist(), strict=True))

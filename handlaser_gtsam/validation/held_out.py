@@ -7,7 +7,9 @@ same solution where noise and prior are given. Where they were learned from ever
 held out has contributed to them.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,8 +41,7 @@ LEAST_HELD_OUT = 10
 """Planes that are held out at least, however many there are."""
 
 
-@dataclass(frozen=True, slots=True)
-class WholeSolution:
+class WholeSolution(NamedTuple):
     """What stays as it was found from everything.
 
     Attributes
@@ -199,39 +200,26 @@ def held_out(calibration: Calibration) -> HeldOut:
     # The cost of one plane that is held out is linear in the number of planes.
     count = len(planes)
     most = 0 if count < 2 else max(PLANES_SQUARED // count, LEAST_HELD_OUT)
-    chosen = evenly(count, most)
-    left_out = (_plane_held_out(whole, planes[p], sigma) for p in chosen)
+    left_out, predictions = [], []
+    for p in evenly(count, most):
+        mine = whole.recording.plane_of_station == p
+        try:
+            at, joint = whole.known_by(~mine, solve=True)
+            held, variances = whole.stations(mine)
+            exact = 0.0 if variances.pose is None else None
+            noise = Noise(sigma, exact, exact, variances.incidence_sigma, variances.pose)
+            typical, S = float(np.median(variances.range_sigma)), joint.matrix(planes=[])
+            mounts = Mounts(joint.beam_names, *at.beams, joint.terms, S, typical)
+            result, message = hold_out(mounts, held, noise, each_beam=False), ""
+        except (InputError, SolverError, GrazingBeamError) as error:
+            result, message = None, str(error)
+        left_out.append(PlaneLeftOut(planes[p], result, message))
     rng = np.random.default_rng(0)
-    parts = [training_stations(whole.recording, rng) for _ in range(USUAL_SPLITS)]
-    predictions = [_split(whole, training) for training in parts]
-    return HeldOut(tuple(left_out), tuple(one for one in predictions if one is not None))
-
-
-def _plane_held_out(whole: WholeSolution, plane: str, range_sigma: float | None) -> PlaneLeftOut:
-    """Return how the beams from all other planes fit one plane; see `hold_out` for an unknown sigma."""
-    mine = np.array([label == plane for label in whole.recording.plane_labels])
-    try:
-        at, joint = whole.known_by(~mine, solve=True)
-        held, variances = whole.stations(mine)
-        exact = 0.0 if variances.pose is None else None
-        noise = Noise(range_sigma, exact, exact, variances.incidence_sigma, variances.pose)
-        mounts = Mounts(
-            joint.beam_names,
-            *at.beams,
-            joint.terms,
-            joint.matrix(planes=[]),
-            float(np.median(variances.range_sigma)),
-        )
-        return PlaneLeftOut(plane, hold_out(mounts, held, noise, each_beam=False), "")
-    except (InputError, SolverError, GrazingBeamError) as error:
-        return PlaneLeftOut(plane, None, str(error))
-
-
-def _split(whole: WholeSolution, training: BoolArray) -> Prediction | None:
-    """Return how the other stations are predicted; None where the training stations do not suffice."""
-    try:
-        at, joint = whole.known_by(training, solve=True)
-        test, variances = whole.stations(~training)
-        return predicted(at, joint, test, variances)
-    except (InputError, SolverError, GrazingBeamError):
-        return None
+    for _ in range(USUAL_SPLITS):
+        training = training_stations(whole.recording, rng)
+        # Where the training stations do not suffice there is no prediction.
+        with suppress(InputError, SolverError, GrazingBeamError):
+            at, joint = whole.known_by(training, solve=True)
+            test, variances = whole.stations(~training)
+            predictions.append(predicted(at, joint, test, variances))
+    return HeldOut(tuple(left_out), tuple(predictions))

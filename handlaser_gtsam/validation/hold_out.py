@@ -131,8 +131,7 @@ def hold_out(
     variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
     beams = (mounts.locations, mounts.directions, mounts.range_errors)
     at, how = fit_planes(beams, readings, variances)
-    names, known = mounts.names if each_beam else (), noise.range_sigma is not None
-    return _tested(at, readings, how, mounts, names, known=known)
+    return _tested(at, readings, how, mounts, each_beam, noise.range_sigma is not None)
 
 
 def fit_planes(
@@ -154,13 +153,7 @@ def fit_planes(
 
 
 def _tested(
-    at: Parameters,
-    readings: Readings,
-    how: Whitening,
-    mounts: Mounts,
-    names: tuple[str, ...],
-    *,
-    known: bool,
+    at: Parameters, readings: Readings, how: Whitening, mounts: Mounts, each_beam: bool, known: bool
 ) -> HoldOut:
     """Test the beams as calibrated against readings whose planes were fitted to them.
 
@@ -171,8 +164,8 @@ def _tested(
     readings : Readings
     how : Whitening
     mounts : Mounts
-    names : tuple of str
-        Of all beams, where each is to be tested alone.
+    each_beam : bool
+        Whether each is to be tested alone, too.
     known : bool
         Whether the range sigma was given; else it is what the readings show.
     """
@@ -221,12 +214,11 @@ def _tested(
         return float(f_sf(statistic / degrees, degrees, max(dof, 1)))
 
     n = len(unit)
-    none, own = np.empty((n, 0)), covariance_roots(covariance[None])[0]
-    held, _ = least(own, none)
-    moved, _ = least(none, np.eye(n))
+    own = covariance_roots(covariance[None])[0]
+    held, moved = least(own, own[:, :0])[0], float((along**2 / values).sum())
     chi2, drift = cost / scale - moved, moved - held
     beams = []
-    for index, name in enumerate(names):
+    for index, name in enumerate(mounts.names if each_beam else ()):
         mine = beam == index
         (others,) = covariance_roots((own @ own.T)[np.ix_(~mine, ~mine)][None])
         root = np.zeros((n, others.shape[1]))

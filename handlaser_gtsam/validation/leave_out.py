@@ -3,6 +3,7 @@
 A reading that was rejected as an outlier of the whole recording stays rejected.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,7 @@ from ..results.verdict import Verdict, best_improvement, failures, verdict
 from ..text import some
 from .hold_out import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
+from .simulate import generator
 
 PART_LEFT_OUT = 0.3
 """Part of the stations that a random split predicts; in recordings, of the stations of every plane."""
@@ -97,13 +99,11 @@ def validate(
         The whole recording gives no calibration.
     """
     require_count("splits", splits, 0, 10**9)
-    if rng is not None:
-        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
+    rng = generator(rng)
     of_surveys = "a Recording; hl.validation.validate_survey takes a Survey"
     require_kind("recording", recording, Recording, of_surveys)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
-    rng = rng or np.random.default_rng(0)
     with told_to(progress):
         planes = recording.plane_names if len(recording.plane_names) > 1 else ()
         total = 2 + len(planes) + splits
@@ -117,12 +117,25 @@ def validate(
         left_out = []
         for number, plane in enumerate(planes):
             tell("leave-out", 1 + number, total, f"without plane {plane}")
-            left_out.append(_without(kept, plane, noise, keep))
+            mine = np.array([label == plane for label in kept.plane_labels])
+            result, message = None, ""
+            try:
+                others = _ended(calibrate(*_part(kept, noise, ~mine), keep))
+                message = others.message
+                if others.status == "converged":
+                    held, seen = _part(kept, noise, mine)
+                    seen = others.noise(seen) if others.noise_estimate else seen
+                    result, message = hold_out(Mounts.of(others), held, seen), ""
+            except InputError as error:
+                message = str(error)
+            left_out.append(PlaneLeftOut(plane, result, message))
         predictions = []
         for number in range(splits):
             tell("leave-out", 1 + len(planes) + number, total, f"split {number + 1}")
-            prediction = _split(kept, noise, keep, rng)
-            predictions += [] if prediction is None else [prediction]
+            training = training_stations(kept, rng)
+            with suppress(InputError):  # without a calibration there is no prediction
+                calibration = calibrate(*_part(kept, noise, training), keep)
+                predictions.append(predict(calibration, *_part(kept, noise, ~training)))
         tell("leave-out", total - 1, total, "without range error")
         bare = _ended(
             calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
@@ -134,21 +147,6 @@ def validate(
             reconstruction(whole, kept),
             reconstruction(bare, kept),
         )
-
-
-def _without(
-    recording: Recording, plane: str, noise: Noise, options: CalibrationOptions
-) -> PlaneLeftOut:
-    mine = np.array([label == plane for label in recording.plane_labels])
-    try:
-        others = _ended(calibrate(*_part(recording, noise, ~mine), options))
-        if others.status != "converged":
-            return PlaneLeftOut(plane, None, others.message)
-        held, seen = _part(recording, noise, mine)
-        seen = others.noise(seen) if others.noise_estimate else seen
-        return PlaneLeftOut(plane, hold_out(Mounts.of(others), held, seen), "")
-    except InputError as error:
-        return PlaneLeftOut(plane, None, str(error))
 
 
 def _ended(calibration: Calibration) -> Calibration:
@@ -164,20 +162,6 @@ def _part(recording: Recording, noise: Noise, stations: BoolArray) -> tuple[Reco
     S = noise.pose_covariance
     seen = noise if S is None or S.ndim == 2 else replace(noise, pose_covariance=S[rows])
     return recording.part(rows), seen
-
-
-def _split(
-    recording: Recording, noise: Noise, options: CalibrationOptions, rng: np.random.Generator
-) -> Prediction | None:
-    """Return how the rest of the stations of every plane is predicted; None without a calibration."""
-    training = training_stations(recording, rng)
-    try:
-        part, seen = _part(recording, noise, training)
-        calibration = calibrate(part, seen, options)
-        test, seen = _part(recording, noise, ~training)
-        return predict(calibration, test, seen)
-    except InputError:
-        return None
 
 
 def training_stations(recording: Recording, rng: np.random.Generator) -> BoolArray:

@@ -4,7 +4,7 @@ Predictions carry their own standard deviation, from the reading, the pose, and 
 behind it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,9 +95,9 @@ def predicted(
     lin = model.linearize(x, readings.distance)
     J = np.hstack((lin.location, lin.direction, lin.range_error, lin.normal, lin.offset[:, None]))
     S = joint.matrix(recording.beam_names, recording.plane_names)
-    first, width = BEAM.size * len(beams), len(PLANE.numbers)
+    width = len(PLANE.numbers)
     of_beam = BEAM.size * readings.beam[:, None] + np.arange(BEAM.size)
-    of_plane = first + width * readings.plane[:, None] + np.arange(width)
+    of_plane = BEAM.size * len(beams) + width * readings.plane[:, None] + np.arange(width)
     columns = np.hstack((of_beam, of_plane))
     of_reading = S[columns[:, :, None], columns[:, None, :]]
     variance = np.einsum("ni,nij,nj->n", J, of_reading, J)
@@ -106,36 +106,32 @@ def predicted(
 
 
 def reconstruction(calibration: Calibration, recording: Recording) -> Prediction | None:
-    """Predict all stations of a plane from the plane that the beams span at each one of them."""
-    planes = range(len(recording.plane_names))
-    errors = [e for p in planes for e in _of_plane(calibration, recording, p)]
+    """Predict all stations of a plane from the plane that the beams span at each one of them.
+
+    None where no three beams span a plane at any station.
+    """
+    beams = [list(calibration.beams).index(name) for name in recording.beam_names]
+    r, v, k = (array[beams] for array in calibration.parameters().beams)
+    errors = []
+    for plane in range(len(recording.plane_names)):
+        rows = np.flatnonzero(recording.plane_of_station == plane)
+        R, t, d = recording.world_R_hand[rows], recording.world_t_hand[rows], recording.ranges[rows]
+        g, read = model.corrected(d, k), ~np.isnan(d)
+        spots = np.einsum("mij,mbj->mbi", R, r + g[:, :, None] * v) + t[:, None, :]
+        for station in range(len(rows)):
+            X = spots[station, read[station]]
+            spanned = plane_of(X) if len(X) >= 3 else None
+            if spanned is None:
+                continue
+            n, middle = spanned
+            m, b = np.nonzero(read & (np.arange(len(rows)) != station)[:, None])
+            n_hand = np.einsum("mji,j->mi", R[m], n)
+            height = np.einsum("mi,mi->m", n_hand, r[b]) + (t[m] - middle) @ n
+            errors.append(-height / np.einsum("mi,mi->m", n_hand, v[b]) - g[m, b])
     if not errors:
         return None
     e = np.concatenate(errors)
     return _prediction(e, np.full(len(e), np.nan))
-
-
-def _of_plane(calibration: Calibration, recording: Recording, plane: int) -> Iterator[FloatArray]:
-    """Yield the errors of the other stations, from each station where three beams span the plane."""
-    rows = np.flatnonzero(recording.plane_of_station == plane)
-    beams = [list(calibration.beams).index(name) for name in recording.beam_names]
-    r, v, k = (array[beams] for array in calibration.parameters().beams)
-    d = recording.ranges[rows]
-    g = model.corrected(d, k)
-    R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
-    spots = np.einsum("mij,mbj->mbi", R, r + g[:, :, None] * v) + t[:, None, :]
-    read = ~np.isnan(d)
-    for station in range(len(rows)):
-        X = spots[station, read[station]]
-        spanned = plane_of(X) if len(X) >= 3 else None
-        if spanned is None:
-            continue
-        n, middle = spanned
-        others = read & (np.arange(len(rows)) != station)[:, None]
-        m, b = np.nonzero(others)
-        n_hand = np.einsum("mji,j->mi", R[m], n)
-        height = np.einsum("mi,mi->m", n_hand, r[b]) + (t[m] - middle) @ n
-        yield -height / np.einsum("mi,mi->m", n_hand, v[b]) - g[m, b]
 
 
 def pooled(predictions: Sequence[Prediction]) -> Prediction:

@@ -83,21 +83,17 @@ def calibrate_each(
 ) -> list[Estimated | HandlaserError]:
     """Solve recordings one after the other by `calibrate`."""
     estimates: list[Estimated | HandlaserError] = []
+    none = np.full((BEAM.size, BEAM.size), np.nan)
     for recording in recordings:
         try:
-            result = calibrate(recording, noise, options)
+            found = calibrate(recording, noise, options)
         except HandlaserError as error:
             estimates.append(error)
             continue
-        none = np.full((BEAM.size, BEAM.size), np.nan)
-        covariances = [
-            none if beam.covariance is None else beam.covariance for beam in result.beams.values()
-        ]
-        codes = tuple(warning.code for warning in result.warnings)
-        beams = result.parameters().beams
-        estimates.append(
-            Estimated(beams, np.array(covariances), result.status, result.iterations, codes)
-        )
+        each = (beam.covariance for beam in found.beams.values())
+        S = np.array([none if covariance is None else covariance for covariance in each])
+        codes, beams = tuple(warning.code for warning in found.warnings), found.parameters().beams
+        estimates.append(Estimated(beams, S, found.status, found.iterations, codes))
     return estimates
 
 

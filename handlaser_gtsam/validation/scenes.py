@@ -12,8 +12,9 @@ with an orientation of its own: no pure translations at all.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -55,8 +56,7 @@ class Layout:
 Scene = Callable[[Layout, np.random.Generator], tuple[Parameters, Stations]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Kind:
+class _Kind(NamedTuple):
     """Distances of a scene [m], how far the hand and the planes tilt [rad], and what is usual in it."""
 
     working: tuple[float, float]
@@ -65,31 +65,27 @@ class _Kind:
     plane_tilt: float
     hand_tilt: float
     base: tuple[float, float, float]
-    turns: Callable[[int, float, np.random.Generator], FloatArray]
+    designed: bool
     errors: Errors
     sensor: Sensor
 
 
-def _designed_turns(count: int, tilt: float, rng: np.random.Generator) -> FloatArray:
-    """Four translations in one orientation, two in each of two more, then free turns."""
-    vectors = tilt * _tilted(count, rng)
-    vectors[: min(4, count)] = 0.0
-    for first in (4, 6):
-        if first + 1 < count:
-            vectors[first + 1] = vectors[first]
-    return Rotation.from_rotvec(vectors).as_matrix()
+def _turns(count: int, kind: _Kind, rng: np.random.Generator) -> FloatArray:
+    """Tilts of 0.5 to 1 of the largest in any direction, and turns about the hand's z.
 
-
-def _free_turns(count: int, tilt: float, rng: np.random.Generator) -> FloatArray:
-    return Rotation.from_rotvec(tilt * _tilted(count, rng)).as_matrix()
-
-
-def _tilted(count: int, rng: np.random.Generator) -> FloatArray:
-    """Rotation vectors: tilts of 0.5 to 1 in any direction, and turns about the hand's z."""
+    Designed ones are four translations in one orientation, two in each of two more, then free turns.
+    """
     angle = rng.uniform(0.0, 2.0 * np.pi, count)
     size = rng.uniform(0.5, 1.0, count)
     spin = rng.uniform(-1.0, 1.0, count)
-    return np.stack((size * np.cos(angle), size * np.sin(angle), spin), axis=1)
+    tilted = np.stack((size * np.cos(angle), size * np.sin(angle), spin), axis=1)
+    vectors = kind.hand_tilt * tilted
+    if kind.designed:
+        vectors[:4] = 0.0
+        for first in (4, 6):
+            if first + 1 < count:
+                vectors[first + 1] = vectors[first]
+    return Rotation.from_rotvec(vectors).as_matrix()
 
 
 _PAPER = _Kind(
@@ -99,14 +95,14 @@ _PAPER = _Kind(
     plane_tilt=0.35,
     hand_tilt=0.25,
     base=(0.6, 0.1, 0.4),
-    turns=_designed_turns,
+    designed=True,
     errors=Errors(3e-5, 5e-5, math.radians(0.03), (1,)),
     sensor=Sensor(0.0, 0.030),
 )
 """The bench of the paper, of which other scenes differ in a few fields."""
 _KINDS = {
     "paper": _PAPER,
-    "unplanned": replace(_PAPER, turns=_free_turns),
+    "unplanned": _PAPER._replace(designed=False),
     "arm": _Kind(
         working=(0.15, 0.45),
         beam_circle=0.050,
@@ -114,7 +110,7 @@ _KINDS = {
         plane_tilt=0.50,
         hand_tilt=0.40,
         base=(0.5, 0.2, 0.5),
-        turns=_free_turns,
+        designed=False,
         errors=Errors(1e-3, 1e-4, math.radians(0.02), (0, 1, 2)),
         sensor=Sensor(0.05, 0.60),
     ),
@@ -124,17 +120,43 @@ simulation; and distance sensors on an arm, 15 to 45 cm before large planes."""
 
 
 def _scene(kind: _Kind, layout: Layout, rng: np.random.Generator) -> tuple[Parameters, Stations]:
-    """Return beams, planes and stations of a kind of scene."""
-    r, v = _beams(layout.beams, kind, rng)
-    R, t, planes = [], [], []
+    """Return beams, planes and stations of a kind of scene.
+
+    Beams are on a circle in the front of the hand (its +z), each tilted a little; planes are above the
+    hand, each tilted to its own side, through a point near the base.
+    """
+    count, (low, high) = layout.beams, kind.working
+    angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
+    circle = np.stack((np.cos(angle), np.sin(angle), np.zeros(count)), axis=1)
+    r = kind.beam_circle * (circle + rng.uniform(-0.2, 0.2, (count, 3)))
+    tilt = kind.beam_tilt * rng.uniform(-1.0, 1.0, (count, 2))
+    v = model.normalized(np.column_stack((tilt, np.ones(count))))
+    R, t, normals, offsets = [], [], [], []
     for p in range(layout.planes):
-        planes.append(_plane(p, layout.planes, kind, rng))
-        R.append(kind.turns(layout.stations, kind.hand_tilt, rng))
-        t.append(_positions(R[p], *planes[p], (r, v), kind, rng))
-    n, b = (np.array(column) for column in zip(*planes, strict=True))
-    k = np.tile([layout.k1, layout.k2], (layout.beams, 1))
+        side = 2.0 * np.pi * p / layout.planes + rng.uniform(-0.3, 0.3)
+        lean = kind.plane_tilt * rng.uniform(0.6, 1.0)
+        n = np.array([np.sin(lean) * np.cos(side), np.sin(lean) * np.sin(side), np.cos(lean)])
+        offset = float(-n @ (np.array(kind.base) + rng.uniform(-0.05, 0.05, 3)))
+        normals.append(n)
+        offsets.append(offset)
+        R.append(_turns(layout.stations, kind, rng))
+        # Positions at which the readings of all beams lie in the working range, if they fit.
+        wander = rng.uniform(-1.0, 1.0, (layout.stations, 3)) * (high - low)
+        at = np.array(kind.base) + wander
+        at -= (at @ n + offset)[:, None] * n
+        n_hand = np.einsum("mji,j->mi", R[p], n)
+        cosine = n_hand @ v.T
+        s = -(n_hand @ r.T) / cosine
+        # A step back by h lengthens the range of beam i by h / cosine_i: keep each within [low, high].
+        nearest = ((low - s) * cosine).max(axis=1)
+        farthest = ((high - s) * cosine).min(axis=1)
+        share = (np.arange(layout.stations) + 0.5)[rng.permutation(layout.stations)]
+        share = share / layout.stations
+        t.append(at - (nearest + share * np.maximum(farthest - nearest, 0.0))[:, None] * n)
+    k = np.tile([layout.k1, layout.k2], (count, 1))
+    truth = Parameters(r, v, k, np.array(normals), np.array(offsets))
     label = np.repeat(np.arange(layout.planes), layout.stations)
-    return Parameters(r, v, k, n, b), Stations(np.concatenate(R), np.concatenate(t), label)
+    return truth, Stations(np.concatenate(R), np.concatenate(t), label)
 
 
 SCENES: dict[str, Scene] = {name: partial(_scene, kind) for name, kind in _KINDS.items()}
@@ -178,51 +200,3 @@ def draw_scene(
     k = truth.range_errors + rng.standard_normal(truth.range_errors.shape) * range_error_sigmas
     truth = Parameters(truth.locations, truth.directions, k, truth.normals, truth.offsets)
     return simulate(truth, stations, errors or ERRORS[scene], rng, SENSORS[scene]), truth
-
-
-def _beams(count: int, kind: _Kind, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Beams on a circle in the front of the hand (its +z), each tilted a little."""
-    angle = 2.0 * np.pi * (np.arange(count) + 0.5) / count
-    circle = np.stack((np.cos(angle), np.sin(angle), np.zeros(count)), axis=1)
-    r = kind.beam_circle * (circle + rng.uniform(-0.2, 0.2, (count, 3)))
-    tilt = kind.beam_tilt * rng.uniform(-1.0, 1.0, (count, 2))
-    v = model.normalized(np.column_stack((tilt, np.ones(count))))
-    return r, v
-
-
-def _plane(
-    index: int, count: int, kind: _Kind, rng: np.random.Generator
-) -> tuple[FloatArray, float]:
-    """Return a plane above the hand, tilted to its own side, through a point near the base."""
-    angle = 2.0 * np.pi * index / count + rng.uniform(-0.3, 0.3)
-    tilt = kind.plane_tilt * rng.uniform(0.6, 1.0)
-    n = np.array([np.sin(tilt) * np.cos(angle), np.sin(tilt) * np.sin(angle), np.cos(tilt)])
-    point = np.array(kind.base) + rng.uniform(-0.05, 0.05, 3)
-    return n, float(-n @ point)
-
-
-def _positions(
-    R: FloatArray,
-    n: FloatArray,
-    b: float,
-    beams: tuple[FloatArray, FloatArray],
-    kind: _Kind,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Hand positions at which the readings of all beams lie in the working range, if they fit."""
-    r, v = beams
-    low, high = kind.working
-    count = len(R)
-    wander = rng.uniform(-1.0, 1.0, (count, 3)) * (high - low)
-    t = np.array(kind.base) + wander
-    t -= (t @ n + b)[:, None] * n
-    n_hand = np.einsum("mji,j->mi", R, n)
-    cosine = n_hand @ v.T
-    s = -(n_hand @ r.T) / cosine
-    # A step back by h lengthens the range of beam i by h / cosine_i: keep each within [low, high].
-    nearest = ((low - s) * cosine).max(axis=1)
-    farthest = ((high - s) * cosine).min(axis=1)
-    share = (np.arange(count) + 0.5)[rng.permutation(count)] / count
-    back = nearest + share * np.maximum(farthest - nearest, 0.0)
-    placed: FloatArray = t - back[:, None] * n
-    return placed

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..checks import require_number
+from ..checks import require_kind, require_number
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
@@ -73,6 +73,20 @@ class Errors:
         variances = np.zeros((2, 3))
         variances[:, list(self.pose_axes)] = np.square(sigmas[::-1])[:, None]
         return Noise(known, pose_covariance=np.diag(variances.ravel()))
+
+
+def generator(rng: np.random.Generator | None) -> np.random.Generator:
+    """Return a generator that was given, or a fixed one.
+
+    Raises
+    ------
+    InputError
+        What is no generator.
+    """
+    if rng is None:
+        return np.random.default_rng(0)
+    require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
+    return rng
 
 
 def simulate(

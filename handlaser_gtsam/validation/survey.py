@@ -30,8 +30,9 @@ from ..model.targets.sphere import SPHERE
 from ..quantities import SINGULAR
 from ..results.survey import SurveyCalibration, survey_calibration
 from ..solvers.survey_reference import Observed, SurveyProblem, SurveySolution, solve_survey
-from .cross_check import CrossCheck, compared
+from .cross_check import COMPARED_PARTS, CrossCheck, compared
 from .leave_out import PART_LEFT_OUT, USUAL_SPLITS
+from .simulate import generator
 
 FITS = "converged", "contradicted"
 """Status of a survey that has a minimum."""
@@ -40,14 +41,6 @@ LARGEST_DIFFERENCE = 0.5
 by this part. Shots are condensed to first order in their noise: of balls that are read with a noise of
 2 % of the range they differ by up to 0.47, which makes errors a tenth larger than is stated. An array
 of 16 zones with a noise of 1 mm before two balls differs by 1.1."""
-COMPARED_PARTS = {
-    SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
-    BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
-    PLANE.name: {"normal": slice(0, 3), "offset": slice(3, None)},
-    SPHERE.name: {"centre": slice(0, 3), "radius": slice(3, None)},
-    POINT.name: {"position": slice(0, None)},
-}
-"""What is compared at a time of each kind of variable."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -167,10 +160,8 @@ def validate_survey(
     """
     require_kind("survey", survey, Survey)
     require_count("splits", splits, 0, 10**9)
-    if rng is not None:
-        require_kind("rng", rng, np.random.Generator, "numpy.random.default_rng(...)")
+    rng = generator(rng)
     noise = Noise() if noise is None else noise
-    rng = np.random.default_rng(0) if rng is None else rng
     whole = estimate_survey(survey, noise)
     calibration = survey_calibration(whole)
     if not _fits(calibration):
@@ -217,23 +208,33 @@ def _problem(found: SurveyEstimate) -> SurveyProblem:
     sigma = state.sigmas()
     groups: dict[tuple[str, int, str], list[Item]] = defaultdict(list)
     for item, used in zip(rows.items, found.used, strict=True):
-        if used:
+        if used:  # all beams together
             member = -1 if item.points is None else item.member
             groups[item.family, member, item.target[0]].append(item)
-    observed = [
-        _observed(rows.survey, kind, items, sigma[family, items[0].member])
-        for (family, _, kind), items in groups.items()
-    ]
-    plane = values.get(PLANE.name, np.zeros((0, PLANE.size)))
+    observed = []
+    for (family, member, kind), items in groups.items():
+        points = [np.zeros(1, np.intp) if item.points is None else item.points for item in items]
+        which, each = np.concatenate(points), [len(some) for some in points]
+        station = np.repeat([item.station for item in items], each)
+        target = np.repeat([item.target[1] for item in items], each)
+        noise = sigma[family, items[0].member]
+        if member < 0:
+            beam = np.array([item.member for item in items])
+            reading, cone = np.array([item.reading for item in items]), rows.survey.half_angle
+            observed.append(Observed(kind, beam, station, target, noise, reading, half_angle=cone))
+        else:
+            shots = rows.survey.shots[member]
+            read = shots.reading[which], shots.across[which]
+            observed.append(Observed(kind, member, station, target, noise, *read))
     start = {
-        "sensor": values.get(SENSOR.name, np.zeros((0, SENSOR.size)))[:, : POSE.size],
-        "beam": values.get(BEAM.name, np.zeros((0, BEAM.size))),
-        "plane": np.column_stack(
-            (plane[:, :3], plane[:, 3] - (plane[:, :3] * plane[:, 4:]).sum(1))
-        ),
-        "sphere": values.get(SPHERE.name, np.zeros((0, SPHERE.size))),
-        "point": values.get(POINT.name, np.zeros((0, POINT.size))),
-        "body": values.get(BODY.name, np.zeros((0, BODY.size))),
+        family.name: values.get(family.name, np.zeros((0, family.size)))
+        for family in (SENSOR, BEAM, PLANE, SPHERE, POINT, BODY)
+    }
+    plane = start[PLANE.name]
+    offset = plane[:, 3] - (plane[:, :3] * plane[:, 4:]).sum(axis=1)
+    start |= {
+        SENSOR.name: start[SENSOR.name][:, : POSE.size],
+        PLANE.name: np.column_stack((plane[:, :3], offset)),
     }
     numbers = {
         label: (kind, i) for kind, labels in rows.targets.items() for i, label in enumerate(labels)
@@ -256,29 +257,6 @@ def _problem(found: SurveyEstimate) -> SurveyProblem:
     )
 
 
-def _observed(survey: Survey, kind: str, items: list[Item], sigma: float) -> Observed:
-    """Return the points of all shots of one sensor before one kind of target, or of all beams."""
-    station = np.array([item.station for item in items])
-    target = np.array([item.target[1] for item in items])
-    points = [item.points for item in items if item.points is not None]
-    if not points:
-        member = np.array([item.member for item in items])
-        reading = np.array([item.reading for item in items])
-        cone = survey.half_angle
-        return Observed(kind, member, station, target, sigma, reading, half_angle=cone)
-    shots, which = survey.shots[items[0].member], np.concatenate(points)
-    each = [len(some) for some in points]
-    return Observed(
-        kind,
-        items[0].member,
-        np.repeat(station, each),
-        np.repeat(target, each),
-        sigma,
-        shots.reading[which],
-        shots.across[which],
-    )
-
-
 def _differences(
     calibration: SurveyCalibration, theirs: SurveySolution
 ) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray, Mapping[str, slice]]]:
@@ -293,30 +271,23 @@ def _differences(
     for (kind, i), other in theirs.values.items():
         if kind == BODY.name:
             continue  # faces may leave it open; what it does shows in its planes
-        mine, own = plain.marginal(kind, i), values[kind][i]
+        mine, own, name = plain.marginal(kind, i), values[kind][i], ""
+        lift = np.eye(len(mine))
         if kind == SENSOR.name:
-            sensor = list(calibration.sensors.values())[i]
-            name, shots = f"sensor {sensor.name}", rows.survey.shots[i]
-            unknown = [
-                one.rpartition(".")[2] for one in plain.names if one.startswith(f"{kind}[{i}].")
-            ]
-            kept = [
-                k for k, one in enumerate(unknown) if one not in RAY_ERRORS or one in shots.free
-            ]
-            mine = mine[np.ix_(kept, kept)]
+            sensor, shots = list(calibration.sensors.values())[i], rows.survey.shots[i]
+            name = f"sensor {sensor.name}"
+            unknown = [x.rpartition(".")[2] for x in plain.names if x.startswith(f"{kind}[{i}].")]
+            lift = lift[[x not in RAY_ERRORS or x in shots.free for x in unknown]]
             own = np.append(np.zeros(6), list(sensor.range_error.values()))
         elif kind == BEAM.name:
             name = f"beam {rows.survey.beam_names[i]}"
             (lift,) = beam_lifts(bases(own[None, 3:6]))
-            mine = lift @ mine @ lift.T
-        else:
-            name = rows.label((kind, i))
-        if kind == PLANE.name:
+        elif kind == PLANE.name:
             n, c = own[:3], own[4:]
             own = np.append(n, own[3] - n @ c)
             lift = plane_lifts(bases(n), c)
-            mine = lift @ mine @ lift.T
-        yield name, own - other, mine, theirs.covariances[kind, i], COMPARED_PARTS[kind]
+        name, covariance = name or rows.label((kind, i)), lift @ mine @ lift.T
+        yield name, own - other, covariance, theirs.covariances[kind, i], COMPARED_PARTS[kind]
 
 
 def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> SurveyLeftOut:
@@ -333,7 +304,14 @@ def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> Surv
         return SurveyLeftOut(name, len(test), message=str(error))
     if found.estimate.status != "converged":
         return SurveyLeftOut(name, len(test), message=survey_calibration(found).message)
-    values = _values_of(whole, found)
+    # The whole has the values of what the rest has not seen.
+    values = {kind: x[None].copy() for kind, x in whole.estimate.values.items()}
+    for kind, x in found.estimate.values.items():
+        if kind in found.rows.targets:
+            labels = whole.rows.targets[kind]
+            values[kind][0, [labels.index(label) for label in found.rows.targets[kind]]] = x
+        elif kind != POSE.name:
+            values[kind][0, : len(x)] = x
     problem, groups = whole.at(values, found.noise).problem()
     rows = problem.rows(problem.blocks, values)
     J, e = rows.whitened()
@@ -349,7 +327,15 @@ def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> Surv
     redundancy = int((~predicted).sum()) - known_rank
     learned = bool(np.isnan([*whole.stated.sigma, *whole.stated.pose]).any())
     p = f_sf(squares / dof, dof, max(redundancy, 1)) if learned else chi2_sf(squares, dof)
-    return SurveyLeftOut(name, len(test), squares, dof, float(p), _shift(calibration, found))
+    # By how much spots at working distance move at most; of beams, their locations.
+    rest_of, shifts = survey_calibration(found), [0.0]
+    for own, sensor in calibration.sensors.items():
+        other, spot = rest_of.sensors[own], sensor.spot
+        there = other.rotation @ spot + other.location
+        shifts.append(float(np.linalg.norm(sensor.rotation @ spot + sensor.location - there)))
+    for own, beam in calibration.beams.items():
+        shifts.append(float(np.linalg.norm(beam.location - rest_of.beams[own].location)))
+    return SurveyLeftOut(name, len(test), squares, dof, float(p), max(shifts))
 
 
 def _without(survey: Survey, out: BoolArray) -> Survey | None:
@@ -367,33 +353,9 @@ def _without(survey: Survey, out: BoolArray) -> Survey | None:
     return replace(survey, shots=tuple(shots), ranges=ranges)
 
 
-def _values_of(whole: SurveyEstimate, found: SurveyEstimate) -> dict[str, FloatArray]:
-    """Return the values that the rest has found; the whole has those that the rest has not seen."""
-    values = {name: x[None].copy() for name, x in whole.estimate.values.items()}
-    for kind, x in found.estimate.values.items():
-        if kind == PLANE.name or kind in found.rows.targets:
-            labels = whole.rows.targets[kind]
-            values[kind][0, [labels.index(label) for label in found.rows.targets[kind]]] = x
-        elif kind != POSE.name:
-            values[kind][0, : len(x)] = x
-    return values
-
-
 def _squares(J: FloatArray, e: FloatArray) -> tuple[float, int]:
     """Return the least sum of squares of linear rows, and their rank."""
     scale = np.linalg.norm(J, axis=0)
     U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
     U = U[:, size > SINGULAR**0.5 * size.max()]
     return float(e @ e - ((U.T @ e) ** 2).sum()), U.shape[1]
-
-
-def _shift(calibration: SurveyCalibration, found: SurveyEstimate) -> float:
-    """Return by how much spots at working distance move at most [m]; of beams, their locations."""
-    rest, shifts = survey_calibration(found), [0.0]
-    for name, sensor in calibration.sensors.items():
-        other, spot = rest.sensors[name], sensor.spot
-        there = other.rotation @ spot + other.location
-        shifts.append(float(np.linalg.norm(sensor.rotation @ spot + sensor.location - there)))
-    for name, beam in calibration.beams.items():
-        shifts.append(float(np.linalg.norm(beam.location - rest.beams[name].location)))
-    return max(shifts)

@@ -4,7 +4,7 @@ Nothing is planned: hands look at each target in turns with all sensors and beam
 with turns about their line of sight that are drawn. That determines everything.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,8 @@ from ..data.survey import Shots, kind_of, normal_label
 from ..errors import InputError
 from ..estimation.survey_rows import AIMING_SIGMA
 from ..model.families import PLANE, bases
+from ..model.geometry import normalized
 from ..model.sensors.kinds import KINDS
-from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from .simulate import Errors
 from .survey_simulate import SurveyTruth
@@ -64,21 +64,20 @@ def fan_of(
     """
     line = np.linspace(-1.0, 1.0, POINTS_OF_LINE)
     if kind == "profiler":
-        x = PROFILE * working * line
-        return Shots.profiler(name, np.zeros(len(x), np.intp), x, np.full(len(x), working), **noise)
-    if kind == "scanner":
-        a = FAN * line
-        return Shots.scanner(name, np.zeros(len(a), np.intp), a, np.full(len(a), working), **noise)
-    u = zones
-    if u is None:
+        across = PROFILE * working * line
+    elif kind == "scanner":
+        across = FAN * line
+    elif zones is None:
         side = np.tan(CONE) * np.linspace(-1.0, 1.0, POINTS_OF_SIDE)
         x, y = (one.ravel() for one in np.meshgrid(side, side))
-        u = np.column_stack((x, y, np.ones_like(x)))
-    u = u / np.linalg.norm(u, axis=1)[:, None]
-    station = np.zeros(len(u), np.intp)
-    if kind == "array":
-        return Shots.array(name, station, u, np.full(len(u), working), **noise)
-    return Shots.points(name, station, working * u, **noise)
+        across = normalized(np.column_stack((x, y, np.ones_like(x))))
+    else:
+        across = normalized(zones)
+    station = np.zeros(len(across), np.intp)
+    if kind == "points":
+        return Shots.points(name, station, working * across, **noise)
+    make: Callable[..., Shots] = getattr(Shots, kind)
+    return make(name, station, across, np.full(len(across), working), **noise)
 
 
 def survey_scene(
@@ -117,11 +116,40 @@ def survey_scene(
             expected = "planes, spheres, and points with --beams to aim at them"
             raise InputError(f"the target {label}", expected)
     lines = [_middle(fan) for fan in fans] + [(np.zeros(3), np.array([0.0, 0.0, 1.0]))] * beams
-    mounts = [_mount(u, working, rng) for _, u in lines]
-    wide = [float(_width(fan).max()) * working for fan in fans]
-    radius = 0.8 * max(wide, default=0.3 * working)
-    targets = {label: _target(label, radius, working, rng) for label in labels}
-    R, t, names = [], [], []
+    mounts = []
+    for _, u in lines:  # the middle ray looks along the hand's z axis, more or less
+        T = np.eye(4)
+        T[:3, :3] = _square(_tilted(0.3, rng)) @ _spun(rng.uniform(-np.pi, np.pi)) @ _square(u).T
+        T[:3, 3] = 0.3 * working * rng.uniform(-1.0, 1.0, 3)
+        mounts.append(T)
+    radius = 0.8 * max((_width(fan) * working for fan in fans), default=0.3 * working)
+    targets: dict[str, FloatArray] = {}
+    for label in labels:
+        place = BASE + working * rng.uniform(-1.0, 1.0, 3)
+        if kind_of(label) == PLANE.name:
+            n = _tilted(SPREAD, rng)
+            targets[label] = np.append(n, -n @ place)
+        else:
+            targets[label] = np.append(place, [radius] * (kind_of(label) == SPHERE.name))
+
+    def looking(label: str, viewer: int) -> tuple[FloatArray, FloatArray]:
+        """Return a hand pose whose sensor looks at a target with its middle ray."""
+        x, (o, u), mount = targets[label], lines[viewer], mounts[viewer]
+        if kind_of(label) == PLANE.name:
+            w = _square(x[:3]) @ _tilted(STEEPEST_LOOK, rng)
+            at = BASE + working * rng.uniform(-0.5, 0.5, 3)
+            at = at - (at @ x[:3] + x[3]) * x[:3]
+        elif kind_of(label) == SPHERE.name:
+            w = _tilted(2.0 * SPREAD, rng)
+            at = x[:3] + x[3] * (bases(w) @ rng.uniform(-0.3, 0.3, 2) - w)
+        else:
+            w = _tilted(2.0 * SPREAD, rng)
+            at = x[:3] + AIMING_SIGMA * (bases(w) @ rng.standard_normal(2))
+        sensor = _square(w) @ _spun(rng.uniform(-SPINS, SPINS)) @ _square(u).T
+        R = sensor @ mount[:3, :3].T
+        return R, at - working * rng.uniform(0.8, 1.2) * w - sensor @ o - R @ mount[:3, 3]
+
+    poses, names = [], []
     turns = {False: 0, True: 0}  # go on from target to target: few stations are for all sensors
     for label in labels:
         of_beams = kind_of(label) == "point"
@@ -129,19 +157,13 @@ def survey_scene(
         for _ in range(count):
             i = viewers[turns[of_beams] % len(viewers)]
             turns[of_beams] += 1
-            pose = _looking(label, targets[label], lines[i], mounts[i], working, rng)
-            R.append(pose[0])
-            t.append(pose[1])
+            poses.append(looking(label, i))
             names.append(label)
-    truth = SurveyTruth(
-        {fan.name: T for fan, T in zip(fans, mounts, strict=False)},
-        {
-            str(i + 1): np.concatenate((T[:3, 3], T[:3, 2]))
-            for i, T in enumerate(mounts[len(fans) :])
-        },
-        targets,
-    )
-    return truth, StationList(np.array(R), np.array(t), tuple(names))
+    R, t = (np.array(part) for part in zip(*poses, strict=True))
+    of_fans = dict(zip((fan.name for fan in fans), mounts, strict=False))
+    single = mounts[len(fans) :]
+    of_beam = {str(i + 1): np.append(T[:3, 3], T[:3, 2]) for i, T in enumerate(single)}
+    return SurveyTruth(of_fans, of_beam, targets), StationList(R, t, tuple(names))
 
 
 def _middle(fan: Shots) -> tuple[FloatArray, FloatArray]:
@@ -151,12 +173,12 @@ def _middle(fan: Shots) -> tuple[FloatArray, FloatArray]:
     return rays.origin.mean(axis=0), u / np.linalg.norm(u)
 
 
-def _width(fan: Shots) -> FloatArray:
-    """Return how far rays are aside of the middle one at a distance of one, a fan at its distance."""
+def _width(fan: Shots) -> float:
+    """Return how far rays are aside of the middle one at a distance of one, a fan at its own."""
     o, u = _middle(fan)
     rays, d = KINDS[fan.kind].rays(fan.across), float(fan.reading[0])
     at = (rays.origin - o) / d + rays.direction / (rays.direction @ u)[:, None]
-    return np.asarray(np.linalg.norm(at - (at @ u)[:, None] * u, axis=1))
+    return float(np.linalg.norm(at - (at @ u)[:, None] * u, axis=1).max())
 
 
 def _square(u: FloatArray) -> FloatArray:
@@ -174,46 +196,3 @@ def _tilted(most: float, rng: np.random.Generator) -> FloatArray:
     """Return a unit vector up to an angle from the z axis, in any direction."""
     tilt, turn = most * np.sqrt(rng.random()), rng.uniform(0.0, 2.0 * np.pi)
     return np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
-
-
-def _mount(u: FloatArray, working: float, rng: np.random.Generator) -> FloatArray:
-    """Return a mount (4, 4) whose middle ray looks along the hand's z axis, more or less."""
-    T = np.eye(4)
-    T[:3, :3] = _square(_tilted(0.3, rng)) @ _spun(rng.uniform(-np.pi, np.pi)) @ _square(u).T
-    T[:3, 3] = 0.3 * working * rng.uniform(-1.0, 1.0, 3)
-    return T
-
-
-def _target(label: str, radius: float, working: float, rng: np.random.Generator) -> FloatArray:
-    place = BASE + working * rng.uniform(-1.0, 1.0, 3)
-    if kind_of(label) == SPHERE.name:
-        return np.append(place, radius)
-    if kind_of(label) == POINT.name:
-        return place
-    n = _tilted(SPREAD, rng)
-    return np.append(n, -n @ place)
-
-
-def _looking(
-    label: str,
-    x: FloatArray,
-    line: tuple[FloatArray, FloatArray],
-    mount: FloatArray,
-    working: float,
-    rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray]:
-    """Return a hand pose whose sensor looks at a target with its middle ray."""
-    if kind_of(label) == PLANE.name:
-        w = _square(x[:3]) @ _tilted(STEEPEST_LOOK, rng)
-        at = BASE + working * rng.uniform(-0.5, 0.5, 3)
-        at = at - (at @ x[:3] + x[3]) * x[:3]
-    else:
-        w, at = _tilted(2.0 * SPREAD, rng), x[:3]
-        if kind_of(label) == SPHERE.name:
-            at = at + x[3] * (bases(w) @ rng.uniform(-0.3, 0.3, 2) - w)
-        else:
-            at = at + AIMING_SIGMA * (bases(w) @ rng.standard_normal(2))
-    sensor = _square(w) @ _spun(rng.uniform(-SPINS, SPINS)) @ _square(line[1]).T
-    R = sensor @ mount[:3, :3].T
-    start = sensor @ line[0] + R @ mount[:3, 3]
-    return R, at - working * rng.uniform(0.8, 1.2) * w - start

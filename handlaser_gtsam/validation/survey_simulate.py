@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..data.value import Value
 from ..errors import InputError
 from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, rays_on
-from ..model.families import BEAM, FAMILIES, PLANE, POSE
+from ..model.families import BEAM, PLANE, POSE
 from ..model.ranges import PoseVariables, Ranges
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
@@ -86,13 +86,50 @@ def simulate_survey(
     labels = [normal_label(label) for label in stations.plane_labels]
     at = Stations(stations.world_R_hand, stations.world_t_hand, np.zeros(len(labels), np.intp))
     hand = disturbed(at, errors, rng)
-    values, number = _values(truth, hand)
-    shots = [
-        _read(values, i, fan, labels, number, truth, errors, rng) for i, fan in enumerate(fans)
-    ]
+    values = {POSE.name: np.hstack((hand.world_R_hand.reshape(-1, 9), hand.world_t_hand))[None]}
+    # By family of targets: the stations before one, and which it is.
+    seen: dict[str, tuple[IntArray, IntArray]] = {}
+    for family in (*TARGETS, POINT.name):
+        mine = [label for label in truth.targets if kind_of(label) == family]
+        before = np.array([j for j, label in enumerate(labels) if label in mine], dtype=np.intp)
+        if not len(before):
+            continue
+        x = np.array([truth.targets[label] for label in mine])
+        if family == PLANE.name:  # about its foot before the origin
+            x = np.hstack((x[:, :3], np.zeros((len(x), 1)), -x[:, 3:] * x[:, :3]))
+        values[family] = x[None]
+        seen[family] = before, np.array([mine.index(labels[j]) for j in before])
+    if truth.mounts:
+        mounts = [np.concatenate((T[:3, :3].ravel(), T[:3, 3])) for T in truth.mounts.values()]
+        free = np.zeros((len(mounts), SENSOR.size - 12))
+        values[SENSOR.name] = np.hstack((np.array(mounts), free))[None]
+    if truth.beams:
+        lines = np.array(list(truth.beams.values()))
+        values[BEAM.name] = np.hstack((lines, np.zeros((len(lines), 2))))[None]
+
+    def read(s: FloatArray, sigma: float) -> FloatArray:
+        """Return the readings (N,) of ranges, noise and all."""
+        k = np.broadcast_to(truth.range_error, (len(s), 2))
+        return read_back(s, k) + sigma * rng.standard_normal(len(s))
+
+    shots = []
+    for i, fan in enumerate(fans):
+        s = _ranges_of_rays(values, i, fan, seen, len(labels))
+        station, ray = np.nonzero(np.isfinite(s))
+        if not len(station):
+            raise InputError(
+                f"no reading of {fan.name} at any of {len(labels)} stations",
+                "more stations, since sensors look at targets in turns; a plane, or a sphere as wide "
+                "as its field of view",
+            )
+        reading = read(s[station, ray], errors.range_sigma if fan.sigma is None else fan.sigma)
+        across = fan.across[ray] + fan.sigma_across * rng.standard_normal((len(ray), 1))
+        shots.append(replace(fan, station=station, across=across, reading=reading))
     ranges = None
     if truth.beams:
-        ranges = _read_beams(values, labels, number, truth, half_angle, errors, rng)
+        ranges = _ranges_of_beams(values, seen, len(labels), half_angle)
+        good = np.isfinite(ranges)
+        ranges[good] = read(ranges[good], errors.range_sigma)
     return Survey(stations, tuple(shots), ranges, tuple(truth.beams), half_angle=half_angle)
 
 
@@ -106,100 +143,52 @@ def unread_stations(survey: Survey) -> int:
     return int((~read).sum())
 
 
-def _values(
-    truth: SurveyTruth, hand: Stations
-) -> tuple[dict[str, FloatArray], dict[str, tuple[str, int]]]:
-    """Return the true values of all variables, and family and number of each target."""
-    values = {POSE.name: np.hstack((hand.world_R_hand.reshape(-1, 9), hand.world_t_hand))[None]}
-    number: dict[str, tuple[str, int]] = {}
-    for label, x in truth.targets.items():
-        family = kind_of(label)
-        if family == PLANE.name:  # about its foot before the origin
-            x = np.concatenate((x[:3], [0.0], -x[3] * x[:3]))
-        known = values.get(family, np.empty((1, 0, FAMILIES[family].size)))
-        number[label] = family, known.shape[1]
-        values[family] = np.concatenate((known, x[None, None]), axis=1)
-    mounts = [np.concatenate((T[:3, :3].ravel(), T[:3, 3])) for T in truth.mounts.values()]
-    if mounts:
-        free = np.zeros((len(mounts), SENSOR.size - 12))
-        values[SENSOR.name] = np.hstack((np.array(mounts), free))[None]
-    if truth.beams:
-        lines = np.array(list(truth.beams.values()))
-        values[BEAM.name] = np.hstack((lines, np.zeros((len(lines), 2))))[None]
-    return values, number
-
-
-def _read(
+def _ranges_of_rays(
     values: Mapping[str, FloatArray],
     member: int,
     fan: Shots,
-    labels: Sequence[str],
-    number: Mapping[str, tuple[str, int]],
-    truth: SurveyTruth,
-    errors: Errors,
-    rng: np.random.Generator,
-) -> Shots:
-    """Return what a sensor reads at all stations, noise and all."""
-    rays, working = KINDS[fan.kind].rays(fan.across), float(fan.reading[0])
-    s = np.full((len(labels), len(fan.reading)), np.nan)
+    seen: Mapping[str, tuple[IntArray, IntArray]],
+    count: int,
+) -> FloatArray:
+    """Return the ranges of a sensor's rays at all stations (M, n) [m]; NaN where it reads nothing."""
+    rays, working, zero = KINDS[fan.kind].rays(fan.across), float(fan.reading[0]), np.zeros(1)
+    s = np.full((count, len(fan.reading)), np.nan)
     for family in TARGETS:
-        at = np.array([j for j, x in enumerate(labels) if number[x][0] == family], dtype=np.intp)
-        if not len(at):
-            continue
-        seen = np.array([number[labels[j]][1] for j in at])
-        before = {**values, POSE.name: values[POSE.name][:, at]}
-        zero = np.zeros(1)
-        columns, missed = rays_on(before, member, family, seen, rays, zero, zero)
-        s[at] = np.where(missed, np.nan, columns[-1, 0])
+        if family in seen:
+            at, target = seen[family]
+            before = {**values, POSE.name: values[POSE.name][:, at]}
+            columns, missed = rays_on(before, member, family, target, rays, zero, zero)
+            s[at] = np.where(missed, np.nan, columns[-1, 0])
     s[~((s > LEAST_READ * working) & (s < MOST_READ * working))] = np.nan
     s[np.isfinite(s).mean(axis=1) < OF_MANY] = np.nan
-    station, ray = np.nonzero(np.isfinite(s))
-    if not len(station):
-        raise InputError(
-            f"no reading of {fan.name} at any of {len(labels)} stations",
-            "more stations, since sensors look at targets in turns; a plane, or a sphere as wide as "
-            "its field of view",
-        )
-    k = np.broadcast_to(truth.range_error, (len(station), 2))
-    sigma = errors.range_sigma if fan.sigma is None else fan.sigma
-    reading = read_back(s[station, ray], k) + sigma * rng.standard_normal(len(station))
-    across = fan.across[ray] + fan.sigma_across * rng.standard_normal((len(ray), 1))
-    return replace(fan, station=station, across=across, reading=reading)
+    return s
 
 
-def _read_beams(
+def _ranges_of_beams(
     values: Mapping[str, FloatArray],
-    labels: Sequence[str],
-    number: Mapping[str, tuple[str, int]],
-    truth: SurveyTruth,
+    seen: Mapping[str, tuple[IntArray, IntArray]],
+    count: int,
     half_angle: float,
-    errors: Errors,
-    rng: np.random.Generator,
 ) -> FloatArray:
-    """Return what beams read (M, B) [m]: NaN where they miss, or are not aimed at a point."""
-    count, beams = len(labels), len(truth.beams)
+    """Return the ranges of beams (M, B) [m]: NaN where they miss, or are not aimed at a point."""
+    beams = values[BEAM.name].shape[1]
     s = np.full((count, beams), np.nan)
-    for family in (*TARGETS, POINT.name):
-        at = np.array([j for j, x in enumerate(labels) if number[x][0] == family], dtype=np.intp)
-        if not len(at):
-            continue
+    for family, (at, targets) in seen.items():
         station, beam = np.repeat(at, beams), np.tile(np.arange(beams), len(at))
-        seen = np.array([number[labels[j]][1] for j in station.tolist()])
-        sensor = Cone(beam, half_angle) if half_angle else Beam(beam)
+        target = np.repeat(targets, beams)
         robot, zero = PoseVariables(station), np.zeros((1, len(beam), 1))
         if family == POINT.name:
             axes = axes_along(values[BEAM.name][0, beam, 3:6])
             # Of a reading of zero: minus the range with its sign turned, and how far the ray passes.
-            e = SpotsOnPoints(Beam(beam), robot, seen, zero, axes).evaluate(values).columns[-1, 0]
+            spots = SpotsOnPoints(Beam(beam), robot, target, zero, axes)
+            e = spots.evaluate(values).columns[-1, 0]
             passed = np.hypot(e[:, 1], e[:, 2])
             s[station, beam] = np.where(passed < AIMED_PAST * AIMING_SIGMA, e[:, 0], np.nan)
             continue
-        rows = Ranges(sensor, TARGETS[family](seen), robot, zero).evaluate(values)
+        sensor = Cone(beam, half_angle) if half_angle else Beam(beam)
+        rows = Ranges(sensor, TARGETS[family](target), robot, zero).evaluate(values)
         met = rows.columns[-1, 0, :, 0]
         if rows.impossible is not None:
             met = np.where(np.broadcast_to(rows.impossible, zero.shape)[0, :, 0], np.nan, met)
         s[station, beam] = np.where(met > 0.0, met, np.nan)
-    good = np.isfinite(s)
-    k = np.broadcast_to(truth.range_error, (int(good.sum()), 2))
-    s[good] = read_back(s[good], k) + errors.range_sigma * rng.standard_normal(int(good.sum()))
     return s
