@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import GRIPPER, bench, motion, recording_of, simulated
+from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.garbage import distance, with_garbage
 from handlaser_gtsam import model
 from handlaser_gtsam.observability.rank import observability
-from handlaser_gtsam.outliers.snooping import leverages, screen, standardized
+from handlaser_gtsam.outliers import snooping
+from handlaser_gtsam.outliers.snooping import judge, leverages, screen, standardized
 from handlaser_gtsam.starts.directions import direction_starts
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import robust_search
@@ -139,6 +141,30 @@ def test_standardized_residuals_know_who_was_used():
     used = np.array([True, False, True])
     t = standardized(e, h, used, 1.0)
     assert t == pytest.approx([2.0, 1.0 / np.sqrt(1.75), 0.0])
+
+
+def test_a_reading_that_grazes_its_plane_is_an_outlier_and_sets_no_scale(monkeypatch):
+    """Such a reading of a long recording has no residual: the scale is that of the others."""
+    monkeypatch.setattr(snooping, "LARGEST_LEVERAGES", 0)
+    recording, truth = simulated("arm", Layout(2, 2, 12), SIGMA["arm"])
+    readings = recording.readings()
+    R, n = readings.world_R_hand.copy(), truth.normals[readings.plane[7]]
+    v = R[7] @ truth.directions[readings.beam[7]]
+    across = n - (n @ v) * v
+    aside = across / np.linalg.norm(across)
+    turn = (
+        np.arccos(n @ v) - 0.5 * np.pi
+    )  # towards the plane, about the axis at right angles to both
+    axis = np.cross(v, aside)
+    R[7] = Rotation.from_rotvec(turn * axis).as_matrix() @ R[7]
+    grazing = replace(readings, world_R_hand=R)
+    kept = np.ones(len(readings), dtype=bool)
+    with np.errstate(all="raise"):
+        scale, t = judge(grazing, kept, truth, 0, np.zeros(len(readings)))
+    others = np.delete(np.arange(len(readings)), 7)
+    assert np.isinf(t[7])
+    assert np.isfinite(t[others]).all()
+    assert scale == pytest.approx(SIGMA["arm"], rel=0.5)
 
 
 def test_too_few_agreeing_readings_are_no_consensus():

@@ -186,7 +186,8 @@ def judge(
     e = residuals(parameters, readings)
     unit = np.where(sigmas > 0.0, sigmas, 1.0)
     free = max(int(kept.sum()) - count_unknowns(readings, terms), 1)
-    z = e[kept] / unit[kept]
+    met = kept & np.isfinite(e)  # a beam that grazes its plane here has no residual
+    z = e[met] / unit[met]
     estimated = float(np.sqrt((z @ z) / free))
     typical = float(np.median(unit[kept]))
     least = 1.0 if known and (sigmas > 0.0).all() else 0.0
