@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self, TypeVar, get_args
+from typing import Annotated, Any, Self, TypeVar, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
@@ -243,15 +243,36 @@ def record(source: object, fields: type[BaseModel] | str, **others: object) -> R
     """Return fields of a schema, or of names separated by blanks, in that order.
 
     A field is one of the `others`, or the attribute of `source` that has its name, or its name but for
-    the unit at the end.
+    the unit at the end; an array or a tuple has the fields in their order. What the schema says of a
+    field makes records of the objects in it, and no text of an empty one where there may be none.
     """
-    names = fields.split() if isinstance(fields, str) else fields.model_fields
-    return {
-        name: others[name]
-        if name in others
-        else getattr(source, name if hasattr(source, name) else name.rpartition("_")[0])
-        for name in names
-    }
+    kinds: dict[str, Any] = dict.fromkeys(fields.split()) if isinstance(fields, str) else {}
+    if not isinstance(fields, str):
+        kinds = {name: field.annotation for name, field in fields.model_fields.items()}
+    if isinstance(source, np.ndarray | tuple):
+        return dict(zip(kinds, source, strict=True))
+    found: Record = {}
+    for name, kind in kinds.items():
+        attribute = name if hasattr(source, name) else name.rpartition("_")[0]
+        value = others[name] if name in others else getattr(source, attribute)
+        found[name] = _formed(value, kind)
+    return found
+
+
+def _formed(value: Any, kind: Any) -> object:
+    """Return the value of a field as its type in a schema has it; without a type it stays as it is."""
+    parts = get_args(kind)
+    if type(None) in parts:
+        nothing = value is None or (isinstance(value, str) and not value)
+        return None if nothing else _formed(value, parts[0])
+    if get_origin(kind) is Annotated:
+        return _formed(value, parts[0])
+    if get_origin(kind) is tuple and hasattr(parts[0], "model_fields"):
+        many = value.values() if isinstance(value, Mapping) else value
+        return [_formed(one, parts[0]) for one in many]
+    if hasattr(kind, "model_fields") and not isinstance(value, dict):
+        return record(value, kind)
+    return str(value) if kind is str else value
 
 
 def _plain(value: object) -> Json:
