@@ -16,9 +16,10 @@ from .options import (
     Given,
     JsonOption,
     Model,
+    OutOption,
     QuietOption,
     RecordingArgument,
-    how_option,
+    how,
     metres,
 )
 from .stopping import INTERRUPTED, NOT_USABLE, UNDETERMINED
@@ -46,29 +47,24 @@ LossChoice = StrEnum(
 
 @dataclass(frozen=True, slots=True)
 class Manner(Model):
-    """What is estimated, and how it is calibrated."""
+    """What is estimated, and how it is calibrated.
 
-    outliers: Annotated[
-        OutliersChoice,
-        how_option(
-            help="Leave out, and list, readings that the others contradict; or keep them.",
-        ),
-    ] = OutliersChoice.reject
-    loss: Annotated[
-        LossChoice,
-        how_option(help="Loss of the final estimate, reading by reading."),
-    ] = LossChoice.gaussian
-    incremental: Annotated[
-        bool,
-        how_option(
-            "--incremental",
-            help="Add plane by plane, show what each teaches, and compare with all at once.",
-        ),
-    ] = False
-    cross_check: Annotated[
-        bool,
-        how_option("--cross-check", help="Solve again with SciPy and compare."),
-    ] = False
+    Attributes
+    ----------
+    outliers : OutliersChoice
+        Leave out, and list, readings that the others contradict; or keep them.
+    loss : LossChoice
+        Loss of the final estimate, reading by reading.
+    incremental : bool
+        Add plane by plane, show what each teaches, and compare with all at once.
+    cross_check : bool
+        Solve again with SciPy and compare.
+    """
+
+    outliers: Annotated[OutliersChoice, how] = OutliersChoice.reject
+    loss: Annotated[LossChoice, how] = LossChoice.gaussian
+    incremental: Annotated[bool, how] = False
+    cross_check: Annotated[bool, how] = False
 
     def options(self, rig: "Rig") -> "CalibrationOptions":
         """Return the options of a calibration with the sensor of `rig`."""
@@ -78,27 +74,27 @@ class Manner(Model):
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What becomes of the result."""
+    """What becomes of the result.
 
-    out: Annotated[
-        Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
-    ] = None
-    report: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="Write a report, one HTML page, to this file."),
-    ] = None
+    Attributes
+    ----------
+    out : Path, optional
+        Write the result to this JSON file.
+    report : Path, optional
+        Write a report, one HTML page, to this file.
+    verbose : bool
+        Print all tables: planes, intervals, spots.
+    report_date : str, optional
+        Date of the report, as 2026-03-31; default: that of the recording's file.
+    """
+
+    out: OutOption = None
+    report: OutOption = None
     at_range_mm: AtRangeOption = None
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Print all tables: planes, intervals, spots.")
-    ] = False
+    verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False
     quiet: QuietOption = False
     json_: JsonOption = False
-    report_date: Annotated[
-        str | None,
-        typer.Option(
-            help="Date of the report, as 2026-03-31; default: that of the recording's file."
-        ),
-    ] = None
+    report_date: str | None = None
 
 
 def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output: Output) -> None:

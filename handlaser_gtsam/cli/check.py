@@ -2,9 +2,7 @@
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from .answer import Answer, Working, print_wrapped
 from .options import JsonOption, RecordingArgument
@@ -17,16 +15,7 @@ if TYPE_CHECKING:
     from ..results.calibration import Calibration
 
 
-RigOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="Rig file, TOML: how logs are written; with the sensor's range, the next best stations "
-        "are named."
-    ),
-]
-
-
-def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption = False) -> None:
+def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOption = False) -> None:
     """Say which stations serve which unknown, and which motion is missing.
 
     Of sensors of many rays, other targets or relations: what the recording holds, and how well mounts
@@ -35,6 +24,11 @@ def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption
     Exit codes: 0 the motion determines everything, for beams and planes in general position, and for
     other targets where they stand; 2 bad input; 3 it leaves something open, or shots of sensors of many
     rays do not fit each other, or are not what is stated of them.
+
+    Parameters
+    ----------
+    rig : Path, optional
+        Rig file, TOML: how logs are written; with the sensor's range, the next best stations are named.
     """
     from ..data.survey import Survey
     from ..files.rig_reading import read_any_kind

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Answer, Working, print_wrapped, wrote
-from .options import Given, JsonOption, Model, QuietOption
+from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,44 +29,13 @@ MOST_TO_GOAL = 100
 def plan(
     given: Given,
     model: Model,
-    recording: Annotated[
-        Path | None,
-        typer.Argument(
-            help="What was recorded so far: a recording, CSV, or a log; it is calibrated first."
-        ),
-    ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            help="Result of `handlaser calibrate --out`, instead of RECORDING. What it says of the "
-            "planes is their place only: stations before them count as before planes that were moved."
-        ),
-    ] = None,
-    planes: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Times to move the plate, to orientations that are part of the plan; "
-            "default: before the planes as they stand.",
-        ),
-    ] = None,
-    stations: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Stations in all, at most: fewer where they reach the goal or the limits of the rig "
-            "file. Default: 20, or as many as that takes; for a first motion, as many as it takes.",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Draws the candidates.")] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="Write the stations to this CSV file."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="Write the forecast to this picture, SVG."),
-    ] = None,
+    recording: Annotated[Path | None, typer.Argument()] = None,
+    calibration: Path | None = None,
+    planes: OneOrMore = None,
+    stations: OneOrMore = None,
+    seed: Seed = 0,
+    out: OutOption = None,
+    picture: OutOption = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -77,6 +46,28 @@ def plan(
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
     the plan. With sensors of many rays stations are chosen all the same, and 3 says that something
     would still be undetermined after them.
+
+    Parameters
+    ----------
+    given, model
+    recording : Path, optional
+        What was recorded so far: a recording, CSV, or a log; it is calibrated first.
+    calibration : Path, optional
+        Result of `handlaser calibrate --out`, instead of RECORDING. What it says of the planes is their
+        place only: stations before them count as before planes that were moved.
+    planes : int, optional
+        Times to move the plate, to orientations that are part of the plan; default: before the planes
+        as they stand.
+    stations : int, optional
+        Stations in all, at most: fewer where they reach the goal or the limits of the rig file.
+        Default: 20, or as many as that takes; for a first motion, as many as it takes.
+    seed : int
+        Draws the candidates.
+    out : Path, optional
+        Write the stations to this CSV file.
+    picture : Path, optional
+        Write the forecast to this picture, SVG.
+    json_, quiet
     """
     from ..errors import InputError
     from ..files.plan_json import plan_text, survey_plan_text

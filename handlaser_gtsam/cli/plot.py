@@ -14,21 +14,13 @@ if TYPE_CHECKING:
     from ..files.calibration_file import CalibrationFile
     from ..results.calibration import Calibration
 
-SourceArgument = Annotated[
-    Path,
-    typer.Argument(
-        metavar="FILE",
-        help="Recording or log, which is calibrated; or a calibration, FILE.json.",
-        show_default=False,
-    ),
-]
-OutOption = Annotated[
-    Path,
-    typer.Option(help="Folder for the pictures; made where it is missing.", show_default=False),
-]
 
-
-def plot(file: SourceArgument, out: OutOption, given: Given, model: Model) -> None:
+def plot(
+    file: Annotated[Path, typer.Argument(metavar="FILE", show_default=False)],
+    out: Annotated[Path, typer.Option(show_default=False)],
+    given: Given,
+    model: Model,
+) -> None:
     """Draw the figures of a report as PNG files into a folder.
 
     Of a calibration that was written by --out, only the beams and their correlations: its file holds
@@ -36,6 +28,14 @@ def plot(file: SourceArgument, out: OutOption, given: Given, model: Model) -> No
     install 'handlaser-gtsam[plots]'.
 
     Exit codes: 0 good; 2 bad input; 3 no calibration: what can be drawn all the same is drawn.
+
+    Parameters
+    ----------
+    file : Path
+        Recording or log, which is calibrated; or a calibration, FILE.json.
+    out : Path
+        Folder for the pictures; made where it is missing.
+    given, model
     """
     from ..files.calibration_reading import read_calibration
     from ..files.report.options import ReportOptions

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Working, print_wrapped
+from .options import OneOrMore, Seed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,49 +22,58 @@ USUAL_TARGETS = "plane:A,sphere:ball"
 """Targets of a survey where none are stated: together they determine every sensor."""
 SceneName = StrEnum("SceneName", "paper unplanned arm")
 PoseAxes = StrEnum("PoseAxes", "x y z xyz")
-SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
+Sigma = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
 
 
 def simulate(
-    folder: Annotated[Path, typer.Argument(help="Folder to write to.", show_default=False)],
-    scene: Annotated[
-        SceneName,
-        typer.Option(help="paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m."),
-    ] = SceneName.paper,
-    rig: Annotated[
-        Path | None,
-        typer.Option(
-            help="Rig file, TOML, with [[sensors]] of many rays: a survey with them, no scene."
-        ),
-    ] = None,
-    targets: Annotated[
-        str | None,
-        typer.Option(
-            help="With --rig: targets of the survey, points for --beams; default: "
-            "plane:A,sphere:ball.",
-            show_default=False,
-        ),
-    ] = None,
-    beams: Annotated[
-        int | None, typer.Option(min=1, help="Default: 4; with --rig none.", show_default=False)
-    ] = None,
+    folder: Path,
+    scene: SceneName = SceneName.paper,
+    rig: Path | None = None,
+    targets: str | None = None,
+    beams: OneOrMore = None,
     planes: Annotated[int, typer.Option(min=1)] = 4,
-    stations: Annotated[int, typer.Option(min=1, help="Stations a plane, or target.")] = 11,
-    k1: Annotated[float, typer.Option(help="Of every beam: true range d + k1 d + k2 d^2.")] = 0.0,
-    k2_per_m: Annotated[float, typer.Option(help="Of every beam, in 1/m.")] = 0.0,
-    range_sigma_mm: SigmaOption = None,
-    pose_translation_sigma_mm: SigmaOption = None,
-    pose_rotation_sigma_deg: SigmaOption = None,
-    pose_axes: Annotated[
-        PoseAxes | None, typer.Option(help="Hand axes on which the pose errs.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    stations: Annotated[int, typer.Option(min=1)] = 11,
+    k1: float = 0.0,
+    k2_per_m: float = 0.0,
+    range_sigma_mm: Sigma = None,
+    pose_translation_sigma_mm: Sigma = None,
+    pose_rotation_sigma_deg: Sigma = None,
+    pose_axes: PoseAxes | None = None,
+    seed: Seed = 0,
+    force: bool = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
 ) -> None:
     """Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
 
     With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write to.
+    scene : SceneName
+        paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m.
+    rig : Path, optional
+        Rig file, TOML, with [[sensors]] of many rays: a survey with them, no scene.
+    targets : str, optional
+        With --rig: targets of the survey, points for --beams; default: plane:A,sphere:ball.
+    beams : int, optional
+        Default: 4; with --rig none.
+    planes : int
+    stations : int
+        Stations a plane, or target.
+    k1 : float
+        Of every beam: true range d + k1 d + k2 d^2.
+    k2_per_m : float
+        Of every beam, in 1/m.
+    range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg : float, optional
+    pose_axes : PoseAxes, optional
+        Hand axes on which the pose errs.
+    seed : int
+    force : bool
+        Replace files that exist.
+    quiet : bool
+        Print nothing.
     """
     import numpy as np
 

@@ -9,37 +9,44 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Answer, Working, print_wrapped
-from .options import JsonOption, QuietOption
+from .options import JsonOption, OneOrMore, QuietOption
 
 if TYPE_CHECKING:
     from polars import DataFrame
 
 
 def study(
-    file: Annotated[
-        Path, typer.Argument(help="Declaration of the study, TOML.", show_default=False)
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Parquet file for a row a run; an interrupted study goes on from it."),
-    ] = None,
-    runs: Annotated[int | None, typer.Option(min=1, help="Instead of those declared.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the one declared.")] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes; default: one a processor.")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask cluster to run on, tcp://ADDRESS:PORT.")
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the summary to this PNG, SVG or PDF file.")
-    ] = None,
+    file: Path,
+    out: Path | None = None,
+    runs: OneOrMore = None,
+    seed: Annotated[int | None, typer.Option(min=0)] = None,
+    jobs: OneOrMore = None,
+    scheduler: str | None = None,
+    picture: Path | None = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Draw and solve many recordings as FILE declares, and compare with the truth.
 
     Exit codes: 0 done; 2 bad input; 130 stopped by Ctrl-C: with --out the same command goes on.
+
+    Parameters
+    ----------
+    file : Path
+        Declaration of the study, TOML.
+    out : Path, optional
+        Parquet file for a row a run; an interrupted study goes on from it.
+    runs : int, optional
+        Instead of those declared.
+    seed : int, optional
+        Instead of the one declared.
+    jobs : int, optional
+        Processes; default: one a processor.
+    scheduler : str, optional
+        Dask cluster to run on, tcp://ADDRESS:PORT.
+    picture : Path, optional
+        Draw the summary to this PNG, SVG or PDF file.
+    json_, quiet
     """
     from ..files.study_results import read_runs, write_runs, write_study_picture
     from ..files.study_toml import read_study

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .answer import Answer, Working, print_wrapped
-from .options import Given, JsonOption, Model, RecordingArgument
+from .options import Given, JsonOption, Model, RecordingArgument, Seed
 from .stopping import NOT_USABLE
 
 if TYPE_CHECKING:
@@ -21,18 +21,10 @@ def validate(
     recording: RecordingArgument,
     given: Given,
     model: Model,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            help="Test this old calibration, JSON, on RECORDING: does it still hold? Of the other "
-            "options only noise, sensor and exact poses count then."
-        ),
-    ] = None,
-    hold_out: Annotated[
-        Path | None, typer.Option(help="Test the calibration of RECORDING on this other recording.")
-    ] = None,
-    splits: Annotated[int, typer.Option(min=0, help="Random 70/30 splits.")] = 5,
-    seed: Annotated[int, typer.Option(min=0, help="Of the splits.")] = 0,
+    calibration: Path | None = None,
+    hold_out: Path | None = None,
+    splits: Annotated[int, typer.Option(min=0)] = 5,
+    seed: Seed = 0,
     json_: JsonOption = False,
 ) -> None:
     """Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
@@ -42,6 +34,20 @@ def validate(
     file (its rms holds for planes held out, too), a plane held out contradicts the beams found without
     it (1 in 100 good recordings exits so), a systematic error larger than what the result states; with
     --calibration or --hold-out, the calibration does not hold (p below 0.001).
+
+    Parameters
+    ----------
+    recording, given, model
+    calibration : Path, optional
+        Test this old calibration, JSON, on RECORDING: does it still hold? Of the other options only
+        noise, sensor and exact poses count then.
+    hold_out : Path, optional
+        Test the calibration of RECORDING on this other recording.
+    splits : int
+        Random 70/30 splits.
+    seed : int
+        Of the splits.
+    json_ : bool
     """
     from ..data.survey import Survey
     from ..errors import InputError
