@@ -22,9 +22,8 @@ from typing import IO
 import numpy as np
 import polars as pl
 
-from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
-from ...text import LONGEST_NAME, count, name_fault, shown, some
+from ...text import count, shown, some
 from ..checked_text import in_file, json_value
 from ..table import (
     COMMA,
@@ -35,6 +34,7 @@ from ..table import (
     SEPARATORS,
     Table,
     first_cells,
+    require_columns,
     table_of,
     table_text,
     titles_above,
@@ -282,15 +282,7 @@ def _refuse_constant(name: str) -> None:
 def _of_values(frame: pl.DataFrame, path: Path) -> Table:
     """Return a frame as a table of numbers and texts: arrays and structures become columns."""
     flat = [one for column in frame.get_columns() for one in _flat(column)]
-    for column in flat:
-        fault = name_fault(column.name)
-        if fault:
-            expected = f"printable names of at most {LONGEST_NAME} characters"
-            raise InputError(fault, expected, path)
-    twice = first_repeated([column.name for column in flat])
-    if twice is not None:
-        found = "the same name twice, as that of a column and of a part of another"
-        raise InputError(found, "every column once", path, None, flat[twice].name)
+    require_columns([column.name for column in flat], path, None)
     table = pl.DataFrame(flat)
     filled = table.select(pl.any_horizontal(pl.all().is_not_null())).to_series().to_numpy()
     rows = np.flatnonzero(filled)
@@ -367,11 +359,8 @@ def read_sheet(
         titles = [" ".join(filter(None, row)) for row in head[:above]]
         warnings += titles_warning(titles, path)
     line = above + first
-    named = [one for one in head[above] if one]
-    twice = first_repeated(named)
-    if twice is not None:
-        raise InputError("the same name twice", "every column once", path, line, named[twice])
     names = [one or f"(column {i + 1} without a name)" for i, one in enumerate(head[above])]
+    require_columns(names, path, line)
     texts = texts[above + 1 :]
     texts.columns = names
     found: pl.DataFrame = book.load_sheet(
