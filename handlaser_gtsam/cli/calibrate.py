@@ -98,11 +98,21 @@ class Output:
 
 
 def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output: Output) -> None:
-    """Find the mount of every beam and every plane in RECORDING, with covariances.
+    r"""Find the mount of every beam and every plane in RECORDING, with covariances.
 
     Exit codes: 0 good; 1 a bug; 2 bad input; 3 no calibration: the recording does not determine it, its
     readings do not fit each other, or another solver disagrees; 4 not usable: outside the limits of the
     rig file, or with a systematic error larger than what the result states; 130 stopped by Ctrl-C.
+
+    Examples
+    --------
+    handlaser calibrate recording.csv
+    handlaser calibrate recording.csv \
+        --rig rig.toml --out calibration.json
+    handlaser calibrate recording.csv \
+        --rig rig.toml --verbose --cross-check
+    handlaser calibrate recording.csv --json \
+        --range-sigma-mm 0.03 --poses exact
     """
     from ..data.survey import Survey
     from ..files.rig_reading import read_any_kind

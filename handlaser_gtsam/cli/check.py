@@ -29,6 +29,11 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     ----------
     rig : Path, optional
         Rig file, TOML: how logs are written; with the sensor's range, the next best stations are named.
+
+    Examples
+    --------
+    handlaser check recording.csv
+    handlaser check recording.csv --rig rig.toml
     """
     from ..data.survey import Survey
     from ..files.rig_reading import read_any_kind

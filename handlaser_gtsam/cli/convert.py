@@ -25,7 +25,7 @@ def convert(
     range_mm: Annotated[tuple[float, float] | None, typer.Option(**RANGE)] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn the log of a robot controller, a spreadsheet or a bag into a recording.
+    r"""Turn the log of a robot controller, a spreadsheet or a bag into a recording.
 
     With the [[sensors]] of a rig file, a log of poses becomes stations; tables of points stay.
 
@@ -44,6 +44,14 @@ def convert(
     rig : Path, optional
         Rig file, TOML: table [log], and the sensor's range.
     range_mm, quiet
+
+    Examples
+    --------
+    handlaser convert recording.csv
+    handlaser convert recording.csv \
+        --pose-format ros --out again.csv
+    handlaser convert recording.csv \
+        --pose-format ros --write-log logs.toml
     """
     from ..files.logs.reading import describe_log
     from ..files.recording_csv import write_recording

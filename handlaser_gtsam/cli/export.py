@@ -45,7 +45,7 @@ def export(
     out: OutOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Write calibrated beams, or planned stations, as robots, ROS and programs take them.
+    r"""Write calibrated beams, or planned stations, as robots, ROS and programs take them.
 
     Exit codes: 0 good; 2 bad input; 3 the file holds no calibration that converged.
 
@@ -75,6 +75,14 @@ def export(
     out : Path, optional
         Write to this file; --into needs it.
     quiet : bool
+
+    Examples
+    --------
+    handlaser export calibration.json --to kuka
+    handlaser export calibration.json --to urdf \
+        --link tool0 --out beams.urdf
+    handlaser export calibration.json --to c \
+        --out beams.h
     """
     from ..errors import InputError
     from ..files.exports.export import ExportOptions, export_text

@@ -241,7 +241,7 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
         with logging_at(log_level), _in_options(names, stated):
             verb(**values)
 
-    flat.__doc__ = (inspect.getdoc(verb) or "").partition("\n\nParameters\n---")[0]
+    flat.__doc__ = re.split(r"\n\n\w+\n---", inspect.getdoc(verb) or "")[0]
     flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     flat.__annotations__ = {one.name: one.annotation for one in parameters}
     return flat

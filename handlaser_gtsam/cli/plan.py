@@ -39,7 +39,7 @@ def plan(
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Say where to measure next.
+    r"""Say where to measure next.
 
     Without RECORDING and --calibration: a first motion for any mount within the bounds of the rig file.
 
@@ -68,6 +68,13 @@ def plan(
     picture : Path, optional
         Write the forecast to this picture, SVG.
     json_, quiet
+
+    Examples
+    --------
+    handlaser plan recording.csv --rig rig.toml \
+        --stations 12 --out stations.csv
+    handlaser plan recording.csv --rig rig.toml \
+        --stations 5 --picture forecast.svg
     """
     from ..errors import InputError
     from ..files.plan_json import plan_text, survey_plan_text

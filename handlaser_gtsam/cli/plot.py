@@ -21,7 +21,7 @@ def plot(
     given: Given,
     model: Model,
 ) -> None:
-    """Draw the figures of a report as PNG files into a folder.
+    r"""Draw the figures of a report as PNG files into a folder.
 
     Of a calibration that was written by --out, only the beams and their correlations: its file holds
     no residuals. All options but --out are of the calibration of a recording. Needs matplotlib: pip
@@ -36,6 +36,12 @@ def plot(
     out : Path
         Folder for the pictures; made where it is missing.
     given, model
+
+    Examples
+    --------
+    handlaser plot recording.csv --rig rig.toml \
+        --out pictures
+    handlaser plot calibration.json --out mounts
     """
     from ..files.calibration_reading import read_calibration
     from ..files.report.options import ReportOptions

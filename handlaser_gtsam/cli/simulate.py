@@ -43,7 +43,7 @@ def simulate(
     force: bool = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
 ) -> None:
-    """Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
+    r"""Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
 
     With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
 
@@ -74,6 +74,12 @@ def simulate(
         Replace files that exist.
     quiet : bool
         Print nothing.
+
+    Examples
+    --------
+    handlaser simulate made
+    handlaser simulate made --scene arm --beams 2 \
+        --k1 0.01 --seed 7 --force
     """
     import numpy as np
 

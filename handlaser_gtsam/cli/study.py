@@ -26,7 +26,7 @@ def study(
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw and solve many recordings as FILE declares, and compare with the truth.
+    r"""Draw and solve many recordings as FILE declares, and compare with the truth.
 
     Exit codes: 0 done; 2 bad input; 130 stopped by Ctrl-C: with --out the same command goes on.
 
@@ -47,6 +47,12 @@ def study(
     picture : Path, optional
         Draw the summary to this PNG, SVG or PDF file.
     json_, quiet
+
+    Examples
+    --------
+    handlaser study study.toml --runs 4
+    handlaser study study.toml --runs 4 \
+        --out runs.parquet --jobs 2
     """
     from ..files.study_results import read_runs, write_runs, write_study_picture
     from ..files.study_toml import read_study

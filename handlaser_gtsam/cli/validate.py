@@ -27,7 +27,7 @@ def validate(
     seed: Seed = 0,
     json_: JsonOption = False,
 ) -> None:
-    """Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
+    r"""Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
 
     Exit codes: 0 good; 2 bad input; 3 no calibration, or, of sensors of many rays, SciPy finds another
     one; 4 not usable: outside the limits of the rig
@@ -48,6 +48,12 @@ def validate(
     seed : int
         Of the splits.
     json_ : bool
+
+    Examples
+    --------
+    handlaser validate recording.csv --rig rig.toml
+    handlaser validate recording.csv \
+        --calibration calibration.json
     """
     from ..data.survey import Survey
     from ..errors import InputError

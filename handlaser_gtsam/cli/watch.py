@@ -25,7 +25,7 @@ def watch(
     open_: bool = False,
     at_range_mm: AtRangeOption = None,
 ) -> None:
-    """Show a page that follows a recording as it grows: verdict, beams, planes, next station.
+    r"""Show a page that follows a recording as it grows: verdict, beams, planes, next station.
 
     It is calibrated again whenever it changes. Ctrl-C ends.
 
@@ -45,6 +45,12 @@ def watch(
     open_ : bool
         Open the page in the browser.
     at_range_mm : float, optional
+
+    Examples
+    --------
+    handlaser watch .
+    handlaser watch recording.csv --rig rig.toml \
+        --port 9000 --open
     """
     from ..errors import InputError
     from ..files.rig_toml import known_rig
