@@ -81,11 +81,10 @@ class LogRows:
         """Return a warning for each code for "no reading" among the rows that are `counted` (M,)."""
         if self.coded is None:
             return ()
-        whose: dict[str, Sequence[str]] = {
-            name: [beam] for beam, name in self.columns.beams.items()
-        }
-        if self.columns.range:
-            whose = {self.columns.range: labels(self.table, self.columns.beam)}
+        columns, whose = self.columns, dict[str, Sequence[str]]()
+        whose |= {name: [beam] for beam, name in columns.beams.items()}
+        if columns.range:
+            whose = {columns.range: labels(self.table, columns.beam)}
         return code_warnings(self.table, whose, self.coded & counted[:, None])
 
 
@@ -165,17 +164,12 @@ def _wide(table: Table, columns: Columns, d: FloatArray) -> tuple[tuple[str, ...
     whose = labels(table, columns.beam)
     beams = tuple(dict.fromkeys(whose))
     if len(beams) > MOST_BEAMS:
-        raise InputError(
-            f"{len(beams)} beams, {some(beams, 4)}",
-            f"at most {MOST_BEAMS}; is --beam-column right?",
-            table.path,
-            None,
-            columns.beam,
-        )
+        found, expected = f"{len(beams)} beams, {some(beams, 4)}", "is --beam-column right?"
+        expected = f"at most {MOST_BEAMS}; {expected}"
+        raise InputError(found, expected, table.path, None, columns.beam)
     number = {beam: i for i, beam in enumerate(beams)}
-    wide = np.full((len(whose), len(beams)), np.nan)
-    wide[np.arange(len(whose)), [number[beam] for beam in whose]] = d[:, 0]
-    return beams, wide
+    mine = np.array([number[beam] for beam in whose])[:, None] == np.arange(len(beams))
+    return beams, np.where(mine, d, np.nan)
 
 
 def _pose_numbers(
