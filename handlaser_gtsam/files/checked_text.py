@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar, get_args, get_origin
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
@@ -47,11 +47,6 @@ class FileRecord(BaseModel):
                 found[name] = value
         return found
 
-    @classmethod
-    def schema_of(cls, data: object) -> type[Self]:  # noqa: ARG003  # for those that override it
-        """Return the schema of a file of this content, which may import the schemas of rare tables."""
-        return cls
-
 
 def numbers(names: str) -> Any:
     """Return a record of numbers that may be given, under names with blanks between them."""
@@ -60,6 +55,7 @@ def numbers(names: str) -> Any:
 
 
 Schema = TypeVar("Schema", bound=FileRecord)
+Made = TypeVar("Made")
 
 
 def read_text(path: Path, expected: str) -> str:
@@ -107,7 +103,6 @@ def read_checked(
     data: object = None
     try:
         data = parse(text)
-        schema = schema.schema_of(data)
         return schema.model_validate(data)
     except ValidationError as error:
         raise _first_fault(error, data, schema, expected, path) from error
@@ -211,6 +206,23 @@ def in_table(name: str, record: BaseModel) -> Iterator[None]:
     except ArgumentError as error:
         fields = {field: f"{name}.{field}" for field in type(record).model_fields}
         raise as_called(error, fields) from error
+
+
+def made(name: str, record: FileRecord, kind: Callable[..., Made], **others: object) -> Made:
+    """Return what the fields of a table make in SI units, beside others; see `in_table`."""
+    with in_table(name, record):
+        return kind(**record.in_si() | others)
+
+
+def toml_table(title: str, fields: Mapping[str, object]) -> str:
+    """Return a table of TOML with those fields that are stated, texts, numbers, truths or lists."""
+    # What JSON says of these, TOML says, too.
+    lines = [
+        f"{name} = {json.dumps(value, ensure_ascii=False)}"
+        for name, value in fields.items()
+        if value is not None
+    ]
+    return "\n".join((title, *lines, ""))
 
 
 @contextmanager

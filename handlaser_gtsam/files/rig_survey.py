@@ -336,49 +336,34 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
 
 def _known(table: KnownTable) -> Known:
     require_word("relation", table.relation, RELATIONS)
-    called = {
-        "value": "value_deg" if table.relation == "angle" else "value_mm",
-        "sigma": "sigma_mm",
-        "sigma_angle": "sigma_deg",
-        "direction": "position_mm" if table.relation == "position" else "direction",
-        "pose": "pose_mm_deg",
-        "faces": "faces",
+    of_file: dict[str, tuple[str, object]] = {
+        "value": ("value_deg", DEG) if table.relation == "angle" else ("value_mm", MM),
+        "sigma": ("sigma_mm", MM),
+        "sigma_angle": ("sigma_deg", DEG),
+        "direction": ("position_mm", MM) if table.relation == "position" else ("direction", 1.0),
+        "pose": ("pose_mm_deg", 1.0),
+        "faces": ("faces", [1.0, 1.0, 1.0, MM]),
     }
-    fields = [called[field] for field in RELATIONS[table.relation][2]]
-    stated = [field for field, given in table if given is not None]
+    called = {field: of_file[field] for field in RELATIONS[table.relation][2]}
+    fields = [name for name, _ in called.values()]
     what = f"{table.relation} of {' and '.join(table.of)}"
     expected = f"{', '.join(fields[:-1])} and {fields[-1]}"
-    for field in stated:
-        if field not in ("relation", "of", *fields):
-            raise InputError(f"{field} with {what}", expected)
-    for field in fields:
-        if field not in stated:
-            raise InputError(f"no {field} of {what}", expected)
-    value = (table.value_mm or 0.0) * MM + (table.value_deg or 0.0) * DEG
-    direction = None if table.direction is None else np.array(table.direction)
-    if table.position_mm is not None:
-        direction = np.array(table.position_mm) * MM
-    pose = None
-    if table.pose_mm_deg is not None:
-        if len(table.pose_mm_deg) != 6:
-            found = f"pose_mm_deg of {len(table.pose_mm_deg)} numbers"
-            raise InputError(found, "6: x, y, z, A, B, C")
-        pose = np.eye(4)
-        pose[:3, 3] = np.array(table.pose_mm_deg[:3]) * MM
-        turn = Rotation.from_euler("ZYX", table.pose_mm_deg[3:], degrees=True)
-        pose[:3, :3] = turn.as_matrix()
-    faces = None
-    if table.faces is not None:
-        if any(len(face) != 4 for face in table.faces):
+    stated = {name: given for name, given in table if given is not None}
+    for name in stated:
+        if name not in ("relation", "of", *fields):
+            raise InputError(f"{name} with {what}", expected)
+    known: dict[str, Any] = {}
+    for field, (name, unit) in called.items():
+        if name not in stated:
+            raise InputError(f"no {name} of {what}", expected)
+        if field == "pose" and len(stated[name]) != 6:
+            raise InputError(f"{name} of {len(stated[name])} numbers", "6: x, y, z, A, B, C")
+        if field == "faces" and any(len(face) != 4 for face in stated[name]):
             raise InputError("faces of a body that are not four numbers", "a normal and an offset")
-        faces = np.array(table.faces) * [1.0, 1.0, 1.0, MM]
-    return Known(
-        table.relation,
-        table.of,
-        value,
-        (table.sigma_mm or 0.0) * MM,
-        (table.sigma_deg or 0.0) * DEG,
-        direction,
-        pose,
-        faces,
-    )
+        known[field] = np.array(stated[name]) * unit
+    if "pose" in known:
+        numbers, known["pose"] = known["pose"], np.eye(4)
+        known["pose"][:3, 3] = numbers[:3] * MM
+        turn = Rotation.from_euler("ZYX", numbers[3:], degrees=True)
+        known["pose"][:3, :3] = turn.as_matrix()
+    return Known(table.relation, table.of, **known)
