@@ -218,16 +218,14 @@ def without_codes(recording: Recording) -> tuple[Recording, tuple[CalibrationWar
         if code is None:
             break
         where = d == code
-        beams = [recording.beam_names[i] for i in np.flatnonzero(where.any(axis=0))]
-        warnings.append(code_warning(f"{code:.10g} m", beams, int(where.sum())))
+        beams = [recording.beam_names[i] for i in np.nonzero(where.T)[0]]
+        warnings.append(code_warning(f"{code:.10g} m", beams))
         d = np.where(where, np.nan, d)
     return (replace(recording, ranges=d) if warnings else recording), tuple(warnings)
 
 
-def code_warning(
-    what: str, beams: list[str], count: int, *, stated: bool = False
-) -> CalibrationWarning:
-    """Return the warning that a value was taken for "no reading".
+def code_warning(what: str, beams: list[str], *, stated: bool = False) -> CalibrationWarning:
+    """Return the warning that a value was taken for "no reading", at readings of these beams.
 
     `stated` says that the sensor's range was, and excludes it.
     """
@@ -235,7 +233,8 @@ def code_warning(
     why += "such cells empty, or state the sensor's range (range_mm)"
     if stated:
         why = "the stated range (range_mm) excludes them; leave such cells empty"
-    whose = f"beam{'s' if len(beams) > 1 else ''} {', '.join(beams)}"
+    names, count = list(dict.fromkeys(beams)), len(beams)
+    whose = f"beam{'s' if len(names) > 1 else ''} {', '.join(names)}"
     readings = f"{count} readings" if count > 1 else "one reading"
     return CalibrationWarning(
         "reading-code",

@@ -13,7 +13,6 @@ and with an arm `joint_NAME` for each of its joints (radians; metres where it sl
 Cells of ranges are readings, or say that there is none: by words, or by numbers that no range has.
 """
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -34,7 +33,6 @@ from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH, MM
 from ..text import A_NAME, name_fault
 from .table import Table, column_numbers, labels, read_table
-from .table import Table as _Table
 from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -98,14 +96,24 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
 def write_recording(path: Path | str, recording: Recording) -> None:
     """Write `recording`; every number reads back as it was."""
     require_kind("recording", recording, Recording)
-    names = [PREFIX + beam for beam in recording.beam_names]
-    table = station_columns(recording).hstack(
-        pl.DataFrame(recording.ranges, schema=names, orient="row").fill_nan(None)
-    )
-    if recording.samples is not None:
-        names = [SAMPLES + beam for beam in recording.beam_names]
-        table = table.hstack(pl.DataFrame(recording.samples, schema=names, orient="row"))
-    write_text(path_of(path), table.write_csv())
+    beams = recording.beam_names
+    more = (PREFIX, beams, recording.ranges), (SAMPLES, beams, recording.samples)
+    write_columns(path_of(path), recording, *more)
+
+
+def write_columns(
+    path: Path,
+    stations: Recording | StationList,
+    *more: tuple[str, Sequence[str], FloatArray | None],
+) -> None:
+    """Write stations and, if they are there, more columns (M, n): a prefix, n names, and numbers."""
+    table = station_columns(stations)
+    for prefix, names, numbers in more:
+        if numbers is not None:
+            columns = [prefix + name for name in names]
+            own = pl.DataFrame(numbers, schema=columns, orient="row")
+            table = table.hstack(own.fill_nan(None))
+    write_text(path, table.write_csv())
 
 
 def station_columns(stations: Recording | StationList) -> pl.DataFrame:
@@ -117,7 +125,7 @@ def station_columns(stations: Recording | StationList) -> pl.DataFrame:
     return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
 
 
-def stations_of(table: _Table) -> StationList:
+def stations_of(table: Table) -> StationList:
     """Return the hand poses, plane labels and station names of the rows of a table.
 
     Raises
@@ -151,7 +159,7 @@ def stations_of(table: _Table) -> StationList:
     return StationList(Rotation.from_quat(x[:, 3:]).as_matrix(), x[:, :3], planes, stations)
 
 
-def _check_header(table: _Table) -> list[str]:
+def _check_header(table: Table) -> list[str]:
     """Return the beam names; refuse a header without all columns, or with a misspelt beam."""
     columns = table.frame.columns
     table.require("plane", *POSE)
@@ -178,7 +186,7 @@ def _used(column: str) -> bool:
     return column in ("plane", "station", *POSE) or column.startswith(PREFIX)
 
 
-def _samples(table: _Table, beams: list[str], ranges: FloatArray) -> FloatArray:
+def _samples(table: Table, beams: list[str], ranges: FloatArray) -> FloatArray:
     """Return how many readings each is worth: one where the cell or the column is missing."""
     found = np.ones(ranges.shape)
     for i, name in enumerate(SAMPLES + beam for beam in beams):
@@ -202,7 +210,7 @@ def off_unit(q: FloatArray) -> tuple[FloatArray, BoolArray]:
 
 
 def _refuse_unread(
-    table: _Table, ranges: FloatArray, planes: tuple[str, ...], beams: list[str]
+    table: Table, ranges: FloatArray, planes: tuple[str, ...], beams: list[str]
 ) -> None:
     seen = ~np.isnan(ranges)
     for index in np.flatnonzero(~seen.any(axis=0)):
@@ -223,11 +231,7 @@ def write_stations(path: Path | str, stations: StationList) -> None:
         What is no `StationList`, or a file that cannot be written.
     """
     require_kind("stations", stations, StationList)
-    table = station_columns(stations)
-    if stations.joints is not None:
-        names = [JOINT + name for name in stations.joint_names]
-        table = table.hstack(pl.DataFrame(stations.joints, schema=names, orient="row"))
-    write_text(path_of(path), table.write_csv())
+    write_columns(path_of(path), stations, (JOINT, stations.joint_names, stations.joints))
 
 
 def read_stations(path: Path | str) -> StationList:
@@ -326,26 +330,21 @@ def code_warnings(
         for row in np.flatnonzero(coded[:, i]).tolist():
             beam = names[row if len(names) > 1 else 0]
             found.setdefault(str(table.frame[column][row]), []).append(beam)
-    outside = sorted((cell for cell in found if _is_rare_number(cell, found)), key=float)
-    warnings = [
-        code_warning(f"{cell[:40]!r}", list(dict.fromkeys(every)), len(every))
-        for cell, every in found.items()
-        if cell not in outside
-    ]
+    # Numbers that stand too seldom for codes of their own.
+    rare = pl.Series(
+        [cell for cell, every in found.items() if len(every) < BY_CHANCE], dtype=pl.String
+    )
+    outside = rare.filter(rare.cast(pl.Float64, strict=False).is_finite()).to_list()
+    outside.sort(key=float)
+    warnings = []
+    for cell, every in found.items():
+        if cell not in outside:
+            warnings.append(code_warning(f"{cell[:40]!r}", every))
     if outside:
         ends = [f"{cell[:40]!r}" for cell in dict.fromkeys((outside[0], outside[-1]))]
         every = [beam for cell in outside for beam in found[cell]]
-        named = list(dict.fromkeys(every))
-        warnings.append(code_warning(" to ".join(ends), named, len(every), stated=True))
+        warnings.append(code_warning(" to ".join(ends), every, stated=True))
     return tuple(warnings)
-
-
-def _is_rare_number(cell: str, found: Mapping[str, Sequence[str]]) -> bool:
-    """Tell whether a cell is a number that stands too seldom for a code of its own."""
-    try:
-        return math.isfinite(float(cell)) and len(found[cell]) < BY_CHANCE
-    except ValueError:
-        return False
 
 
 def _word_codes(column: pl.Series) -> BoolArray:

@@ -16,7 +16,7 @@ from ..quantities import IN_DEG, IN_MM
 from ..validation.survey_simulate import SurveyTruth
 from .checked_text import Record, json_text, toml_table
 from .points_table import COLUMNS
-from .recording_csv import PREFIX, station_columns
+from .recording_csv import PREFIX, write_columns
 from .rig_survey import SensorTable
 from .rig_toml import write_rig
 from .writing import write_text
@@ -62,12 +62,8 @@ def write_simulated(
     InputError
         A file that cannot be written.
     """
-    stations = station_columns(survey.stations)
-    if survey.ranges is not None:
-        names = [PREFIX + beam for beam in survey.beam_names]
-        ranges = pl.DataFrame(survey.ranges, schema=names, orient="row").fill_nan(None)
-        stations = stations.hstack(ranges)
-    write_text(folder / STATIONS_WRITTEN, stations.write_csv())
+    ranges = PREFIX, survey.beam_names, survey.ranges
+    write_columns(folder / STATIONS_WRITTEN, survey.stations, ranges)
     for table, shots in zip(tables, survey.shots, strict=True):
         stops = survey.stations.station_names
         columns = _columns(table, shots, zones.get(table.name)).round(DIGITS)

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
@@ -92,6 +93,7 @@ def assembled(
         (len(recording.plane_names), "plane"),
         (int((~np.isnan(recording.ranges)).sum()), "reading"),
     )
+    scatter_of = dict(zip(readings.beams, scatters[1:].tolist(), strict=True))
     lines = [", ".join(count(number, what) for number, what in parts), poses.words, log.words]
     if log.lag[1]:
         sigma = f"{1e3 * log.lag[1]:.2g} ms"
@@ -112,11 +114,7 @@ def assembled(
     return LogReport(
         recording,
         scatter,
-        {
-            beam: float(value)
-            for beam, value in zip(readings.beams, scatters[1:], strict=True)
-            if not np.isnan(value)
-        },
+        {name: x for name, x in scatter_of.items() if not math.isnan(x)},
         log.lag[0],
         log.lag[1] or None,
         tuple(filter(None, lines)),
@@ -135,21 +133,20 @@ def targets_of(
         which = planes_of(stated, log.names, log.times, begin)
         chosen = which >= 0
         if not chosen.any():
-            raise InputError(
-                "no station in any range of planes", "ranges with stations", log.poses.table.path
-            )
+            path = log.poses.table.path
+            raise InputError("no station in any range of planes", "ranges with stations", path)
         out = int((~chosen).sum())
         warnings = (_left_out(out, len(which), "are in no range of a plane"),) if out else ()
         return [stated[i][0] if i >= 0 else "" for i in which.tolist()], chosen, warnings
     if given.plane:
         return [given.plane] * len(log.names), every, ()
     if log.planes is None:
-        raise InputError(
-            f"{len(log.names)} stations, and no column of planes",
+        expected = (
             "--plane NAME if all stations look at one plane, --plane-column for its name, or "
-            "--plane-ranges 'A=1..12,B=13..24' of stations (of times with an s: A=0s..12.5s)",
-            log.poses.table.path,
+            "--plane-ranges 'A=1..12,B=13..24' of stations (of times with an s: A=0s..12.5s)"
         )
+        found = f"{len(log.names)} stations, and no column of planes"
+        raise InputError(found, expected, log.poses.table.path)
     return log.planes, every, ()
 
 
@@ -193,42 +190,35 @@ def averaged(
         Readings that were averaged.
     """
     shape = stations, d.shape[1]
-    ranges, scatter = np.full(shape, np.nan), np.full(1 + shape[1], np.nan)
+    ranges, samples = np.full(shape, np.nan), np.ones(shape)
     row, beam = np.nonzero(~np.isnan(d) & (station >= 0)[:, None])
-    key, value = station[row] * shape[1] + beam, d[row, beam]
-    if not len(key) or np.bincount(key).max() == 1:
-        ranges.ravel()[key] = value
-        return ranges, None, scatter, 0
-    order = np.lexsort((value, key))
-    key, value = key[order], value[order]
-    start = np.flatnonzero(np.diff(key, prepend=-1))
-    count = np.diff(np.append(start, len(key)))
-    if how == "median":
-        middle = 0.5 * (value[start + (count - 1) // 2] + value[start + count // 2])
-    else:  # about the first one, so that the mean of equal readings is that reading
-        total = np.add.reduceat(value - np.repeat(value[start], count), start)
-        middle = value[start] + total / count
-    ranges.ravel()[key[start]] = middle
-    group = np.repeat(np.arange(len(start)), count)
-    off = value - middle[group]
-    held = np.maximum.reduceat(np.abs(off), start) <= FINEST_STEP
-    several = (count > 1) & ~held
-    beam = key[start] % shape[1]  # of each group
-    for column, chosen in enumerate((several, *(several & (beam == b) for b in range(shape[1])))):
-        rows = chosen[group]
-        if rows.any() and how == "mean":
-            squares = float((off[rows] ** 2).sum())
-            scatter[column] = math.sqrt(squares / float((count[chosen] - 1).sum()))
-        elif rows.any():
-            n = count[group[rows]]
-            deviation = float(np.median(np.abs(off[rows]) * np.sqrt(n / (n - 1))))
-            scatter[column] = MEDIAN_TO_SIGMA * deviation
-    number = count[several].astype(np.float64)
+    value, n = pl.col("value"), pl.col("n")
+    middle = value.median()
+    if how == "mean":  # about the first one, so that the mean of equal readings is that reading
+        middle = value.first() + (value - value.first()).mean()
+    each = pl.DataFrame({"cell": station[row] * shape[1] + beam, "value": d[row, beam]})
+    each = each.with_columns(n=pl.len().over("cell"), middle=middle.over("cell"))
+    each = each.with_columns(off=(value - pl.col("middle")).abs())
+    averaged = each.filter((n > 1) & (pl.col("off").max().over("cell") > FINEST_STEP))
+    cells = each.unique("cell")
+    ranges.ravel()[cells["cell"]] = cells["middle"]
+    beam, number, off = (
+        averaged.select(pl.col("cell") % shape[1], n.cast(float), "off").to_numpy().T
+    )
+    scatter = np.full(1 + shape[1], np.nan)
+    for column, mine in enumerate((beam >= 0, *(beam == i for i in range(shape[1])))):
+        if mine.any() and how == "mean":
+            freedom = float((1.0 - 1.0 / number[mine]).sum())
+            scatter[column] = math.sqrt(float((off[mine] ** 2).sum()) / freedom)
+        elif mine.any():
+            spread = off[mine] * np.sqrt(number[mine] / (number[mine] - 1.0))
+            scatter[column] = MEDIAN_TO_SIGMA * float(np.median(spread))
+    several = averaged.unique("cell")
+    number = several["n"].to_numpy().astype(np.float64)
     if how == "median":  # of two readings it is their mean
         number = np.where(number >= 3.0, np.maximum(2.0 * number / math.pi, 1.0), number)
-    samples = np.ones(shape)
-    if several.any():
+    if len(several):
         worth = worth_of_mean(number, float(scatter[0]) ** 2, sigma)
-        samples.ravel()[key[start[several]]] = worth
+        samples.ravel()[several["cell"]] = worth
     unlike = (samples != 1.0).any()
-    return ranges, samples if unlike else None, scatter, int(count[count > 1].sum())
+    return ranges, samples if unlike else None, scatter, len(each.filter(n > 1))
