@@ -397,37 +397,33 @@ class Survey(Value):
                 f"half_angle = {self.half_angle:g} rad, and no single beam that it would count for"
             )
             raise InputError(found, "ranges and beam_names of cones, or no half_angle")
-        single = "cone" if self.half_angle else "beam"
-        refused = {
-            "groove": "planes, spheres and points: only a profile shows the edge of a groove"
-        }
+        single, others = "beam", "planes, spheres and points"
         if self.half_angle:
-            refused = {
-                "point": "planes and spheres: only a beam is aimed at a point",
-                "groove": "planes and spheres: only a profile shows the edge of a groove",
-            }
+            single, others = "cone", "planes and spheres"
+        refused = {"groove": f"{others}: only a profile shows the edge of a groove"}
+        if self.half_angle:
+            refused["point"] = f"{others}: only a beam is aimed at a point"
         for kind, expected in refused.items():
             wrong = read & (kinds == kind)
             if wrong.any():
                 found = f"a {single} that reads {labels[int(wrong.argmax())]}"
                 raise InputError(found, expected)
-        aimed = {label for label, some_beam in zip(labels, read, strict=True) if some_beam}
+        aimed = {labels[station] for station in np.flatnonzero(read).tolist()}
         for shots in self.shots:
             for station in np.unique(shots.station).tolist():
                 if kinds[station] == "point" and labels[station] not in aimed:
                     found = f"{labels[station]}, which {shots.name} reads and no beam"
                     raise InputError(found, "a beam aimed at it")
-        targets = set(map(normal_label, self.stations.plane_labels))
-        grooves = {label for label in targets if label.startswith("groove:")}
-        for groove in grooves:
-            name = groove.partition(":")[2]
-            targets |= {f"plane:{name}.left", f"plane:{name}.right"}
         names = {f"sensor:{shots.name}" for shots in self.shots}
         names |= {f"beam:{name}" for name in self.beam_names}
+        for label in set(map(normal_label, labels)):
+            kind, _, name = label.partition(":")
+            sides = {f"plane:{name}.left", f"plane:{name}.right"}
+            names |= sides if kind == "groove" else {label}
         for known in self.known:
             for label in known.of:
-                if label not in names and normal_label(label) not in targets - grooves:
-                    listed = some(sorted(targets - grooves | names), 8)
+                if normal_label(label) not in names:
+                    listed = some(sorted(names), 8)
                     raise InputError(f"{known.words}: no {shown(label)}", f"one of {listed}")
 
 
