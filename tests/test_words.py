@@ -1,7 +1,6 @@
 """What the screen says is true: of goals that are reached, of poses that are variables, of motions."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,9 +8,10 @@ from helpers import GRIPPER
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.cli.plan_tables import _enough
+from handlaser_gtsam.cli.words import plan_lines
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
+from handlaser_gtsam.planning.blind import blind_motion
 from handlaser_gtsam.results.description.description import Description
 from handlaser_gtsam.results.description.evidence import noise_words
 
@@ -27,11 +27,15 @@ def calibration(recording):
 
 
 def test_a_goal_that_is_reached_needs_no_station():
-    goal = SimpleNamespace(stated=True)
-    assert list(_enough(SimpleNamespace(reached=0), goal)) == [
+    rig = hl.read_rig(GRIPPER.parent / "planned" / "rig.toml")
+    goal = hl.planning.Goal(spot=1.0)
+    motion = blind_motion(rig.bounds, rig.sensor, rig.workspace, rig.noise, 6)
+    assert (
         "the limits and the goal of the rig file are reached already: no station is needed"
-    ]
-    assert next(iter(_enough(SimpleNamespace(reached=3), goal))).startswith("3 stations reach")
+        in plan_lines(replace(motion, reached=0), goal, None)
+    )
+    lines = plan_lines(replace(motion, reached=3), goal, None)
+    assert "3 stations reach the limits and the goal of the rig file" in lines
 
 
 def test_poses_that_are_variables_are_not_called_exact(calibration):

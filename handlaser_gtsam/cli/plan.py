@@ -82,8 +82,8 @@ def plan(
     from ..files.writing import require_outputs, write_text
     from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan
-    from .plan_tables import plan_lines, scene_lines, station_lines
-    from .survey import survey_plan_gaps, survey_plan_lines
+    from .survey import survey_plan_gaps
+    from .words import plan_lines, station_lines, survey_plan_lines
 
     with Working():
         rig = given.read()
@@ -99,9 +99,8 @@ def plan(
             warnings, failure = survey_plan_gaps(planned)
         else:
             warnings = [] if calibration is None else _uncounted(calibration)
-            lines, text = list(plan_lines(planned, rig.goal)), plan_text(planned)
-            if rig.workspace is not None and rig.workspace.robot is not None:
-                lines += scene_lines(rig.workspace.robot)
+            robot = None if rig.workspace is None else rig.workspace.robot
+            lines, text = plan_lines(planned, rig.goal, robot), plan_text(planned)
         if out is not None:
             write_stations(out, planned.stations)
         else:

@@ -1,13 +1,12 @@
 """What verbs do with a survey: other sensors, targets, and relations."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from ..quantities import IN_MM, IN_PERCENT
 from ..text import count
 from .answer import Answer, print_wrapped, text_width, wrote
 from .stopping import NOT_USABLE, UNDETERMINED, left_open
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from ..planning.survey import SurveyPlan
     from ..results.limits import LimitCheck
     from ..results.survey import SurveyCalibration
-    from ..validation.survey import SurveyValidation
     from .calibrate import Output
 
 
@@ -157,13 +155,14 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
 
     from ..files.survey_json import survey_validation_text
     from ..validation.survey import validate_survey
+    from .words import lines_of
 
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
     failure = _failure(result.calibration, [])
     if failure is None and not result.usable:
         code = NOT_USABLE if result.disagreement is None else UNDETERMINED
         failure = code, result.verdict
-    show = partial(print_wrapped, _validation_lines(result))
+    show = partial(print_wrapped, lines_of("survey_validation", result=result))
     return Answer(survey_validation_text(result), show, failure=failure)
 
 
@@ -187,25 +186,6 @@ def survey_plan(
     return plan_survey(calibrate(survey, rig.noise), stations, rig.workspace, rig.goal, rng)
 
 
-def survey_plan_lines(planned: "SurveyPlan") -> list[str]:
-    """Return the lines of a plan."""
-    within = [
-        f"{error * IN_MM:.2g} mm" if math.isfinite(error) else "undetermined"
-        for error in planned.spot_errors.tolist()
-    ]
-    after = f"within {within[-1]} (95 %)" if planned.determined else within[-1]
-    many = count(len(planned.sensors), "station")
-    lines = [f"{many}: spots {after} after them, {within[0]} before"]
-    if planned.reached is not None:
-        lines.append(f"the goal is {'' if planned.reached else 'not '}reached after them")
-    of = zip(planned.stations.plane_labels, planned.sensors, within[1:], strict=True)
-    lines += [
-        f"{number}. {sensor} before {label}: then {size}"
-        for number, (label, sensor, size) in enumerate(of, start=1)
-    ]
-    return lines
-
-
 def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] | None]:
     """Return a warning of what the survey leaves undetermined, and the failure of a plan that keeps it.
 
@@ -225,26 +205,6 @@ def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] 
         f"{stations} would still leave something open: ask for more with --stations, or allow more "
         "room and larger turns in the table [workspace] of the rig file",
     )
-
-
-def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
-    reference = result.reference
-    yield result.verdict
-    yield (
-        f"SciPy, point by point, differs by {reference.largest:.2g} standard deviations at most "
-        f"({reference.parameter}); standard deviations by {IN_PERCENT * reference.largest_sigma:.2g} %"
-    )
-    groups = ("without ", result.targets), ("without 30 % of the stations, draw ", result.splits)
-    for words, some in groups:
-        for one in some:
-            if one.message:
-                yield f"{words}{one.name}: no prediction: {one.message}"
-            else:
-                yield (
-                    f"{words}{one.name}: {one.shots} shots predicted, chi2/dof "
-                    f"{one.chi2:.1f}/{one.dof} (p = {one.p_value:.2g}); spots move by "
-                    f"{one.shift * IN_MM:.2g} mm"
-                )
 
 
 def _read_lines(survey: "Survey") -> list[str]:

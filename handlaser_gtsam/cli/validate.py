@@ -89,7 +89,7 @@ def _validated(
     from ..files.validation_json import validation_text
     from ..validation import leave_out
     from .answer import text_width
-    from .validation_tables import validation_lines
+    from .words import validation_lines
 
     rng = np.random.default_rng(seed)
     result = leave_out.validate(recording, rig.noise, options, splits=splits, rng=rng)
@@ -116,7 +116,7 @@ def _tested(
     from ..pipeline import calibrate
     from ..results.mounts import Mounts
     from ..validation.hold_out import hold_out
-    from .validation_tables import hold_out_lines
+    from .words import hold_out_lines
 
     noise = rig.noise
     if options.poses == "exact":

@@ -197,6 +197,7 @@ def averaged(
     if how == "mean":  # about the first one, so that the mean of equal readings is that reading
         middle = value.first() + (value - value.first()).mean()
     each = pl.DataFrame({"cell": station[row] * shape[1] + beam, "value": d[row, beam]})
+    each = each.sort("cell", "value")
     each = each.with_columns(n=pl.len().over("cell"), middle=middle.over("cell"))
     each = each.with_columns(off=(value - pl.col("middle")).abs())
     averaged = each.filter((n > 1) & (pl.col("off").max().over("cell") > FINEST_STEP))
