@@ -11,7 +11,6 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.cli.words import plan_lines
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
-from handlaser_gtsam.planning.blind import blind_motion
 from handlaser_gtsam.results.description.description import Description
 from handlaser_gtsam.results.description.evidence import noise_words
 
@@ -26,15 +25,14 @@ def calibration(recording):
     return hl.calibrate(recording, hl.Noise(3e-5, 0.0, 0.0))
 
 
-def test_a_goal_that_is_reached_needs_no_station():
-    rig = hl.read_rig(GRIPPER.parent / "planned" / "rig.toml")
+def test_a_goal_that_is_reached_needs_no_station(calibration):
     goal = hl.planning.Goal(spot=1.0)
-    motion = blind_motion(rig.bounds, rig.sensor, rig.workspace, rig.noise, 6)
+    planned = hl.plan(calibration, 3, hl.read_rig(GRIPPER / "rig.toml").sensor, None, goal)
     assert (
         "the limits and the goal of the rig file are reached already: no station is needed"
-        in plan_lines(replace(motion, reached=0), goal, None)
+        in plan_lines(replace(planned, reached=0), goal, None)
     )
-    lines = plan_lines(replace(motion, reached=3), goal, None)
+    lines = plan_lines(replace(planned, reached=3), goal, None)
     assert "3 stations reach the limits and the goal of the rig file" in lines
 
 

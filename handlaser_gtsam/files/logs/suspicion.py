@@ -72,25 +72,20 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
     """
     count = len(recording.plane_labels)
     x = np.hstack((recording.world_t_hand, recording.world_R_hand.reshape(count, 9)))
-    rows = np.ascontiguousarray(x).view(np.dtype((np.void, x.itemsize * x.shape[1]))).ravel()
     _, first, group, size = np.unique(
-        rows, return_index=True, return_inverse=True, return_counts=True
+        x, return_index=True, return_inverse=True, return_counts=True, axis=0
     )
+    group = group.ravel()
     repeats = size[group] > 1
-    if not repeats.any():
-        return ()
     off = np.abs(recording.ranges - recording.ranges[first[group]])
     known = recording.ranges[~np.isnan(recording.ranges)]
     moved = repeats & (np.nan_to_num(off) > MOVED * typical_range(known)).any(axis=1)
-    if not moved.any():
+    same, name = int(moved.sum()), recording.station_names[int(moved.argmax())]
+    if not same:
         return ()
-    same = int(moved.sum())
-    name = recording.station_names[int(moved.argmax())]
     if len(first) == 1:
-        raise InputError(
-            f"one pose at all {count} stations, with readings that differ",
-            "the pose of each station; are the right columns stated (--pose-columns)?",
-        )
+        expected = "the pose of each station; are the right columns stated (--pose-columns)?"
+        raise InputError(f"one pose at all {count} stations, with readings that differ", expected)
     words = (
         f"{same} of {count} stations repeat the pose of another although their readings differ by "
         f"more than {IN_PERCENT * MOVED:.0f} % (the first: {name}): poses that were not logged anew, "
@@ -167,9 +162,8 @@ def accused(
     if ratio >= MUCH_BETTER and not given.as_stated:
         found_so = f"poses that do not fit as {stated}; {message}"
         raise InputError(found_so, "that, or --as-stated if it is right", path)
-    return (
-        CalibrationWarning("pose-convention", f"{message}; stated: {stated}", {"times": times}),
-    )
+    words = f"{message}; stated: {stated}"
+    return (CalibrationWarning("pose-convention", words, {"times": times}),)
 
 
 def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] | None:

@@ -13,10 +13,12 @@ import os
 import re
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
+from string import ascii_uppercase
 from typing import IO
 
 import numpy as np
@@ -125,33 +127,24 @@ def _of_text(path: Path, given: LogFormat) -> Table:
 def _separator(text: str, path: Path) -> str:
     """Return the only separator at which the lines have equally many cells, two or more."""
     lines = [line for line in text.split("\n") if line.strip(" \t,;")][:MOST_LOOKED_AT]
-    possible = _even(lines)
-    if len(possible) > 1:
-        words = {value: name for name, value in DELIMITERS.items()}
-        both = " and ".join(words[one] for one in possible)
-        expected = "one of them as separator: state --delimiter"
-        raise InputError(f"lines that {both} divide alike", expected, path)
-    # Titles above the header are never half of the lines.
-    possible = possible or _even(lines[len(lines) // 2 :])
-    if len(possible) == 1:
-        return possible[0]
-    if not lines:
-        return ","
+    # Separators in quotes are none.
+    bare = [re.sub('"[^"]*"', "", line) for line in lines]
+    cells = {one: [line.count(one) + 1 for line in bare] for one in SEPARATORS}
+    half, possible = len(lines) // 2, list[str]()
+    for begin in (0, half):  # titles above the header are never half of the lines
+        even = [one for one, counts in cells.items() if len(set(counts[begin:])) == 1]
+        possible = possible or [one for one in even if cells[one][-1] > 1]
+        if begin == 0 and len(possible) > 1:
+            words = {value: name for name, value in DELIMITERS.items()}
+            both = " and ".join(words[one] for one in possible)
+            expected = "one of them as separator: state --delimiter"
+            raise InputError(f"lines that {both} divide alike", expected, path)
+    if len(possible) == 1 or not lines:
+        return possible[0] if lines else ","
     blanks = all(len(line.split()) > 1 for line in lines)
     if blanks and not any(one in lines[0] for one in SEPARATORS):
         return " "
-    return max(SEPARATORS, key=lambda one: _cells(lines[0], one))
-
-
-def _even(lines: Sequence[str]) -> list[str]:
-    """Return the separators at which the lines have equally many cells, two or more."""
-    counts = {one: {_cells(line, one) for line in lines} for one in SEPARATORS}
-    return [one for one, found in counts.items() if len(found) == 1 and min(found) > 1]
-
-
-def _cells(line: str, separator: str) -> int:
-    """Return how many cells a line has; separators in quotes are none."""
-    return re.sub('"[^"]*"', "", line).count(separator) + 1
+    return max(SEPARATORS, key=lambda one: cells[one][0])
 
 
 def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = False) -> Table:
@@ -164,7 +157,7 @@ def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = 
     """
     texts = table.frame.select(pl.selectors.string())
     if given.decimal == "comma" and not numbers_have_points:
-        grouped = pl.all().str.contains(rf"^{GROUPED.pattern}$")
+        grouped = pl.all().str.contains(f"^{GROUPED.pattern}$")
         whole = pl.all().str.replace_all(".", "", literal=True)
         texts = texts.select(pl.when(grouped).then(whole).otherwise(pl.all()))
         table = replace(table, frame=table.frame.with_columns(texts))
@@ -172,14 +165,11 @@ def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = 
     commas = {name: mask for name, mask in commas.items() if mask.any()}
     if given.decimal == "point" or not commas:
         return table
-    if given.decimal is None and all(
-        _match(texts[name].filter(mask), THOUSANDS).all() for name, mask in commas.items()
-    ):
+    cells = pl.concat([texts[name].filter(mask).alias("") for name, mask in commas.items()])
+    if given.decimal is None and _match(cells, THOUSANDS).all():
         name, mask = next(iter(commas.items()))
-        expected = (
-            "a decimal comma or a separator of thousands? state --decimal comma, or leave it out"
-        )
-        table.refuse(mask.to_numpy(), name, expected)
+        expected = "a decimal comma or a separator of thousands? state --decimal comma"
+        table.refuse(mask.to_numpy(), name, f"{expected}, or leave it out")
     for name in () if numbers_have_points else texts.columns:
         points = _match(texts[name], POINT).to_numpy()
         table.refuse(points, name, "decimal commas, as in other cells; or state --decimal point")
@@ -330,11 +320,8 @@ def read_sheet(
     try:
         import fastexcel
     except ImportError as error:
-        raise InputError(
-            "a workbook, but no package that reads it",
-            "pip install 'handlaser-gtsam[excel]', or the sheet saved as CSV",
-            path,
-        ) from error
+        expected = "pip install 'handlaser-gtsam[excel]', or the sheet saved as CSV"
+        raise InputError("a workbook, but no package that reads it", expected, path) from error
     refuse_zip_bomb(path)
     with zipfile.ZipFile(path) as archive:
         sheets = _sheets(archive)
@@ -412,9 +399,9 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
             place = PLACE.fullmatch(element.get("r", ""))
             column += 1
             if place:  # A is 1, AA is 27
-                column = 0
-                for letter in place[1]:
-                    column = 26 * column + ord(letter) - ord("A") + 1
+                column = reduce(
+                    lambda n, letter: 26 * n + ascii_uppercase.index(letter) + 1, place[1], 0
+                )
             if len(element):
                 cells += 1
                 rows.add(row)
@@ -458,5 +445,5 @@ def _letters(number: int) -> str:
     letters = ""
     while number:
         number, letter = divmod(number - 1, 26)
-        letters = chr(ord("A") + letter) + letters
+        letters = ascii_uppercase[letter] + letters
     return letters
