@@ -3,9 +3,8 @@
 import math
 from collections import Counter
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
-
 from ..data.station_list import StationList
+from ..files.exports.rendering import environment
 from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..planning.advice import pose_words
 from ..planning.goal import Goal
@@ -36,24 +35,18 @@ def _in(unit: float, value: float, digits: int, most: float = math.inf) -> str:
 
 def lines_of(template: str, **values: object) -> list[str]:
     """Return the lines of a template; its filters say numbers, sizes of errors and counts."""
-    environment = Environment(
-        loader=PackageLoader(__package__),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-    )
-    environment.filters |= {
-        "count": count,
-        "chance": chance,
-        "mm": lambda value, *how: _in(IN_MM, value, *how),
-        "deg": lambda value, *how: _in(IN_DEG, value, *how),
-        "length_of": lambda vector: math.hypot(*vector),
-        "size": lambda errors: (
+    templates = environment(
+        __package__,
+        count=count,
+        chance=chance,
+        mm=lambda value, *how: _in(IN_MM, value, *how),
+        deg=lambda value, *how: _in(IN_DEG, value, *how),
+        length_of=lambda vector: math.hypot(*vector),
+        size=lambda errors: (
             f"rms {_in(IN_MM, errors.rms, 4)} mm, largest {_in(IN_MM, errors.max_residual, 4)} mm"
         ),
-    }
-    return environment.get_template(f"{template}.j2").render(**values).splitlines()
+    )
+    return templates.get_template(f"{template}.j2").render(**values).splitlines()
 
 
 def plan_lines(plan: Plan, goal: Goal, robot: Robot | None) -> list[str]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import polars as pl
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ..errors import InputError
 from ..text import shown, some
 from .logs.columns import plain, unit_of
@@ -79,15 +79,10 @@ def read_points(
     names = table.frame[station_column].cast(pl.String)
     table.refuse(names.is_null().to_numpy(), station_column, "the name of a station")
     place = {name: i for i, name in enumerate(stations)}
-    foreign = [name for name in names.unique(maintain_order=True).to_list() if name not in place]
+    foreign = [shown(name) for name in names.unique(maintain_order=True) if name not in place]
     if foreign:
-        raise InputError(
-            f"station {some([shown(name) for name in foreign], 4)}",
-            f"stations of the recording, such as {some(list(stations), 4)}",
-            path,
-            None,
-            station_column,
-        )
+        expected = f"stations of the recording, such as {some(list(stations), 4)}"
+        raise InputError(f"station {some(foreign, 4)}", expected, path, None, station_column)
     station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
     numbers = np.column_stack([known_numbers(table, name)[0] for name in found])
     good = np.isfinite(numbers).all(axis=1)
@@ -97,8 +92,10 @@ def read_points(
     if not len(station):
         raise InputError("no reading at all", f"rows with {', '.join(wanted)}", path)
     before = np.full(len(numbers), np.nan)
-    if kind == "array":
-        order, first = _by_zone(station, numbers)
+    if kind == "array":  # sorted by station, zone and range
+        order = np.lexsort((numbers[:, 1], numbers[:, 0], station))
+        zones = np.column_stack((station, numbers[:, 0]))[order]
+        first = np.append(True, (np.diff(zones, axis=0) != 0.0).any(axis=1))
         nearest = numbers[order, -1][first][np.cumsum(first) - 1]
         before[order] = np.where(first, np.nan, nearest)
         if echo != "all":
@@ -151,12 +148,3 @@ def read_frame(path: Path, expected: str) -> Table:
         what = str(error).splitlines()[0][:120]
         raise InputError(f"no table ({what})", expected, path) from error
     return Table(frame, path, 1, np.arange(2, len(frame) + 2, dtype=np.intp), False)
-
-
-def _by_zone(station: IntArray, numbers: FloatArray) -> tuple[IntArray, BoolArray]:
-    """Return the order of readings by station, zone and range, and which of them begin a zone."""
-    zone, reading = numbers[:, 0], numbers[:, -1]
-    order = np.lexsort((reading, zone, station))
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = (np.diff(station[order]) != 0) | (np.diff(zone[order]) != 0.0)
-    return order, first

@@ -125,12 +125,10 @@ class SurveyTables:
         wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
         with in_file(path):
             stations, points = read_bag_points(path, given, wanted)
-            shots = [
-                _shots(
-                    table, self.folder, station, numbers, np.full(len(numbers), np.nan), 1.0, 1.0
-                )
-                for table, (station, numbers) in zip(self.sensors, points, strict=True)
-            ]
+            shots = []
+            for table, (station, numbers) in zip(self.sensors, points, strict=True):
+                before = np.full(len(numbers), np.nan)
+                shots.append(_shots(table, self.folder, station, numbers, before, 1.0, 1.0))
         return stations, tuple(shots)
 
     def _read(
@@ -154,12 +152,10 @@ class SurveyTables:
 
     def reading_from(self, copies: Mapping[Path, Path]) -> "SurveyTables":
         """Return the same with tables of points read from copies of them, by the original."""
-        tables = [
-            table.model_copy(update={"points": str(copies.get(self.folder / table.points, ""))})
-            if table.points
-            else table
-            for table in self.sensors
-        ]
+        tables = []
+        for table in self.sensors:
+            copy = str(copies.get(self.folder / table.points, "")) if table.points else ""
+            tables.append(table.model_copy(update={"points": copy}))
         return replace(self, sensors=tuple(tables))
 
     @property
@@ -226,13 +222,14 @@ def _unit(field: str, stated: str, named: set[str], usual: str) -> tuple[str, st
 
 def _require_lengths(shots: Shots) -> None:
     """Refuse shots whose lengths no such sensor has: a wrong unit."""
-    sizes = [np.abs(shots.reading), np.abs(shots.across) if shots.kind == "profiler" else 0.0]
-    largest, typical = max(float(np.max(x)) for x in sizes), float(np.median(sizes[0]))
-    if largest < SHORTEST_LENGTH or typical > LONGEST_READING:
-        far = f"{largest * IN_MM:.2g} mm" if largest < SHORTEST_LENGTH else f"{typical:.3g} m"
-        found = (
-            f"lengths of {shots.name} {'up to' if largest < SHORTEST_LENGTH else 'of some'} {far}"
-        )
+    d = np.abs(shots.reading)
+    across = np.abs(shots.across).max() if shots.kind == "profiler" else 0.0
+    largest, typical, found = max(float(d.max()), float(across)), float(np.median(d)), ""
+    if largest < SHORTEST_LENGTH:
+        found = f"lengths of {shots.name} up to {largest * IN_MM:.2g} mm"
+    elif typical > LONGEST_READING:
+        found = f"lengths of {shots.name} of some {typical:.3g} m"
+    if found:
         raise InputError(found, 'units = "mm", "m" or "in" in [[sensors]], as the lengths are')
 
 
@@ -255,10 +252,8 @@ def _refuse_exchanged(shots: Shots) -> None:
     crossed = (np.abs(x_middle) > x_width) & (np.abs(z_middle) < 0.5 * z_width)
     varies = x_middle.std() * z_width.mean() > z_middle.std() * x_width.mean()
     if crossed.mean() > MAJORITY and varies:
-        found = (
-            f"x and z of {shots.name} exchanged: in most shots x is farther from zero than it spans, "
-            "as distances are, and z changes its sign"
-        )
+        found = f"x and z of {shots.name} exchanged: in most shots x is farther from zero than it "
+        found += "spans, as distances are, and z changes its sign"
         expected = (
             "z, the distance, and x, across it: exchange their names in the header; or count x from "
             "the middle of the field of view, if they are right"
@@ -279,31 +274,30 @@ def _shots(
 
     `before` (N,) is the nearest echo that a zone read before each reading, NaN for none.
     """
-    several = bool(np.isfinite(before).any())
+    several, name = bool(np.isfinite(before).any()), table.name
     if table.clear_mm and not several:
-        found = f"clear_mm of {table.name}, none of whose readings stands behind another"
+        found = f"clear_mm of {name}, none of whose readings stands behind another"
         raise InputError(found, "an array with several readings a zone, and echo not near")
+    if (table.zones is None) == (table.kind == "array"):
+        found = f"{'no ' if table.zones is None else ''}zones of {name}"
+        raise InputError(found, "the file of zones of an array, and of nothing else")
     noise: dict[str, Any] = {
         "sigma": None if table.sigma_mm is None else table.sigma_mm * MM,
         "sigma_across": table.sigma_across_mm * MM,
         "free": table.free,
     }
-    if (table.zones is None) == (table.kind == "array"):
-        found = f"{'no ' if table.zones is None else ''}zones of {table.name}"
-        raise InputError(found, "the file of zones of an array, and of nothing else")
+    first, reading = numbers[:, 0], numbers[:, 1] * length
     if table.kind == "points":
-        shots = Shots.points(table.name, station, numbers * length, **noise)
+        shots = Shots.points(name, station, numbers * length, **noise)
+    elif table.kind == "profiler":
+        shots = Shots.profiler(name, station, first * length, reading, **noise)
+        _refuse_exchanged(shots)
+    elif table.kind == "scanner":
+        shots = Shots.scanner(name, station, first * angle, reading, **noise)
     else:
-        first, reading = numbers[:, 0], numbers[:, 1] * length
-        if table.kind == "profiler":
-            shots = Shots.profiler(table.name, station, first * length, reading, **noise)
-            _refuse_exchanged(shots)
-        elif table.kind == "scanner":
-            shots = Shots.scanner(table.name, station, first * angle, reading, **noise)
-        else:
-            u = directions_of(folder / str(table.zones), first)
-            noise["before"] = before * length if several else None
-            shots = Shots.array(table.name, station, u, reading, table.convention, **noise)
+        u = directions_of(folder / str(table.zones), first)
+        noise["before"] = before * length if several else None
+        shots = Shots.array(name, station, u, reading, table.convention, **noise)
     _require_lengths(shots)
     return shots.clear_of(table.clear_mm * MM) if table.clear_mm else shots
 

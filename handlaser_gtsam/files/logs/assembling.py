@@ -50,7 +50,6 @@ def assembled(
         No planes, no readings, or poses that mean something else.
     """
     poses, readings, path = log.poses, log.readings, log.poses.table.path
-    assert poses.poses is not None
     mean, samples, scatters, repeated = averaged(
         readings.ranges, log.station, len(log.names), given.average, range_sigma
     )
@@ -68,7 +67,7 @@ def assembled(
             raise InputError("no reading at any station", "readings at the time of poses", path)
         if unread.any():
             warnings = (*warnings, _left_out(int(unread.sum()), len(unread), "have no reading"))
-    R, t = hand_poses(poses.poses, log.way, given)
+    R, t = hand_poses(poses.posed, log.way, given)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
     recording = Recording(
@@ -84,7 +83,7 @@ def assembled(
         min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
-    doubts += refuse_wrong_convention(recording, poses.poses, log.way, rows, given, path)
+    doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given, path)
     if doubts:
         recording = replace(recording, warnings=(*recording.warnings, *doubts))
     parts = (

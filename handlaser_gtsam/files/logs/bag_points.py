@@ -84,8 +84,7 @@ def read_bag_points(
     kept = np.flatnonzero(seen & chosen)
     number = np.full(len(log.names) + 1, -1)
     number[kept] = np.arange(len(kept))
-    assert poses.poses is not None
-    R, t = hand_poses(poses.poses, log.way, given)
+    R, t = hand_poses(poses.posed, log.way, given)
     names = tuple(log.names[i] for i in kept.tolist())
     stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
     points = []

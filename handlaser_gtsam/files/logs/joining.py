@@ -114,8 +114,7 @@ def _refuse_other_pose(
     expected: str,
 ) -> None:
     """Refuse rows (K,) whose poses are not those of others (K,); `whose` poses they are, in words."""
-    assert poses.poses is not None
-    R, t = poses_of(poses.poses, convention_of(given))
+    R, t = poses_of(poses.posed, convention_of(given))
     between = Rotation.from_matrix(np.swapaxes(R[like], 1, 2) @ R[rows])
     angle = np.atleast_1d(between.magnitude())
     distance = np.linalg.norm(t[rows] - t[like], axis=1)
@@ -171,7 +170,7 @@ def by_station(poses: LogRows, readings: LogRows) -> Stations:
     return Stations(
         poses,
         readings,
-        Way.of_groups(np.arange(len(names), dtype=np.intp)),
+        Way.of_rows(len(names)),
         names,
         planes,
         poses.times,
@@ -255,7 +254,7 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
         else:
             every, station, times, names = np.arange(len(clock)), row, clock, tuple(poses.names)
             way, labels = (
-                Way.of_groups(every),
+                Way.of_rows(len(every)),
                 ((poses, every), (readings, nearest(wanted, clock)[0])),
             )
             words = f"{len(every)} poses, each with the readings within {tolerance:g} s: "
@@ -301,10 +300,9 @@ def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float,
 
 def _track_of(poses: LogRows, given: LogFormat) -> Track:
     """Return the poses of rows in time."""
-    assert poses.poses is not None
     if convention_of(given).meaning == FORMATS["ros"].meaning:
-        return Track(poses.clock, poses.poses[:, :3], poses.poses[:, 3:])
-    R, t = poses_of(poses.poses, convention_of(given))
+        return Track(poses.clock, poses.posed[:, :3], poses.posed[:, 3:])
+    R, t = poses_of(poses.posed, convention_of(given))
     return Track(poses.clock, t, Rotation.from_matrix(R).as_quat())
 
 

@@ -40,6 +40,11 @@ class Way:
         return cls(row, np.flatnonzero(np.diff(group[row], prepend=-1)))
 
     @classmethod
+    def of_rows(cls, count: int) -> "Way":
+        """Return that each row is a station of its own."""
+        return cls(np.arange(count, dtype=np.intp), np.arange(count, dtype=np.intp))
+
+    @classmethod
     def of_runs(cls, first: IntArray, last: IntArray) -> "Way":
         """Return the means of rows from the first to the last (S,) of each station."""
         count = last - first + 1

@@ -77,6 +77,12 @@ class LogRows:
         assert self.times is not None
         return self.times
 
+    @property
+    def posed(self) -> FloatArray:
+        """The numbers (M, k) of poses of rows that have some."""
+        assert self.poses is not None
+        return self.poses
+
     def code_warnings(self, counted: BoolArray) -> tuple[CalibrationWarning, ...]:
         """Return a warning for each code for "no reading" among the rows that are `counted` (M,)."""
         if self.coded is None:
