@@ -1,16 +1,15 @@
 """handlaser calibrate: a recording becomes a calibrated rig."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped, text_width, wrote
+from .answer import Answer, Working, text_width, wrote
 from .options import (
     AtRangeOption,
     Given,
@@ -154,7 +153,7 @@ def _of_beams(
 
     recording, reading = log.recording, metres(output.at_range_mm)
     taught, comparison, check, advice = None, None, None, None
-    before: list[str] = []
+    before = list[str]()
     if manner.incremental:
         from .incremental import comparison_line, plane_by_plane
 
@@ -188,27 +187,29 @@ def _of_beams(
         options = ReportOptions(rig, reading, path, rig_file, log.beside, words, day, advice)
         write_report(output.report, result, options)
     compared = [] if check is None else [cross_check_line(check)]
-    warnings = [
-        f"WARNING: {warning}" for warning in result.warnings if warning.message != result.message
-    ]
+    before += compared
+    warnings = [one for one in result.warnings if one.message != result.message]
+    files = wrote(output.out, output.report)
     return Answer(
         text,
-        partial(_show, result, judged, advice, taught, log.lines, output, [*before, *compared]),
+        _lines(result, judged, advice, taught, log.lines, before, files, verbose=output.verbose),
         [*compared, *warnings] if aloud else (),
         _failure(result, judged, check, comparison),
     )
 
 
-def _show(
+def _lines(
     result: "Calibration",
     judged: "Verdict",
     advice: "Plan | None",
     taught: "Table | None",
     read: Sequence[str],
-    output: Output,
     before: Sequence[str],
-) -> None:
-    """Print the tables, what stands `before` the next best stations, these, and how it was read."""
+    files: Sequence[str],
+    *,
+    verbose: bool,
+) -> Iterator[str]:
+    """Yield the tables, what stands `before` the next best stations, these, and how it was read."""
     from ..planning.advice import advice_lines
     from ..results.description.description import Description
     from ..results.description.rendering import full_table
@@ -219,16 +220,14 @@ def _show(
     width, described = text_width(), Description(result, judged)
     above = [line for text in before for line in wrapped(text, None, width)]
     after = wrapped(f"log: {printable('; '.join(read))}", None, width) if read else []
-    after += wrote(output.out, output.report)
-    if output.verbose:
-        words = [] if advice is None else advice_lines(advice)
-        next_best = [line for text in words for line in wrapped(text, None, width)]
-        lines = full_lines(described, width)
+    if verbose:
+        lines, next_best = full_lines(described, width), advice_lines(advice) if advice else []
     else:
-        lines, next_best = _screen(described, advice, len(above) + len(after), width)
-    if taught is not None:
-        lines += full_table("plane by plane", taught, width)
-    print_wrapped([*lines, *above, *next_best, *after])
+        around = len(above) + len(after) + len(files)
+        lines, next_best = _screen(described, advice, around, width)
+    yield from lines
+    yield from () if taught is None else full_table("plane by plane", taught, width)
+    yield from (*above, *next_best, *after, *files)
 
 
 def cross_check_line(check: "CrossCheck") -> str:

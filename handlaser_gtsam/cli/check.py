@@ -1,10 +1,9 @@
 """handlaser check: what the motion of a recording can determine, before anything is solved."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .answer import Answer, Working, print_wrapped
+from .answer import Answer, Working
 from .options import JsonOption, RecordingArgument
 from .stopping import left_open
 
@@ -69,8 +68,7 @@ def _of_beams(read: "Recording", rig: "Rig", *, advise: bool) -> Answer:
 
         plan = advised(read, rig, _calibrated(read, rig) if failure is None else None)
         lines += [] if plan is None else advice_lines(plan)
-    warnings = [f"WARNING: {warning}" for warning in read.warnings]
-    return Answer(check_text(found), partial(print_wrapped, lines), warnings, failure)
+    return Answer(check_text(found), lines, read.warnings, failure)
 
 
 def _calibrated(recording: "Recording", rig: "Rig") -> "Calibration":

@@ -1,12 +1,11 @@
 """handlaser convert: a log becomes a recording in CSV, and how it is written a table of a rig file."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped, wrote
+from .answer import Answer, Working, wrote
 from .log_options import Log
 from .options import RANGE, OutOption, QuietOption
 
@@ -82,9 +81,7 @@ def convert(
         if write_log is not None:
             write_text(write_log, rig_text)
     lines += wrote(out, write_log)
-    warnings = [f"WARNING: {warning}" for warning in found]
-    show = partial(print_wrapped, [printable(line) for line in lines])
-    Answer("", show, warnings).give(json=False, quiet=quiet)
+    Answer("", map(printable, lines), found).give(json=False, quiet=quiet)
 
 
 def _known(

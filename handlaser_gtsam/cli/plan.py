@@ -1,13 +1,12 @@
 """handlaser plan: the stations to measure next."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped, wrote
+from .answer import Answer, Working, wrote
 from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ def plan(
         if picture is not None and not isinstance(planned, SurveyPlan):
             write_text(picture, forecast_svg(planned.forecast, rig.goal))
         lines += wrote(out, picture)
-        answer = Answer(text, partial(print_wrapped, lines), warnings, failure)
+        answer = Answer(text, lines, warnings, failure)
     answer.give(json=json_, quiet=quiet)
 
 

@@ -1,12 +1,11 @@
 """handlaser plot: the figures of a report as pictures."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped, wrote
+from .answer import Answer, Working, wrote
 from .options import Given, Model
 from .stopping import UNDETERMINED
 
@@ -58,7 +57,6 @@ def plot(
             report, rig = read_with(rig, file)
             found = calibrate(report.recording, rig.noise, model.options(rig))
         files = write_pictures(out, found, ReportOptions(rig))
-    show = partial(print_wrapped, wrote(*files))
     failure = None if found.status == "converged" else (UNDETERMINED, found.message)
     warnings = [f"WARNING: {one.message}" for one in found.warnings]
-    Answer("", show, warnings, failure).give(json=False)
+    Answer("", wrote(*files), warnings, failure).give(json=False)

@@ -1,6 +1,7 @@
 """handlaser study: many draws of scenes, solved in several ways."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped
+from .answer import Answer, Working
 from .options import JsonOption, OneOrMore, QuietOption
 
 if TYPE_CHECKING:
@@ -73,12 +74,12 @@ def study(
     summary, warnings = summarize_runs(table), count_warnings(table)
     content = {"summary": summary.to_dicts(), "warnings": warnings.to_dicts()}
     text = json.dumps(content, indent=2) + "\n"
-    Answer(text, partial(_show, summary, warnings)).give(json=json_, quiet=quiet)
+    Answer(text, _lines(summary, warnings)).give(json=json_, quiet=quiet)
     if picture is not None:
         write_study_picture(picture, summary)
 
 
-def _show(summary: "DataFrame", warnings: "DataFrame") -> None:
+def _lines(summary: "DataFrame", warnings: "DataFrame") -> Iterator[str]:
     from ..results.description.rendering import text_table
     from ..results.description.tables import Column, Table, significant, text
     from .answer import columns
@@ -93,8 +94,6 @@ def _show(summary: "DataFrame", warnings: "DataFrame") -> None:
         )
         for row in summary.iter_rows()
     )
-    print_wrapped(text_table(Table("study", "", titles, rows), columns()))
-    print_wrapped(
-        f"{row['scene']}, {row['treatment']}: {row['code']} in {row['percent']:.1f} %"
-        for row in warnings.iter_rows(named=True)
-    )
+    yield from text_table(Table("study", "", titles, rows), columns())
+    for row in warnings.iter_rows(named=True):
+        yield f"{row['scene']}, {row['treatment']}: {row['code']} in {row['percent']:.1f} %"

@@ -1,14 +1,13 @@
 """What verbs do with a survey: other sensors, targets, and relations."""
 
 import math
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..text import count
-from .answer import Answer, print_wrapped, text_width, wrote
+from .answer import Answer, text_width, wrote
 from .stopping import NOT_USABLE, UNDETERMINED, left_open
 
 if TYPE_CHECKING:
@@ -76,10 +75,9 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
 
         page = survey_report(result, survey, path.name, output.report_date or "", checks)
         write_text(output.report, page)
-    aloud = output.json_ or output.quiet
-    warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
-    show = partial(_show, result, checks, output, _read_lines(survey))
-    return Answer(text, show, warnings, _failure(result, checks))
+    lines = _lines(result, checks, [*_read_lines(survey), *wrote(output.out, output.report)])
+    warnings = result.warnings if output.json_ or output.quiet else ()
+    return Answer(text, lines, warnings, _failure(result, checks))
 
 
 def survey_check(survey: "Survey", rig: "Rig") -> Answer:
@@ -98,13 +96,9 @@ def survey_check(survey: "Survey", rig: "Rig") -> Answer:
         failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
     if found.doubt is not None:
         failure = UNDETERMINED, found.doubt
-    warnings = [
-        f"WARNING: {one.message}"
-        for one in found.warnings
-        if found.doubt is None or one.message not in found.doubt
-    ]
-    show = partial(print_wrapped, [*check_lines(found), *_read_lines(survey)])
-    return Answer(survey_check_text(found), show, warnings, failure)
+    warnings = [one for one in found.warnings if one.message not in (found.doubt or "")]
+    lines = [*check_lines(found), *_read_lines(survey)]
+    return Answer(survey_check_text(found), lines, warnings, failure)
 
 
 def converted_survey(
@@ -162,8 +156,8 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
     if failure is None and not result.usable:
         code = NOT_USABLE if result.disagreement is None else UNDETERMINED
         failure = code, result.verdict
-    show = partial(print_wrapped, lines_of("survey_validation", result=result))
-    return Answer(survey_validation_text(result), show, failure=failure)
+    lines = lines_of("survey_validation", result=result)
+    return Answer(survey_validation_text(result), lines, failure=failure)
 
 
 def survey_plan(
@@ -214,29 +208,24 @@ def _read_lines(survey: "Survey") -> list[str]:
     return [f"read: {printable('; '.join(survey.lines))}"] if survey.lines else []
 
 
-def _show(
-    result: "SurveyCalibration",
-    checks: "Sequence[LimitCheck]",
-    output: "Output",
-    read: Sequence[str],
-) -> None:
+def _lines(
+    result: "SurveyCalibration", checks: "Sequence[LimitCheck]", after: Sequence[str]
+) -> Iterator[str]:
+    """Yield the verdict, tables and facts of a result, its warnings, and what stands `after` them."""
     from ..results.description.rendering import full_table, text_lines
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
 
     width = text_width()
-    lines = text_lines([result.verdict], width)
-    tables = {
-        "sensors": sensors_table(result),
-        "beams": beams_table(result),
-        "targets": targets_table(result),
-    }
-    for title, table in tables.items():
-        lines += [] if table is None else full_table(title, table, width)
-    lines += text_lines([f"{name}: {words}" for name, words in facts(result, checks)], width)
-    lines += text_lines(list(result.undetermined[1:]), width)
-    lines += text_lines([f"WARNING: {one.message}" for one in result.warnings], width)
-    lines += text_lines(list(read), width)
-    print_wrapped([*lines, *wrote(output.out, output.report)])
+    yield from text_lines([result.verdict], width)
+    for title, table in (
+        ("sensors", sensors_table(result)),
+        ("beams", beams_table(result)),
+        ("targets", targets_table(result)),
+    ):
+        yield from () if table is None else full_table(title, table, width)
+    lines = [f"{name}: {words}" for name, words in facts(result, checks)]
+    lines += [*result.undetermined[1:], *(f"WARNING: {one.message}" for one in result.warnings)]
+    yield from text_lines([*lines, *after], width)
 
 
 def _failure(result: "SurveyCalibration", checks: "Sequence[LimitCheck]") -> tuple[int, str] | None:

@@ -1,13 +1,12 @@
 """handlaser validate: does a calibration predict what it has not seen; does an old one still hold."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped
+from .answer import Answer, Working
 from .options import Given, JsonOption, Model, RecordingArgument, Seed
 from .stopping import NOT_USABLE
 
@@ -96,7 +95,7 @@ def _validated(
     judged = leave_out.verdict_of_validation(result, rig.limits)
     lines = validation_lines(result, judged, text_width())
     failure = None if judged.usable else (NOT_USABLE, judged.sentence)
-    return Answer(validation_text(result), partial(print_wrapped, lines), failure=failure)
+    return Answer(validation_text(result), lines, failure=failure)
 
 
 def _tested(
@@ -141,6 +140,4 @@ def _tested(
             f"explain it: beam {' or '.join(moved) or 'none'}; calibrate again"
         )
         failure = NOT_USABLE, words
-    warnings = [f"WARNING: {warning}" for warning in recording.warnings]
-    show = partial(print_wrapped, hold_out_lines(found))
-    return Answer(hold_out_text(found), show, warnings, failure)
+    return Answer(hold_out_text(found), hold_out_lines(found), recording.warnings, failure)
