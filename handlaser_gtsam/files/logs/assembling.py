@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import polars as pl
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
@@ -189,36 +188,42 @@ def averaged(
         Readings that were averaged.
     """
     shape = stations, d.shape[1]
-    ranges, samples = np.full(shape, np.nan), np.ones(shape)
+    ranges, scatter = np.full(shape, np.nan), np.full(1 + shape[1], np.nan)
     row, beam = np.nonzero(~np.isnan(d) & (station >= 0)[:, None])
-    value, n = pl.col("value"), pl.col("n")
-    middle = value.median()
-    if how == "mean":  # about the first one, so that the mean of equal readings is that reading
-        middle = value.first() + (value - value.first()).mean()
-    each = pl.DataFrame({"cell": station[row] * shape[1] + beam, "value": d[row, beam]})
-    each = each.sort("cell", "value")
-    each = each.with_columns(n=pl.len().over("cell"), middle=middle.over("cell"))
-    each = each.with_columns(off=(value - pl.col("middle")).abs())
-    averaged = each.filter((n > 1) & (pl.col("off").max().over("cell") > FINEST_STEP))
-    cells = each.unique("cell")
-    ranges.ravel()[cells["cell"]] = cells["middle"]
-    beam, number, off = (
-        averaged.select(pl.col("cell") % shape[1], n.cast(float), "off").to_numpy().T
-    )
-    scatter = np.full(1 + shape[1], np.nan)
-    for column, mine in enumerate((beam >= 0, *(beam == i for i in range(shape[1])))):
-        if mine.any() and how == "mean":
-            freedom = float((1.0 - 1.0 / number[mine]).sum())
-            scatter[column] = math.sqrt(float((off[mine] ** 2).sum()) / freedom)
-        elif mine.any():
-            spread = off[mine] * np.sqrt(number[mine] / (number[mine] - 1.0))
-            scatter[column] = MEDIAN_TO_SIGMA * float(np.median(spread))
-    several = averaged.unique("cell")
-    number = several["n"].to_numpy().astype(np.float64)
+    key, value = station[row] * shape[1] + beam, d[row, beam]
+    if not len(key) or np.bincount(key).max() == 1:
+        ranges.ravel()[key] = value
+        return ranges, None, scatter, 0
+    order = np.lexsort((value, key))
+    key, value = key[order], value[order]
+    start = np.flatnonzero(np.diff(key, prepend=-1))
+    count = np.diff(np.append(start, len(key)))
+    if how == "median":
+        middle = 0.5 * (value[start + (count - 1) // 2] + value[start + count // 2])
+    else:  # about the first one, so that the mean of equal readings is that reading
+        total = np.add.reduceat(value - np.repeat(value[start], count), start)
+        middle = value[start] + total / count
+    ranges.ravel()[key[start]] = middle
+    group = np.repeat(np.arange(len(start)), count)
+    off = value - middle[group]
+    held = np.maximum.reduceat(np.abs(off), start) <= FINEST_STEP
+    several = (count > 1) & ~held
+    beam = key[start] % shape[1]  # of each group
+    for column, chosen in enumerate((several, *(several & (beam == b) for b in range(shape[1])))):
+        rows = chosen[group]
+        if rows.any() and how == "mean":
+            squares = float((off[rows] ** 2).sum())
+            scatter[column] = math.sqrt(squares / float((count[chosen] - 1).sum()))
+        elif rows.any():
+            n = count[group[rows]]
+            deviation = float(np.median(np.abs(off[rows]) * np.sqrt(n / (n - 1))))
+            scatter[column] = MEDIAN_TO_SIGMA * deviation
+    number = count[several].astype(np.float64)
     if how == "median":  # of two readings it is their mean
         number = np.where(number >= 3.0, np.maximum(2.0 * number / math.pi, 1.0), number)
-    if len(several):
+    samples = np.ones(shape)
+    if several.any():
         worth = worth_of_mean(number, float(scatter[0]) ** 2, sigma)
-        samples.ravel()[several["cell"]] = worth
+        samples.ravel()[key[start[several]]] = worth
     unlike = (samples != 1.0).any()
-    return ranges, samples if unlike else None, scatter, len(each.filter(n > 1))
+    return ranges, samples if unlike else None, scatter, int(count[count > 1].sum())

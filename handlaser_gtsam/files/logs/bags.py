@@ -184,15 +184,19 @@ def _readings(numbers: "Mapping[str, array[float]]", path: Path) -> LogRows:
 
     A second reading of a beam at the same moment gets a row of its own.
     """
-    each = [np.frombuffer(x, dtype=np.float64).reshape(-1, 2) for x in numbers.values()]
-    beam = np.repeat(np.arange(len(each)), [len(x) for x in each])
-    time, value = np.concatenate(each).T
-    rows = pl.DataFrame({"time": time, "value": value, "beam": beam})
-    rows = rows.with_columns(again=pl.int_range(pl.len()).over("beam", "time"))
-    wide = rows.pivot("beam", index=["time", "again"], values="value").sort("time", "again")
-    d = wide.select(map(str, range(len(each)))).fill_null(np.nan).to_numpy()
-    times = wide["time"].to_numpy()
-    return LogRows(lines_of(path, len(d)), tuple(numbers), d, times=times)
+    rows = []
+    for of_beam in numbers.values():
+        x = np.frombuffer(of_beam, dtype=np.float64).reshape(-1, 2)
+        rows.append(x[np.argsort(x[:, 0], kind="stable")])
+    time, value = np.concatenate(rows).T
+    again = np.concatenate([np.arange(len(x)) - np.searchsorted(x[:, 0], x[:, 0]) for x in rows])
+    order = np.lexsort((again, time))
+    new = (np.diff(time[order], prepend=-np.inf) > 0.0) | (np.diff(again[order], prepend=-1) != 0)
+    row = np.empty(len(time), dtype=np.intp)
+    row[order] = np.cumsum(new) - 1
+    d = np.full((int(new.sum()), len(rows)), np.nan)
+    d[row, np.repeat(np.arange(len(rows)), [len(x) for x in rows])] = value
+    return LogRows(lines_of(path, len(d)), tuple(numbers), d, times=time[order][new])
 
 
 def _messages(
