@@ -20,7 +20,20 @@ from .answer import NO_SCREEN
 from .options import expanded
 
 NAME = "handlaser"
-VERBS = tuple(["calibrate", "check", "convert", "export", "plan", "plot", "simulate", "study", "validate", "watch"])
+VERBS = tuple(
+    [
+        "calibrate",
+        "check",
+        "convert",
+        "export",
+        "plan",
+        "plot",
+        "simulate",
+        "study",
+        "validate",
+        "watch",
+    ]
+)
 """Each is a module beside this one and the function in it."""
 UsageError = cast("type[Exception]", typer.BadParameter.__mro__[1])
 """Of the click that typer uses, which newer versions bring along."""
