@@ -20,19 +20,17 @@ from .answer import NO_SCREEN
 from .options import expanded
 
 NAME = "handlaser"
-VERBS = tuple(
-    [
-        "calibrate",
-        "check",
-        "convert",
-        "export",
-        "plan",
-        "plot",
-        "simulate",
-        "study",
-        "validate",
-        "watch",
-    ]
+VERBS = (
+    "calibrate",
+    "check",
+    "convert",
+    "export",
+    "plan",
+    "plot",
+    "simulate",
+    "study",
+    "validate",
+    "watch",
 )
 """Each is a module beside this one and the function in it."""
 UsageError = cast("type[Exception]", typer.BadParameter.__mro__[1])

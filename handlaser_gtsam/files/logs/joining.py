@@ -205,8 +205,7 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
     clock, tolerance, path = poses.clock, given.tolerance_s or 0.0, readings.table.path
     lag = _lag_of(poses, readings, given) if given.estimate_lag else (given.lag_s, 0.0)
     wanted = readings.clock - lag[0]  # times (M,) on the clock of the poses
-    row, off = nearest(clock, wanted)
-    near, needed = off <= tolerance, "a pose within the tolerance"
+    needed = "a pose within the tolerance"
     remedy = "a larger --tolerance-s, or --lag-s"
     warnings: tuple[CalibrationWarning, ...] = ()
     if given.stands:
@@ -220,10 +219,8 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
         # Labels that are set on arrival are right in the middle.
         labels = (poses, (first + last) // 2), (readings, nearest(wanted, times)[0])
     elif given.tolerance_s is None:
-        raise InputError(
-            "poses and readings joined by time without a tolerance",
-            "--tolerance-s: how far pose and reading may be apart; or --stands",
-        )
+        expected = "--tolerance-s: how far pose and reading may be apart; or --stands"
+        raise InputError("poses and readings joined by time without a tolerance", expected)
     else:
         again = np.flatnonzero(np.diff(clock) == 0.0) + 1
         if again.size:
@@ -231,6 +228,8 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
             expected = "one pose at a time: finer stamps, or --stands"
             column = poses.columns.time
             _refuse_other_pose(poses, given, again, again - 1, column, whose, expected)
+        row, off = nearest(clock, wanted)
+        near = off <= tolerance
         if given.interpolate or len(clock) >= len(wanted):
             words = "the nearest pose"
             if given.interpolate:
@@ -245,23 +244,21 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
             labels = (readings, kept), (poses, row[kept])
             twice = first_repeated(names)
             if twice is not None:
+                found = f"station {names[twice]!r} twice among the readings"
                 expected = "every label once where each row of readings is a station"
-                raise InputError(
-                    f"station {names[twice]!r} twice among the readings", expected, path
-                )
+                raise InputError(found, expected, path)
             words = f"{len(kept)} rows of readings, each with {words}"
             warnings = _unmatched(near, "have no pose within the tolerance")
         else:
             every, station, times, names = np.arange(len(clock)), row, clock, tuple(poses.names)
-            way, labels = (
-                Way.of_rows(len(every)),
-                ((poses, every), (readings, nearest(wanted, clock)[0])),
-            )
+            labels = (poses, every), (readings, nearest(wanted, clock)[0])
+            way = Way.of_rows(len(every))
             words = f"{len(every)} poses, each with the readings within {tolerance:g} s: "
             words += f"{int(near.sum())} of {len(near)} rows"
     if not near.any():
+        far = nearest(clock, wanted)[1].min()
         raise InputError(
-            f"no reading with {needed}: the nearest pose is {off.min():.3g} s away (poses from "
+            f"no reading with {needed}: the nearest pose is {far:.3g} s away (poses from "
             f"{clock[0]:.10g} to {clock[-1]:.10g} s, readings from "
             f"{readings.clock.min():.10g} to {readings.clock.max():.10g} s)",
             f"one clock and one unit (--time-units, --readings-time-units), {remedy}",
