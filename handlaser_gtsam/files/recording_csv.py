@@ -150,12 +150,9 @@ def stations_of(table: Table) -> StationList:
         table.refuse(too_far, name, f"a position in metres, at most {LARGEST_LENGTH:.0f}")
     length, wrong = off_unit(x[:, 3:])
     off = length[wrong.argmax()]
-    table.refuse(
-        wrong,
-        "qx, qy, qz, qw",
-        f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw",
-        f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off",
-    )
+    found = f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off"
+    expected = f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw"
+    table.refuse(wrong, "qx, qy, qz, qw", expected, found)
     return StationList(Rotation.from_quat(x[:, 3:]).as_matrix(), x[:, :3], planes, stations)
 
 
@@ -190,15 +187,11 @@ def _samples(table: Table, beams: list[str], ranges: FloatArray) -> FloatArray:
     """Return how many readings each is worth: one where the cell or the column is missing."""
     found = np.ones(ranges.shape)
     for i, name in enumerate(SAMPLES + beam for beam in beams):
-        if name not in table.frame.columns:
-            continue
-        number = column_numbers(table, name, empty=True)
-        table.refuse(
-            (number < 1.0) | (number > LARGEST_LENGTH),
-            name,
-            "how many readings the range is worth, from 1",
-        )
-        found[:, i] = np.where(np.isnan(number), 1.0, number)
+        if name in table.frame.columns:
+            number = column_numbers(table, name, empty=True)
+            wrong = (number < 1.0) | (number > LARGEST_LENGTH)
+            table.refuse(wrong, name, "how many readings the range is worth, from 1")
+            found[:, i] = np.where(np.isnan(number), 1.0, number)
     return found
 
 

@@ -27,8 +27,6 @@ from .poses import hand_poses
 from .rows import LogRows
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
-MESSAGE_OF = {"profiler": CLOUD, "scanner": SCAN, "array": RANGE, "points": CLOUD}
-"""What each kind of sensor publishes."""
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
 
@@ -60,9 +58,10 @@ def read_bag_points(
             if not own or (len(own) > 1 and kind != "array"):
                 stated = f"{len(own)} topics of the sensor {name}, in a bag"
                 raise InputError(stated, "topics = one; of an array one for each zone")
+            message, decode = READ_FROM[kind]
             for number, topic in enumerate(own):
-                require_topic(topics, topic, MESSAGE_OF[kind])
-                found[topic] = partial(_add, cloud, DECODED_BY[kind], number)
+                require_topic(topics, topic, message)
+                found[topic] = partial(_add, cloud, decode, number)
         return found
 
     poses = read_messages(path, given, readers)
@@ -109,14 +108,13 @@ def _add(
         cloud[1].append(rows)
 
 
-def _scan(message: Any, number: int) -> FloatArray:
+def _scan(message: Any, _: int) -> FloatArray:
     """Return angles and ranges (n, 2) of a LaserScan."""
-    del number
     d = np.asarray(message.ranges, dtype=float)
     angle = message.angle_min + message.angle_increment * np.arange(len(d))
     with np.errstate(invalid="ignore"):
-        good = (d > 0.0) & (d >= message.range_min) & (d <= message.range_max)
-    good &= d <= LARGEST_LENGTH
+        good = (d > 0.0) & (d >= message.range_min)
+        good &= d <= min(message.range_max, LARGEST_LENGTH)
     return np.asarray(np.column_stack((angle, d))[good])
 
 
@@ -127,31 +125,27 @@ def _zone(message: Any, number: int) -> FloatArray:
     return np.array([[float(number), d]] if good else []).reshape(-1, 2)
 
 
-def _points(message: Any, number: int) -> FloatArray:
+def _points(message: Any, _: int) -> FloatArray:
     """Return the points (n, 3) of a PointCloud2 that are finite and not at the origin."""
-    del number
-    fields = {one.name: one for one in message.fields}
-    missing = [
-        axis for axis in "xyz" if axis not in fields or fields[axis].datatype not in FIELD_TYPES
-    ]
+    fields = {one.name: one for one in message.fields if one.datatype in FIELD_TYPES}
+    missing = [axis for axis in "xyz" if axis not in fields]
     if missing:
         raise InputError(f"a cloud without {', '.join(missing)}", "fields x, y and z of numbers")
-    order = ">" if message.is_bigendian else "<"
+    order, axes = ">" if message.is_bigendian else "<", [fields[axis] for axis in "xyz"]
+    formats, offsets = [order + FIELD_TYPES[one.datatype] for one in axes], [a.offset for a in axes]
     one_point = np.dtype(
         {
             "names": list("xyz"),
-            "formats": [order + FIELD_TYPES[fields[axis].datatype] for axis in "xyz"],
-            "offsets": [fields[axis].offset for axis in "xyz"],
+            "formats": formats,
+            "offsets": offsets,
             "itemsize": message.point_step,
         }
     )
     data = np.frombuffer(message.data, dtype=np.uint8)
     width = message.width * message.point_step
     if len(data) < message.height * message.row_step or message.row_step < width:
-        raise InputError(
-            f"a cloud of {len(data)} bytes with {message.height} rows of {message.row_step}",
-            "as many bytes as its header says",
-        )
+        found = f"a cloud of {len(data)} bytes with {message.height} rows of {message.row_step}"
+        raise InputError(found, "as many bytes as its header says")
     rows = data[: message.height * message.row_step].reshape(message.height, message.row_step)
     table = np.ascontiguousarray(rows[:, :width]).view(one_point).ravel()
     p = np.column_stack([table[axis].astype(float) for axis in "xyz"])
@@ -168,10 +162,11 @@ def _profile(message: Any, number: int) -> FloatArray:
     return p[:, [0, 2]]
 
 
-DECODED_BY: Mapping[str, Callable[[Any, int], FloatArray]] = {
-    "profiler": _profile,
-    "scanner": _scan,
-    "array": _zone,
-    "points": _points,
+READ_FROM: Mapping[str, tuple[str, Callable[[Any, int], FloatArray]]] = {
+    "profiler": (CLOUD, _profile),
+    "scanner": (SCAN, _scan),
+    "array": (RANGE, _zone),
+    "points": (CLOUD, _points),
 }
-"""What makes numbers of a message, in metres and radians, as a table of points has them."""
+"""What each kind of sensor publishes, and what makes numbers of a message, in metres and radians, as a
+table of points has them."""

@@ -110,12 +110,11 @@ ROWS = {"matrix": "row by row", "matrix-columns": "column by column"}
 
 def _others(other: Convention) -> str:
     """Name what states a convention, and formats with its units."""
+    units = other.numbers, other.units, other.has_angles and other.angles
     alike = [
         name
         for name, one in FORMATS.items()
-        if one.numbers == other.numbers
-        and one.units == other.units
-        and (one.angles == other.angles or not other.has_angles)
+        if (one.numbers, one.units, other.has_angles and one.angles) == units
         and one.meaning != other.meaning
     ]
     words = f"then state {called(other)}"
