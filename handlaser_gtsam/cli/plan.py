@@ -141,10 +141,8 @@ def _planned(
         raise InputError("--free without RECORDING", expected)
     if recording is None and result is None:
         if rig.bounds is None or rig.workspace is None:
-            raise InputError(
-                "neither RECORDING nor --calibration",
-                "one of the two, or the tables [blind] and [workspace] of the rig file",
-            )
+            expected = "one of the two, or the tables [blind] and [workspace] of the rig file"
+            raise InputError("neither RECORDING nor --calibration", expected)
         count = None if stations is None else stations // (planes or 1)
         return blind_motion(
             *(rig.bounds, rig.sensor, rig.workspace, rig.noise, count),

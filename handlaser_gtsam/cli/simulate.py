@@ -113,9 +113,8 @@ def simulate(
             each = f"{count(len(labels), 'target')}, {count(stations, 'station')} each{unread}"
         else:
             if targets is not None:
-                raise InputError(
-                    "--targets without --rig", "a rig file that names sensors of many rays"
-                )
+                found = "--targets without --rig"
+                raise InputError(found, "a rig file that names sensors of many rays")
             files, write = _of_scene(table, rng)
             each = f"{planes} planes, {stations} stations each"
         _written(folder, files, write, force=force)

@@ -107,17 +107,14 @@ class Shots(Value):
         if across.ndim == 1:
             across = across[:, None]
         if reading.ndim != 1 or across.shape != (len(reading), columns) or not len(reading):
-            raise InputError(
-                f"columns of shapes {across.shape} and {reading.shape} of {self.name}",
-                f"(N, {columns}) and (N,)",
-            )
+            found = f"columns of shapes {across.shape} and {reading.shape} of {self.name}"
+            raise InputError(found, f"(N, {columns}) and (N,)")
         if not (np.isfinite(reading).all() and np.isfinite(across).all()):
             raise InputError(f"readings of {self.name} that are not finite", "no such rows")
         station = np.asarray(self.station)
         if station.shape != reading.shape or station.dtype.kind not in "iu":
-            raise InputError(
-                f"stations of shape {station.shape} of {self.name}", "(N,) whole numbers, from 0"
-            )
+            found = f"stations of shape {station.shape} of {self.name}"
+            raise InputError(found, "(N,) whole numbers, from 0")
         if self.kind != "profiler" and not (reading > 0.0).all():
             raise InputError(f"ranges of {self.name} that are not above zero", "no such rows")
         store(self, "station", frozen_indices(station))
@@ -127,9 +124,8 @@ class Shots(Value):
             require_number("sigma", self.sigma, 0.0, LARGEST_LENGTH, above=True)
         require_number("sigma_across", self.sigma_across, 0.0, LARGEST_LENGTH)
         if self.sigma_across and (self.kind != "profiler" or self.sigma is None):
-            raise InputError(
-                f"sigma_across of {self.name}", "it for a profiler only, and its sigma beside it"
-            )
+            found = f"sigma_across of {self.name}"
+            raise InputError(found, "it for a profiler only, and its sigma beside it")
         for error in self.free:
             require_word("a range error", error, ERRORS[self.kind])
         store(self, "free", tuple(one for one in ERRORS[self.kind] if one in self.free))
@@ -371,9 +367,8 @@ class Survey(Value):
         count = len(self.stations)
         for shots in self.shots:
             if not ((shots.station >= 0) & (shots.station < count)).all():
-                raise InputError(
-                    f"station {int(shots.station.max())} of {shots.name}", f"0 to {count - 1}"
-                )
+                found = f"station {int(shots.station.max())} of {shots.name}"
+                raise InputError(found, f"0 to {count - 1}")
         object.__setattr__(self, "beam_names", names_of("the name of a beam", self.beam_names))
         if self.ranges is not None:
             ranges = number_array("ranges", self.ranges)

@@ -100,10 +100,8 @@ def identifiers(names: Sequence[str]) -> tuple[str, ...]:
         found.append(one)
     twice = first_repeated(found)
     if twice is not None:
-        raise InputError(
-            f"beams whose names make the same identifier {found[twice]}",
-            "names that differ by letters or digits",
-        )
+        expected = "names that differ by letters or digits"
+        raise InputError(f"beams whose names make the same identifier {found[twice]}", expected)
     return tuple(found)
 
 

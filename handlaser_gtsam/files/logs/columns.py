@@ -188,10 +188,8 @@ def _alike(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
 def _require(table: Table, name: str, field: str) -> None:
     """Refuse a column that is not there; the field says who wants it."""
     if name not in table.frame.columns:
-        raise table.fault(
-            f"no column {shown(name)} among {table.names}",
-            f"the name of a column as the header has it, for --{field.replace('_', '-')}",
-        )
+        expected = f"the name of a column as the header has it, for --{field.replace('_', '-')}"
+        raise table.fault(f"no column {shown(name)} among {table.names}", expected)
 
 
 def _named(table: Table, given: LogFormat, usual: Sequence[str], *fields: str) -> str:
