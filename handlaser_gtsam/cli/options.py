@@ -247,23 +247,22 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     return flat
 
 
-class _Lines(logging.Formatter):
-    """Time since the beginning, level, and what is said, as one printable line.
+class _Lines(logging.Handler):
+    """Time since the beginning, level, and what is said, as one printable line of stderr.
 
     On a terminal, behind what takes away the sign of life that may stand in the line.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._began = time.time()
-        self._clear = CLEAR if sys.stderr.isatty() else ""
+    began = time.time()
 
-    def format(self, record: logging.LogRecord) -> str:
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a line."""
         from ..text import printable
 
-        elapsed = max(record.created - self._began, 0.0)
+        elapsed = max(record.created - self.began, 0.0)
         line = f"{elapsed:9.3f} s {record.levelname.lower():7} {record.getMessage()}"
-        return self._clear + printable(line)
+        clear = CLEAR if sys.stderr.isatty() else ""
+        print(clear + printable(line), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -272,9 +271,7 @@ def logging_at(level: LogLevel | None) -> Iterator[None]:
     if level is None or sys.stderr is None:
         yield
         return
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_Lines())
-    before = LOGGER.level
+    handler, before = _Lines(), LOGGER.level
     LOGGER.addHandler(handler)
     LOGGER.setLevel(level.value.upper())
     try:
