@@ -21,7 +21,7 @@ from .options import (
     how,
     metres,
 )
-from .stopping import INTERRUPTED, NOT_USABLE, UNDETERMINED
+from .stopping import INTERRUPTED, UNDETERMINED, unusable
 
 if TYPE_CHECKING:
     from ..estimation.options import CalibrationOptions
@@ -268,15 +268,11 @@ def _failure(
         return INTERRUPTED, result.message
     if result.status != "converged":
         return UNDETERMINED, result.message
-    advice = "expected the same optimum: do not use this calibration"
+    words = ""
     if check is not None and check.largest > SAME_OPTIMUM:
-        return UNDETERMINED, (
-            f"SciPy disagrees by {check.largest:.2g} standard deviations in {check.parameter}; {advice}"
-        )
-    if comparison is not None and comparison.largest > SAME_OPTIMUM:
-        return UNDETERMINED, (
-            f"plane by plane is {comparison.largest:.2g} standard deviations from all at once; {advice}"
-        )
-    if judged.exceeded:
-        return NOT_USABLE, f"outside the limits: {'; '.join(judged.exceeded)}"
-    return None if judged.usable else (NOT_USABLE, judged.sentence)
+        words = f"SciPy disagrees by {check.largest:.2g} standard deviations in {check.parameter}"
+    elif comparison is not None and comparison.largest > SAME_OPTIMUM:
+        words = f"plane by plane is {comparison.largest:.2g} standard deviations from all at once"
+    if words:
+        return UNDETERMINED, f"{words}; expected the same optimum: do not use this calibration"
+    return unusable(judged.exceeded, judged.sentence, usable=judged.usable)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 from ..text import count
 from .answer import Answer, text_width, wrote
-from .stopping import NOT_USABLE, UNDETERMINED, left_open
+from .stopping import NOT_USABLE, UNDETERMINED, left_open, unusable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -232,6 +232,4 @@ def _failure(result: "SurveyCalibration", checks: "Sequence[LimitCheck]") -> tup
     if result.status != "converged":
         return UNDETERMINED, result.message
     failed = [one.failure for one in checks if not one.held]
-    if failed:
-        return NOT_USABLE, f"outside the limits: {'; '.join(failed)}"
-    return None if result.usable else (NOT_USABLE, result.verdict)
+    return unusable(failed, result.verdict, usable=result.usable)
