@@ -50,19 +50,12 @@ from .checked_text import (
     square_matrix,
     toml_table,
 )
-from .logs.format import LogFormat
+from .logs.format import EXCLUSIVE, LogFormat
 from .rig_planning import Plans, PlanTables
 from .rig_survey import SurveyRig, SurveyTables
 from .writing import path_of, write_text
 
 RIG_FILE = "a rig file, TOML"
-ONE_OF = (
-    ("pose_format", "rotation"),
-    ("plane", "plane_column", "plane_ranges", "plane_file"),
-    ("pose_topic", "frames"),
-    ("stands", "interpolate"),
-)
-"""Fields that exclude each other: where a user states one, the rig file's do not count."""
 OPTION = re.compile(r"--([a-z][a-z-]*)")
 NAMES = tuple(one.name for one in fields(LogFormat))
 
@@ -146,7 +139,7 @@ def with_stated(known: LogFormat, given: Mapping[str, object]) -> LogFormat:
     """
     stated = {name: given[name] for name in NAMES if given.get(name) is not None}
     plain = LogFormat()
-    for group in ONE_OF:
+    for group in EXCLUSIVE:
         if any(name in stated for name in group):
             for name in group:
                 stated.setdefault(name, getattr(plain, name))

@@ -9,6 +9,7 @@ from ...model.conventions import EULER, FORMATS, Convention, spelled_columns
 from ...quantities import LARGEST_LENGTH
 from ...text import name_fault, shown
 from ..writing import path_of
+from .format import EXCLUSIVE
 
 if TYPE_CHECKING:
     from .format import LogFormat
@@ -90,9 +91,10 @@ def _tuple_of(name: str, value: object, *, numbers: bool) -> tuple[object, ...]:
 
 def _check_together(given: "LogFormat") -> None:
     """Refuse what contradicts each other, or lacks another field."""
-    if given.pose_format and given.rotation:
-        expected = "one of the two: the format says what rotation it has"
-        raise InputError("--pose-format and --rotation", expected)
+    for group, expected in EXCLUSIVE.items():
+        stated = [f"--{name.replace('_', '-')}" for name in group if getattr(given, name)]
+        if len(stated) > 1:
+            raise InputError(" and ".join(stated), expected)
     if given.rotation and given.units is None:
         raise InputError(f"--rotation {given.rotation} without --units", "--units m, mm or in")
     turned = EULER.fullmatch(given.rotation) or given.rotation == "rotvec"
@@ -102,17 +104,8 @@ def _check_together(given: "LogFormat") -> None:
         raise InputError("one of --beam-column and --range-column", "both, of a long table")
     if given.beam_column and given.range_columns:
         raise InputError("--range-columns and --beam-column", "a wide or a long table")
-    planes = [bool(given.plane), bool(given.plane_ranges), given.plane_file is not None]
-    if sum(planes) > 1 or (any(planes) and given.plane_column):
-        expected = "one of --plane, --plane-column, --plane-ranges, --plane-file"
-        raise InputError("planes stated in several ways", expected)
     if given.plane and name_fault(given.plane):
         raise InputError(name_fault(given.plane), "a name for the plane")
     if len(given.frames) not in (0, 2):
         expected = "two: the world and the hand, as tf calls them"
         raise InputError(f"--frames of {len(given.frames)} names", expected)
-    if given.frames and given.pose_topic:
-        raise InputError("--frames and --pose-topic", "one of the two")
-    if given.stands and given.interpolate:
-        expected = "one of the two: the arm stands, or it moves"
-        raise InputError("--stands and --interpolate", expected)
