@@ -1,6 +1,5 @@
 """handlaser export: a calibration, or stations, for robots, ROS and programs."""
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +8,7 @@ import typer
 
 from ..files.exports.formats import BEAMS, STATIONS, TAKEN
 from ..quantities import MM
-from .answer import Working, print_wrapped, wrote
+from .answer import Answer, Working, wrote
 from .options import OutOption, QuietOption
 
 if TYPE_CHECKING:
@@ -107,11 +106,7 @@ def export(
         text = export_text(what, to.value, options)
         if out is not None:
             write_text(out, text)
-    _warn(what)
-    if out is None:
-        sys.stdout.write(text)
-    elif not quiet:
-        print_wrapped(wrote(out))
+    Answer(text, wrote(out), _warnings(what)).give(json=out is None, quiet=quiet)
 
 
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
@@ -125,7 +120,7 @@ def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     return read_survey_result(file) if is_survey_result(file) else read_calibration(file)
 
 
-def _warn(file: "StationList | CalibrationFile | SurveyFile") -> None:
+def _warnings(file: "StationList | CalibrationFile | SurveyFile") -> list[str]:
     """Repeat what the calibration was warned of: a program that uses it will not show that."""
     from ..text import printable
 
@@ -135,5 +130,4 @@ def _warn(file: "StationList | CalibrationFile | SurveyFile") -> None:
         for one in getattr(file, "systematic", ())
         if one.found and not one.explained_by
     ]
-    for line in lines:
-        print(f"WARNING: {printable(line)}", file=sys.stderr)
+    return [f"WARNING: {printable(line)}" for line in lines]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Working, print_wrapped
+from .answer import Answer, Working
 from .options import OneOrMore, Seed
 
 if TYPE_CHECKING:
@@ -106,9 +106,8 @@ def simulate(
 
             if (scene, planes) != (SceneName.paper, 4):
                 raise InputError("--scene or --planes with --rig", "--targets plane:A,plane:B")
-            labels = list(
-                dict.fromkeys(one.strip() for one in (targets or USUAL_TARGETS).split(","))
-            )
+            stated = (targets or USUAL_TARGETS).split(",")
+            labels = list(dict.fromkeys(map(str.strip, stated)))
             files, write, unread = simulated_survey(rig, labels, beams or 0, table, rng)
             each = f"{count(len(labels), 'target')}, {count(stations, 'station')} each{unread}"
         else:
@@ -118,8 +117,8 @@ def simulate(
             files, write = _of_scene(table, rng)
             each = f"{planes} planes, {stations} stations each"
         _written(folder, files, write, force=force)
-    if not quiet:
-        print_wrapped([f"wrote {', '.join(files)} to {printable(str(folder))}: {each}"])
+    line = f"wrote {', '.join(files)} to {printable(str(folder))}: {each}"
+    Answer("", [line]).give(json=False, quiet=quiet)
 
 
 def _of_scene(

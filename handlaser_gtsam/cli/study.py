@@ -62,10 +62,8 @@ def study(
     from ..validation.study import run_study, workers
 
     declared = read_study(file)
-    if runs is not None:
-        declared = replace(declared, runs=runs)
-    if seed is not None:
-        declared = replace(declared, seed=seed)
+    runs = declared.runs if runs is None else runs
+    declared = replace(declared, runs=runs, seed=declared.seed if seed is None else seed)
     require_outputs({"--out": out, "--picture": picture}, [file])
     kept = None if out is None or not out.exists() else read_runs(out)
     keep = None if out is None else partial(write_runs, out)

@@ -70,10 +70,8 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         require_kind("sensor", sensor, Sensor)
     table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
-    samples = {SAMPLES + beam for beam in beams} & set(table.frame.columns)
-    if _used(table.frame.columns[-1]) or table.frame.columns[-1] in samples:
-        table.refuse_cut()
-    stations = stations_of(table)
+    samples = [SAMPLES + beam for beam in beams if SAMPLES + beam in table.frame.columns]
+    stations = stations_of(table, PREFIX, *samples)
     columns = [PREFIX + beam for beam in beams]
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
     whose = {PREFIX + beam: [beam] for beam in beams}
@@ -86,7 +84,7 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         stations.plane_labels,
         tuple(beams),
         stations.station_names,
-        tuple(name for name in table.frame.columns if not _used(name) and name not in samples),
+        tuple(x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples),
         _samples(table, beams, ranges) if samples else None,
         warnings,
         range_min=min(0.0, (sensor or Sensor()).range_min),
@@ -125,8 +123,10 @@ def station_columns(stations: Recording | StationList) -> pl.DataFrame:
     return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
 
 
-def stations_of(table: Table) -> StationList:
+def stations_of(table: Table, *prefixes: str) -> StationList:
     """Return the hand poses, plane labels and station names of the rows of a table.
+
+    Columns whose names begin with one of the `prefixes` are read, too.
 
     Raises
     ------
@@ -134,6 +134,8 @@ def stations_of(table: Table) -> StationList:
         A column that is missing, or a cell that is not what its column holds.
     """
     table.require("plane", *POSE)
+    if _used(table.frame.columns[-1], *prefixes):
+        table.refuse_cut()
     planes = labels(table, "plane")
     stations = tuple(str(line - table.header_line) for line in table.lines)
     if "station" in table.frame.columns:
@@ -178,9 +180,9 @@ def _check_header(table: Table) -> list[str]:
     return beams
 
 
-def _used(column: str) -> bool:
-    """Tell whether a column is read; the others are ignored, and named."""
-    return column in ("plane", "station", *POSE) or column.startswith(PREFIX)
+def _used(column: str, *prefixes: str) -> bool:
+    """Tell whether a column is read, by its name or the beginning of it."""
+    return column in ("plane", "station", *POSE) or column.startswith(prefixes)
 
 
 def _samples(table: Table, beams: list[str], ranges: FloatArray) -> FloatArray:
@@ -236,11 +238,7 @@ def read_stations(path: Path | str) -> StationList:
         The first fault of the file: its line and column, what was found, what was expected.
     """
     table = read_table(path_of(path), ("plane", *POSE))
-    table.require("plane", *POSE)
-    last = table.frame.columns[-1]
-    if last in POSE or last.startswith(JOINT):
-        table.refuse_cut()
-    stations = stations_of(table)
+    stations = stations_of(table, JOINT)
     columns = [name for name in table.frame.columns if name.startswith(JOINT)]
     if not columns:
         return stations

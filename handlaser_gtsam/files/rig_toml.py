@@ -22,7 +22,8 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
@@ -90,11 +91,8 @@ class LogTable(create_model("Fields", __base__=FileRecord, **_FIELDS)):  # type:
         for name in ("readings", "plane_file"):
             if name in stated:
                 stated[name] = folder / str(stated[name])
-        try:
-            with in_table("log", self):
-                return with_stated(LogFormat(), stated)
-        except InputError as error:  # which of several fields contradict each other
-            raise InputError(as_fields(error.found), as_fields(error.expected)) from error
+        with naming_fields(), in_table("log", self):
+            return with_stated(LogFormat(), stated)
 
 
 def as_fields(words: str) -> str:
@@ -105,6 +103,18 @@ def as_fields(words: str) -> str:
         return f"log.{name}" if name in NAMES else option[0]
 
     return OPTION.sub(field, words)
+
+
+@contextmanager
+def naming_fields(hint: str = "") -> Iterator[None]:
+    """Let what is said of the options of `convert` name the fields of the table [log]; with a hint."""
+    try:
+        yield
+    except InputError as error:
+        found, expected = as_fields(error.found), as_fields(error.expected)
+        if (found, expected) == (error.found, error.expected):
+            raise
+        raise InputError(found, expected + hint, error.path, error.line, error.column) from error
 
 
 def table_of(given: LogFormat, folder: Path) -> str:
