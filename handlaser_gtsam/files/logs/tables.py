@@ -337,14 +337,10 @@ def read_sheet(
     texts: pl.DataFrame = book.load_sheet(name, header_row=None, dtypes="string").to_polars()
     if not len(texts):
         raise InputError("an empty sheet", "a header and one row a station or a reading", path)
-    head = [
-        ["" if x is None else str(x).strip() for x in row]
-        for row in texts.head(MOST_TITLES + 1).rows()
-    ]
+    head = [[str(x or "").strip() for x in row] for row in texts.head(MOST_TITLES + 1).rows()]
     above = titles_above(head)
     if above:
-        titles = [" ".join(filter(None, row)) for row in head[:above]]
-        warnings += titles_warning(titles, path)
+        warnings += titles_warning([" ".join(filter(None, row)) for row in head[:above]], path)
     line = above + first
     names = [one or f"(column {i + 1} without a name)" for i, one in enumerate(head[above])]
     require_columns(names, path, line)
@@ -363,13 +359,10 @@ def _sheets(archive: zipfile.ZipFile) -> dict[str, str]:
     """Return the part of every sheet by its name."""
     links = ET.fromstring(archive.read("xl/_rels/workbook.xml.rels"))
     target = {one.get("Id"): str(one.get("Target")) for one in links}
-    book = ET.fromstring(archive.read("xl/workbook.xml"))
     found = {}
-    for one in book.iter():
-        if _tag(one) == "sheet":
-            identity = next((value for name, value in one.items() if name.endswith("}id")), None)
-            part = target[identity]
-            found[str(one.get("name"))] = part[1:] if part.startswith("/") else f"xl/{part}"
+    for one in ET.fromstring(archive.read("xl/workbook.xml")).iterfind(".//{*}sheet"):
+        part = target[next((value for name, value in one.items() if name.endswith("}id")), None)]
+        found[str(one.get("name"))] = part[1:] if part.startswith("/") else f"xl/{part}"
     return found
 
 
@@ -431,11 +424,11 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
 
 def _problem(cell: ET.Element) -> str:
     """Return the error of a cell, or that its formula has no value; empty where it has one."""
-    parts = {_tag(one): one for one in cell}
-    value = (parts["v"].text or "").strip() if "v" in parts else ""
+    value = cell.findtext("{*}v", "").strip()
     if cell.get("t") == "e":
         return value
-    if "f" in parts and not value and cell.get("t") != "str":  # a text may be empty
+    # A text may be empty.
+    if cell.find("{*}f") is not None and not value and cell.get("t") != "str":
         return "formula without a value"
     return ""
 
