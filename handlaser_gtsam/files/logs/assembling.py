@@ -22,8 +22,9 @@ from ...data.recording import Recording
 from ...data.screen import FINEST_STEP, worth_of_mean
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
-from ...quantities import IN_MM, MEDIAN_TO_SIGMA
+from ...quantities import MEDIAN_TO_SIGMA
 from ...text import count
+from ..exports.rendering import environment
 from .format import Average, LogFormat
 from .joining import Stations
 from .planes import intervals, planes_of
@@ -85,37 +86,26 @@ def assembled(
     doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given, path)
     if doubts:
         recording = replace(recording, warnings=(*recording.warnings, *doubts))
-    parts = (
-        (len(recording.station_names), "station"),
-        (len(recording.beam_names), "beam"),
-        (len(recording.plane_names), "plane"),
-        (int((~np.isnan(recording.ranges)).sum()), "reading"),
-    )
     scatter_of = dict(zip(readings.beams, scatters[1:].tolist(), strict=True))
-    lines = [", ".join(count(number, what) for number, what in parts), poses.words, log.words]
-    if log.lag[1]:
-        sigma = f"{1e3 * log.lag[1]:.2g} ms"
-        late = f"these are stamped {_late(log.lag[0])} than poses (+- {sigma})"
-        lines.append(f"a lag between poses and readings: {late}")
-    elif log.lag[0]:
-        lines.append(f"readings are taken to be stamped {_late(log.lag[0])} than poses")
-    if repeated:
-        words = f"{repeated} repeated readings became their {given.average}s"
-        if scatter is not None:
-            words += f"; one reading scatters by {IN_MM * scatter:.3g} mm"
-            words += (
-                ", which is taken as range sigma where none is given"
-                if given.range_sigma_from_scatter
-                else " (--range-sigma-from-scatter takes this as range sigma)"
-            )
-        lines.append(words)
+    words = environment(__package__, count=count).get_template("log.j2")
+    lines = words.render(
+        recording=recording,
+        readings=int((~np.isnan(recording.ranges)).sum()),
+        poses=poses.words,
+        joined=log.words,
+        lag=log.lag[0],
+        lag_sigma=log.lag[1],
+        repeated=repeated,
+        scatter=scatter,
+        given=given,
+    )
     return LogReport(
         recording,
         scatter,
         {name: x for name, x in scatter_of.items() if not math.isnan(x)},
         log.lag[0],
         log.lag[1] or None,
-        tuple(filter(None, lines)),
+        tuple(filter(None, lines.splitlines())),
         tuple(path for path in given.files if path is not None),
     )
 
@@ -151,12 +141,6 @@ def targets_of(
 def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
     words = f"{count} of {total} stations {what}, and were left out"
     return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
-
-
-def _late(lag: float) -> str:
-    """Return how much later or earlier readings are stamped, in words."""
-    much = f"{1e3 * abs(lag):.4g} ms" if abs(lag) < 1.0 else f"{abs(lag):.4f} s"
-    return f"{much} {'later' if lag >= 0.0 else 'earlier'}"
 
 
 def averaged(
