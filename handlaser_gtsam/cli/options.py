@@ -227,9 +227,7 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     names = {
         one.name: f"--{one.name.replace('_', '-')}"
         for one in parameters
-        if not any(
-            isinstance(kind, typer.models.ArgumentInfo) for kind in one.annotation.__metadata__
-        )
+        if isinstance(one.annotation.__metadata__[0], typer.models.OptionInfo)
     }
 
     @functools.wraps(verb)

@@ -65,11 +65,8 @@ def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
     recording = report.recording
     warnings = (*_as_fields(recording.warnings), *_no_cone(rig, recording.beam_names))
-    report = replace(
-        report,
-        recording=replace(recording, warnings=warnings),
-        lines=tuple(map(as_fields, report.lines)),
-    )
+    recording = replace(recording, warnings=warnings)
+    report = replace(report, recording=recording, lines=tuple(map(as_fields, report.lines)))
     if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
         rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return report, rig
@@ -114,6 +111,5 @@ def read_any(
         hint = missing_columns_hint(error)
         if not hint:
             raise
-        raise InputError(
-            error.found, error.expected + hint, error.path, error.line, error.column
-        ) from error
+        place = error.path, error.line, error.column
+        raise InputError(error.found, error.expected + hint, *place) from error

@@ -321,11 +321,11 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
         raise table.fault(f"columns {table.names}", expected)
     if zone is None:
         return np.asarray(u)
-    place = {float(name): i for i, name in enumerate(numbers["zone"])}
-    lacking = sorted({float(one) for one in np.unique(zone)} - place.keys())
+    place = {name: i for i, name in enumerate(numbers["zone"].tolist())}
+    lacking = sorted(set(zone.tolist()) - place.keys())
     if lacking:
         raise InputError(f"no zone {lacking[0]:g}", "a row for every zone that reads", path)
-    return np.asarray(u[[place[float(one)] for one in zone]])
+    return np.asarray(u[[place[one] for one in zone.tolist()]])
 
 
 def _known(table: KnownTable) -> Known:

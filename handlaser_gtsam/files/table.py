@@ -204,20 +204,16 @@ def table_of(text: str, path: Path, separator: str) -> Table:
     InputError
     """
     lines = text.split("\n")
-    numbers = [i + 1 for i, line in enumerate(lines) if line.strip(BLANK + separator)]
+    numbers = [i for i, line in enumerate(lines, 1) if line.strip(BLANK + separator)]
     if not numbers:
         raise InputError("an empty file", "a header and one row a station", path)
     if len(numbers) < 2:
         raise InputError("a header but no station", "one row a station", path)
     cells, ended = [], numbers[-1] < len(lines)
     for number in numbers:
-        try:
-            cells.append(_split(lines[number - 1], separator))
-        except InputError as error:
-            raise InputError(error.found, error.expected, path, number) from error
-    width = cells[0].count(UNIT) + 1
-    for number, row in zip(numbers, cells, strict=True):
-        count = row.count(UNIT) + 1
+        row = _split(lines[number - 1], separator, path, number)
+        cells.append(row)
+        width, count = cells[0].count(UNIT) + 1, row.count(UNIT) + 1
         if count != width:
             is_cut = number == numbers[-1] and not ended and count < width
             cut = " in a last line that is cut" if is_cut else ""
@@ -314,7 +310,7 @@ def table_text(path: Path) -> str:
     return text
 
 
-def _split(line: str, separator: str) -> str:
+def _split(line: str, separator: str, path: Path, number: int) -> str:
     """Return a line with `UNIT` between its cells and without the quotes around them."""
     cells = CELLS[separator].findall(line) if '"' in line else ()
     for _, plain in cells:
@@ -323,7 +319,7 @@ def _split(line: str, separator: str) -> str:
             expected = (
                 "no quotes, or quotes around a whole cell on one line with those inside doubled"
             )
-            raise InputError(found, expected)
+            raise InputError(found, expected, path, number)
     whole = [plain or quoted.replace('""', '"') for quoted, plain in cells]
     return UNIT.join(whole) if cells else line.replace(separator, UNIT)
 
