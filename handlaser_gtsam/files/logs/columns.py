@@ -11,14 +11,11 @@ from .format import LogFormat
 from .format_checks import convention_of
 
 POSITIONS = (
-    ("x", "y", "z"),
-    ("tx", "ty", "tz"),
-    ("px", "py", "pz"),
-    ("pos_x", "pos_y", "pos_z"),
-    ("position.x", "position.y", "position.z"),
-    ("pose.position.x", "pose.position.y", "pose.position.z"),
-    ("translation.x", "translation.y", "translation.z"),
-    ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
+    *(
+        tuple(before + axis for axis in "xyz")
+        for before in ("", "t", "p", "pos_", "position.", "pose.position.", "translation.")
+    ),
+    tuple(f"actual_tcp_pose_{i}" for i in range(3)),
 )
 KNOWN = "mm m in inch deg ° rad s ms us ns"
 OTHERS = "cm dm km um µm μm nm ft mrad mdeg gon grad min µs v mv ma counts digits lsb %"

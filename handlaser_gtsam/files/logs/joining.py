@@ -78,16 +78,22 @@ def one_table(rows: LogRows, given: LogFormat) -> Stations:
         whose = [f"station {name!r}" for name in rows.names]
         _refuse_other_pose(rows, given, every, first[group], rows.columns.station, whose, expected)
         words = f"{len(group)} rows of {len(names)} stations"
-    planes = _labels_at((rows, first))
-    if planes is not None and rows.planes is not None:
-        of_station = [planes[i] for i in group.tolist()]
-        wrong = np.array(rows.planes) != np.array(of_station)
-        row = int(wrong.argmax())
-        both = f"{of_station[row]!r} and {rows.planes[row]!r}"
-        found = f"station {rows.names[row]!r} before planes {both}"
-        rows.table.refuse(wrong, rows.columns.plane, "one plane a station", found)
+    of_station = _planes_by_station(rows, group)
+    planes = [of_station[i] for i in range(len(names))] if of_station else None
     times = None if rows.times is None else rows.times[first]
     return Stations(rows, rows, way, names, planes, times, group, words=words)
+
+
+def _planes_by_station(rows: LogRows, station: IntArray) -> dict[int, str]:
+    """Return the plane of each station by the rows (M,) that are of it, -1 of none; refuse two."""
+    found: dict[int, str] = {}
+    for row, (index, plane) in enumerate(zip(station.tolist(), rows.planes or (), strict=False)):
+        if index >= 0 and found.setdefault(index, plane) != plane:
+            both = f"{found[index]!r} and {plane!r}"
+            found_so = f"station {rows.names[row]!r} before planes {both}"
+            wrong = np.arange(len(station)) == row
+            rows.table.refuse(wrong, rows.columns.plane, "one plane a station", found_so)
+    return found
 
 
 def _groups(labels: Sequence[str]) -> tuple[list[str], IntArray]:
@@ -150,23 +156,14 @@ def by_station(poses: LogRows, readings: LogRows) -> Stations:
             readings.table.path,
         )
     planes = poses.planes
-    if planes is None and readings.planes is not None:
-        found_of: dict[int, str] = {}
-        for index, plane in zip(station.tolist(), readings.planes, strict=True):
-            if found_of.setdefault(index, plane) != plane and index >= 0:
-                raise InputError(
-                    f"a station before planes {found_of[index]!r} and {plane!r}",
-                    "one plane a station",
-                    readings.table.path,
-                )
-        missing = sum(index not in found_of for index in range(len(names)))
+    of_station = _planes_by_station(readings, station) if planes is None else {}
+    if of_station:
+        missing = len(names) - len(of_station)
         if missing:
-            raise InputError(
-                f"{missing} stations without a reading, and so without a plane",
-                "the planes in the table of poses, or --plane",
-                readings.table.path,
-            )
-        planes = [found_of[index] for index in range(len(names))]
+            found = f"{missing} stations without a reading, and so without a plane"
+            expected = "the planes in the table of poses, or --plane"
+            raise InputError(found, expected, readings.table.path)
+        planes = [of_station[index] for index in range(len(names))]
     return Stations(
         poses,
         readings,
