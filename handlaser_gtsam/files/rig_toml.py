@@ -51,7 +51,8 @@ from .checked_text import (
     square_matrix,
     toml_table,
 )
-from .logs.format import EXCLUSIVE, LogFormat
+from .logs.format import LogFormat
+from .logs.format_checks import EXCLUSIVE
 from .rig_planning import Plans, PlanTables
 from .rig_survey import SurveyRig, SurveyTables
 from .writing import path_of, write_text

@@ -17,14 +17,6 @@ TimeUnits = Literal["s", "ms", "us", "ns"]
 TUM_HEADER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 """The columns of a TUM file, and the numbers of a stamped pose."""
 
-EXCLUSIVE = {
-    ("pose_format", "rotation"): "one of the two: the format says what rotation it has",
-    ("plane", "plane_column", "plane_ranges", "plane_file"): "one way to state planes",
-    ("pose_topic", "frames"): "one of the two",
-    ("stands", "interpolate"): "one of the two: the arm stands, or it moves",
-}
-"""Fields of which one at most is stated; where a user states one, the rig file's do not count."""
-
 
 @dataclass(frozen=True, slots=True)
 class LogFormat:

@@ -9,11 +9,17 @@ from ...model.conventions import EULER, FORMATS, Convention, spelled_columns
 from ...quantities import LARGEST_LENGTH
 from ...text import name_fault, shown
 from ..writing import path_of
-from .format import EXCLUSIVE
 
 if TYPE_CHECKING:
     from .format import LogFormat
 
+EXCLUSIVE = {
+    ("pose_format", "rotation"): "one of the two: the format says what rotation it has",
+    ("plane", "plane_column", "plane_ranges", "plane_file"): "one way to state planes",
+    ("pose_topic", "frames"): "one of the two",
+    ("stands", "interpolate"): "one of the two: the arm stands, or it moves",
+}
+"""Fields of which one at most is stated; where a user states one, the rig file's do not count."""
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 
 
