@@ -12,6 +12,7 @@ from ..data.station_list import StationList
 from ..data.survey import Survey
 from ..errors import InputError
 from ..model.sensor import Sensor
+from .checked_text import in_file
 from .logs.bags import is_bag
 from .logs.columns import columns_of
 from .logs.format import LogFormat
@@ -77,8 +78,9 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     survey = _survey(stations, ranges, beams, rig, shots=shots, known=tables.known, lines=lines)
     warnings = () if rows is None else rows.warnings
     if rows is not None and shots:
-        way = Way.of_rows(len(stations))
-        warnings += refuse_wrong_poses(survey, rows.posed, way, log, path)
+        with in_file(path):
+            way = Way.of_rows(len(stations))
+            warnings += refuse_wrong_poses(survey, rows.posed, way, log)
     return replace(survey, warnings=warnings)
 
 

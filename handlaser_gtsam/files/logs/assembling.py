@@ -83,7 +83,7 @@ def assembled(
         min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
-    doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given, path)
+    doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given)
     if doubts:
         recording = replace(recording, warnings=(*recording.warnings, *doubts))
     scatter_of = dict(zip(readings.beams, scatters[1:].tolist(), strict=True))

@@ -52,16 +52,22 @@ def read_bag_points(
     # Of each sensor the times of messages that have points [s], and the points of each (n, c).
     clouds: list[tuple[array[float], list[FloatArray]]] = [(array("d"), []) for _ in sensors]
 
+    def add(sensor: int, number: int, message: Any, time: float) -> None:
+        """Add the points of a message, if it has any, to those of its sensor."""
+        rows = READ_FROM[sensors[sensor][1]][1](message, number)
+        if len(rows):
+            clouds[sensor][0].append(time)
+            clouds[sensor][1].append(rows)
+
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
         found: dict[str, Reader] = {}
-        for (name, kind, own), cloud in zip(sensors, clouds, strict=True):
+        for sensor, (name, kind, own) in enumerate(sensors):
             if not own or (len(own) > 1 and kind != "array"):
                 stated = f"{len(own)} topics of the sensor {name}, in a bag"
                 raise InputError(stated, "topics = one; of an array one for each zone")
-            message, decode = READ_FROM[kind]
             for number, topic in enumerate(own):
-                require_topic(topics, topic, message)
-                found[topic] = partial(_add, cloud, decode, number)
+                require_topic(topics, topic, READ_FROM[kind][0])
+                found[topic] = partial(add, sensor, number)
         return found
 
     poses = read_messages(path, given, readers)
@@ -92,20 +98,6 @@ def read_bag_points(
         at = np.repeat(where, [len(rows) for rows in numbers])
         points.append((at[at >= 0].astype(np.intp), np.concatenate(numbers)[at >= 0]))
     return stations, points
-
-
-def _add(
-    cloud: "tuple[array[float], list[FloatArray]]",
-    decode: Callable[[Any, int], FloatArray],
-    number: int,
-    message: Any,
-    time: float,
-) -> None:
-    """Add the points of a message, if it has any, to those of its sensor."""
-    rows = decode(message, number)
-    if len(rows):
-        cloud[0].append(time)
-        cloud[1].append(rows)
 
 
 def _scan(message: Any, _: int) -> FloatArray:

@@ -98,11 +98,29 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     """
     beams: dict[str, Place] = {}
     numbers: dict[str, array[float]] = {}  # of each beam time [s] and reading [m], in turn
+    unit = LENGTHS[given.range_units]
+
+    def read(topic: str, message: Any, time: float) -> None:
+        """Add what the beams of a topic read at a time, if it is a reading."""
+        for name, (own, ray) in beams.items():
+            if own != topic:
+                continue
+            if ray is None:
+                least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
+            else:
+                if ray >= len(message.ranges):
+                    found = f"a scan of {len(message.ranges)} rays on {topic}"
+                    raise InputError(found, f"ray {ray}, of beam {name}")
+                least, most, d = message.range_min, message.range_max, float(message.ranges[ray])
+                delay = ray * message.time_increment
+            known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST_LENGTH
+            if known and (d > 0.0 or least < 0.0):
+                numbers[name].extend((time + delay, unit * d))
 
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
         beams.update(_beams(topics, given))
         numbers.update((name, array("d")) for name in beams)
-        return {topic: partial(_read, numbers, beams, topic, given) for topic, _ in beams.values()}
+        return {topic: partial(read, topic) for topic, _ in beams.values()}
 
     poses = read_messages(path, given, readers)
     for name, (topic, _) in beams.items():
@@ -238,32 +256,6 @@ def _time(message: Any, when: int | None, received: int) -> float:
     if when is None and (stamp.sec or stamp.nanosec):
         return float(stamp.sec + 1e-9 * stamp.nanosec)
     return 1e-9 * received
-
-
-def _read(
-    numbers: "Mapping[str, array[float]]",
-    beams: Mapping[str, Place],
-    topic: str,
-    given: LogFormat,
-    message: Any,
-    time: float,
-) -> None:
-    """Add what the beams of a topic read at a time, if it is a reading."""
-    unit = LENGTHS[given.range_units]
-    for name, (own, ray) in beams.items():
-        if own != topic:
-            continue
-        if ray is None:
-            least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
-        else:
-            if ray >= len(message.ranges):
-                found = f"a scan of {len(message.ranges)} rays on {topic}"
-                raise InputError(found, f"ray {ray}, of beam {name}")
-            least, most, d = message.range_min, message.range_max, float(message.ranges[ray])
-            delay = ray * message.time_increment
-        known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST_LENGTH
-        if known and (d > 0.0 or least < 0.0):
-            numbers[name].extend((time + delay, unit * d))
 
 
 def _beams(topics: Mapping[str, str], given: LogFormat) -> dict[str, Place]:

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 
@@ -95,18 +94,13 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
 
 
 def refuse_wrong_convention(
-    recording: Recording,
-    numbers: FloatArray,
-    way: Way,
-    chosen: IntArray,
-    given: LogFormat,
-    path: Path,
+    recording: Recording, numbers: FloatArray, way: Way, chosen: IntArray, given: LogFormat
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log that fits a hundredfold better under another convention; warn where it is less.
 
     Parameters
     ----------
-    recording, given, path
+    recording, given
         The tool and the base are constant, and do not matter.
     numbers : (M, k)
         Poses as the log has them.
@@ -130,11 +124,11 @@ def refuse_wrong_convention(
     found = _better(part, list(alternatives(numbers, way, given)))
     if found is None:
         return ()
-    return accused(*found, given, path, f", ranges in {given.range_units}")
+    return accused(*found, given, f", ranges in {given.range_units}")
 
 
 def accused(
-    ratio: float, words: str, given: LogFormat, path: Path, more: str = ""
+    ratio: float, words: str, given: LogFormat, more: str = ""
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log whose readings fit much better in another way; warn where it is less.
 
@@ -146,7 +140,6 @@ def accused(
         The other way.
     given : LogFormat
         How it is read.
-    path : Path
     more : str
         What else is stated of it.
 
@@ -161,7 +154,7 @@ def accused(
     message = f"the readings fit {times:.3g} times better if {words}"
     if ratio >= MUCH_BETTER and not given.as_stated:
         found_so = f"poses that do not fit as {stated}; {message}"
-        raise InputError(found_so, "that, or --as-stated if it is right", path)
+        raise InputError(found_so, "that, or --as-stated if it is right")
     words = f"{message}; stated: {stated}"
     return (CalibrationWarning("pose-convention", words, {"times": times}),)
 
