@@ -31,24 +31,18 @@ COLUMNS = {
 }
 """Columns beside `station`, by the kind of the sensor."""
 Echo = Literal["all", "near", "far"]
+Points = tuple[IntArray, FloatArray, FloatArray]
+"""The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
+of an array at the station, NaN for that reading itself and for other kinds."""
 
 DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
 """A number with a decimal comma; a name of a station that holds one stays as it is."""
 
 
 def read_points(
-    path: Path,
-    kind: str,
-    stations: "Sequence[str]",
-    *,
-    echo: Echo = "all",
-    station_column: str = "",
-) -> tuple[IntArray, FloatArray, FloatArray, dict[str, str]]:
-    """Return the station (N,) of each point, from 0, and its columns (N, c) as they stand.
-
-    The third result (N,) is the nearest reading of the zone of an array at the station, NaN for that
-    reading itself and for other kinds; the fourth is the unit in the name of each of these columns,
-    empty where there is none.
+    path: Path, kind: str, stations: "Sequence[str]", echo: Echo = "all", station_column: str = ""
+) -> tuple[Points, dict[str, str]]:
+    """Return points as they stand, and the unit in the name of each of their columns, empty for none.
 
     Parameters
     ----------
@@ -56,10 +50,10 @@ def read_points(
     kind : str
     stations : sequence of str
         Names of the stations, as the column `station` has them.
-    station_column : str
-        What the log of poses calls that column; a table of points may call it so, too.
     echo : {"all", "near", "far"}
         Which readings of a zone count, where it has several at a station.
+    station_column : str
+        What the log of poses calls that column; a table of points may call it so, too.
 
     Raises
     ------
@@ -104,7 +98,7 @@ def read_points(
             kept = np.sort(order[one])
             station, numbers, before = station[kept], numbers[kept], before[kept]
     units = {name: unit_of(column) for name, column in zip(wanted, found, strict=True)}
-    return station.astype(np.intp), numbers, before, units
+    return (station.astype(np.intp), numbers, before), units
 
 
 def _column(table: Table, name: str) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import Strict
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..checks import require_word
 from ..data.station_list import StationList
 from ..data.survey import RELATIONS, Convention, Kind, Known, Shots
@@ -32,7 +32,7 @@ from ..quantities import DEG, IN_MM, MAJORITY, MM
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
-from .points_table import Echo, read_frame, read_points
+from .points_table import Echo, Points, read_frame, read_points
 from .recording_csv import known_numbers
 
 SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
@@ -127,8 +127,8 @@ class SurveyTables:
             stations, points = read_bag_points(path, given, wanted)
             shots = []
             for table, (station, numbers) in zip(self.sensors, points, strict=True):
-                before = np.full(len(numbers), np.nan)
-                shots.append(_shots(table, self.folder, station, numbers, before, 1.0, 1.0))
+                own = station, numbers, np.full(len(numbers), np.nan)
+                shots.append(_shots(table, self.folder, own, 1.0, 1.0))
         return stations, tuple(shots)
 
     def _read(
@@ -138,16 +138,13 @@ class SurveyTables:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
         path = self.folder / table.points
-        station, numbers, before, named = read_points(
-            path, table.kind, stations, echo=table.echo, station_column=station_column
-        )
+        points, named = read_points(path, table.kind, stations, table.echo, station_column)
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
         with in_file(path):
             length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
             angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
-            units = LENGTHS[length], ANGLES[angle]
-            shots = _shots(table, self.folder, station, numbers, before, *units)
+            shots = _shots(table, self.folder, points, LENGTHS[length], ANGLES[angle])
         return shots, f"{table.name} in {words}{f' and {more}' if turns else ''}"
 
     def reading_from(self, copies: Mapping[Path, Path]) -> "SurveyTables":
@@ -261,19 +258,13 @@ def _refuse_exchanged(shots: Shots) -> None:
         raise InputError(found, expected)
 
 
-def _shots(
-    table: SensorTable,
-    folder: Path,
-    station: IntArray,
-    numbers: FloatArray,
-    before: FloatArray,
-    length: float,
-    angle: float,
-) -> Shots:
+def _shots(table: SensorTable, folder: Path, points: Points, length: float, angle: float) -> Shots:
     """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
 
-    `before` (N,) is the nearest echo that a zone read before each reading, NaN for none.
+    They come with the station (N,) of each point, and with the nearest echo (N,) that a zone read
+    before it, NaN for none.
     """
+    station, numbers, before = points
     several, name = bool(np.isfinite(before).any()), table.name
     if table.clear_mm and not several:
         found = f"clear_mm of {name}, none of whose readings stands behind another"
