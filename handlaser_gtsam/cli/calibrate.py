@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
-    from ..results.description.description import Description
     from ..results.description.tables import Table
     from ..results.verdict import Verdict
     from ..session.reports import Comparison
@@ -210,21 +209,26 @@ def _lines(
     verbose: bool,
 ) -> Iterator[str]:
     """Yield the tables, what stands `before` the next best stations, these, and how it was read."""
-    from ..planning.advice import advice_lines
+    from ..planning.advice import advice_lines, advice_within
     from ..results.description.description import Description
     from ..results.description.rendering import full_table
-    from ..results.description.screen import full_lines
-    from ..results.lines import wrapped
+    from ..results.description.screen import LINES, full_lines, screen_lines
+    from ..results.lines import as_many, wrapped
     from ..text import printable
 
     width, described = text_width(), Description(result, judged)
     above = [line for text in before for line in wrapped(text, None, width)]
     after = wrapped(f"log: {printable('; '.join(read))}", None, width) if read else []
+    around, next_best = len(above) + len(after) + len(files), list[str]()
     if verbose:
         lines, next_best = full_lines(described, width), advice_lines(advice) if advice else []
+    elif advice is None:
+        lines = screen_lines(described, closing=around, width=width)
     else:
-        around = len(above) + len(after) + len(files)
-        lines, next_best = _screen(described, advice, around, width)
+        kept = as_many(LEAST_ADVICE, width)
+        lines = screen_lines(described, closing=around + kept, width=width)
+        room = max(as_many(LINES, width) - around - len(lines), kept)
+        next_best = advice_within(advice, room, width)
     yield from lines
     yield from () if taught is None else full_table("plane by plane", taught, width)
     yield from (*above, *next_best, *after, *files)
@@ -237,22 +241,6 @@ def cross_check_line(check: "CrossCheck") -> str:
         f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
         f"({check.sigma_parameter})"
     )
-
-
-def _screen(
-    described: "Description", advice: "Plan | None", around: int, width: int
-) -> tuple[list[str], list[str]]:
-    """Return the default screen, and the next best stations that fit below it with lines `around`."""
-    from ..planning.advice import advice_within
-    from ..results.description.screen import LINES, screen_lines
-    from ..results.lines import as_many
-
-    if advice is None:
-        return screen_lines(described, closing=around, width=width), []
-    kept = as_many(LEAST_ADVICE, width)
-    lines = screen_lines(described, closing=around + kept, width=width)
-    room = max(as_many(LINES, width) - around - len(lines), kept)
-    return lines, advice_within(advice, room, width)
 
 
 def _failure(

@@ -1,6 +1,6 @@
 """handlaser simulate: a recording whose truth is known."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -116,7 +116,15 @@ def simulate(
                 raise InputError(found, "a rig file that names sensors of many rays")
             files, write = _of_scene(table, rng)
             each = f"{planes} planes, {stations} stations each"
-        _written(folder, files, write, force=force)
+        there = [file for file in files if (folder / file).exists()]
+        if there and not force:
+            raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            found = f"no folder ({error.strerror})"
+            raise InputError(found, "a folder to write to", folder) from error
+        write(folder)
     line = f"wrote {', '.join(files)} to {printable(str(folder))}: {each}"
     Answer("", [line]).give(json=False, quiet=quiet)
 
@@ -141,20 +149,3 @@ def _of_scene(
         write_truth(folder / FILES[2], truth, recording)
 
     return FILES, write
-
-
-def _written(
-    folder: Path, files: Sequence[str], write: Callable[[Path], None], *, force: bool
-) -> None:
-    """Write files to a folder, which is made; refuse where one is there already, unless forced."""
-    from ..errors import InputError
-
-    there = [file for file in files if (folder / file).exists()]
-    if there and not force:
-        raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        found = f"no folder ({error.strerror})"
-        raise InputError(found, "a folder to write to", folder) from error
-    write(folder)

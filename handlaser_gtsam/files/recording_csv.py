@@ -76,12 +76,19 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
     whose = {PREFIX + beam: [beam] for beam in beams}
     warnings = (*table.warnings, *code_warnings(table, whose, coded))
-    _refuse_unread(table, ranges, stations.plane_labels, beams)
+    seen, planes = ~np.isnan(ranges), stations.plane_labels
+    for name in (PREFIX + beams[index] for index in np.flatnonzero(~seen.any(axis=0))):
+        expected = "at least one reading of every beam, or no such column"
+        raise InputError("no reading at all", expected, table.path, None, name)
+    read = {planes[row] for row in np.flatnonzero(seen.any(axis=1))}
+    unread = np.array([plane not in read for plane in planes])
+    found = f"plane {planes[unread.argmax()]!r} without any reading"
+    table.refuse(unread, "plane", "at least one reading of every plane", found)
     return Recording(
         stations.world_R_hand,
         stations.world_t_hand,
         ranges,
-        stations.plane_labels,
+        planes,
         tuple(beams),
         stations.station_names,
         tuple(x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples),
@@ -202,19 +209,6 @@ def off_unit(q: FloatArray) -> tuple[FloatArray, BoolArray]:
     with np.errstate(over="ignore"):  # an infinite length is refused like any other
         length = np.linalg.norm(q, axis=1)
     return length, ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
-
-
-def _refuse_unread(
-    table: Table, ranges: FloatArray, planes: tuple[str, ...], beams: list[str]
-) -> None:
-    seen = ~np.isnan(ranges)
-    for index in np.flatnonzero(~seen.any(axis=0)):
-        expected = "at least one reading of every beam, or no such column"
-        raise InputError("no reading at all", expected, table.path, None, PREFIX + beams[index])
-    read = {planes[row] for row in np.flatnonzero(seen.any(axis=1))}
-    unread = np.array([plane not in read for plane in planes])
-    found = f"plane {planes[unread.argmax()]!r} without any reading"
-    table.refuse(unread, "plane", "at least one reading of every plane", found)
 
 
 def write_stations(path: Path | str, stations: StationList) -> None:
