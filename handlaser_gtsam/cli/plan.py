@@ -143,20 +143,15 @@ def _planned(
         if rig.bounds is None or rig.workspace is None:
             expected = "one of the two, or the tables [blind] and [workspace] of the rig file"
             raise InputError("neither RECORDING nor --calibration", expected)
-        count = None if stations is None else stations // (planes or 1)
-        return blind_motion(
-            *(rig.bounds, rig.sensor, rig.workspace, rig.noise, count),
-            planes=planes or 1,
-            goal=rig.goal,
-            rng=rng,
-        )
+        each = None if stations is None else stations // (planes or 1)
+        known = rig.bounds, rig.sensor, rig.workspace, rig.noise, each
+        return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
+    count = stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
     read = None if recording is None else read_any_kind(rig, recording)
     if isinstance(read, Survey):
         plain = (model, planes) == (Model(), None)
         refuse_of_beams(rig, [], recording or Path(), plain=plain)
-        return survey_plan(
-            read, rig, stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED), rng
-        )
+        return survey_plan(read, rig, count, rng)
     require_range(rig.sensor)
     calibration: Calibration | Mounts
     if read is None:
@@ -168,13 +163,8 @@ def _planned(
         if calibration.status != "converged":
             raise SolverError(calibration.message)
     placement = None if planes is None else replace(rig.placement, count=planes)
-    count = stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
-    return planning.plan(
-        *(calibration, count, rig.sensor, rig.workspace, rig.goal),
-        plates=plates,
-        placement=placement,
-        rng=rng,
-    )
+    asked = calibration, count, rig.sensor, rig.workspace, rig.goal
+    return planning.plan(*asked, plates=plates, placement=placement, rng=rng)
 
 
 def _uncounted(path: Path) -> list[str]:

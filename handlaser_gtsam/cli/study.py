@@ -79,19 +79,16 @@ def study(
 
 def _lines(summary: "DataFrame", warnings: "DataFrame") -> Iterator[str]:
     from ..results.description.rendering import text_table
-    from ..results.description.tables import Column, Table, significant, text
+    from ..results.description.tables import Cell, Column, Table, significant, text
     from .answer import columns
 
-    titles = tuple(
-        Column(name, number=name not in ("scene", "treatment")) for name in summary.columns
-    )
-    rows = tuple(
-        tuple(
-            significant(cell, 4) if isinstance(cell, float | None) else text(str(cell))
-            for cell in row
-        )
-        for row in summary.iter_rows()
-    )
+    words = "scene", "treatment"
+    titles = tuple(Column(name, number=name not in words) for name in summary.columns)
+
+    def shown(cell: object) -> Cell:
+        return significant(cell, 4) if isinstance(cell, float | None) else text(str(cell))
+
+    rows = tuple(tuple(map(shown, row)) for row in summary.iter_rows())
     yield from text_table(Table("study", "", titles, rows), columns())
     for row in warnings.iter_rows(named=True):
         yield f"{row['scene']}, {row['treatment']}: {row['code']} in {row['percent']:.1f} %"

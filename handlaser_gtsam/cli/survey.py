@@ -128,14 +128,10 @@ def converted_survey(
         raise InputError(found, "it as it is: other verbs take it", path)
     if out is not None:
         write_stations(out, survey.stations)
-    counts = (
-        (len(survey.stations), "station"),
-        (len(survey.shots), "sensor"),
-        (len(set(survey.stations.plane_labels)), "target"),
-        (sum(len(shots.reading) for shots in survey.shots), "point"),
-    )
-    lines = [", ".join(count(n, what) for n, what in counts), *survey.lines]
-    return lines, survey.warnings
+    sensors, points = len(survey.shots), sum(len(shots.reading) for shots in survey.shots)
+    words = f"{count(len(survey.stations), 'station')}, {count(sensors, 'sensor')}, "
+    words += f"{count(len(set(survey.stations.plane_labels)), 'target')}, {count(points, 'point')}"
+    return [words, *survey.lines], survey.warnings
 
 
 def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:

@@ -117,11 +117,9 @@ def _tested(
     from ..validation.hold_out import hold_out
     from .words import hold_out_lines
 
-    noise = rig.noise
+    noise, exact = rig.noise, {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
     if options.poses == "exact":
-        noise = replace(
-            noise, pose_translation_sigma=0.0, pose_rotation_sigma=0.0, pose_covariance=None
-        )
+        noise = replace(noise, pose_covariance=None, **exact)
     if old is not None:
         mounts = read_mounts(old)
     else:
