@@ -1,6 +1,7 @@
 """handlaser simulate: a recording whose truth is known."""
 
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,32 +26,12 @@ PoseAxes = StrEnum("PoseAxes", "x y z xyz")
 Sigma = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
 
 
-def simulate(
-    folder: Path,
-    scene: SceneName = SceneName.paper,
-    rig: Path | None = None,
-    targets: str | None = None,
-    beams: OneOrMore = None,
-    planes: Annotated[int, typer.Option(min=1)] = 4,
-    stations: Annotated[int, typer.Option(min=1)] = 11,
-    k1: float = 0.0,
-    k2_per_m: float = 0.0,
-    range_sigma_mm: Sigma = None,
-    pose_translation_sigma_mm: Sigma = None,
-    pose_rotation_sigma_deg: Sigma = None,
-    pose_axes: PoseAxes | None = None,
-    seed: Seed = 0,
-    force: bool = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
-) -> None:
-    r"""Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What is simulated.
 
-    With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
-
-    Parameters
+    Attributes
     ----------
-    folder : Path
-        Folder to write to.
     scene : SceneName
         paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m.
     rig : Path, optional
@@ -69,6 +50,38 @@ def simulate(
     range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg : float, optional
     pose_axes : PoseAxes, optional
         Hand axes on which the pose errs.
+    """
+
+    scene: SceneName = SceneName.paper
+    rig: Path | None = None
+    targets: str | None = None
+    beams: OneOrMore = None
+    planes: Annotated[int, typer.Option(min=1)] = 4
+    stations: Annotated[int, typer.Option(min=1)] = 11
+    k1: float = 0.0
+    k2_per_m: float = 0.0
+    range_sigma_mm: Sigma = None
+    pose_translation_sigma_mm: Sigma = None
+    pose_rotation_sigma_deg: Sigma = None
+    pose_axes: PoseAxes | None = None
+
+
+def simulate(
+    folder: Path,
+    made: Made,
+    seed: Seed = 0,
+    force: bool = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
+) -> None:
+    r"""Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
+
+    With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write to.
+    made : Made
     seed : int
     force : bool
         Replace files that exist.
@@ -88,34 +101,25 @@ def simulate(
     from ..text import count, printable
 
     with Working():
-        table = SceneTable.model_construct(  # is checked by what it makes
-            scene=scene.value,
-            beams=4 if beams is None else beams,
-            planes=planes,
-            stations=stations,
-            k1=k1,
-            k2_per_m=k2_per_m,
-            range_sigma_mm=range_sigma_mm,
-            pose_translation_sigma_mm=pose_translation_sigma_mm,
-            pose_rotation_sigma_deg=pose_rotation_sigma_deg,
-            pose_axes=None if pose_axes is None else pose_axes.value,
-        )
+        fields = asdict(made) | {"beams": made.beams or 4}
+        rig, targets = fields.pop("rig"), fields.pop("targets")
+        table = SceneTable.model_construct(**fields)  # is checked by what it makes
         rng = np.random.default_rng(seed)
         if rig is not None:
             from .survey_simulate import simulated_survey
 
-            if (scene, planes) != (SceneName.paper, 4):
+            if (made.scene, made.planes) != (SceneName.paper, 4):
                 raise InputError("--scene or --planes with --rig", "--targets plane:A,plane:B")
             stated = (targets or USUAL_TARGETS).split(",")
             labels = list(dict.fromkeys(map(str.strip, stated)))
-            files, write, unread = simulated_survey(rig, labels, beams or 0, table, rng)
-            each = f"{count(len(labels), 'target')}, {count(stations, 'station')} each{unread}"
+            files, write, unread = simulated_survey(rig, labels, made.beams or 0, table, rng)
+            each = f"{count(len(labels), 'target')}, {count(made.stations, 'station')} each{unread}"
         else:
             if targets is not None:
                 found = "--targets without --rig"
                 raise InputError(found, "a rig file that names sensors of many rays")
             files, write = _of_scene(table, rng)
-            each = f"{planes} planes, {stations} stations each"
+            each = f"{made.planes} planes, {made.stations} stations each"
         there = [file for file in files if (folder / file).exists()]
         if there and not force:
             raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
