@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple
 
 from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS
 from ...text import A_NAME, name_fault, shown, some
@@ -34,8 +35,7 @@ TIMES = ("time", "timestamp", "stamp", "t", "time_s")
 RANGE = "range_"
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
+class Columns(NamedTuple):
     """Columns of a table by what they are; empty where there are none.
 
     Attributes
@@ -50,7 +50,7 @@ class Columns:
     """
 
     pose: tuple[str, ...] = ()
-    beams: Mapping[str, str] = field(default_factory=dict)
+    beams: Mapping[str, str] = MappingProxyType({})
     beam: str = ""
     range: str = ""
     plane: str = ""

@@ -1,7 +1,7 @@
 """Poses and readings put together: of one table, or of two, by station or by time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,8 +23,7 @@ UNIT_OFF = 0.15
 """Spans of one recording agree within a factor of three: this part of a power of a thousand."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stations:
+class Stations(NamedTuple):
     """Stations of a log, with their poses and readings.
 
     Attributes

@@ -1,6 +1,6 @@
 """Poses of rows become poses of stations: means of rows, or between two of them."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,8 +14,7 @@ MOVES_M, MOVES_RAD = 1e-3, np.radians(0.1)
 """Poses farther apart than this show a hand that moves: a robot that stands still does not."""
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
+class Way(NamedTuple):
     """How each of S stations gets its pose from rows.
 
     Attributes

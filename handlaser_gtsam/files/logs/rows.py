@@ -1,7 +1,8 @@
 """The rows of one table: poses, readings, times, and what else stands beside them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -25,8 +26,7 @@ MOST_BEAMS = 200
 """More labels of beams in a long table are another column."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LogRows:
+class LogRows(NamedTuple):
     """What stands in the rows of a table, or in messages of a bag; None where there is no such thing.
 
     Attributes
@@ -59,7 +59,7 @@ class LogRows:
     stations: Sequence[str] | None = None
     times: FloatArray | None = None
     coded: BoolArray | None = None
-    columns: Columns = field(default_factory=Columns)
+    columns: Columns = Columns()
     ignored: tuple[str, ...] = ()
     warnings: tuple[CalibrationWarning, ...] = ()
     words: str = ""

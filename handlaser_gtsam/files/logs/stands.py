@@ -9,7 +9,7 @@ does, it is trimmed to the rows about its median pose that are within the limits
 Poses have noise, which is no motion: means are compared, and the limits grow by the noise of these.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,7 @@ QUIET = 0.25
 """A quarter of the rows at least shows noise alone."""
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(NamedTuple):
     """Poses in time.
 
     Attributes
