@@ -272,11 +272,9 @@ def _shots(table: SensorTable, folder: Path, points: Points, length: float, angl
     if (table.zones is None) == (table.kind == "array"):
         found = f"{'no ' if table.zones is None else ''}zones of {name}"
         raise InputError(found, "the file of zones of an array, and of nothing else")
-    noise: dict[str, Any] = {
-        "sigma": None if table.sigma_mm is None else table.sigma_mm * MM,
-        "sigma_across": table.sigma_across_mm * MM,
-        "free": table.free,
-    }
+    sigma = None if table.sigma_mm is None else table.sigma_mm * MM
+    noise: dict[str, Any] = {"sigma": sigma, "sigma_across": table.sigma_across_mm * MM}
+    noise["free"] = table.free
     first, reading = numbers[:, 0], numbers[:, 1] * length
     if table.kind == "points":
         shots = Shots.points(name, station, numbers * length, **noise)

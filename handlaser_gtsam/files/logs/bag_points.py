@@ -124,15 +124,10 @@ def _points(message: Any, _: int) -> FloatArray:
     if missing:
         raise InputError(f"a cloud without {', '.join(missing)}", "fields x, y and z of numbers")
     order, axes = ">" if message.is_bigendian else "<", [fields[axis] for axis in "xyz"]
-    formats, offsets = [order + FIELD_TYPES[one.datatype] for one in axes], [a.offset for a in axes]
-    one_point = np.dtype(
-        {
-            "names": list("xyz"),
-            "formats": formats,
-            "offsets": offsets,
-            "itemsize": message.point_step,
-        }
-    )
+    layout: Any = {"names": list("xyz"), "itemsize": message.point_step}
+    layout["formats"] = [order + FIELD_TYPES[axis.datatype] for axis in axes]
+    layout["offsets"] = [axis.offset for axis in axes]
+    one_point = np.dtype(layout)
     data = np.frombuffer(message.data, dtype=np.uint8)
     width = message.width * message.point_step
     if len(data) < message.height * message.row_step or message.row_step < width:
