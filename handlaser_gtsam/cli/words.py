@@ -2,23 +2,22 @@
 
 import math
 from collections import Counter
+from typing import TYPE_CHECKING
 
-from ..data.station_list import StationList
 from ..files.exports.rendering import environment
 from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
-from ..planning.advice import pose_words
-from ..planning.goal import Goal
-from ..planning.robot import Robot
-from ..planning.route import VIA, Plan
-from ..planning.survey import SurveyPlan
 from ..quantities import IN_DEG, IN_MM
-from ..results.description.description import Description
-from ..results.description.rendering import full_table
-from ..results.verdict import Verdict
 from ..text import count
-from ..validation.hold_out import HoldOut
-from ..validation.leave_out import Validation
-from ..validation.prediction import pooled
+
+if TYPE_CHECKING:
+    from ..data.station_list import StationList
+    from ..planning.goal import Goal
+    from ..planning.robot import Robot
+    from ..planning.route import Plan
+    from ..planning.survey import SurveyPlan
+    from ..results.verdict import Verdict
+    from ..validation.hold_out import HoldOut
+    from ..validation.leave_out import Validation
 
 SHOWN_ROWS = 10
 """Rows of the forecast, evenly over the stations, and stations whose poses are shown at most: they fit
@@ -49,8 +48,10 @@ def lines_of(template: str, **values: object) -> list[str]:
     return templates.get_template(f"{template}.j2").render(**values).splitlines()
 
 
-def plan_lines(plan: Plan, goal: Goal, robot: Robot | None) -> list[str]:
+def plan_lines(plan: "Plan", goal: "Goal", robot: "Robot | None") -> list[str]:
     """Return where to go, what will be known, whether that is enough, and what ways were checked."""
+    from ..planning.route import VIA
+
     stations, forecast, last = plan.stations, plan.forecast, len(plan.forecast)
     pairs = zip(stations.plane_labels, stations.station_names, strict=True)
     where = Counter(plane for plane, name in pairs if not name.startswith(VIA))
@@ -69,13 +70,15 @@ def plan_lines(plan: Plan, goal: Goal, robot: Robot | None) -> list[str]:
     )
 
 
-def station_lines(stations: StationList) -> list[str]:
+def station_lines(stations: "StationList") -> list[str]:
     """Return where the stations of a plan are that is not written; of many, that --out writes them."""
+    from ..planning.advice import pose_words
+
     named = zip(stations.station_names, stations.plane_labels, pose_words(stations), strict=True)
     return lines_of("stations", stations=stations, named=named, most=SHOWN_ROWS)
 
 
-def survey_plan_lines(plan: SurveyPlan) -> list[str]:
+def survey_plan_lines(plan: "SurveyPlan") -> list[str]:
     """Return how well spots are known before and after each station of a plan of a survey."""
     within = [
         f"{_in(IN_MM, error, 2)} mm" if math.isfinite(error) else "undetermined"
@@ -84,8 +87,12 @@ def survey_plan_lines(plan: SurveyPlan) -> list[str]:
     return lines_of("survey_plan", plan=plan, within=within)
 
 
-def validation_lines(result: Validation, verdict: Verdict, width: int) -> list[str]:
+def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> list[str]:
     """Return the lines of a validation, the verdict first."""
+    from ..results.description.description import Description
+    from ..results.description.rendering import full_table
+    from ..validation.prediction import pooled
+
     p_values = {one.plane: one.result.p_value for one in result.planes if one.result is not None}
     lines = lines_of(
         "validation",
@@ -100,6 +107,6 @@ def validation_lines(result: Validation, verdict: Verdict, width: int) -> list[s
     return lines + [f"WARNING: {warning}" for warning in result.calibration.warnings]
 
 
-def hold_out_lines(found: HoldOut) -> list[str]:
+def hold_out_lines(found: "HoldOut") -> list[str]:
     """Return the lines of a hold-out test: whether the calibration holds, and what p means, first."""
     return lines_of("hold_out", found=found, level=SINGLE_LEVEL, family_level=FAMILY_LEVEL)
