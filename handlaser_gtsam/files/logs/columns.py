@@ -16,7 +16,7 @@ POSITIONS = (
         tuple(before + axis for axis in "xyz")
         for before in ("", "t", "p", "pos_", "position.", "pose.position.", "translation.")
     ),
-    tuple(f"actual_tcp_pose_{i}" for i in range(3)),
+    ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
 )
 KNOWN = "mm m in inch deg ° rad s ms us ns"
 OTHERS = "cm dm km um µm μm nm ft mrad mdeg gon grad min µs v mv ma counts digits lsb %"
