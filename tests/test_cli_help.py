@@ -12,9 +12,8 @@ import pytest
 from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.cli.examples import EXAMPLES
 from handlaser_gtsam.cli.options import LogLevel, logging_at
-from handlaser_gtsam.cli.verbs import VERBS
+from handlaser_gtsam.cli.verbs import VERBS, examples_of
 
 RECORDING = GRIPPER / "recording.csv"
 QUICK = ("--poses", "exact", "--range-error", "k1k2", "--range-sigma-mm", "0.03")
@@ -41,7 +40,7 @@ def folder(tmp_path_factory):
 
 
 def test_every_verb_has_examples():
-    assert sorted(EXAMPLES) == sorted(VERBS)
+    assert all(len(examples_of(verb)) >= 2 for verb in VERBS)
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -50,7 +49,7 @@ def test_examples_run_as_the_help_has_them(handlaser, folder, monkeypatch, verb)
     _, text, _ = handlaser(verb, "--help")
     lines = text.split("Examples:\n")[1].replace("\\\n", " ").splitlines()
     commands = [shlex.split(line) for line in lines if line.strip()]
-    assert len(commands) == len(EXAMPLES[verb]) >= 2
+    assert len(commands) == len(examples_of(verb)) >= 2
     assert all(command[:2] == ["handlaser", verb] for command in commands)
     if verb == "watch":  # runs until it is stopped: see test_watch
         return

@@ -9,7 +9,7 @@ import pytest
 from helpers import GRIPPER, degenerate, error_of
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.cli.validation_tables import hold_out_sentence
+from handlaser_gtsam.cli.words import hold_out_lines
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.description.description import Description
 from handlaser_gtsam.results.description.screen import LINES, full_lines, screen_lines
@@ -243,7 +243,7 @@ def test_the_errors_found_are_named_by_p(calibration):
 )
 def test_what_p_means_of_an_old_calibration(p, opening):
     found = HoldOut(9, 1e-5, 1e-5, 1.0, 1, 0.5, 1.0, 6, p, ())
-    assert hold_out_sentence(found).startswith(opening)
+    assert hold_out_lines(found)[0].startswith(opening)
 
 
 def test_a_result_that_is_not_usable_exits_with_4(handlaser, monkeypatch):

@@ -15,7 +15,7 @@ from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli import main
-from handlaser_gtsam.cli.examples import EXAMPLES
+from handlaser_gtsam.cli.verbs import VERBS, examples_of
 from handlaser_gtsam.results.description.description import Description
 from handlaser_gtsam.results.description.rendering import PLAIN, text_table
 from handlaser_gtsam.results.description.tables import Column, Table, text
@@ -54,7 +54,7 @@ FURTHER = (
     "handlaser validate recording.csv --rig rig.toml --hold-out recording.csv",
     "handlaser plan --rig planned.toml",
 )
-ENDING = {verb: own[0] for verb, own in EXAMPLES.items() if verb not in ("watch", "plot")}
+ENDING = {verb: examples_of(verb)[0] for verb in VERBS if verb not in ("watch", "plot")}
 """What ends by itself, and needs no extra; `plot` says one line a file."""
 SCREENS = [
     *(example for verb, example in ENDING.items() if verb != "export"),

@@ -16,7 +16,7 @@ from benchmarks.rigs import RELATIONS as STATED_RELATIONS
 from benchmarks.rigs import body_of, errors_of, stated_relation, survey_of
 from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, TARGETS
 from handlaser_gtsam.estimation.survey import estimate_survey
-from handlaser_gtsam.files.logs.bag_points import MESSAGE_OF
+from handlaser_gtsam.files.logs.bag_points import READ_FROM
 from handlaser_gtsam.files.points_table import COLUMNS
 from handlaser_gtsam.model import known
 from handlaser_gtsam.model.families import FAMILIES, PLANE
@@ -559,7 +559,7 @@ def test_a_false_face_is_named_and_not_the_shots_that_contradict_it(seed):
 
 
 def test_every_kind_of_sensor_and_target_is_known_everywhere():
-    assert set(ERRORS) == set(KINDS) == set(COLUMNS) == set(MESSAGE_OF)
+    assert set(ERRORS) == set(KINDS) == set(COLUMNS) == set(READ_FROM)
     assert set(TARGETS) - {"groove"} == {PLANE.name, SPHERE.name, POINT.name}
     assert {*SENSOR.coordinates} >= {*RAY_ERRORS}
     # A shift of parallel rays along themselves is a location of the sensor.

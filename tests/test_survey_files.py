@@ -197,7 +197,7 @@ def test_tables_of_points_may_be_written_as_sensors_and_spreadsheets_do(folder, 
 def test_a_column_without_a_name_is_no_station(tmp_path):
     """As pandas writes the index of its rows, which may be names of stations."""
     (tmp_path / "points.csv").write_text(",station,x,z\n0,2,1,300\n1,2,2,300\n2,3,1,310\n")
-    station, *_ = read_points(tmp_path / "points.csv", "profiler", ("0", "1", "2", "3"))
+    (station, *_), _ = read_points(tmp_path / "points.csv", "profiler", ("0", "1", "2", "3"))
     assert station.tolist() == [2, 2, 3]
 
 

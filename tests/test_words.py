@@ -1,7 +1,6 @@
 """What the screen says is true: of goals that are reached, of poses that are variables, of motions."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from helpers import GRIPPER
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.cli.plan_tables import _enough
+from handlaser_gtsam.cli.words import plan_lines
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
 from handlaser_gtsam.results.description.description import Description
@@ -26,12 +25,15 @@ def calibration(recording):
     return hl.calibrate(recording, hl.Noise(3e-5, 0.0, 0.0))
 
 
-def test_a_goal_that_is_reached_needs_no_station():
-    goal = SimpleNamespace(stated=True)
-    assert list(_enough(SimpleNamespace(reached=0), goal)) == [
+def test_a_goal_that_is_reached_needs_no_station(calibration):
+    goal = hl.planning.Goal(spot=1.0)
+    planned = hl.plan(calibration, 3, hl.read_rig(GRIPPER / "rig.toml").sensor, None, goal)
+    assert (
         "the limits and the goal of the rig file are reached already: no station is needed"
-    ]
-    assert next(iter(_enough(SimpleNamespace(reached=3), goal))).startswith("3 stations reach")
+        in plan_lines(replace(planned, reached=0), goal, None)
+    )
+    lines = plan_lines(replace(planned, reached=3), goal, None)
+    assert "3 stations reach the limits and the goal of the rig file" in lines
 
 
 def test_poses_that_are_variables_are_not_called_exact(calibration):

@@ -9,7 +9,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,26 +49,26 @@ class Answer:
     ----------
     json : str
         For programs.
-    show : callable
-        Prints what a person sees.
-    warnings : lines
+    lines : lines
+        What a person sees; they are made when they are printed.
+    warnings : lines, or warnings of a result
     failure : (int, str) or None
         The exit code of the contract, and what went wrong.
     """
 
     json: str
-    show: Callable[[], None]
-    warnings: Iterable[str] = ()
+    lines: Iterable[str]
+    warnings: Iterable[object] = ()
     failure: tuple[int, str] | None = None
 
     def give(self, *, json: bool, quiet: bool = False) -> None:
         """Print, and leave with the exit code where something went wrong."""
-        for line in self.warnings:
-            print(line, file=sys.stderr)
+        for one in self.warnings:
+            print(one if isinstance(one, str) else f"WARNING: {one}", file=sys.stderr)
         if json:
             sys.stdout.write(self.json)
         elif not quiet:
-            self.show()
+            print_wrapped(self.lines)
         if self.failure is not None:
             code, words = self.failure
             if code != INTERRUPTED:  # that is said where Ctrl-C ends up

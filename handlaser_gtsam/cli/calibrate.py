@@ -1,27 +1,27 @@
 """handlaser calibrate: a recording becomes a calibrated rig."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped, text_width, wrote
+from .answer import Answer, Working, text_width, wrote
 from .options import (
     AtRangeOption,
     Given,
     JsonOption,
     Model,
+    OutOption,
     QuietOption,
     RecordingArgument,
-    how_option,
+    how,
     metres,
 )
-from .stopping import INTERRUPTED, NOT_USABLE, UNDETERMINED
+from .stopping import INTERRUPTED, UNDETERMINED, unusable
 
 if TYPE_CHECKING:
     from ..estimation.options import CalibrationOptions
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
-    from ..results.description.description import Description
     from ..results.description.tables import Table
     from ..results.verdict import Verdict
     from ..session.reports import Comparison
@@ -46,29 +45,24 @@ LossChoice = StrEnum(
 
 @dataclass(frozen=True, slots=True)
 class Manner(Model):
-    """What is estimated, and how it is calibrated."""
+    """What is estimated, and how it is calibrated.
 
-    outliers: Annotated[
-        OutliersChoice,
-        how_option(
-            help="Leave out, and list, readings that the others contradict; or keep them.",
-        ),
-    ] = OutliersChoice.reject
-    loss: Annotated[
-        LossChoice,
-        how_option(help="Loss of the final estimate, reading by reading."),
-    ] = LossChoice.gaussian
-    incremental: Annotated[
-        bool,
-        how_option(
-            "--incremental",
-            help="Add plane by plane, show what each teaches, and compare with all at once.",
-        ),
-    ] = False
-    cross_check: Annotated[
-        bool,
-        how_option("--cross-check", help="Solve again with SciPy and compare."),
-    ] = False
+    Attributes
+    ----------
+    outliers : OutliersChoice
+        Leave out, and list, readings that the others contradict; or keep them.
+    loss : LossChoice
+        Loss of the final estimate, reading by reading.
+    incremental : bool
+        Add plane by plane, show what each teaches, and compare with all at once.
+    cross_check : bool
+        Solve again with SciPy and compare.
+    """
+
+    outliers: Annotated[OutliersChoice, how] = OutliersChoice.reject
+    loss: Annotated[LossChoice, how] = LossChoice.gaussian
+    incremental: Annotated[bool, how] = False
+    cross_check: Annotated[bool, how] = False
 
     def options(self, rig: "Rig") -> "CalibrationOptions":
         """Return the options of a calibration with the sensor of `rig`."""
@@ -78,35 +72,45 @@ class Manner(Model):
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """What becomes of the result."""
+    """What becomes of the result.
 
-    out: Annotated[
-        Path | None, typer.Option(readable=False, help="Write the result to this JSON file.")
-    ] = None
-    report: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="Write a report, one HTML page, to this file."),
-    ] = None
+    Attributes
+    ----------
+    out : Path, optional
+        Write the result to this JSON file.
+    report : Path, optional
+        Write a report, one HTML page, to this file.
+    verbose : bool
+        Print all tables: planes, intervals, spots.
+    report_date : str, optional
+        Date of the report, as 2026-03-31; default: that of the recording's file.
+    """
+
+    out: OutOption = None
+    report: OutOption = None
     at_range_mm: AtRangeOption = None
-    verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Print all tables: planes, intervals, spots.")
-    ] = False
+    verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False
     quiet: QuietOption = False
     json_: JsonOption = False
-    report_date: Annotated[
-        str | None,
-        typer.Option(
-            help="Date of the report, as 2026-03-31; default: that of the recording's file."
-        ),
-    ] = None
+    report_date: str | None = None
 
 
 def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output: Output) -> None:
-    """Find the mount of every beam and every plane in RECORDING, with covariances.
+    r"""Find the mount of every beam and every plane in RECORDING, with covariances.
 
     Exit codes: 0 good; 1 a bug; 2 bad input; 3 no calibration: the recording does not determine it, its
     readings do not fit each other, or another solver disagrees; 4 not usable: outside the limits of the
     rig file, or with a systematic error larger than what the result states; 130 stopped by Ctrl-C.
+
+    Examples
+    --------
+    handlaser calibrate recording.csv
+    handlaser calibrate recording.csv \
+        --rig rig.toml --out calibration.json
+    handlaser calibrate recording.csv \
+        --rig rig.toml --verbose --cross-check
+    handlaser calibrate recording.csv --json \
+        --range-sigma-mm 0.03 --poses exact
     """
     from ..data.survey import Survey
     from ..files.rig_reading import read_any_kind
@@ -148,7 +152,7 @@ def _of_beams(
 
     recording, reading = log.recording, metres(output.at_range_mm)
     taught, comparison, check, advice = None, None, None, None
-    before: list[str] = []
+    before = list[str]()
     if manner.incremental:
         from .incremental import comparison_line, plane_by_plane
 
@@ -182,47 +186,52 @@ def _of_beams(
         options = ReportOptions(rig, reading, path, rig_file, log.beside, words, day, advice)
         write_report(output.report, result, options)
     compared = [] if check is None else [cross_check_line(check)]
-    warnings = [
-        f"WARNING: {warning}" for warning in result.warnings if warning.message != result.message
-    ]
+    before += compared
+    warnings = [one for one in result.warnings if one.message != result.message]
+    files = wrote(output.out, output.report)
     return Answer(
         text,
-        partial(_show, result, judged, advice, taught, log.lines, output, [*before, *compared]),
+        _lines(result, judged, advice, taught, log.lines, before, files, verbose=output.verbose),
         [*compared, *warnings] if aloud else (),
         _failure(result, judged, check, comparison),
     )
 
 
-def _show(
+def _lines(
     result: "Calibration",
     judged: "Verdict",
     advice: "Plan | None",
     taught: "Table | None",
     read: Sequence[str],
-    output: Output,
     before: Sequence[str],
-) -> None:
-    """Print the tables, what stands `before` the next best stations, these, and how it was read."""
-    from ..planning.advice import advice_lines
+    files: Sequence[str],
+    *,
+    verbose: bool,
+) -> Iterator[str]:
+    """Yield the tables, what stands `before` the next best stations, these, and how it was read."""
+    from ..planning.advice import advice_lines, advice_within
     from ..results.description.description import Description
     from ..results.description.rendering import full_table
-    from ..results.description.screen import full_lines
-    from ..results.lines import wrapped
+    from ..results.description.screen import LINES, full_lines, screen_lines
+    from ..results.lines import as_many, wrapped
     from ..text import printable
 
     width, described = text_width(), Description(result, judged)
     above = [line for text in before for line in wrapped(text, None, width)]
     after = wrapped(f"log: {printable('; '.join(read))}", None, width) if read else []
-    after += wrote(output.out, output.report)
-    if output.verbose:
-        words = [] if advice is None else advice_lines(advice)
-        next_best = [line for text in words for line in wrapped(text, None, width)]
-        lines = full_lines(described, width)
+    around, next_best = len(above) + len(after) + len(files), list[str]()
+    if verbose:
+        lines, next_best = full_lines(described, width), advice_lines(advice) if advice else []
+    elif advice is None:
+        lines = screen_lines(described, closing=around, width=width)
     else:
-        lines, next_best = _screen(described, advice, len(above) + len(after), width)
-    if taught is not None:
-        lines += full_table("plane by plane", taught, width)
-    print_wrapped([*lines, *above, *next_best, *after])
+        kept = as_many(LEAST_ADVICE, width)
+        lines = screen_lines(described, closing=around + kept, width=width)
+        room = max(as_many(LINES, width) - around - len(lines), kept)
+        next_best = advice_within(advice, room, width)
+    yield from lines
+    yield from () if taught is None else full_table("plane by plane", taught, width)
+    yield from (*above, *next_best, *after, *files)
 
 
 def cross_check_line(check: "CrossCheck") -> str:
@@ -232,22 +241,6 @@ def cross_check_line(check: "CrossCheck") -> str:
         f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
         f"({check.sigma_parameter})"
     )
-
-
-def _screen(
-    described: "Description", advice: "Plan | None", around: int, width: int
-) -> tuple[list[str], list[str]]:
-    """Return the default screen, and the next best stations that fit below it with lines `around`."""
-    from ..planning.advice import advice_within
-    from ..results.description.screen import LINES, screen_lines
-    from ..results.lines import as_many
-
-    if advice is None:
-        return screen_lines(described, closing=around, width=width), []
-    kept = as_many(LEAST_ADVICE, width)
-    lines = screen_lines(described, closing=around + kept, width=width)
-    room = max(as_many(LINES, width) - around - len(lines), kept)
-    return lines, advice_within(advice, room, width)
 
 
 def _failure(
@@ -263,15 +256,11 @@ def _failure(
         return INTERRUPTED, result.message
     if result.status != "converged":
         return UNDETERMINED, result.message
-    advice = "expected the same optimum: do not use this calibration"
+    words = ""
     if check is not None and check.largest > SAME_OPTIMUM:
-        return UNDETERMINED, (
-            f"SciPy disagrees by {check.largest:.2g} standard deviations in {check.parameter}; {advice}"
-        )
-    if comparison is not None and comparison.largest > SAME_OPTIMUM:
-        return UNDETERMINED, (
-            f"plane by plane is {comparison.largest:.2g} standard deviations from all at once; {advice}"
-        )
-    if judged.exceeded:
-        return NOT_USABLE, f"outside the limits: {'; '.join(judged.exceeded)}"
-    return None if judged.usable else (NOT_USABLE, judged.sentence)
+        words = f"SciPy disagrees by {check.largest:.2g} standard deviations in {check.parameter}"
+    elif comparison is not None and comparison.largest > SAME_OPTIMUM:
+        words = f"plane by plane is {comparison.largest:.2g} standard deviations from all at once"
+    if words:
+        return UNDETERMINED, f"{words}; expected the same optimum: do not use this calibration"
+    return unusable(judged.exceeded, judged.sentence, usable=judged.usable)

@@ -1,12 +1,9 @@
 """handlaser check: what the motion of a recording can determine, before anything is solved."""
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from .answer import Answer, Working, print_wrapped
+from .answer import Answer, Working
 from .options import JsonOption, RecordingArgument
 from .stopping import left_open
 
@@ -17,16 +14,7 @@ if TYPE_CHECKING:
     from ..results.calibration import Calibration
 
 
-RigOption = Annotated[
-    Path | None,
-    typer.Option(
-        help="Rig file, TOML: how logs are written; with the sensor's range, the next best stations "
-        "are named."
-    ),
-]
-
-
-def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption = False) -> None:
+def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOption = False) -> None:
     """Say which stations serve which unknown, and which motion is missing.
 
     Of sensors of many rays, other targets or relations: what the recording holds, and how well mounts
@@ -35,6 +23,16 @@ def check(recording: RecordingArgument, rig: RigOption = None, json_: JsonOption
     Exit codes: 0 the motion determines everything, for beams and planes in general position, and for
     other targets where they stand; 2 bad input; 3 it leaves something open, or shots of sensors of many
     rays do not fit each other, or are not what is stated of them.
+
+    Parameters
+    ----------
+    rig : Path, optional
+        Rig file, TOML: how logs are written; with the sensor's range, the next best stations are named.
+
+    Examples
+    --------
+    handlaser check recording.csv
+    handlaser check recording.csv --rig rig.toml
     """
     from ..data.survey import Survey
     from ..files.rig_reading import read_any_kind
@@ -70,8 +68,7 @@ def _of_beams(read: "Recording", rig: "Rig", *, advise: bool) -> Answer:
 
         plan = advised(read, rig, _calibrated(read, rig) if failure is None else None)
         lines += [] if plan is None else advice_lines(plan)
-    warnings = [f"WARNING: {warning}" for warning in read.warnings]
-    return Answer(check_text(found), partial(print_wrapped, lines), warnings, failure)
+    return Answer(check_text(found), lines, read.warnings, failure)
 
 
 def _calibrated(recording: "Recording", rig: "Rig") -> "Calibration":

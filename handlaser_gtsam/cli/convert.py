@@ -1,58 +1,56 @@
 """handlaser convert: a log becomes a recording in CSV, and how it is written a table of a rig file."""
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped, wrote
+from .answer import Answer, Working, wrote
 from .log_options import Log
-from .options import QuietOption
+from .options import RANGE, OutOption, QuietOption
 
 if TYPE_CHECKING:
     from ..files.logs.format import LogFormat
     from ..files.rig_toml import Rig
     from ..model.sensor import Sensor
 
-LogArgument = Annotated[
-    Path,
-    typer.Argument(
-        help="Log: CSV, TSV, XLSX, Parquet, JSON Lines, or a ROS 1, ROS 2 or MCAP bag.",
-        show_default=False,
-    ),
-]
-
 
 def convert(
-    log_file: LogArgument,
+    log_file: Path,
     log: Log,
-    out: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="Write the recording to this CSV file; else only say."),
-    ] = None,
-    write_log: Annotated[
-        Path | None,
-        typer.Option(
-            readable=False,
-            help="Write the options for logs into this rig file, TOML, as its table [log]: "
-            "with --rig, every verb then reads such logs.",
-        ),
-    ] = None,
-    rig: Annotated[
-        Path | None, typer.Option(help="Rig file, TOML: table [log], and the sensor's range.")
-    ] = None,
-    range_mm: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
-    ] = None,
+    out: OutOption = None,
+    write_log: OutOption = None,
+    rig: Path | None = None,
+    range_mm: Annotated[tuple[float, float] | None, typer.Option(**RANGE)] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Turn the log of a robot controller, a spreadsheet or a bag into a recording.
+    r"""Turn the log of a robot controller, a spreadsheet or a bag into a recording.
 
     With the [[sensors]] of a rig file, a log of poses becomes stations; tables of points stay.
 
     Exit codes: 0 good; 2 bad input, or a log that would fit far better if it were read another way.
+
+    Parameters
+    ----------
+    log_file : Path
+        Log: CSV, TSV, XLSX, Parquet, JSON Lines, or a ROS 1, ROS 2 or MCAP bag.
+    log : Log
+    out : Path, optional
+        Write the recording to this CSV file; else only say.
+    write_log : Path, optional
+        Write the options for logs into this rig file, TOML, as its table [log]: with --rig, every verb
+        then reads such logs.
+    rig : Path, optional
+        Rig file, TOML: table [log], and the sensor's range.
+    range_mm, quiet
+
+    Examples
+    --------
+    handlaser convert recording.csv
+    handlaser convert recording.csv \
+        --pose-format ros --out again.csv
+    handlaser convert recording.csv \
+        --pose-format ros --write-log logs.toml
     """
     from ..files.logs.reading import describe_log
     from ..files.recording_csv import write_recording
@@ -83,9 +81,7 @@ def convert(
         if write_log is not None:
             write_text(write_log, rig_text)
     lines += wrote(out, write_log)
-    warnings = [f"WARNING: {warning}" for warning in found]
-    show = partial(print_wrapped, [printable(line) for line in lines])
-    Answer("", show, warnings).give(json=False, quiet=quiet)
+    Answer("", map(printable, lines), found).give(json=False, quiet=quiet)
 
 
 def _known(

@@ -1,6 +1,5 @@
 """handlaser export: a calibration, or stations, for robots, ROS and programs."""
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,8 +8,8 @@ import typer
 
 from ..files.exports.formats import BEAMS, STATIONS, TAKEN
 from ..quantities import MM
-from .answer import Working, print_wrapped, wrote
-from .options import QuietOption
+from .answer import Answer, Working, wrote
+from .options import OutOption, QuietOption
 
 if TYPE_CHECKING:
     from ..data.station_list import StationList
@@ -22,84 +21,67 @@ FormatChoice = StrEnum(
     "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur c python st krl rapid tp urscript poses",
 )
 AxisChoice = StrEnum("AxisChoice", {"x": "x", "y": "y", "z": "z"})
+FORMATS = f"{', '.join(BEAMS)} (structured text); of stations {', '.join(STATIONS)}."
 
 
-def _option(field: str, words: str, **more: Any) -> Any:
+def _taken(field: str, **more: Any) -> Any:
     """Return the option of a field of `ExportOptions`; its help ends with the formats that take it."""
-    return typer.Option(help=f"{words}: {', '.join(TAKEN[field])}.", **more)
-
-
-FileArgument = Annotated[
-    Path,
-    typer.Argument(
-        help="Result of `handlaser calibrate --out`, or stations of `handlaser plan --out`.",
-        show_default=False,
-    ),
-]
-ToOption = Annotated[
-    FormatChoice,
-    typer.Option(
-        metavar="FORMAT",
-        help=f"{', '.join(BEAMS)} (structured text); of stations {', '.join(STATIONS)}.",
-        show_default=False,
-    ),
-]
-BeamOption = Annotated[
-    list[str] | None,
-    typer.Option(metavar="NAME", help="This beam; may be given several times. Default: all."),
-]
-LinkOption = Annotated[str | None, _option("link", "The link whose frame is the hand")]
-IntoOption = Annotated[
-    Path | None, _option("into", "A URDF; --out gets it with the beams in it, all else as it was")
-]
-AxisOption = Annotated[
-    AxisChoice | None, _option("axis", "Of a tool frame, lies along the beam; z where not given")
-]
-AtReadingOption = Annotated[
-    float,
-    _option(
-        "at_reading",
-        "Reading at whose laser spot the origin of a tool frame stands, mm; 0: location of the beam",
-    ),
-]
-ToolOption = Annotated[
-    int | None, _option("tool", "The first UTOOL that is set; uses the PR of that number")
-]
-SignalOption = Annotated[int, _option("signal", "Digital output that a program sets at a station")]
-PauseOption = Annotated[
-    float,
-    _option(
-        "pause",
-        "How long a program waits at a station, before it sets the output and while it is set",
-    ),
-]
-PoseFormatOption = Annotated[
-    str | None,
-    _option("pose_format", "Convention of poses, as in docs/logs.md", metavar="NAME"),
-]
-OutOption = Annotated[
-    Path | None, typer.Option(readable=False, help="Write to this file; --into needs it.")
-]
+    return typer.Option(help=f": {', '.join(TAKEN[field])}.", **more)
 
 
 def export(
-    file: FileArgument,
-    to: ToOption,
-    beam: BeamOption = None,
-    link: LinkOption = None,
-    into: IntoOption = None,
-    axis: AxisOption = None,
-    at_reading_mm: AtReadingOption = 0.0,
-    tool: ToolOption = None,
-    signal: SignalOption = 1,
-    pause_s: PauseOption = 1.0,
-    pose_format: PoseFormatOption = None,
+    file: Path,
+    to: Annotated[FormatChoice, typer.Option(metavar="FORMAT", help=FORMATS, show_default=False)],
+    beam: Annotated[list[str] | None, typer.Option(metavar="NAME")] = None,
+    link: Annotated[str | None, _taken("link")] = None,
+    into: Annotated[Path | None, _taken("into")] = None,
+    axis: Annotated[AxisChoice | None, _taken("axis")] = None,
+    at_reading_mm: Annotated[float, _taken("at_reading")] = 0.0,
+    tool: Annotated[int | None, _taken("tool")] = None,
+    signal: Annotated[int, _taken("signal")] = 1,
+    pause_s: Annotated[float, _taken("pause")] = 1.0,
+    pose_format: Annotated[str | None, _taken("pose_format", metavar="NAME")] = None,
     out: OutOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Write calibrated beams, or planned stations, as robots, ROS and programs take them.
+    r"""Write calibrated beams, or planned stations, as robots, ROS and programs take them.
 
     Exit codes: 0 good; 2 bad input; 3 the file holds no calibration that converged.
+
+    Parameters
+    ----------
+    file : Path
+        Result of `handlaser calibrate --out`, or stations of `handlaser plan --out`.
+    to : FormatChoice
+    beam : list of str, optional
+        This beam; may be given several times. Default: all.
+    link : str, optional
+        The link whose frame is the hand
+    into : Path, optional
+        A URDF; --out gets it with the beams in it, all else as it was
+    axis : AxisChoice, optional
+        Of a tool frame, lies along the beam; z where not given
+    at_reading_mm : float
+        Reading at whose laser spot the origin of a tool frame stands, mm; 0: location of the beam
+    tool : int, optional
+        The first UTOOL that is set; uses the PR of that number
+    signal : int
+        Digital output that a program sets at a station
+    pause_s : float
+        How long a program waits at a station, before it sets the output and while it is set
+    pose_format : str, optional
+        Convention of poses, as in docs/logs.md
+    out : Path, optional
+        Write to this file; --into needs it.
+    quiet : bool
+
+    Examples
+    --------
+    handlaser export calibration.json --to kuka
+    handlaser export calibration.json --to urdf \
+        --link tool0 --out beams.urdf
+    handlaser export calibration.json --to c \
+        --out beams.h
     """
     from ..errors import InputError
     from ..files.exports.export import ExportOptions, export_text
@@ -124,11 +106,7 @@ def export(
         text = export_text(what, to.value, options)
         if out is not None:
             write_text(out, text)
-    _warn(what)
-    if out is None:
-        sys.stdout.write(text)
-    elif not quiet:
-        print_wrapped(wrote(out))
+    Answer(text, wrote(out), _warnings(what)).give(json=out is None, quiet=quiet)
 
 
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
@@ -142,7 +120,7 @@ def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     return read_survey_result(file) if is_survey_result(file) else read_calibration(file)
 
 
-def _warn(file: "StationList | CalibrationFile | SurveyFile") -> None:
+def _warnings(file: "StationList | CalibrationFile | SurveyFile") -> list[str]:
     """Repeat what the calibration was warned of: a program that uses it will not show that."""
     from ..text import printable
 
@@ -152,5 +130,4 @@ def _warn(file: "StationList | CalibrationFile | SurveyFile") -> None:
         for one in getattr(file, "systematic", ())
         if one.found and not one.explained_by
     ]
-    for line in lines:
-        print(f"WARNING: {printable(line)}", file=sys.stderr)
+    return [f"WARNING: {printable(line)}" for line in lines]

@@ -82,34 +82,25 @@ def _table(rows: Sequence[tuple[Cell, ...]]) -> Table:
 
 
 def _warning(moved: Moved) -> CalibrationWarning:
-    shift = float(np.linalg.norm(moved.shift))
+    shift, far = float(np.linalg.norm(moved.shift)), bool(np.isnan(moved.turn))
     by = f"by {np.degrees(moved.turn):.2g} deg and {IN_MM * shift:.2g} mm"
     words = (
-        f"beam {moved.beam} seems to have moved before plane {moved.since}, "
-        f"{'far' if np.isnan(moved.turn) else by}: calibrate the planes before and after it by "
-        f"themselves, or split the beam in a Session"
+        f"beam {moved.beam} seems to have moved before plane {moved.since}, {'far' if far else by}: "
+        "calibrate the planes before and after it by themselves, or split the beam in a Session"
     )
     values: dict[str, float | str] = {"beam": moved.beam, "since": moved.since}
-    if not np.isnan(moved.turn):
-        values |= {"shift_m": shift, "turn_rad": moved.turn}
+    values |= {} if far else {"shift_m": shift, "turn_rad": moved.turn}
     return CalibrationWarning("beam-moved", words, values)
 
 
 def _row(
     name: str, information: float | None, sigma: FloatArray | None, rejected: int, remark: str
 ) -> tuple[Cell, ...]:
-    location, direction = None, None
+    largest: tuple[float | None, float | None] = None, None
     if sigma is not None:
-        location = IN_MM * float(sigma[:, :3].max())
-        direction = float(np.degrees(sigma[:, 3:6].max()))
-    return (
-        text(name),
-        number(information, 2),
-        number(location, 4),
-        number(direction, 4),
-        text(str(rejected) if rejected else ""),
-        text(remark),
-    )
+        largest = IN_MM * float(sigma[:, :3].max()), float(np.degrees(sigma[:, 3:6].max()))
+    sizes = number(information, 2), *(number(value, 4) for value in largest)
+    return text(name), *sizes, text(str(rejected or "")), text(remark)
 
 
 def comparison_line(comparison: Comparison) -> str:
@@ -121,13 +112,10 @@ def comparison_line(comparison: Comparison) -> str:
 
 
 def _remark(name: str, update: Update) -> str:
-    words = []
-    if name in update.waiting:
-        words.append("waits for more")
-    if update.moved is not None:
-        words.append(f"beam {update.moved.beam} has moved before plane {update.moved.since}")
-    if update.inconsistent:
-        words.append("does not fit, and waits")
-    if update.comparison is not None and update.comparison.message:
-        words.append(update.comparison.message)
-    return "; ".join(words)
+    moved, comparison = update.moved, update.comparison
+    words = ["waits for more" if name in update.waiting else ""]
+    if moved is not None:
+        words.append(f"beam {moved.beam} has moved before plane {moved.since}")
+    words.append("does not fit, and waits" if update.inconsistent else "")
+    words.append("" if comparison is None else comparison.message)
+    return "; ".join(filter(None, words))

@@ -1,7 +1,6 @@
 """Options that say how a log is written: one for every field of `LogFormat`, in its own words."""
 
 import inspect
-import re
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
@@ -9,9 +8,8 @@ from typing import Annotated, Any, get_args, get_origin
 import typer
 
 from ..files.logs.format import LogFormat
+from .options import described, option_of
 
-FIELD = re.compile(r"(?m)^(\w+) : .*\n((?:^    .*\n)+)")
-"""A field in the section Attributes, and what is said of it."""
 PANEL = "Options for logs"
 
 
@@ -52,28 +50,18 @@ def _parts(name: str, text: str, *, numbers: bool) -> tuple[object, ...]:
 
 def _parameters() -> list[inspect.Parameter]:
     """Return an option for every field; None and False where nothing is given."""
-    texts = {
-        name: " ".join(text.split())
-        for name, text in FIELD.findall(f"{inspect.getdoc(LogFormat)}\n")
-    }
-    found = []
+    texts, found = described(LogFormat), []
     for one in fields(LogFormat):
         kind: Any = one.type
-        option, default, metavar = f"--{one.name.replace('_', '-')}", None, None
-        if kind is bool:
-            default = False
-        elif get_origin(kind) is tuple:
+        metavar = "|".join(LogFormat.words_of(one.name)) or None
+        if get_origin(kind) is tuple:
             metavar = "NUMBERS" if get_args(kind)[0] is float else "NAMES"
-        elif words := LogFormat.words_of(one.name):
-            metavar = "|".join(words)
         plain: Any = next((other for other in (float, Path) if _may_be(kind, other)), str)
-        plain = bool if kind is bool else plain | None
-        annotation = Annotated[
-            plain,
-            typer.Option(option, help=texts.get(one.name), metavar=metavar, rich_help_panel=PANEL),
-        ]
-        where = inspect.Parameter.POSITIONAL_OR_KEYWORD
-        found.append(inspect.Parameter(one.name, where, default=default, annotation=annotation))
+        default, plain = (False, bool) if kind is bool else (None, plain | None)
+        given = Annotated[plain, typer.Option(metavar=metavar, rich_help_panel=PANEL)]
+        where = inspect.Parameter.KEYWORD_ONLY
+        option = inspect.Parameter(one.name, where, default=default, annotation=given)
+        found.append(option_of(option, texts.get(one.name, "")))
     return found
 
 

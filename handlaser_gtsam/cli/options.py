@@ -1,20 +1,23 @@
 """Options that several verbs share, in groups, and what becomes of them.
 
-A verb takes a group as one argument; `expanded` gives the command line one option a field. With
+A verb takes a group as one argument; `expanded` gives the command line one option a field. What the
+docstring of a verb or a group says of a parameter or a field is the help of its option. With
 --log-level, what the package logs goes to stderr, a line each; without it, nothing does.
 """
 
 import functools
 import inspect
 import logging
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from copy import copy
 from dataclasses import asdict, dataclass, is_dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args, get_origin
 
 import typer
 
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
 
 
+FIELD = re.compile(r"(?m)^(\w+) : .*\n((?:^    .*\n)+)")
+"""A parameter or a field in a docstring, and what is said of it."""
 RangeErrorChoice = StrEnum(
     "RangeErrorChoice", {"auto": "auto", "none": "none", "k1": "k1", "k1k2": "k1k2"}
 )
@@ -50,12 +55,14 @@ AtRangeOption = Annotated[
     ),
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print no tables.")]
-
-
+OutOption = Annotated[Path | None, typer.Option(readable=False)]
+OneOrMore = Annotated[int | None, typer.Option(min=1)]
+Seed = Annotated[int, typer.Option(min=0)]
+RANGE = {"metavar": "MIN MAX", "help": "Range of the sensor, mm: --range-mm 0 30."}
 KNOWN, HOW = "Noise and sensor, instead of the rig file", "How it is calibrated"
 """Sections of the help, behind the options that most people need."""
-known_option = functools.partial(typer.Option, rich_help_panel=KNOWN)
-how_option = functools.partial(typer.Option, rich_help_panel=HOW)
+Known = Annotated[float | None, typer.Option(rich_help_panel=KNOWN)]
+how = typer.Option(rich_help_panel=HOW)
 LogLevel = StrEnum("LogLevel", "debug info warning error")
 LogLevelOption = Annotated[
     LogLevel | None,
@@ -65,40 +72,34 @@ LogLevelOption = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What is known of noise and sensor: the rig file, and what the command line says instead."""
+    """What is known of noise and sensor: the rig file, and what the command line says instead.
 
-    rig: Annotated[
-        Path | None,
-        typer.Option(help="Rig file, TOML: noise, sensor, limits, how logs are written."),
-    ] = None
-    range_sigma_mm: Annotated[
-        float | None,
-        typer.Option(help="Standard deviation of a reading, mm; estimated if not given."),
-    ] = None
-    pose_translation_sigma_mm: Annotated[
-        float | None,
-        known_option(help="Sigma of the hand position an axis, mm; estimated if not given."),
-    ] = None
-    pose_rotation_sigma_deg: Annotated[
-        float | None,
-        known_option(
-            help="Sigma of the hand rotation about each axis, deg; estimated if not given."
-        ),
-    ] = None
-    incidence_sigma_mm: Annotated[
-        float | None,
-        known_option(
-            help="Added to a reading's sigma times the tangent of the incidence, mm.",
-        ),
-    ] = None
+    Attributes
+    ----------
+    rig : Path, optional
+        Rig file, TOML: noise, sensor, limits, how logs are written.
+    range_sigma_mm : float, optional
+        Standard deviation of a reading, mm; estimated if not given.
+    pose_translation_sigma_mm : float, optional
+        Sigma of the hand position an axis, mm; estimated if not given.
+    pose_rotation_sigma_deg : float, optional
+        Sigma of the hand rotation about each axis, deg; estimated if not given.
+    incidence_sigma_mm : float, optional
+        Added to a reading's sigma times the tangent of the incidence, mm.
+    range_mm : (float, float), optional
+    max_incidence_deg : float, optional
+        Largest angle between beam and plane normal, deg.
+    """
+
+    rig: Path | None = None
+    range_sigma_mm: float | None = None
+    pose_translation_sigma_mm: Known = None
+    pose_rotation_sigma_deg: Known = None
+    incidence_sigma_mm: Known = None
     range_mm: Annotated[
-        tuple[float, float] | None,
-        known_option(metavar="MIN MAX", help="Range of the sensor, mm: --range-mm 0 30."),
+        tuple[float, float] | None, typer.Option(rich_help_panel=KNOWN, **RANGE)
     ] = None
-    max_incidence_deg: Annotated[
-        float | None,
-        known_option(help="Largest angle between beam and plane normal, deg."),
-    ] = None
+    max_incidence_deg: Known = None
 
     def read(self) -> "Rig":
         """Return the rig file with what the command line says instead."""
@@ -109,41 +110,30 @@ class Given:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What is estimated."""
+    """What is estimated.
 
-    range_error: Annotated[
-        RangeErrorChoice,
-        how_option(
-            help="Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: both, under a prior "
-            "of zero mean whose scales are learned from all beams."
-        ),
-    ] = RangeErrorChoice.auto
-    poses: Annotated[
-        PosesChoice,
-        how_option(
-            help="How errors of the hand poses count; auto: marginalised, pose sigmas that are not "
-            "given are estimated; exact: the robot is taken to make no errors, as with sigmas of zero."
-        ),
-    ] = PosesChoice.auto
-    estimate_noise: Annotated[
-        bool,
-        how_option(
-            "--estimate-noise",
-            help="Estimate the sigmas of ranges and poses even where they are given.",
-        ),
-    ] = False
-    range_sigma_by_beam: Annotated[
-        bool,
-        how_option("--range-sigma-by-beam", help="Estimate the range sigma of each beam."),
-    ] = False
-    free: Annotated[
-        str | None,
-        how_option(
-            metavar="CODE,...",
-            help="Systematic errors that are unknowns, each under a prior of its plausible size: "
-            "--free lag,incidence (docs/messages.md has all codes).",
-        ),
-    ] = None
+    Attributes
+    ----------
+    range_error : RangeErrorChoice
+        Terms of the true range d + k1 d + k2 d^2 of a reading d; auto: both, under a prior of zero mean
+        whose scales are learned from all beams.
+    poses : PosesChoice
+        How errors of the hand poses count; auto: marginalised, pose sigmas that are not given are
+        estimated; exact: the robot is taken to make no errors, as with sigmas of zero.
+    estimate_noise : bool
+        Estimate the sigmas of ranges and poses even where they are given.
+    range_sigma_by_beam : bool
+        Estimate the range sigma of each beam.
+    free : str, optional
+        Systematic errors that are unknowns, each under a prior of its plausible size: --free
+        lag,incidence (docs/messages.md has all codes).
+    """
+
+    range_error: Annotated[RangeErrorChoice, how] = RangeErrorChoice.auto
+    poses: Annotated[PosesChoice, how] = PosesChoice.auto
+    estimate_noise: Annotated[bool, how] = False
+    range_sigma_by_beam: Annotated[bool, how] = False
+    free: Annotated[str | None, typer.Option(metavar="CODE,...", rich_help_panel=HOW)] = None
 
     def options(self, rig: "Rig") -> "CalibrationOptions":
         """Return the options of a calibration with the sensor of `rig`."""
@@ -194,28 +184,50 @@ def _in_options(names: Mapping[str, str], values: Mapping[str, object]) -> Itera
         raise InputError(error.found, error.expected, file) from error
 
 
+def described(of: Callable[..., object]) -> dict[str, str]:
+    """Return what the docstring of a function, or of a class and its bases, says of each parameter."""
+    found: dict[str, str] = {}
+    for one in reversed(getattr(of, "__mro__", (of,))):
+        found |= dict(FIELD.findall(f"{inspect.getdoc(one)}\n"))
+    return {name: " ".join(text.split()) for name, text in found.items()}
+
+
+def option_of(one: inspect.Parameter, words: str) -> inspect.Parameter:
+    """Return a parameter as typer takes it, with the words of its docstring and those stated there.
+
+    Without a default it is an argument; what is true or false is a flag that cannot be negated.
+    """
+    kind, stated = one.annotation, None
+    if get_origin(kind) is Annotated:
+        kind, stated = get_args(kind)
+    if stated is None:
+        stated = typer.Argument(show_default=False) if one.default is one.empty else typer.Option()
+    info = copy(stated)
+    info.help = f"{words}{info.help or ''}" or None
+    if kind is bool and info.default is ...:
+        info.default = f"--{one.name.strip('_').replace('_', '-')}"
+    return one.replace(kind=one.POSITIONAL_OR_KEYWORD, annotation=Annotated[kind, info])
+
+
 def expanded(verb: Callable[..., None]) -> Callable[..., None]:
     """Return a verb that takes the fields of its groups, instead of the groups, and --log-level."""
     groups: dict[str, Callable[..., object]] = {}
     parameters: list[inspect.Parameter] = []
     for one in inspect.signature(verb).parameters.values():
-        kind = one.annotation  # a group is a dataclass, or a class that states its signature
+        kind, of, given = one.annotation, verb, [one]
+        # A group is a dataclass, or a class that states its signature.
         if isinstance(kind, type) and (is_dataclass(kind) or "__signature__" in vars(kind)):
-            groups[one.name] = kind
-            parameters += inspect.signature(kind).parameters.values()
-        else:
-            parameters.append(one)
-
+            groups[one.name] = of = kind
+            given = list(inspect.signature(kind).parameters.values())
+        words = described(of)
+        parameters += [option_of(each, words.get(each.name, "")) for each in given]
     where = inspect.Parameter.POSITIONAL_OR_KEYWORD
     log = inspect.Parameter("log_level", where, default=None, annotation=LogLevelOption)
     parameters.append(log)
     names = {
         one.name: f"--{one.name.replace('_', '-')}"
         for one in parameters
-        if not any(
-            isinstance(kind, typer.models.ArgumentInfo)
-            for kind in getattr(one.annotation, "__metadata__", ())
-        )
+        if isinstance(one.annotation.__metadata__[0], typer.models.OptionInfo)
     }
 
     @functools.wraps(verb)
@@ -227,28 +239,28 @@ def expanded(verb: Callable[..., None]) -> Callable[..., None]:
         with logging_at(log_level), _in_options(names, stated):
             verb(**values)
 
+    flat.__doc__ = re.split(r"\n\n\w+\n---", inspect.getdoc(verb) or "")[0]
     flat.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     flat.__annotations__ = {one.name: one.annotation for one in parameters}
     return flat
 
 
-class _Lines(logging.Formatter):
-    """Time since the beginning, level, and what is said, as one printable line.
+class _Lines(logging.Handler):
+    """Time since the beginning, level, and what is said, as one printable line of stderr.
 
     On a terminal, behind what takes away the sign of life that may stand in the line.
     """
 
-    def __init__(self) -> None:
-        super().__init__()
-        self._began = time.time()
-        self._clear = CLEAR if sys.stderr.isatty() else ""
+    began = time.time()
 
-    def format(self, record: logging.LogRecord) -> str:
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a line."""
         from ..text import printable
 
-        elapsed = max(record.created - self._began, 0.0)
+        elapsed = max(record.created - self.began, 0.0)
         line = f"{elapsed:9.3f} s {record.levelname.lower():7} {record.getMessage()}"
-        return self._clear + printable(line)
+        clear = CLEAR if sys.stderr.isatty() else ""
+        print(clear + printable(line), file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -257,9 +269,7 @@ def logging_at(level: LogLevel | None) -> Iterator[None]:
     if level is None or sys.stderr is None:
         yield
         return
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(_Lines())
-    before = LOGGER.level
+    handler, before = _Lines(), LOGGER.level
     LOGGER.addHandler(handler)
     LOGGER.setLevel(level.value.upper())
     try:

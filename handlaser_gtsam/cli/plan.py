@@ -1,14 +1,13 @@
 """handlaser plan: the stations to measure next."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped, wrote
-from .options import Given, JsonOption, Model, QuietOption
+from .answer import Answer, Working, wrote
+from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,54 +28,52 @@ MOST_TO_GOAL = 100
 def plan(
     given: Given,
     model: Model,
-    recording: Annotated[
-        Path | None,
-        typer.Argument(
-            help="What was recorded so far: a recording, CSV, or a log; it is calibrated first."
-        ),
-    ] = None,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            help="Result of `handlaser calibrate --out`, instead of RECORDING. What it says of the "
-            "planes is their place only: stations before them count as before planes that were moved."
-        ),
-    ] = None,
-    planes: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Times to move the plate, to orientations that are part of the plan; "
-            "default: before the planes as they stand.",
-        ),
-    ] = None,
-    stations: Annotated[
-        int | None,
-        typer.Option(
-            min=1,
-            help="Stations in all, at most: fewer where they reach the goal or the limits of the rig "
-            "file. Default: 20, or as many as that takes; for a first motion, as many as it takes.",
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Draws the candidates.")] = 0,
-    out: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="Write the stations to this CSV file."),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="Write the forecast to this picture, SVG."),
-    ] = None,
+    recording: Annotated[Path | None, typer.Argument()] = None,
+    calibration: Path | None = None,
+    planes: OneOrMore = None,
+    stations: OneOrMore = None,
+    seed: Seed = 0,
+    out: OutOption = None,
+    picture: OutOption = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Say where to measure next.
+    r"""Say where to measure next.
 
     Without RECORDING and --calibration: a first motion for any mount within the bounds of the rig file.
 
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
     the plan. With sensors of many rays stations are chosen all the same, and 3 says that something
     would still be undetermined after them.
+
+    Parameters
+    ----------
+    given, model
+    recording : Path, optional
+        What was recorded so far: a recording, CSV, or a log; it is calibrated first.
+    calibration : Path, optional
+        Result of `handlaser calibrate --out`, instead of RECORDING. What it says of the planes is their
+        place only: stations before them count as before planes that were moved.
+    planes : int, optional
+        Times to move the plate, to orientations that are part of the plan; default: before the planes
+        as they stand.
+    stations : int, optional
+        Stations in all, at most: fewer where they reach the goal or the limits of the rig file.
+        Default: 20, or as many as that takes; for a first motion, as many as it takes.
+    seed : int
+        Draws the candidates.
+    out : Path, optional
+        Write the stations to this CSV file.
+    picture : Path, optional
+        Write the forecast to this picture, SVG.
+    json_, quiet
+
+    Examples
+    --------
+    handlaser plan recording.csv --rig rig.toml \
+        --stations 12 --out stations.csv
+    handlaser plan recording.csv --rig rig.toml \
+        --stations 5 --picture forecast.svg
     """
     from ..errors import InputError
     from ..files.plan_json import plan_text, survey_plan_text
@@ -84,8 +81,8 @@ def plan(
     from ..files.writing import require_outputs, write_text
     from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan
-    from .plan_tables import plan_lines, scene_lines, station_lines
-    from .survey import survey_plan_gaps, survey_plan_lines
+    from .survey import survey_plan_gaps
+    from .words import plan_lines, station_lines, survey_plan_lines
 
     with Working():
         rig = given.read()
@@ -101,9 +98,8 @@ def plan(
             warnings, failure = survey_plan_gaps(planned)
         else:
             warnings = [] if calibration is None else _uncounted(calibration)
-            lines, text = list(plan_lines(planned, rig.goal)), plan_text(planned)
-            if rig.workspace is not None and rig.workspace.robot is not None:
-                lines += scene_lines(rig.workspace.robot)
+            robot = None if rig.workspace is None else rig.workspace.robot
+            lines, text = plan_lines(planned, rig.goal, robot), plan_text(planned)
         if out is not None:
             write_stations(out, planned.stations)
         else:
@@ -111,7 +107,7 @@ def plan(
         if picture is not None and not isinstance(planned, SurveyPlan):
             write_text(picture, forecast_svg(planned.forecast, rig.goal))
         lines += wrote(out, picture)
-        answer = Answer(text, partial(print_wrapped, lines), warnings, failure)
+        answer = Answer(text, lines, warnings, failure)
     answer.give(json=json_, quiet=quiet)
 
 
@@ -145,24 +141,17 @@ def _planned(
         raise InputError("--free without RECORDING", expected)
     if recording is None and result is None:
         if rig.bounds is None or rig.workspace is None:
-            raise InputError(
-                "neither RECORDING nor --calibration",
-                "one of the two, or the tables [blind] and [workspace] of the rig file",
-            )
-        count = None if stations is None else stations // (planes or 1)
-        return blind_motion(
-            *(rig.bounds, rig.sensor, rig.workspace, rig.noise, count),
-            planes=planes or 1,
-            goal=rig.goal,
-            rng=rng,
-        )
+            expected = "one of the two, or the tables [blind] and [workspace] of the rig file"
+            raise InputError("neither RECORDING nor --calibration", expected)
+        each = None if stations is None else stations // (planes or 1)
+        known = rig.bounds, rig.sensor, rig.workspace, rig.noise, each
+        return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
+    count = stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
     read = None if recording is None else read_any_kind(rig, recording)
     if isinstance(read, Survey):
         plain = (model, planes) == (Model(), None)
         refuse_of_beams(rig, [], recording or Path(), plain=plain)
-        return survey_plan(
-            read, rig, stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED), rng
-        )
+        return survey_plan(read, rig, count, rng)
     require_range(rig.sensor)
     calibration: Calibration | Mounts
     if read is None:
@@ -174,13 +163,8 @@ def _planned(
         if calibration.status != "converged":
             raise SolverError(calibration.message)
     placement = None if planes is None else replace(rig.placement, count=planes)
-    count = stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
-    return planning.plan(
-        *(calibration, count, rig.sensor, rig.workspace, rig.goal),
-        plates=plates,
-        placement=placement,
-        rng=rng,
-    )
+    asked = calibration, count, rig.sensor, rig.workspace, rig.goal
+    return planning.plan(*asked, plates=plates, placement=placement, rng=rng)
 
 
 def _uncounted(path: Path) -> list[str]:

@@ -1,13 +1,15 @@
 """handlaser simulate: a recording whose truth is known."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Working, print_wrapped
+from .answer import Answer, Working
+from .options import OneOrMore, Seed
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,49 +23,76 @@ USUAL_TARGETS = "plane:A,sphere:ball"
 """Targets of a survey where none are stated: together they determine every sensor."""
 SceneName = StrEnum("SceneName", "paper unplanned arm")
 PoseAxes = StrEnum("PoseAxes", "x y z xyz")
-SigmaOption = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
+Sigma = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
+
+
+@dataclass(frozen=True, slots=True)
+class Made:
+    """What is simulated.
+
+    Attributes
+    ----------
+    scene : SceneName
+        paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m.
+    rig : Path, optional
+        Rig file, TOML, with [[sensors]] of many rays: a survey with them, no scene.
+    targets : str, optional
+        With --rig: targets of the survey, points for --beams; default: plane:A,sphere:ball.
+    beams : int, optional
+        Default: 4; with --rig none.
+    planes : int
+    stations : int
+        Stations a plane, or target.
+    k1 : float
+        Of every beam: true range d + k1 d + k2 d^2.
+    k2_per_m : float
+        Of every beam, in 1/m.
+    range_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg : float, optional
+    pose_axes : PoseAxes, optional
+        Hand axes on which the pose errs.
+    """
+
+    scene: SceneName = SceneName.paper
+    rig: Path | None = None
+    targets: str | None = None
+    beams: OneOrMore = None
+    planes: Annotated[int, typer.Option(min=1)] = 4
+    stations: Annotated[int, typer.Option(min=1)] = 11
+    k1: float = 0.0
+    k2_per_m: float = 0.0
+    range_sigma_mm: Sigma = None
+    pose_translation_sigma_mm: Sigma = None
+    pose_rotation_sigma_deg: Sigma = None
+    pose_axes: PoseAxes | None = None
 
 
 def simulate(
-    folder: Annotated[Path, typer.Argument(help="Folder to write to.", show_default=False)],
-    scene: Annotated[
-        SceneName,
-        typer.Option(help="paper: ranges to 30 mm; unplanned: any motion; arm: to 0.6 m."),
-    ] = SceneName.paper,
-    rig: Annotated[
-        Path | None,
-        typer.Option(
-            help="Rig file, TOML, with [[sensors]] of many rays: a survey with them, no scene."
-        ),
-    ] = None,
-    targets: Annotated[
-        str | None,
-        typer.Option(
-            help="With --rig: targets of the survey, points for --beams; default: "
-            "plane:A,sphere:ball.",
-            show_default=False,
-        ),
-    ] = None,
-    beams: Annotated[
-        int | None, typer.Option(min=1, help="Default: 4; with --rig none.", show_default=False)
-    ] = None,
-    planes: Annotated[int, typer.Option(min=1)] = 4,
-    stations: Annotated[int, typer.Option(min=1, help="Stations a plane, or target.")] = 11,
-    k1: Annotated[float, typer.Option(help="Of every beam: true range d + k1 d + k2 d^2.")] = 0.0,
-    k2_per_m: Annotated[float, typer.Option(help="Of every beam, in 1/m.")] = 0.0,
-    range_sigma_mm: SigmaOption = None,
-    pose_translation_sigma_mm: SigmaOption = None,
-    pose_rotation_sigma_deg: SigmaOption = None,
-    pose_axes: Annotated[
-        PoseAxes | None, typer.Option(help="Hand axes on which the pose errs.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing.")] = False,
+    folder: Path,
+    made: Made,
+    seed: Seed = 0,
+    force: bool = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q")] = False,
 ) -> None:
-    """Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
+    r"""Write recording.csv, rig.toml and truth.json of a simulated scene to FOLDER.
 
     With the [[sensors]] of a rig file: stations.csv, a table of points each, rig.toml and truth.json.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write to.
+    made : Made
+    seed : int
+    force : bool
+        Replace files that exist.
+    quiet : bool
+        Print nothing.
+
+    Examples
+    --------
+    handlaser simulate made
+    handlaser simulate made --scene arm --beams 2 \
+        --k1 0.01 --seed 7 --force
     """
     import numpy as np
 
@@ -72,39 +101,36 @@ def simulate(
     from ..text import count, printable
 
     with Working():
-        table = SceneTable.model_construct(  # is checked by what it makes
-            scene=scene.value,
-            beams=4 if beams is None else beams,
-            planes=planes,
-            stations=stations,
-            k1=k1,
-            k2_per_m=k2_per_m,
-            range_sigma_mm=range_sigma_mm,
-            pose_translation_sigma_mm=pose_translation_sigma_mm,
-            pose_rotation_sigma_deg=pose_rotation_sigma_deg,
-            pose_axes=None if pose_axes is None else pose_axes.value,
-        )
+        fields = asdict(made) | {"beams": made.beams or 4}
+        rig, targets = fields.pop("rig"), fields.pop("targets")
+        table = SceneTable.model_construct(**fields)  # is checked by what it makes
         rng = np.random.default_rng(seed)
         if rig is not None:
             from .survey_simulate import simulated_survey
 
-            if (scene, planes) != (SceneName.paper, 4):
+            if (made.scene, made.planes) != (SceneName.paper, 4):
                 raise InputError("--scene or --planes with --rig", "--targets plane:A,plane:B")
-            labels = list(
-                dict.fromkeys(one.strip() for one in (targets or USUAL_TARGETS).split(","))
-            )
-            files, write, unread = simulated_survey(rig, labels, beams or 0, table, rng)
-            each = f"{count(len(labels), 'target')}, {count(stations, 'station')} each{unread}"
+            stated = (targets or USUAL_TARGETS).split(",")
+            labels = list(dict.fromkeys(map(str.strip, stated)))
+            files, write, unread = simulated_survey(rig, labels, made.beams or 0, table, rng)
+            each = f"{count(len(labels), 'target')}, {count(made.stations, 'station')} each{unread}"
         else:
             if targets is not None:
-                raise InputError(
-                    "--targets without --rig", "a rig file that names sensors of many rays"
-                )
+                found = "--targets without --rig"
+                raise InputError(found, "a rig file that names sensors of many rays")
             files, write = _of_scene(table, rng)
-            each = f"{planes} planes, {stations} stations each"
-        _written(folder, files, write, force=force)
-    if not quiet:
-        print_wrapped([f"wrote {', '.join(files)} to {printable(str(folder))}: {each}"])
+            each = f"{made.planes} planes, {made.stations} stations each"
+        there = [file for file in files if (folder / file).exists()]
+        if there and not force:
+            raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            found = f"no folder ({error.strerror})"
+            raise InputError(found, "a folder to write to", folder) from error
+        write(folder)
+    line = f"wrote {', '.join(files)} to {printable(str(folder))}: {each}"
+    Answer("", [line]).give(json=False, quiet=quiet)
 
 
 def _of_scene(
@@ -127,20 +153,3 @@ def _of_scene(
         write_truth(folder / FILES[2], truth, recording)
 
     return FILES, write
-
-
-def _written(
-    folder: Path, files: Sequence[str], write: Callable[[Path], None], *, force: bool
-) -> None:
-    """Write files to a folder, which is made; refuse where one is there already, unless forced."""
-    from ..errors import InputError
-
-    there = [file for file in files if (folder / file).exists()]
-    if there and not force:
-        raise InputError(f"{there[0]} there already", "an empty folder, or --force", folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        found = f"no folder ({error.strerror})"
-        raise InputError(found, "a folder to write to", folder) from error
-    write(folder)

@@ -37,6 +37,12 @@ def left_open(undetermined: Sequence[str], advice: Sequence[str]) -> tuple[int, 
     return UNDETERMINED, open_sentence(undetermined, advice)
 
 
+def unusable(exceeded: Sequence[str], verdict: str, *, usable: bool) -> tuple[int, str] | None:
+    """Return the exit code and the words of a result that is not to be used; None of any other."""
+    words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else verdict
+    return None if usable and not exceeded else (NOT_USABLE, words)
+
+
 class CtrlC:
     """A context in which Ctrl-C is noticed, whatever becomes of the KeyboardInterrupt.
 

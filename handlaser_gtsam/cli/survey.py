@@ -2,15 +2,13 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
-from ..quantities import IN_MM, IN_PERCENT
 from ..text import count
-from .answer import Answer, print_wrapped, text_width, wrote
-from .stopping import NOT_USABLE, UNDETERMINED, left_open
+from .answer import Answer, text_width, wrote
+from .stopping import NOT_USABLE, UNDETERMINED, left_open, unusable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
     from ..planning.survey import SurveyPlan
     from ..results.limits import LimitCheck
     from ..results.survey import SurveyCalibration
-    from ..validation.survey import SurveyValidation
     from .calibrate import Output
 
 
@@ -78,10 +75,9 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
 
         page = survey_report(result, survey, path.name, output.report_date or "", checks)
         write_text(output.report, page)
-    aloud = output.json_ or output.quiet
-    warnings = [f"WARNING: {one.message}" for one in result.warnings] if aloud else []
-    show = partial(_show, result, checks, output, _read_lines(survey))
-    return Answer(text, show, warnings, _failure(result, checks))
+    lines = _lines(result, checks, [*_read_lines(survey), *wrote(output.out, output.report)])
+    warnings = result.warnings if output.json_ or output.quiet else ()
+    return Answer(text, lines, warnings, _failure(result, checks))
 
 
 def survey_check(survey: "Survey", rig: "Rig") -> Answer:
@@ -100,13 +96,9 @@ def survey_check(survey: "Survey", rig: "Rig") -> Answer:
         failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
     if found.doubt is not None:
         failure = UNDETERMINED, found.doubt
-    warnings = [
-        f"WARNING: {one.message}"
-        for one in found.warnings
-        if found.doubt is None or one.message not in found.doubt
-    ]
-    show = partial(print_wrapped, [*check_lines(found), *_read_lines(survey)])
-    return Answer(survey_check_text(found), show, warnings, failure)
+    warnings = [one for one in found.warnings if one.message not in (found.doubt or "")]
+    lines = [*check_lines(found), *_read_lines(survey)]
+    return Answer(survey_check_text(found), lines, warnings, failure)
 
 
 def converted_survey(
@@ -136,14 +128,10 @@ def converted_survey(
         raise InputError(found, "it as it is: other verbs take it", path)
     if out is not None:
         write_stations(out, survey.stations)
-    counts = (
-        (len(survey.stations), "station"),
-        (len(survey.shots), "sensor"),
-        (len(set(survey.stations.plane_labels)), "target"),
-        (sum(len(shots.reading) for shots in survey.shots), "point"),
-    )
-    lines = [", ".join(count(n, what) for n, what in counts), *survey.lines]
-    return lines, survey.warnings
+    sensors, points = len(survey.shots), sum(len(shots.reading) for shots in survey.shots)
+    words = f"{count(len(survey.stations), 'station')}, {count(sensors, 'sensor')}, "
+    words += f"{count(len(set(survey.stations.plane_labels)), 'target')}, {count(points, 'point')}"
+    return [words, *survey.lines], survey.warnings
 
 
 def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:
@@ -157,14 +145,15 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
 
     from ..files.survey_json import survey_validation_text
     from ..validation.survey import validate_survey
+    from .words import lines_of
 
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
     failure = _failure(result.calibration, [])
     if failure is None and not result.usable:
         code = NOT_USABLE if result.disagreement is None else UNDETERMINED
         failure = code, result.verdict
-    show = partial(print_wrapped, _validation_lines(result))
-    return Answer(survey_validation_text(result), show, failure=failure)
+    lines = lines_of("survey_validation", result=result)
+    return Answer(survey_validation_text(result), lines, failure=failure)
 
 
 def survey_plan(
@@ -185,25 +174,6 @@ def survey_plan(
         )
         raise InputError("the table [robot] of the rig file", expected)
     return plan_survey(calibrate(survey, rig.noise), stations, rig.workspace, rig.goal, rng)
-
-
-def survey_plan_lines(planned: "SurveyPlan") -> list[str]:
-    """Return the lines of a plan."""
-    within = [
-        f"{error * IN_MM:.2g} mm" if math.isfinite(error) else "undetermined"
-        for error in planned.spot_errors.tolist()
-    ]
-    after = f"within {within[-1]} (95 %)" if planned.determined else within[-1]
-    many = count(len(planned.sensors), "station")
-    lines = [f"{many}: spots {after} after them, {within[0]} before"]
-    if planned.reached is not None:
-        lines.append(f"the goal is {'' if planned.reached else 'not '}reached after them")
-    of = zip(planned.stations.plane_labels, planned.sensors, within[1:], strict=True)
-    lines += [
-        f"{number}. {sensor} before {label}: then {size}"
-        for number, (label, sensor, size) in enumerate(of, start=1)
-    ]
-    return lines
 
 
 def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] | None]:
@@ -227,26 +197,6 @@ def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] 
     )
 
 
-def _validation_lines(result: "SurveyValidation") -> Iterator[str]:
-    reference = result.reference
-    yield result.verdict
-    yield (
-        f"SciPy, point by point, differs by {reference.largest:.2g} standard deviations at most "
-        f"({reference.parameter}); standard deviations by {IN_PERCENT * reference.largest_sigma:.2g} %"
-    )
-    groups = ("without ", result.targets), ("without 30 % of the stations, draw ", result.splits)
-    for words, some in groups:
-        for one in some:
-            if one.message:
-                yield f"{words}{one.name}: no prediction: {one.message}"
-            else:
-                yield (
-                    f"{words}{one.name}: {one.shots} shots predicted, chi2/dof "
-                    f"{one.chi2:.1f}/{one.dof} (p = {one.p_value:.2g}); spots move by "
-                    f"{one.shift * IN_MM:.2g} mm"
-                )
-
-
 def _read_lines(survey: "Survey") -> list[str]:
     """Return how the files of a survey were read, in a line; none where there is nothing to say."""
     from ..text import printable
@@ -254,35 +204,28 @@ def _read_lines(survey: "Survey") -> list[str]:
     return [f"read: {printable('; '.join(survey.lines))}"] if survey.lines else []
 
 
-def _show(
-    result: "SurveyCalibration",
-    checks: "Sequence[LimitCheck]",
-    output: "Output",
-    read: Sequence[str],
-) -> None:
+def _lines(
+    result: "SurveyCalibration", checks: "Sequence[LimitCheck]", after: Sequence[str]
+) -> Iterator[str]:
+    """Yield the verdict, tables and facts of a result, its warnings, and what stands `after` them."""
     from ..results.description.rendering import full_table, text_lines
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
 
     width = text_width()
-    lines = text_lines([result.verdict], width)
-    tables = {
-        "sensors": sensors_table(result),
-        "beams": beams_table(result),
-        "targets": targets_table(result),
-    }
-    for title, table in tables.items():
-        lines += [] if table is None else full_table(title, table, width)
-    lines += text_lines([f"{name}: {words}" for name, words in facts(result, checks)], width)
-    lines += text_lines(list(result.undetermined[1:]), width)
-    lines += text_lines([f"WARNING: {one.message}" for one in result.warnings], width)
-    lines += text_lines(list(read), width)
-    print_wrapped([*lines, *wrote(output.out, output.report)])
+    yield from text_lines([result.verdict], width)
+    for title, table in (
+        ("sensors", sensors_table(result)),
+        ("beams", beams_table(result)),
+        ("targets", targets_table(result)),
+    ):
+        yield from () if table is None else full_table(title, table, width)
+    lines = [f"{name}: {words}" for name, words in facts(result, checks)]
+    lines += [*result.undetermined[1:], *(f"WARNING: {one.message}" for one in result.warnings)]
+    yield from text_lines([*lines, *after], width)
 
 
 def _failure(result: "SurveyCalibration", checks: "Sequence[LimitCheck]") -> tuple[int, str] | None:
     if result.status != "converged":
         return UNDETERMINED, result.message
     failed = [one.failure for one in checks if not one.held]
-    if failed:
-        return NOT_USABLE, f"outside the limits: {'; '.join(failed)}"
-    return None if result.usable else (NOT_USABLE, result.verdict)
+    return unusable(failed, result.verdict, usable=result.usable)

@@ -53,54 +53,41 @@ def simulated_survey(
     if known.half_angle and not beams:
         expected = "--beams, which it counts for, or a rig file without it"
         raise InputError("half_angle_deg in [sensor] without single beams", expected, rig)
-    unused: dict[str, object] = {"[[known]]": known.survey is not None and known.survey.known}
-    unused["pose_covariance"] = known.noise.pose_covariance is not None
-    for name, stated in unused.items():
-        if stated:
-            raise InputError(f"{name}, which is not simulated", "a rig file without it", rig)
+    noise, sensor, found = known.noise, known.sensor, ""
+    if known.survey is not None and known.survey.known:
+        found = "[[known]]"
+    elif noise.pose_covariance is not None:
+        found = "pose_covariance"
+    if found:
+        raise InputError(f"{found}, which is not simulated", "a rig file without it", rig)
     names = ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma")
-    given = {name: getattr(known.noise, name) for name in names}
-    usual = replace(SURVEY_ERRORS, **{name: x for name, x in given.items() if x is not None})
-    errors = table.errors(usual)
-    sensor = known.sensor
+    given = {name: getattr(noise, name) for name in names if getattr(noise, name) is not None}
+    errors = table.errors(replace(SURVEY_ERRORS, **given))
     bounded = math.isfinite(sensor.range_max)
     working = 0.5 * (max(sensor.range_min, 0.0) + sensor.range_max) if bounded else WORKING
-    files = table_names(tables)
     for one in tables:
         if Path(one.name).name != one.name:
             raise InputError(f"a sensor called {shown(one.name)}", "the name of a file", rig)
+    files = table_names(tables)
     if len(set(files)) < len(files):
         raise InputError("sensors whose tables would be one file", "other names of sensors", rig)
-    zones = {
-        one.name: directions_of(rig.parent / str(one.zones))
-        for one in tables
-        if one.kind == "array"
-    }
-    fans = [
-        fan_of(
-            one.name,
-            one.kind,
-            working,
-            zones.get(one.name),
-            sigma=None if one.sigma_mm is None else one.sigma_mm * MM,
-            sigma_across=one.sigma_across_mm * MM,
-            free=one.free,
-        )
-        for one in tables
-    ]
+    zones, fans = {}, []
+    for one in tables:
+        if one.kind == "array":
+            zones[one.name] = directions_of(rig.parent / str(one.zones))
+        sigma = None if one.sigma_mm is None else one.sigma_mm * MM
+        more = {"sigma": sigma, "sigma_across": one.sigma_across_mm * MM, "free": one.free}
+        fans.append(fan_of(one.name, one.kind, working, zones.get(one.name), **more))
     truth, stations = survey_scene(fans, beams, labels, table.stations, rng, working)
     truth = replace(truth, range_error=(table.k1, table.k2_per_m))
     survey = simulate_survey(truth, stations, fans, errors, rng, known.half_angle)
 
-    noise = errors.stated()
+    stated = errors.stated()
     if not beams:  # a range sigma is that of single beams
-        noise = replace(noise, range_sigma=None)
+        stated = replace(stated, range_sigma=None)
 
     def write(folder: Path) -> None:
-        write_simulated(folder, survey, truth, tables, zones, noise, sensor)
+        write_simulated(folder, survey, truth, tables, zones, stated, sensor)
 
-    unread = unread_stations(survey)
-    words = (
-        f"; at {unread} of {count(len(stations), 'station')} no ray hits a target" if unread else ""
-    )
-    return tuple(files), write, words
+    unread, of = unread_stations(survey), count(len(stations), "station")
+    return tuple(files), write, f"; at {unread} of {of} no ray hits a target" if unread else ""

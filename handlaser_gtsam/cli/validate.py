@@ -1,14 +1,13 @@
 """handlaser validate: does a calibration predict what it has not seen; does an old one still hold."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .answer import Answer, Working, print_wrapped
-from .options import Given, JsonOption, Model, RecordingArgument
+from .answer import Answer, Working
+from .options import Given, JsonOption, Model, RecordingArgument, Seed
 from .stopping import NOT_USABLE
 
 if TYPE_CHECKING:
@@ -21,27 +20,39 @@ def validate(
     recording: RecordingArgument,
     given: Given,
     model: Model,
-    calibration: Annotated[
-        Path | None,
-        typer.Option(
-            help="Test this old calibration, JSON, on RECORDING: does it still hold? Of the other "
-            "options only noise, sensor and exact poses count then."
-        ),
-    ] = None,
-    hold_out: Annotated[
-        Path | None, typer.Option(help="Test the calibration of RECORDING on this other recording.")
-    ] = None,
-    splits: Annotated[int, typer.Option(min=0, help="Random 70/30 splits.")] = 5,
-    seed: Annotated[int, typer.Option(min=0, help="Of the splits.")] = 0,
+    calibration: Path | None = None,
+    hold_out: Path | None = None,
+    splits: Annotated[int, typer.Option(min=0)] = 5,
+    seed: Seed = 0,
     json_: JsonOption = False,
 ) -> None:
-    """Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
+    r"""Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
 
     Exit codes: 0 good; 2 bad input; 3 no calibration, or, of sensors of many rays, SciPy finds another
     one; 4 not usable: outside the limits of the rig
     file (its rms holds for planes held out, too), a plane held out contradicts the beams found without
     it (1 in 100 good recordings exits so), a systematic error larger than what the result states; with
     --calibration or --hold-out, the calibration does not hold (p below 0.001).
+
+    Parameters
+    ----------
+    recording, given, model
+    calibration : Path, optional
+        Test this old calibration, JSON, on RECORDING: does it still hold? Of the other options only
+        noise, sensor and exact poses count then.
+    hold_out : Path, optional
+        Test the calibration of RECORDING on this other recording.
+    splits : int
+        Random 70/30 splits.
+    seed : int
+        Of the splits.
+    json_ : bool
+
+    Examples
+    --------
+    handlaser validate recording.csv --rig rig.toml
+    handlaser validate recording.csv \
+        --calibration calibration.json
     """
     from ..data.survey import Survey
     from ..errors import InputError
@@ -77,14 +88,14 @@ def _validated(
     from ..files.validation_json import validation_text
     from ..validation import leave_out
     from .answer import text_width
-    from .validation_tables import validation_lines
+    from .words import validation_lines
 
     rng = np.random.default_rng(seed)
     result = leave_out.validate(recording, rig.noise, options, splits=splits, rng=rng)
     judged = leave_out.verdict_of_validation(result, rig.limits)
     lines = validation_lines(result, judged, text_width())
     failure = None if judged.usable else (NOT_USABLE, judged.sentence)
-    return Answer(validation_text(result), partial(print_wrapped, lines), failure=failure)
+    return Answer(validation_text(result), lines, failure=failure)
 
 
 def _tested(
@@ -104,13 +115,11 @@ def _tested(
     from ..pipeline import calibrate
     from ..results.mounts import Mounts
     from ..validation.hold_out import hold_out
-    from .validation_tables import hold_out_lines
+    from .words import hold_out_lines
 
-    noise = rig.noise
+    noise, exact = rig.noise, {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
     if options.poses == "exact":
-        noise = replace(
-            noise, pose_translation_sigma=0.0, pose_rotation_sigma=0.0, pose_covariance=None
-        )
+        noise = replace(noise, pose_covariance=None, **exact)
     if old is not None:
         mounts = read_mounts(old)
     else:
@@ -129,6 +138,4 @@ def _tested(
             f"explain it: beam {' or '.join(moved) or 'none'}; calibrate again"
         )
         failure = NOT_USABLE, words
-    warnings = [f"WARNING: {warning}" for warning in recording.warnings]
-    show = partial(print_wrapped, hold_out_lines(found))
-    return Answer(hold_out_text(found), show, warnings, failure)
+    return Answer(hold_out_text(found), hold_out_lines(found), recording.warnings, failure)

@@ -1,6 +1,13 @@
-"""The verbs of the command line, and what they share; a verb is imported when it is asked for."""
+"""The verbs of the command line, and what they share; a verb is imported when it is asked for.
 
-from collections.abc import Callable, Iterator, Mapping
+The help of a verb ends with the examples of its docstring. They run as written, in the order of the
+verbs, in one folder with the files of examples/gripper and examples/study. A line that ends with a
+backslash goes on, so that nothing is wider than 50 columns; `watch` runs until it is stopped.
+"""
+
+import inspect
+import re
+from collections.abc import Callable
 from functools import cache
 from importlib import import_module
 from typing import Any, cast
@@ -49,16 +56,20 @@ class Verb(TyperCommand):
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write the examples."""
-        from .examples import EXAMPLES
-
-        lines = "\n".join(EXAMPLES.get(self.name or "", ()))
-        self.epilog = f"\b\nExamples:\n{lines}" if lines else ""  # is not to be wrapped
+        lines = "\n".join(examples_of(self.name or ""))
+        self.epilog = f"\b\nExamples:\n{lines}"  # is not to be wrapped
         super().format_epilog(ctx, formatter)
 
 
 def function_of(verb: str) -> Callable[..., None]:
     """Return the function that does what a verb says."""
     return cast("Callable[..., None]", getattr(import_module(f".{verb}", __package__), verb))
+
+
+def examples_of(verb: str) -> list[str]:
+    """Return what a person copies: the examples of the docstring of a verb."""
+    text = inspect.getdoc(function_of(verb)) or ""
+    return re.split(r"\n(?=handlaser )", text.partition("\nExamples\n--------\n")[2])
 
 
 @cache
@@ -69,26 +80,15 @@ def _command(verb: str) -> Any:
     return typer.main.get_command(alone)
 
 
-class _Commands(Mapping[str, Any]):
-    """The verbs by name."""
-
-    def __getitem__(self, name: str) -> Any:
-        if name not in VERBS:
-            raise KeyError(name)
-        return _command(name)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(VERBS)
-
-    def __len__(self) -> int:
-        return len(VERBS)
-
-
 class _Verbs(TyperGroup):
     """A group of commands that are not there before they are asked for."""
 
     def __init__(self, **settings: Any) -> None:
-        super().__init__(**settings | {"commands": _Commands()})
+        super().__init__(**settings | {"commands": dict.fromkeys(VERBS)})
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002  # the group decides
+        """Return a verb by its name."""
+        return _command(cmd_name) if cmd_name in VERBS else None
 
 
 app = typer.Typer(

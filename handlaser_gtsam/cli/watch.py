@@ -17,40 +17,40 @@ EXTRA = ("starlette", "uvicorn")
 
 
 def watch(
-    path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FOLDER|FILE",
-            help="Folder of recording.csv, and of rig.toml if it is there; or a recording, CSV, or a "
-            "log that is a table. It may yet come.",
-            show_default=False,
-        ),
-    ],
+    path: Annotated[Path, typer.Argument(metavar="FOLDER|FILE", show_default=False)],
     given: Given,
     model: Model,
-    host: Annotated[
-        str,
-        typer.Option(
-            help="Address to listen at. Other computers see the page only where this says so: "
-            "0.0.0.0 lets all that reach this one."
-        ),
-    ] = LOOPBACK,
-    port: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            max=65535,
-            help="Port to listen at, 0 for any that is free; default: 8642, or the next that is free.",
-        ),
-    ] = None,
-    open_: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    host: str = LOOPBACK,
+    port: Annotated[int | None, typer.Option(min=0, max=65535)] = None,
+    open_: bool = False,
     at_range_mm: AtRangeOption = None,
 ) -> None:
-    """Show a page that follows a recording as it grows: verdict, beams, planes, next station.
+    r"""Show a page that follows a recording as it grows: verdict, beams, planes, next station.
 
     It is calibrated again whenever it changes. Ctrl-C ends.
 
     Exit codes: 2 bad input, or a port that is in use; 130 stopped by Ctrl-C.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of recording.csv, and of rig.toml if it is there; or a recording, CSV, or a log that is a
+        table. It may yet come.
+    given, model
+    host : str
+        Address to listen at. Other computers see the page only where this says so: 0.0.0.0 lets all
+        that reach this one.
+    port : int, optional
+        Port to listen at, 0 for any that is free; default: 8642, or the next that is free.
+    open_ : bool
+        Open the page in the browser.
+    at_range_mm : float, optional
+
+    Examples
+    --------
+    handlaser watch .
+    handlaser watch recording.csv --rig rig.toml \
+        --port 9000 --open
     """
     from ..errors import InputError
     from ..files.rig_toml import known_rig

@@ -21,24 +21,18 @@ from ..errors import CalibrationWarning, InputError
 from ..text import shown
 from .readings import Readings, typical_range
 from .recording_checks import (
+    NAMES,
     HasMatrix,
     check_recording,
     first_repeated,
     names_of,
     numbered,
     pose_matrices,
+    store_columns,
 )
 from .value import Value
 
 __all__ = ["Readings", "Recording", "first_repeated", "join", "typical_range"]
-
-NAMES = {
-    "plane_labels": "the label of a plane",
-    "beam_names": "the name of a beam",
-    "station_names": "the name of a station",
-    "ignored_columns": "the name of a column",
-}
-"""Fields that hold names."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -91,13 +85,8 @@ class Recording(Value):
 
     def __post_init__(self) -> None:
         store = object.__setattr__
-        for name in ("world_R_hand", "world_t_hand", "ranges", "samples"):
-            if name != "samples" or self.samples is not None:
-                store(self, name, number_array(name, getattr(self, name)))
-        for name, kind in NAMES.items():
-            store(self, name, names_of(kind, getattr(self, name)))
-        if not self.station_names:
-            store(self, "station_names", numbered(len(self.plane_labels)))
+        store_columns(self, "world_R_hand", "world_t_hand", "ranges", "samples")
+        store_columns(self, "plane_labels", "beam_names", "station_names", "ignored_columns")
         number = {label: p for p, label in enumerate(dict.fromkeys(self.plane_labels))}
         store(self, "plane_names", tuple(number))
         store(self, "plane_of_station", frozen_indices([number[x] for x in self.plane_labels]))

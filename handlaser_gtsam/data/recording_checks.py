@@ -1,6 +1,6 @@
 """What a recording must be: shapes, numbers, rotations, and names that stand once."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..quantities import LARGEST_LENGTH
 
 if TYPE_CHECKING:
     from .recording import Recording
+    from .station_list import StationList
 
 ROTATION_TOLERANCE = 1e-6
 """Largest entry of R'R - I: what single precision leaves of an orthonormal matrix."""
@@ -66,6 +67,56 @@ def numbered(count: int) -> tuple[str, ...]:
     return tuple(str(index + 1) for index in range(count))
 
 
+NAMES = {
+    "plane_labels": "the label of a plane",
+    "beam_names": "the name of a beam",
+    "station_names": "the name of a station",
+    "ignored_columns": "the name of a column",
+    "joint_names": "the name of a joint",
+}
+"""Fields that hold names."""
+
+
+def store_columns(of: object, *fields: str) -> None:
+    """Store fields of a frozen value as they are kept: names as tuples, numbers as read-only arrays.
+
+    Raises
+    ------
+    InputError
+        What is neither.
+    """
+    for field in fields:
+        given = getattr(of, field)
+        if field in NAMES:
+            object.__setattr__(of, field, names_of(NAMES[field], given))
+        elif given is not None:
+            object.__setattr__(of, field, number_array(field, given))
+
+
+def check_stations(of: "Recording | StationList", shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Give names to stations that have none; refuse what cannot be poses of named stations.
+
+    Other arrays, where they are there, have these `shapes`.
+
+    Raises
+    ------
+    InputError
+    """
+    count = len(of.plane_labels)
+    if not of.station_names:
+        object.__setattr__(of, "station_names", numbered(count))
+    if not count or len(of.station_names) != count:
+        expected = f"{count}, one each" if count else "at least one station"
+        raise InputError(f"{len(of.station_names)} station names", expected)
+    shapes = {"world_R_hand": (count, 3, 3), "world_t_hand": (count, 3), **shapes}
+    for name, shape in shapes.items():
+        array = getattr(of, name)
+        if array is not None and array.shape != shape:
+            raise InputError(f"{name} of shape {array.shape}", f"shape {shape}")
+    require_once("station", of.station_names)
+    check_poses(of.world_R_hand, of.world_t_hand, of.station_names)
+
+
 def check_recording(recording: "Recording") -> None:
     """Refuse what cannot be a recording.
 
@@ -76,27 +127,12 @@ def check_recording(recording: "Recording") -> None:
     require_kind("warnings", recording.warnings, tuple, "a tuple of CalibrationWarning")
     for warning in recording.warnings:
         require_kind("a warning", warning, CalibrationWarning)
-    _check_shapes(recording)
-    check_poses(recording.world_R_hand, recording.world_t_hand, recording.station_names)
+    shape = len(recording.plane_labels), len(recording.beam_names)
+    if not all(shape):
+        raise InputError(f"{shape[0]} stations and {shape[1]} beams", "at least one of each")
+    check_stations(recording, {"ranges": shape, "samples": shape})
+    require_once("beam", recording.beam_names)
     _check_readings(recording)
-    _check_names(recording)
-
-
-def _check_shapes(recording: "Recording") -> None:
-    stations, beams = len(recording.plane_labels), len(recording.beam_names)
-    if stations == 0 or beams == 0:
-        raise InputError(f"{stations} stations and {beams} beams", "at least one of each")
-    for name, shape in (
-        ("world_R_hand", (stations, 3, 3)),
-        ("world_t_hand", (stations, 3)),
-        ("ranges", (stations, beams)),
-        ("samples", (stations, beams)),
-    ):
-        array = getattr(recording, name)
-        if array is not None and array.shape != shape:
-            raise InputError(f"{name} of shape {array.shape}", f"shape {shape}")
-    if len(recording.station_names) != stations:
-        raise InputError(f"{len(recording.station_names)} station names", f"{stations}")
 
 
 def check_poses(R: FloatArray, t: FloatArray, name: Sequence[str]) -> None:
@@ -157,21 +193,16 @@ def _check_readings(recording: "Recording") -> None:
             f"{least} in metres up to {LARGEST_LENGTH:.0f}, or NaN for no reading; negative readings "
             "need the sensor's range_min",
         )
-
-
-def _check_names(recording: "Recording") -> None:
-    for kind, names in (("station", recording.station_names), ("beam", recording.beam_names)):
-        require_once(kind, names)
-    seen = ~np.isnan(recording.ranges)
-    planes = set(recording.plane_of_station[seen.any(axis=1)].tolist())
-    for kind, names, read, rest in (
-        ("beam", recording.beam_names, set(np.flatnonzero(seen.any(axis=0)).tolist()), "the beam"),
-        ("plane", recording.plane_names, planes, "its stations"),
+    seen = ~np.isnan(d)
+    planes = recording.plane_of_station[seen.any(axis=1)]
+    read = np.bincount(planes, minlength=len(recording.plane_names))
+    for kind, names, unread, rest in (
+        ("beam", recording.beam_names, ~seen.any(axis=0), "the beam"),
+        ("plane", recording.plane_names, read == 0, "its stations"),
     ):
-        for index, name in enumerate(names):
-            if index not in read:
-                expected = f"at least one reading of every {kind}; leave {rest} out"
-                raise InputError(f"{kind} {name} without any reading", expected)
+        if unread.any():
+            expected = f"at least one reading of every {kind}; leave {rest} out"
+            raise InputError(f"{kind} {names[unread.argmax()]} without any reading", expected)
 
 
 def require_once(kind: str, names: Sequence[str]) -> None:

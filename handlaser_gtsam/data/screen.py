@@ -70,6 +70,16 @@ FAR_PART = 0.01
 SCATTERING = 0.8
 """Samples that scatter by this part of the given sigma or more are taken to be independent."""
 
+REPEATED = (
+    "the pose and the readings of another: a held sample or a part of the file that stands twice tells "
+    "nothing new, and counts once; write every station once"
+)
+READ = (
+    "the pose of another with readings of their own: these are averaged, for the robot's error is "
+    "common to them; more stations elsewhere would tell more"
+)
+"""What stations repeat that lose their readings to another."""
+
 
 class RepeatedColumnError(InputError):
     """Two columns are one channel logged twice.
@@ -111,15 +121,13 @@ def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
     """
     d = recording.ranges
     for i, j in _candidates(d):
-        both = np.flatnonzero(~np.isnan(d[:, i]) & ~np.isnan(d[:, j]))
-        if len(both) < BY_CHANCE:
-            continue
-        a, b = d[both, i], d[both, j]
-        factor = float(_factors(a[:, None], b[:, None])[0])
-        same = _agreeing(a, b, factor, sigma)
-        if same >= NEARLY_ALL * len(both):
-            names = recording.beam_names[i], recording.beam_names[j]
-            raise RepeatedColumnError(names, same, len(both), factor)
+        a, b = d[~np.isnan(d[:, [i, j]]).any(axis=1)][:, [i, j]].T
+        if len(a) >= BY_CHANCE:
+            factor = float(_factors(a[:, None], b[:, None])[0])
+            same = _agreeing(a, b, factor, sigma)
+            if same >= NEARLY_ALL * len(a):
+                names = recording.beam_names[i], recording.beam_names[j]
+                raise RepeatedColumnError(names, same, len(a), factor)
 
 
 def _candidates(d: FloatArray) -> Iterator[tuple[int, int]]:
@@ -211,23 +219,17 @@ def screened(
 
 def without_codes(recording: Recording) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
     """Return the recording without readings that are codes, and a warning for each code."""
-    d = recording.ranges
-    warnings: list[CalibrationWarning] = []
-    while True:
-        code = next((value for value in _ends(d) if _is_code(d, value)), None)
-        if code is None:
-            break
+    d, warnings = recording.ranges, list[CalibrationWarning]()
+    while (code := next((x for x in _ends(d) if _is_code(d, x)), None)) is not None:
         where = d == code
-        beams = [recording.beam_names[i] for i in np.flatnonzero(where.any(axis=0))]
-        warnings.append(code_warning(f"{code:.10g} m", beams, int(where.sum())))
+        beams = [recording.beam_names[i] for i in np.nonzero(where.T)[0]]
+        warnings.append(code_warning(f"{code:.10g} m", beams))
         d = np.where(where, np.nan, d)
     return (replace(recording, ranges=d) if warnings else recording), tuple(warnings)
 
 
-def code_warning(
-    what: str, beams: list[str], count: int, *, stated: bool = False
-) -> CalibrationWarning:
-    """Return the warning that a value was taken for "no reading".
+def code_warning(what: str, beams: list[str], *, stated: bool = False) -> CalibrationWarning:
+    """Return the warning that a value was taken for "no reading", at readings of these beams.
 
     `stated` says that the sensor's range was, and excludes it.
     """
@@ -235,7 +237,8 @@ def code_warning(
     why += "such cells empty, or state the sensor's range (range_mm)"
     if stated:
         why = "the stated range (range_mm) excludes them; leave such cells empty"
-    whose = f"beam{'s' if len(beams) > 1 else ''} {', '.join(beams)}"
+    names, count = list(dict.fromkeys(beams)), len(beams)
+    whose = f"beam{'s' if len(names) > 1 else ''} {', '.join(names)}"
     readings = f"{count} readings" if count > 1 else "one reading"
     return CalibrationWarning(
         "reading-code",
@@ -273,11 +276,8 @@ def _is_code(d: FloatArray, value: float) -> bool:
 
 def coded_numbers(d: FloatArray, impossible: BoolArray) -> BoolArray:
     """Return which impossible numbers (N,) of a table stand so often that they must be codes."""
-    coded = np.zeros(d.shape, dtype=bool)
     values, counts = np.unique(d[impossible], return_counts=True)
-    for value in values[counts >= BY_CHANCE]:
-        coded |= impossible & (d == value)
-    return coded
+    return np.asarray(impossible & np.isin(d, values[counts >= BY_CHANCE]))
 
 
 def merged_stations(
@@ -390,29 +390,17 @@ def _warnings(
     recording: Recording, left: Recording, group: IntArray, same: BoolArray
 ) -> tuple[CalibrationWarning, ...]:
     """Say which stations lost their readings to another: those that repeat it, and the rest."""
-    gone = np.flatnonzero(
-        np.isnan(left.ranges).all(axis=1) & ~np.isnan(recording.ranges).all(axis=1)
-    )
-    warnings = []
-    names, total = recording.station_names, len(recording.station_names)
-    for code, rows, what in (
-        (
-            "repeated-stations",
-            gone[same[gone]],
-            "repeat the pose and the readings of another: a held sample or a part of the file that "
-            "stands twice tells nothing new, and counts once; write every station once",
-        ),
-        (
-            "repeated-poses",
-            gone[~same[gone]],
-            "repeat the pose of another with readings of their own: these are averaged, for the "
-            "robot's error is common to them; more stations elsewhere would tell more",
-        ),
+    gone = np.isnan(left.ranges).all(axis=1) & ~np.isnan(recording.ranges).all(axis=1)
+    names, total, warnings = recording.station_names, len(group), []
+    for code, which, what in (
+        ("repeated-stations", same, REPEATED),
+        ("repeated-poses", ~same, READ),
     ):
+        rows = np.flatnonzero(gone & which)
         if rows.size:
             other = int(np.flatnonzero(group == group[rows[0]])[0])
             first = f"the first: {names[rows[0]]}, like {names[other]}"
-            words = f"{len(rows)} of {total} stations ({first}) "
+            words = f"{len(rows)} of {total} stations ({first}) repeat {what}"
             counts = {"stations": total, "repeated": len(rows)}
-            warnings.append(CalibrationWarning(code, words + what, counts))
+            warnings.append(CalibrationWarning(code, words, counts))
     return tuple(warnings)

@@ -9,7 +9,7 @@ from ..arrays import BoolArray, FloatArray
 from ..checks import number_array
 from ..errors import InputError
 from .recording import Recording
-from .recording_checks import check_poses, names_of, numbered, require_once
+from .recording_checks import check_stations, numbered, require_once, store_columns
 from .value import Value
 
 
@@ -46,36 +46,17 @@ class StationList(Value):
     joint_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        store = object.__setattr__
-        for name in ("world_R_hand", "world_t_hand"):
-            store(self, name, number_array(name, getattr(self, name)))
-        for name, kind in (
-            ("plane_labels", "the label of a plane"),
-            ("station_names", "a station"),
-        ):
-            store(self, name, names_of(kind, getattr(self, name)))
-        if not self.station_names:
-            store(self, "station_names", numbered(len(self.plane_labels)))
-        count = len(self.plane_labels)
-        shapes = [self.world_R_hand.shape, self.world_t_hand.shape, (len(self.station_names),)]
-        if not count or shapes != [(count, 3, 3), (count, 3), (count,)]:
-            expected = f"{[(count, 3, 3), (count, 3), (count,)]}, and at least one station"
-            raise InputError(f"arrays of shapes {shapes}", expected)
-        require_once("station", self.station_names)
-        check_poses(self.world_R_hand, self.world_t_hand, self.station_names)
-        self._check_joints()
-
-    def _check_joints(self) -> None:
-        object.__setattr__(self, "joint_names", names_of("a joint", self.joint_names))
+        store_columns(self, "world_R_hand", "world_t_hand", "joints")
+        store_columns(self, "plane_labels", "station_names", "joint_names")
+        check_stations(self, {})
         require_once("joint", self.joint_names)
-        if self.joints is None and not self.joint_names:
-            return
-        joints = number_array("joints", () if self.joints is None else self.joints)
-        shape = (len(self), len(self.joint_names))
-        if joints.shape != shape or not joints.size or not np.isfinite(joints).all():
+        shape, joints = (len(self), len(self.joint_names)), self.joints
+        stated = joints is not None
+        if joints is None:
+            joints = np.empty((len(self), 0))
+        if joints.shape != shape or (stated and not (joints.size and np.isfinite(joints).all())):
             given = f"joints of shape {joints.shape}"
             raise InputError(given, f"{shape}: finite numbers, one a station and name")
-        object.__setattr__(self, "joints", joints)
 
     def __len__(self) -> int:
         return len(self.plane_labels)

@@ -107,17 +107,14 @@ class Shots(Value):
         if across.ndim == 1:
             across = across[:, None]
         if reading.ndim != 1 or across.shape != (len(reading), columns) or not len(reading):
-            raise InputError(
-                f"columns of shapes {across.shape} and {reading.shape} of {self.name}",
-                f"(N, {columns}) and (N,)",
-            )
+            found = f"columns of shapes {across.shape} and {reading.shape} of {self.name}"
+            raise InputError(found, f"(N, {columns}) and (N,)")
         if not (np.isfinite(reading).all() and np.isfinite(across).all()):
             raise InputError(f"readings of {self.name} that are not finite", "no such rows")
         station = np.asarray(self.station)
         if station.shape != reading.shape or station.dtype.kind not in "iu":
-            raise InputError(
-                f"stations of shape {station.shape} of {self.name}", "(N,) whole numbers, from 0"
-            )
+            found = f"stations of shape {station.shape} of {self.name}"
+            raise InputError(found, "(N,) whole numbers, from 0")
         if self.kind != "profiler" and not (reading > 0.0).all():
             raise InputError(f"ranges of {self.name} that are not above zero", "no such rows")
         store(self, "station", frozen_indices(station))
@@ -127,9 +124,8 @@ class Shots(Value):
             require_number("sigma", self.sigma, 0.0, LARGEST_LENGTH, above=True)
         require_number("sigma_across", self.sigma_across, 0.0, LARGEST_LENGTH)
         if self.sigma_across and (self.kind != "profiler" or self.sigma is None):
-            raise InputError(
-                f"sigma_across of {self.name}", "it for a profiler only, and its sigma beside it"
-            )
+            found = f"sigma_across of {self.name}"
+            raise InputError(found, "it for a profiler only, and its sigma beside it")
         for error in self.free:
             require_word("a range error", error, ERRORS[self.kind])
         store(self, "free", tuple(one for one in ERRORS[self.kind] if one in self.free))
@@ -418,9 +414,8 @@ class Survey(Value):
         count = len(self.stations)
         for shots in self.shots:
             if not ((shots.station >= 0) & (shots.station < count)).all():
-                raise InputError(
-                    f"station {int(shots.station.max())} of {shots.name}", f"0 to {count - 1}"
-                )
+                found = f"station {int(shots.station.max())} of {shots.name}"
+                raise InputError(found, f"0 to {count - 1}")
         object.__setattr__(self, "beam_names", names_of("the name of a beam", self.beam_names))
         if self.ranges is not None:
             ranges = number_array("ranges", self.ranges)
@@ -444,21 +439,18 @@ class Survey(Value):
                 f"half_angle = {self.half_angle:g} rad, and no single beam that it would count for"
             )
             raise InputError(found, "ranges and beam_names of cones, or no half_angle")
-        single = "cone" if self.half_angle else "beam"
-        refused = {
-            "groove": "planes, spheres and points: only a profile shows the edge of a groove"
-        }
+        single, others = "beam", "planes, spheres and points"
         if self.half_angle:
-            refused = {
-                "point": "planes and spheres: only a beam is aimed at a point",
-                "groove": "planes and spheres: only a profile shows the edge of a groove",
-            }
+            single, others = "cone", "planes and spheres"
+        refused = {"groove": f"{others}: only a profile shows the edge of a groove"}
+        if self.half_angle:
+            refused["point"] = f"{others}: only a beam is aimed at a point"
         for kind, expected in refused.items():
             wrong = read & (kinds == kind)
             if wrong.any():
                 found = f"a {single} that reads {labels[int(wrong.argmax())]}"
                 raise InputError(found, expected)
-        aimed = {label for label, some_beam in zip(labels, read, strict=True) if some_beam}
+        aimed = {labels[station] for station in np.flatnonzero(read).tolist()}
         for shots in self.shots:
             for station in np.unique(shots.station).tolist():
                 if kinds[station] == "point" and labels[station] not in aimed:
@@ -467,20 +459,19 @@ class Survey(Value):
         there = self.variables()
         for known in self.known:
             for label in known.of:
-                if label not in there and normal_label(label) not in there:
+                if normal_label(label) not in there:
                     listed = some(sorted(there), 8)
                     raise InputError(f"{known.words}: no {shown(label)}", f"one of {listed}")
 
     def variables(self) -> set[str]:
         """Return the labels of all that a relation can be of: sensors, beams and targets."""
-        targets = set(map(normal_label, self.stations.plane_labels))
-        grooves = {label for label in targets if label.startswith("groove:")}
-        for groove in grooves:
-            name = groove.partition(":")[2]
-            targets |= {f"plane:{name}.left", f"plane:{name}.right"}
         names = {f"sensor:{shots.name}" for shots in self.shots}
         names |= {f"beam:{name}" for name in self.beam_names}
-        return targets - grooves | names
+        for label in set(map(normal_label, self.stations.plane_labels)):
+            kind, _, name = label.partition(":")
+            sides = {f"plane:{name}.left", f"plane:{name}.right"}
+            names |= sides if kind == "groove" else {label}
+        return names
 
     def part(self, stations: BoolArray) -> "Survey":
         """Return what was read at some stations (M,), and what is known of it.

@@ -12,7 +12,7 @@ from ..model.families import BEAM, OF_RANGE_ERROR
 from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.limits import Limits
-from ..results.reports import Beam, Fit, NoiseComponent
+from ..results.reports import Beam
 from ..results.spot_error import spot
 from ..results.verdict import Verdict
 from ..results.verdict import verdict as verdict_on
@@ -35,52 +35,35 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
     `covariance` are null: the numbers beside them are one of many solutions.
     """
     verdict = calibration.verdict if verdict is None else verdict
-    reading = verdict.reading
-    joint, scales = calibration.covariance, calibration.range_error_scales
-    start, seen = calibration.start, calibration.observability
-    indices = None if seen.indices is None else record(seen.indices, schema.IndicesRecord)
+    reading, joint = verdict.reading, calibration.covariance
     whole = record(
         calibration,
         schema.CalibrationFile,
         format="handlaser-calibration",
         version=1,
         verdict=_verdict(verdict),
-        warnings=[record(one, schema.WarningRecord) for one in calibration.warnings],
         beams=[_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         beam_covariance=None if joint is None else joint.matrix(planes=[]),
         planes=[
             record(
                 plane,
                 schema.PlaneRecord,
-                sigma=None
-                if plane.sigma is None
-                else {"normal_rad": plane.normal_sigma, "offset_m": plane.offset_sigma},
+                sigma=None if plane.sigma is None else (plane.normal_sigma, plane.offset_sigma),
             )
             for plane in calibration.planes.values()
         ],
-        fit=_fit(calibration.fit, calibration.pose_covariance, calibration.noise_estimate),
-        observability=record(
-            seen, schema.ObservabilityRecord, weakest=seen.weakest or None, indices=indices
+        fit=record(
+            calibration.fit,
+            schema.FitRecord,
+            max_m=calibration.fit.max_residual,
+            max_at=calibration.fit.max_residual_at,
+            pose_covariance=calibration.pose_covariance,
+            noise_estimate=calibration.noise_estimate,
         ),
-        correlations=[
-            record(one, schema.CorrelationRecord, first=str(one.first), second=str(one.second))
-            for one in calibration.correlations
-        ],
-        range_error_scales=None if scales is None else record(scales, schema.ScalesRecord),
         systematic=[
-            record(
-                one,
-                schema.SystematicRecord,
-                explained_by=one.explained_by or None,
-                spot_shift_m=one.spots(reading, unnoticed=True),
-            )
+            record(one, schema.SystematicRecord, spot_shift_m=one.spots(reading, unnoticed=True))
             for one in calibration.systematic
         ],
-        effects=[record(one, schema.FreedEffectRecord) for one in calibration.effects],
-        start={
-            "method": start.method,
-            "tried": [{"method": method, "rms_m": rms} for method, rms in start.tried],
-        },
     )
     return json_text("calibration", whole)
 
@@ -141,75 +124,46 @@ def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> No
 
 
 def _mount(name: str, r: FloatArray, v: FloatArray, k: FloatArray) -> Record:
-    k1_k2 = dict(zip(RANGE_ERRORS, k, strict=True))
-    return {"name": name, "location_m": r, "direction": v, "range_error": k1_k2}
+    return {
+        "name": name,
+        "location_m": r,
+        "direction": v,
+        "range_error": record(k, schema.RangeErrorRecord),
+    }
 
 
 def _beam(beam: Beam, calibration: Calibration, reading: float) -> Record:
-    k, sigma, excludes, intervals = beam.range_error_sigma, None, None, None
-    if k is not None:
-        sigma = {
-            "location_m": beam.location_sigma,
-            "direction_rad": beam.direction_sigma,
-            **dict(zip(RANGE_ERRORS, k, strict=True)),
-        }
-    found = calibration.intervals(beam.name)
+    k, found = beam.range_error_sigma, calibration.intervals(beam.name)
+    excludes = place = None
     if found is not None:
-        excludes = {
-            name: bool(low > 0.0 or high < 0.0)
-            for name, (low, high) in zip(RANGE_ERRORS[: beam.terms], found[6:], strict=False)
-        }
-        intervals = {"location_m": found[:3], "direction": found[3:6]}
-        intervals |= dict(zip(RANGE_ERRORS, found[6:], strict=True))
-    place = None
+        ends = zip(RANGE_ERRORS[: beam.terms], found[6:], strict=False)
+        excludes = {name: bool(low > 0.0 or high < 0.0) for name, (low, high) in ends}
     # A graph does not tell its readings.
     if calibration.covariance is not None and not math.isnan(reading):
         at = spot(calibration, beam.name, reading)
         sigmas = {"along_sigma_m": at.along, "across_sigma_m": at.across}
         place = record(at, schema.SpotRecord, reading_m=reading, **sigmas)
-    return _mount(beam.name, beam.location, beam.direction, beam.range_error) | {
-        "range_error_terms": beam.terms,
-        "range_error_excludes_zero": excludes,
-        "sigma": sigma,
-        "interval_95": intervals,
-        "covariance": beam.covariance,
-        "spot": place,
-    }
+    return record(
+        beam,
+        schema.BeamRecord,
+        range_error_terms=beam.terms,
+        range_error_excludes_zero=excludes,
+        sigma=None if k is None else (beam.location_sigma, beam.direction_sigma, *k),
+        interval_95=None if found is None else (found[:3], found[3:6], *found[6:]),
+        spot=place,
+    )
 
 
 def _verdict(verdict: Verdict) -> Record:
-    spot_error, hidden = None, None
+    hidden, best, spot_error, may_hide = verdict.hidden, verdict.best, None, None
     if verdict.spot_error is not None:
-        spot_error = {
-            "beam": verdict.spot_beam,
-            "reading_m": verdict.reading,
-            "radius_m": verdict.spot_error,
-        }
-    if verdict.hidden is not None:
-        hidden = {
-            "code": verdict.hidden.code,
-            "size": verdict.hidden.unnoticed,
-            "unit": verdict.hidden.unit,
-            "spot_shift_m": verdict.hidden_error,
-        }
-    best = verdict.best
+        spot_error = verdict.spot_beam, verdict.reading, verdict.spot_error
+    if hidden is not None:
+        may_hide = hidden.code, hidden.unnoticed, hidden.unit, verdict.hidden_error
     return record(
         verdict,
         schema.VerdictRecord,
         spot=spot_error,
-        may_hide=hidden,
-        causes=[record(cause, schema.WarningRecord) for cause in verdict.causes],
-        remedies=[{"code": best.code, "message": best.words, "number": best.number}],
-    )
-
-
-def _fit(fit: Fit, pose: FloatArray | None, noise: tuple[NoiseComponent, ...]) -> Record:
-    return record(
-        fit,
-        schema.FitRecord,
-        max_m=fit.max_residual,
-        max_at=dict(zip(("station", "beam"), fit.max_residual_at, strict=True)),
-        pose_covariance=pose,
-        noise_estimate=[record(one, schema.NoiseRecord) for one in noise],
-        rejected=[record(one, schema.RejectedRecord) for one in fit.rejected],
+        may_hide=may_hide,
+        remedies=[(best.code, best.words, best.number)],
     )

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
@@ -47,11 +47,6 @@ class FileRecord(BaseModel):
                 found[name] = value
         return found
 
-    @classmethod
-    def schema_of(cls, data: object) -> type[Self]:  # noqa: ARG003  # for those that override it
-        """Return the schema of a file of this content, which may import the schemas of rare tables."""
-        return cls
-
 
 def numbers(names: str) -> Any:
     """Return a record of numbers that may be given, under names with blanks between them."""
@@ -60,6 +55,7 @@ def numbers(names: str) -> Any:
 
 
 Schema = TypeVar("Schema", bound=FileRecord)
+Made = TypeVar("Made")
 
 
 def read_text(path: Path, expected: str) -> str:
@@ -107,7 +103,6 @@ def read_checked(
     data: object = None
     try:
         data = parse(text)
-        schema = schema.schema_of(data)
         return schema.model_validate(data)
     except ValidationError as error:
         raise _first_fault(error, data, schema, expected, path) from error
@@ -213,6 +208,23 @@ def in_table(name: str, record: BaseModel) -> Iterator[None]:
         raise as_called(error, fields) from error
 
 
+def made(name: str, record: FileRecord, kind: Callable[..., Made], **others: object) -> Made:
+    """Return what the fields of a table make in SI units, beside others; see `in_table`."""
+    with in_table(name, record):
+        return kind(**record.in_si() | others)
+
+
+def toml_table(title: str, fields: Mapping[str, object]) -> str:
+    """Return a table of TOML with those fields that are stated, texts, numbers, truths or lists."""
+    # What JSON says of these, TOML says, too.
+    lines = [
+        f"{name} = {json.dumps(value, ensure_ascii=False)}"
+        for name, value in fields.items()
+        if value is not None
+    ]
+    return "\n".join((title, *lines, ""))
+
+
 @contextmanager
 def in_file(path: Path) -> Iterator[None]:
     """Let a fault of what a file holds name the file, where it names none."""
@@ -243,15 +255,36 @@ def record(source: object, fields: type[BaseModel] | str, **others: object) -> R
     """Return fields of a schema, or of names separated by blanks, in that order.
 
     A field is one of the `others`, or the attribute of `source` that has its name, or its name but for
-    the unit at the end.
+    the unit at the end; an array or a tuple has the fields in their order. What the schema says of a
+    field makes records of the objects in it, and no text of an empty one where there may be none.
     """
-    names = fields.split() if isinstance(fields, str) else fields.model_fields
-    return {
-        name: others[name]
-        if name in others
-        else getattr(source, name if hasattr(source, name) else name.rpartition("_")[0])
-        for name in names
-    }
+    kinds: dict[str, Any] = dict.fromkeys(fields.split()) if isinstance(fields, str) else {}
+    if not isinstance(fields, str):
+        kinds = {name: field.annotation for name, field in fields.model_fields.items()}
+    if isinstance(source, np.ndarray | tuple):
+        return dict(zip(kinds, source, strict=True))
+    found: Record = {}
+    for name, kind in kinds.items():
+        attribute = name if hasattr(source, name) else name.rpartition("_")[0]
+        value = others[name] if name in others else getattr(source, attribute)
+        found[name] = _formed(value, kind)
+    return found
+
+
+def _formed(value: Any, kind: Any) -> object:
+    """Return the value of a field as its type in a schema has it; without a type it stays as it is."""
+    parts = get_args(kind)
+    if type(None) in parts:
+        nothing = value is None or (isinstance(value, str) and not value)
+        return None if nothing else _formed(value, parts[0])
+    if get_origin(kind) is Annotated:
+        return _formed(value, parts[0])
+    if get_origin(kind) is tuple and hasattr(parts[0], "model_fields"):
+        many = value.values() if isinstance(value, Mapping) else value
+        return [_formed(one, parts[0]) for one in many]
+    if hasattr(kind, "model_fields") and not isinstance(value, dict):
+        return record(value, kind)
+    return str(value) if kind is str else value
 
 
 def _plain(value: object) -> Json:

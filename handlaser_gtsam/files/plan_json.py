@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 
 from scipy.spatial.transform import Rotation
 
+from ..data.station_list import StationList
 from ..planning.route import Plan
 from ..planning.survey import SurveyPlan
 from .checked_text import Record, json_text, record
@@ -12,14 +13,8 @@ from .checked_text import Record, json_text, record
 def plan_text(plan: Plan) -> str:
     """Return a plan as JSON text; stations that only divide the way are among the others."""
     stations, forecast = plan.stations, plan.forecast
-    columns: dict[str, Iterable[object]] = {
-        "station": stations.station_names,
-        "plane": stations.plane_labels,
-        "position_m": stations.world_t_hand,
-        "quaternion_xyzw": Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True),
-        "ranges_m": plan.ranges,
-        "range_sigmas_m": plan.range_sigmas,
-    }
+    columns = _where(stations, "plane")
+    columns |= {"ranges_m": plan.ranges, "range_sigmas_m": plan.range_sigmas}
     if stations.joints is not None:
         columns["joints"] = stations.joints
     known: dict[str, Iterable[object]] = {
@@ -44,15 +39,8 @@ def plan_text(plan: Plan) -> str:
 
 def survey_plan_text(plan: SurveyPlan) -> str:
     """Return a plan of a survey as JSON text."""
-    stations = plan.stations
-    columns: dict[str, Iterable[object]] = {
-        "station": stations.station_names,
-        "target": stations.plane_labels,
-        "sensor": plan.sensors,
-        "position_m": stations.world_t_hand,
-        "quaternion_xyzw": Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True),
-        "spot_error_m": plan.spot_errors[1:],
-    }
+    columns = _where(plan.stations, "target", sensor=plan.sensors)
+    columns["spot_error_m"] = plan.spot_errors[1:]
     content: Record = {
         "spot_error_m": plan.spot_errors[0],
         "stations": _rows(columns),
@@ -60,6 +48,20 @@ def survey_plan_text(plan: SurveyPlan) -> str:
         "determined": plan.determined,
     }
     return json_text("survey-plan", content)
+
+
+def _where(
+    stations: StationList, before: str, **more: Iterable[object]
+) -> dict[str, Iterable[object]]:
+    """Return the names of stations, what they are before, more columns, and their poses."""
+    turns = Rotation.from_matrix(stations.world_R_hand)
+    return {
+        "station": stations.station_names,
+        before: stations.plane_labels,
+        **more,
+        "position_m": stations.world_t_hand,
+        "quaternion_xyzw": turns.as_quat(canonical=True),
+    }
 
 
 def _rows(columns: Mapping[str, Iterable[object]]) -> list[Record]:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import polars as pl
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ..errors import InputError
 from ..text import shown, some
 from .logs.columns import plain, unit_of
@@ -31,24 +31,18 @@ COLUMNS = {
 }
 """Columns beside `station`, by the kind of the sensor."""
 Echo = Literal["all", "near", "far"]
+Points = tuple[IntArray, FloatArray, FloatArray]
+"""The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
+of an array at the station, NaN for that reading itself and for other kinds."""
 
 DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
 """A number with a decimal comma; a name of a station that holds one stays as it is."""
 
 
 def read_points(
-    path: Path,
-    kind: str,
-    stations: "Sequence[str]",
-    *,
-    echo: Echo = "all",
-    station_column: str = "",
-) -> tuple[IntArray, FloatArray, FloatArray, dict[str, str]]:
-    """Return the station (N,) of each point, from 0, and its columns (N, c) as they stand.
-
-    The third result (N,) is the nearest reading of the zone of an array at the station, NaN for that
-    reading itself and for other kinds; the fourth is the unit in the name of each of these columns,
-    empty where there is none.
+    path: Path, kind: str, stations: "Sequence[str]", echo: Echo = "all", station_column: str = ""
+) -> tuple[Points, dict[str, str]]:
+    """Return points as they stand, and the unit in the name of each of their columns, empty for none.
 
     Parameters
     ----------
@@ -56,10 +50,10 @@ def read_points(
     kind : str
     stations : sequence of str
         Names of the stations, as the column `station` has them.
-    station_column : str
-        What the log of poses calls that column; a table of points may call it so, too.
     echo : {"all", "near", "far"}
         Which readings of a zone count, where it has several at a station.
+    station_column : str
+        What the log of poses calls that column; a table of points may call it so, too.
 
     Raises
     ------
@@ -79,15 +73,10 @@ def read_points(
     names = table.frame[station_column].cast(pl.String)
     table.refuse(names.is_null().to_numpy(), station_column, "the name of a station")
     place = {name: i for i, name in enumerate(stations)}
-    foreign = [name for name in names.unique(maintain_order=True).to_list() if name not in place]
+    foreign = [shown(name) for name in names.unique(maintain_order=True) if name not in place]
     if foreign:
-        raise InputError(
-            f"station {some([shown(name) for name in foreign], 4)}",
-            f"stations of the recording, such as {some(list(stations), 4)}",
-            path,
-            None,
-            station_column,
-        )
+        expected = f"stations of the recording, such as {some(list(stations), 4)}"
+        raise InputError(f"station {some(foreign, 4)}", expected, path, None, station_column)
     station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
     numbers = np.column_stack([known_numbers(table, name)[0] for name in found])
     good = np.isfinite(numbers).all(axis=1)
@@ -97,8 +86,10 @@ def read_points(
     if not len(station):
         raise InputError("no reading at all", f"rows with {', '.join(wanted)}", path)
     before = np.full(len(numbers), np.nan)
-    if kind == "array":
-        order, first = _by_zone(station, numbers)
+    if kind == "array":  # sorted by station, zone and range
+        order = np.lexsort((numbers[:, 1], numbers[:, 0], station))
+        zones = np.column_stack((station, numbers[:, 0]))[order]
+        first = np.append(True, (np.diff(zones, axis=0) != 0.0).any(axis=1))
         nearest = numbers[order, -1][first][np.cumsum(first) - 1]
         before[order] = np.where(first, np.nan, nearest)
         if echo != "all":
@@ -107,7 +98,7 @@ def read_points(
             kept = np.sort(order[one])
             station, numbers, before = station[kept], numbers[kept], before[kept]
     units = {name: unit_of(column) for name, column in zip(wanted, found, strict=True)}
-    return station.astype(np.intp), numbers, before, units
+    return (station.astype(np.intp), numbers, before), units
 
 
 def _column(table: Table, name: str) -> str:
@@ -151,12 +142,3 @@ def read_frame(path: Path, expected: str) -> Table:
         what = str(error).splitlines()[0][:120]
         raise InputError(f"no table ({what})", expected, path) from error
     return Table(frame, path, 1, np.arange(2, len(frame) + 2, dtype=np.intp), False)
-
-
-def _by_zone(station: IntArray, numbers: FloatArray) -> tuple[IntArray, BoolArray]:
-    """Return the order of readings by station, zone and range, and which of them begin a zone."""
-    zone, reading = numbers[:, 0], numbers[:, -1]
-    order = np.lexsort((reading, zone, station))
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = (np.diff(station[order]) != 0) | (np.diff(zone[order]) != 0.0)
-    return order, first

@@ -13,7 +13,6 @@ and with an arm `joint_NAME` for each of its joints (radians; metres where it sl
 Cells of ranges are readings, or say that there is none: by words, or by numbers that no range has.
 """
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -34,7 +33,6 @@ from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH, MM
 from ..text import A_NAME, name_fault
 from .table import Table, column_numbers, labels, read_table
-from .table import Table as _Table
 from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -72,23 +70,28 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         require_kind("sensor", sensor, Sensor)
     table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
-    samples = {SAMPLES + beam for beam in beams} & set(table.frame.columns)
-    if _used(table.frame.columns[-1]) or table.frame.columns[-1] in samples:
-        table.refuse_cut()
-    stations = stations_of(table)
+    samples = [SAMPLES + beam for beam in beams if SAMPLES + beam in table.frame.columns]
+    stations = stations_of(table, PREFIX, *samples)
     columns = [PREFIX + beam for beam in beams]
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
     whose = {PREFIX + beam: [beam] for beam in beams}
     warnings = (*table.warnings, *code_warnings(table, whose, coded))
-    _refuse_unread(table, ranges, stations.plane_labels, beams)
+    seen, planes = ~np.isnan(ranges), stations.plane_labels
+    for name in (PREFIX + beams[index] for index in np.flatnonzero(~seen.any(axis=0))):
+        expected = "at least one reading of every beam, or no such column"
+        raise InputError("no reading at all", expected, table.path, None, name)
+    read = {planes[row] for row in np.flatnonzero(seen.any(axis=1))}
+    unread = np.array([plane not in read for plane in planes])
+    found = f"plane {planes[unread.argmax()]!r} without any reading"
+    table.refuse(unread, "plane", "at least one reading of every plane", found)
     return Recording(
         stations.world_R_hand,
         stations.world_t_hand,
         ranges,
-        stations.plane_labels,
+        planes,
         tuple(beams),
         stations.station_names,
-        tuple(name for name in table.frame.columns if not _used(name) and name not in samples),
+        tuple(x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples),
         _samples(table, beams, ranges) if samples else None,
         warnings,
         range_min=min(0.0, (sensor or Sensor()).range_min),
@@ -98,14 +101,24 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
 def write_recording(path: Path | str, recording: Recording) -> None:
     """Write `recording`; every number reads back as it was."""
     require_kind("recording", recording, Recording)
-    names = [PREFIX + beam for beam in recording.beam_names]
-    table = station_columns(recording).hstack(
-        pl.DataFrame(recording.ranges, schema=names, orient="row").fill_nan(None)
-    )
-    if recording.samples is not None:
-        names = [SAMPLES + beam for beam in recording.beam_names]
-        table = table.hstack(pl.DataFrame(recording.samples, schema=names, orient="row"))
-    write_text(path_of(path), table.write_csv())
+    beams = recording.beam_names
+    more = (PREFIX, beams, recording.ranges), (SAMPLES, beams, recording.samples)
+    write_columns(path_of(path), recording, *more)
+
+
+def write_columns(
+    path: Path,
+    stations: Recording | StationList,
+    *more: tuple[str, Sequence[str], FloatArray | None],
+) -> None:
+    """Write stations and, if they are there, more columns (M, n): a prefix, n names, and numbers."""
+    table = station_columns(stations)
+    for prefix, names, numbers in more:
+        if numbers is not None:
+            columns = [prefix + name for name in names]
+            own = pl.DataFrame(numbers, schema=columns, orient="row")
+            table = table.hstack(own.fill_nan(None))
+    write_text(path, table.write_csv())
 
 
 def station_columns(stations: Recording | StationList) -> pl.DataFrame:
@@ -117,8 +130,10 @@ def station_columns(stations: Recording | StationList) -> pl.DataFrame:
     return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
 
 
-def stations_of(table: _Table) -> StationList:
+def stations_of(table: Table, *prefixes: str) -> StationList:
     """Return the hand poses, plane labels and station names of the rows of a table.
+
+    Columns whose names begin with one of the `prefixes` are read, too.
 
     Raises
     ------
@@ -126,6 +141,8 @@ def stations_of(table: _Table) -> StationList:
         A column that is missing, or a cell that is not what its column holds.
     """
     table.require("plane", *POSE)
+    if _used(table.frame.columns[-1], *prefixes):
+        table.refuse_cut()
     planes = labels(table, "plane")
     stations = tuple(str(line - table.header_line) for line in table.lines)
     if "station" in table.frame.columns:
@@ -142,16 +159,13 @@ def stations_of(table: _Table) -> StationList:
         table.refuse(too_far, name, f"a position in metres, at most {LARGEST_LENGTH:.0f}")
     length, wrong = off_unit(x[:, 3:])
     off = length[wrong.argmax()]
-    table.refuse(
-        wrong,
-        "qx, qy, qz, qw",
-        f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw",
-        f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off",
-    )
+    found = f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off"
+    expected = f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw"
+    table.refuse(wrong, "qx, qy, qz, qw", expected, found)
     return StationList(Rotation.from_quat(x[:, 3:]).as_matrix(), x[:, :3], planes, stations)
 
 
-def _check_header(table: _Table) -> list[str]:
+def _check_header(table: Table) -> list[str]:
     """Return the beam names; refuse a header without all columns, or with a misspelt beam."""
     columns = table.frame.columns
     table.require("plane", *POSE)
@@ -173,24 +187,20 @@ def _check_header(table: _Table) -> list[str]:
     return beams
 
 
-def _used(column: str) -> bool:
-    """Tell whether a column is read; the others are ignored, and named."""
-    return column in ("plane", "station", *POSE) or column.startswith(PREFIX)
+def _used(column: str, *prefixes: str) -> bool:
+    """Tell whether a column is read, by its name or the beginning of it."""
+    return column in ("plane", "station", *POSE) or column.startswith(prefixes)
 
 
-def _samples(table: _Table, beams: list[str], ranges: FloatArray) -> FloatArray:
+def _samples(table: Table, beams: list[str], ranges: FloatArray) -> FloatArray:
     """Return how many readings each is worth: one where the cell or the column is missing."""
     found = np.ones(ranges.shape)
     for i, name in enumerate(SAMPLES + beam for beam in beams):
-        if name not in table.frame.columns:
-            continue
-        number = column_numbers(table, name, empty=True)
-        table.refuse(
-            (number < 1.0) | (number > LARGEST_LENGTH),
-            name,
-            "how many readings the range is worth, from 1",
-        )
-        found[:, i] = np.where(np.isnan(number), 1.0, number)
+        if name in table.frame.columns:
+            number = column_numbers(table, name, empty=True)
+            wrong = (number < 1.0) | (number > LARGEST_LENGTH)
+            table.refuse(wrong, name, "how many readings the range is worth, from 1")
+            found[:, i] = np.where(np.isnan(number), 1.0, number)
     return found
 
 
@@ -199,19 +209,6 @@ def off_unit(q: FloatArray) -> tuple[FloatArray, BoolArray]:
     with np.errstate(over="ignore"):  # an infinite length is refused like any other
         length = np.linalg.norm(q, axis=1)
     return length, ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)
-
-
-def _refuse_unread(
-    table: _Table, ranges: FloatArray, planes: tuple[str, ...], beams: list[str]
-) -> None:
-    seen = ~np.isnan(ranges)
-    for index in np.flatnonzero(~seen.any(axis=0)):
-        expected = "at least one reading of every beam, or no such column"
-        raise InputError("no reading at all", expected, table.path, None, PREFIX + beams[index])
-    read = {planes[row] for row in np.flatnonzero(seen.any(axis=1))}
-    unread = np.array([plane not in read for plane in planes])
-    found = f"plane {planes[unread.argmax()]!r} without any reading"
-    table.refuse(unread, "plane", "at least one reading of every plane", found)
 
 
 def write_stations(path: Path | str, stations: StationList) -> None:
@@ -223,11 +220,7 @@ def write_stations(path: Path | str, stations: StationList) -> None:
         What is no `StationList`, or a file that cannot be written.
     """
     require_kind("stations", stations, StationList)
-    table = station_columns(stations)
-    if stations.joints is not None:
-        names = [JOINT + name for name in stations.joint_names]
-        table = table.hstack(pl.DataFrame(stations.joints, schema=names, orient="row"))
-    write_text(path_of(path), table.write_csv())
+    write_columns(path_of(path), stations, (JOINT, stations.joint_names, stations.joints))
 
 
 def read_stations(path: Path | str) -> StationList:
@@ -239,11 +232,7 @@ def read_stations(path: Path | str) -> StationList:
         The first fault of the file: its line and column, what was found, what was expected.
     """
     table = read_table(path_of(path), ("plane", *POSE))
-    table.require("plane", *POSE)
-    last = table.frame.columns[-1]
-    if last in POSE or last.startswith(JOINT):
-        table.refuse_cut()
-    stations = stations_of(table)
+    stations = stations_of(table, JOINT)
     columns = [name for name in table.frame.columns if name.startswith(JOINT)]
     if not columns:
         return stations
@@ -326,26 +315,21 @@ def code_warnings(
         for row in np.flatnonzero(coded[:, i]).tolist():
             beam = names[row if len(names) > 1 else 0]
             found.setdefault(str(table.frame[column][row]), []).append(beam)
-    outside = sorted((cell for cell in found if _is_rare_number(cell, found)), key=float)
-    warnings = [
-        code_warning(f"{cell[:40]!r}", list(dict.fromkeys(every)), len(every))
-        for cell, every in found.items()
-        if cell not in outside
-    ]
+    # Numbers that stand too seldom for codes of their own.
+    rare = pl.Series(
+        [cell for cell, every in found.items() if len(every) < BY_CHANCE], dtype=pl.String
+    )
+    outside = rare.filter(rare.cast(pl.Float64, strict=False).is_finite()).to_list()
+    outside.sort(key=float)
+    warnings = []
+    for cell, every in found.items():
+        if cell not in outside:
+            warnings.append(code_warning(f"{cell[:40]!r}", every))
     if outside:
         ends = [f"{cell[:40]!r}" for cell in dict.fromkeys((outside[0], outside[-1]))]
         every = [beam for cell in outside for beam in found[cell]]
-        named = list(dict.fromkeys(every))
-        warnings.append(code_warning(" to ".join(ends), named, len(every), stated=True))
+        warnings.append(code_warning(" to ".join(ends), every, stated=True))
     return tuple(warnings)
-
-
-def _is_rare_number(cell: str, found: Mapping[str, Sequence[str]]) -> bool:
-    """Tell whether a cell is a number that stands too seldom for a code of its own."""
-    try:
-        return math.isfinite(float(cell)) and len(found[cell]) < BY_CHANCE
-    except ValueError:
-        return False
 
 
 def _word_codes(column: pl.Series) -> BoolArray:

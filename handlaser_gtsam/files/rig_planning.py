@@ -29,8 +29,7 @@ from ..planning.choice import Criterion
 from ..planning.goal import Goal
 from ..planning.robot import Robot
 from ..planning.workspace import Workspace
-from ..results.limits import Limits
-from .checked_text import FileRecord, in_table, numbers
+from .checked_text import FileRecord, in_table, made, numbers
 from .recording_csv import QUATERNION_TOLERANCE
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -95,12 +94,8 @@ class BlindTable(FileRecord):
         if len(self.location_mm) != len(self.direction):
             rows = f"{len(self.location_mm)} rows and blind.direction of {len(self.direction)}"
             raise InputError(f"blind.location_mm of {rows}", "one of each for every beam")
-        given, plate = {}, {}
-        for name, value in self.in_si().items():
-            if name.startswith("plate_"):
-                plate[name.removeprefix("plate_")] = value
-            else:
-                given[name] = value
+        given = self.in_si()
+        plate = {name[6:]: given.pop(name) for name in list(given) if name.startswith("plate_")}
         locations, directions = given.pop("location"), np.array(given.pop("direction"))
         plate["normal"] = np.array(plate["normal"])
         with in_table("blind", self):
@@ -157,30 +152,23 @@ class PlanTables(FileRecord):
     goal: GoalTable = GoalTable()
     placement: PlacementTable = PlacementTable()
 
-    def plans(self, folder: Path, sensor: Sensor, limits: Limits) -> Plans:
-        """Return what they say, with limits where the goal states nothing else.
-
-        Files are named from a folder on.
+    def plans(self, folder: Path, sensor: Sensor) -> Plans:
+        """Return what they say, with files named from a folder on.
 
         Raises
         ------
         InputError
             A value that cannot be, or errors to tell of which no size is known.
         """
-        with in_table("goal", self.goal):
-            goal = Goal(**self.goal.in_si())
+        goal = made("goal", self.goal, Goal)
         goal.plausible(sensor, 1.0)
         bounds = None if self.blind is None else self.blind.to_si()
         robot = None if self.robot is None else self.robot.to_si(folder)
         if robot is not None and self.workspace is None:
-            raise InputError(
-                "a table [robot] without [workspace]",
-                "both: [workspace] says where the hand may go",
-            )
+            expected = "both: [workspace] says where the hand may go"
+            raise InputError("a table [robot] without [workspace]", expected)
         workspace = None if self.workspace is None else self.workspace.to_si(robot)
-        with in_table("placement", self.placement):
-            placement = Placement(**self.placement.in_si())
-        return Plans(workspace, bounds, goal.within(limits), placement)
+        return Plans(workspace, bounds, goal, made("placement", self.placement, Placement))
 
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:

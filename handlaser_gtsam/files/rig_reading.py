@@ -1,7 +1,5 @@
 """Recordings and logs read as a rig file says: what every verb that takes one does."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +10,7 @@ from ..text import shown
 from .logs.format import LogFormat
 from .logs.report import LogReport
 from .recording_csv import read_recording
-from .rig_toml import Rig, as_fields
+from .rig_toml import Rig, as_fields, naming_fields
 
 NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
 BEAMS_BEFORE_PLANES = "beams before planes only"
@@ -50,7 +48,7 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     if rig.survey is not None:
         from .survey_reading import read_survey
 
-        with _naming_fields(rig):
+        with naming_fields("" if rig.log.stated else WRITES_IT):
             survey = read_survey(path, rig)
         warnings = (*_as_fields(survey.warnings), *_no_cone(rig, survey.beam_names))
         return replace(survey, warnings=warnings)
@@ -63,15 +61,12 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
 
 
 def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
-    with _naming_fields(rig):
+    with naming_fields("" if rig.log.stated else WRITES_IT):
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
     recording = report.recording
     warnings = (*_as_fields(recording.warnings), *_no_cone(rig, recording.beam_names))
-    report = replace(
-        report,
-        recording=replace(recording, warnings=warnings),
-        lines=tuple(map(as_fields, report.lines)),
-    )
+    recording = replace(recording, warnings=warnings)
+    report = replace(report, recording=recording, lines=tuple(map(as_fields, report.lines)))
     if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
         rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return report, rig
@@ -92,19 +87,6 @@ def _no_cone(rig: Rig, beams: tuple[str, ...]) -> tuple[CalibrationWarning, ...]
 def _as_fields(warnings: tuple[CalibrationWarning, ...]) -> tuple[CalibrationWarning, ...]:
     """Return warnings that name fields of the table [log] in place of options of `convert`."""
     return tuple(replace(one, message=as_fields(one.message)) for one in warnings)
-
-
-@contextmanager
-def _naming_fields(rig: Rig) -> Iterator[None]:
-    """Let what is said of the options of `convert` name the fields of the table [log] instead."""
-    try:
-        yield
-    except InputError as error:
-        found, expected = as_fields(error.found), as_fields(error.expected)
-        if (found, expected) == (error.found, error.expected):
-            raise
-        hint = "" if rig.log.stated else WRITES_IT
-        raise InputError(found, expected + hint, error.path, error.line, error.column) from error
 
 
 def read_any(
@@ -129,6 +111,5 @@ def read_any(
         hint = missing_columns_hint(error)
         if not hint:
             raise
-        raise InputError(
-            error.found, error.expected + hint, error.path, error.line, error.column
-        ) from error
+        place = error.path, error.line, error.column
+        raise InputError(error.found, error.expected + hint, *place) from error

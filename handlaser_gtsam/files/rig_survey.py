@@ -22,7 +22,7 @@ import numpy as np
 from pydantic import Strict
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..checks import require_word
 from ..data.station_list import StationList
 from ..data.survey import RELATIONS, Convention, Kind, Known, Shots
@@ -32,7 +32,7 @@ from ..quantities import DEG, IN_MM, MAJORITY, MM
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
-from .points_table import Echo, read_frame, read_points
+from .points_table import Echo, Points, read_frame, read_points
 from .recording_csv import known_numbers
 
 SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
@@ -125,12 +125,10 @@ class SurveyTables:
         wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
         with in_file(path):
             stations, points = read_bag_points(path, given, wanted)
-            shots = [
-                _shots(
-                    table, self.folder, station, numbers, np.full(len(numbers), np.nan), 1.0, 1.0
-                )
-                for table, (station, numbers) in zip(self.sensors, points, strict=True)
-            ]
+            shots = []
+            for table, (station, numbers) in zip(self.sensors, points, strict=True):
+                own = station, numbers, np.full(len(numbers), np.nan)
+                shots.append(_shots(table, self.folder, own, 1.0, 1.0))
         return stations, tuple(shots)
 
     def _read(
@@ -140,26 +138,21 @@ class SurveyTables:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
         path = self.folder / table.points
-        station, numbers, before, named = read_points(
-            path, table.kind, stations, echo=table.echo, station_column=station_column
-        )
+        points, named = read_points(path, table.kind, stations, table.echo, station_column)
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
         with in_file(path):
             length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
             angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
-            units = LENGTHS[length], ANGLES[angle]
-            shots = _shots(table, self.folder, station, numbers, before, *units)
+            shots = _shots(table, self.folder, points, LENGTHS[length], ANGLES[angle])
         return shots, f"{table.name} in {words}{f' and {more}' if turns else ''}"
 
     def reading_from(self, copies: Mapping[Path, Path]) -> "SurveyTables":
         """Return the same with tables of points read from copies of them, by the original."""
-        tables = [
-            table.model_copy(update={"points": str(copies.get(self.folder / table.points, ""))})
-            if table.points
-            else table
-            for table in self.sensors
-        ]
+        tables = []
+        for table in self.sensors:
+            copy = str(copies.get(self.folder / table.points, "")) if table.points else ""
+            tables.append(table.model_copy(update={"points": copy}))
         return replace(self, sensors=tuple(tables))
 
     @property
@@ -226,13 +219,14 @@ def _unit(field: str, stated: str, named: set[str], usual: str) -> tuple[str, st
 
 def _require_lengths(shots: Shots) -> None:
     """Refuse shots whose lengths no such sensor has: a wrong unit."""
-    sizes = [np.abs(shots.reading), np.abs(shots.across) if shots.kind == "profiler" else 0.0]
-    largest, typical = max(float(np.max(x)) for x in sizes), float(np.median(sizes[0]))
-    if largest < SHORTEST_LENGTH or typical > LONGEST_READING:
-        far = f"{largest * IN_MM:.2g} mm" if largest < SHORTEST_LENGTH else f"{typical:.3g} m"
-        found = (
-            f"lengths of {shots.name} {'up to' if largest < SHORTEST_LENGTH else 'of some'} {far}"
-        )
+    d = np.abs(shots.reading)
+    across = np.abs(shots.across).max() if shots.kind == "profiler" else 0.0
+    largest, typical, found = max(float(d.max()), float(across)), float(np.median(d)), ""
+    if largest < SHORTEST_LENGTH:
+        found = f"lengths of {shots.name} up to {largest * IN_MM:.2g} mm"
+    elif typical > LONGEST_READING:
+        found = f"lengths of {shots.name} of some {typical:.3g} m"
+    if found:
         raise InputError(found, 'units = "mm", "m" or "in" in [[sensors]], as the lengths are')
 
 
@@ -255,10 +249,8 @@ def _refuse_exchanged(shots: Shots) -> None:
     crossed = (np.abs(x_middle) > x_width) & (np.abs(z_middle) < 0.5 * z_width)
     varies = x_middle.std() * z_width.mean() > z_middle.std() * x_width.mean()
     if crossed.mean() > MAJORITY and varies:
-        found = (
-            f"x and z of {shots.name} exchanged: in most shots x is farther from zero than it spans, "
-            "as distances are, and z changes its sign"
-        )
+        found = f"x and z of {shots.name} exchanged: in most shots x is farther from zero than it "
+        found += "spans, as distances are, and z changes its sign"
         expected = (
             "z, the distance, and x, across it: exchange their names in the header; or count x from "
             "the middle of the field of view, if they are right"
@@ -266,44 +258,35 @@ def _refuse_exchanged(shots: Shots) -> None:
         raise InputError(found, expected)
 
 
-def _shots(
-    table: SensorTable,
-    folder: Path,
-    station: IntArray,
-    numbers: FloatArray,
-    before: FloatArray,
-    length: float,
-    angle: float,
-) -> Shots:
+def _shots(table: SensorTable, folder: Path, points: Points, length: float, angle: float) -> Shots:
     """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
 
-    `before` (N,) is the nearest echo that a zone read before each reading, NaN for none.
+    They come with the station (N,) of each point, and with the nearest echo (N,) that a zone read
+    before it, NaN for none.
     """
-    several = bool(np.isfinite(before).any())
+    station, numbers, before = points
+    several, name = bool(np.isfinite(before).any()), table.name
     if table.clear_mm and not several:
-        found = f"clear_mm of {table.name}, none of whose readings stands behind another"
+        found = f"clear_mm of {name}, none of whose readings stands behind another"
         raise InputError(found, "an array with several readings a zone, and echo not near")
-    noise: dict[str, Any] = {
-        "sigma": None if table.sigma_mm is None else table.sigma_mm * MM,
-        "sigma_across": table.sigma_across_mm * MM,
-        "free": table.free,
-    }
     if (table.zones is None) == (table.kind == "array"):
-        found = f"{'no ' if table.zones is None else ''}zones of {table.name}"
+        found = f"{'no ' if table.zones is None else ''}zones of {name}"
         raise InputError(found, "the file of zones of an array, and of nothing else")
+    sigma = None if table.sigma_mm is None else table.sigma_mm * MM
+    noise: dict[str, Any] = {"sigma": sigma, "sigma_across": table.sigma_across_mm * MM}
+    noise["free"] = table.free
+    first, reading = numbers[:, 0], numbers[:, 1] * length
     if table.kind == "points":
-        shots = Shots.points(table.name, station, numbers * length, **noise)
+        shots = Shots.points(name, station, numbers * length, **noise)
+    elif table.kind == "profiler":
+        shots = Shots.profiler(name, station, first * length, reading, **noise)
+        _refuse_exchanged(shots)
+    elif table.kind == "scanner":
+        shots = Shots.scanner(name, station, first * angle, reading, **noise)
     else:
-        first, reading = numbers[:, 0], numbers[:, 1] * length
-        if table.kind == "profiler":
-            shots = Shots.profiler(table.name, station, first * length, reading, **noise)
-            _refuse_exchanged(shots)
-        elif table.kind == "scanner":
-            shots = Shots.scanner(table.name, station, first * angle, reading, **noise)
-        else:
-            u = directions_of(folder / str(table.zones), first)
-            noise["before"] = before * length if several else None
-            shots = Shots.array(table.name, station, u, reading, table.convention, **noise)
+        u = directions_of(folder / str(table.zones), first)
+        noise["before"] = before * length if several else None
+        shots = Shots.array(name, station, u, reading, table.convention, **noise)
     _require_lengths(shots)
     return shots.clear_of(table.clear_mm * MM) if table.clear_mm else shots
 
@@ -327,58 +310,43 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
         raise table.fault(f"columns {table.names}", expected)
     if zone is None:
         return np.asarray(u)
-    place = {float(name): i for i, name in enumerate(numbers["zone"])}
-    lacking = sorted({float(one) for one in np.unique(zone)} - place.keys())
+    place = {name: i for i, name in enumerate(numbers["zone"].tolist())}
+    lacking = sorted(set(zone.tolist()) - place.keys())
     if lacking:
         raise InputError(f"no zone {lacking[0]:g}", "a row for every zone that reads", path)
-    return np.asarray(u[[place[float(one)] for one in zone]])
+    return np.asarray(u[[place[one] for one in zone.tolist()]])
 
 
 def _known(table: KnownTable) -> Known:
     require_word("relation", table.relation, RELATIONS)
-    called = {
-        "value": "value_deg" if table.relation == "angle" else "value_mm",
-        "sigma": "sigma_mm",
-        "sigma_angle": "sigma_deg",
-        "direction": "position_mm" if table.relation == "position" else "direction",
-        "pose": "pose_mm_deg",
-        "faces": "faces",
+    of_file: dict[str, tuple[str, object]] = {
+        "value": ("value_deg", DEG) if table.relation == "angle" else ("value_mm", MM),
+        "sigma": ("sigma_mm", MM),
+        "sigma_angle": ("sigma_deg", DEG),
+        "direction": ("position_mm", MM) if table.relation == "position" else ("direction", 1.0),
+        "pose": ("pose_mm_deg", 1.0),
+        "faces": ("faces", [1.0, 1.0, 1.0, MM]),
     }
-    fields = [called[field] for field in RELATIONS[table.relation][2]]
-    stated = [field for field, given in table if given is not None]
+    called = {field: of_file[field] for field in RELATIONS[table.relation][2]}
+    fields = [name for name, _ in called.values()]
     what = f"{table.relation} of {' and '.join(table.of)}"
     expected = f"{', '.join(fields[:-1])} and {fields[-1]}"
-    for field in stated:
-        if field not in ("relation", "of", *fields):
-            raise InputError(f"{field} with {what}", expected)
-    for field in fields:
-        if field not in stated:
-            raise InputError(f"no {field} of {what}", expected)
-    value = (table.value_mm or 0.0) * MM + (table.value_deg or 0.0) * DEG
-    direction = None if table.direction is None else np.array(table.direction)
-    if table.position_mm is not None:
-        direction = np.array(table.position_mm) * MM
-    pose = None
-    if table.pose_mm_deg is not None:
-        if len(table.pose_mm_deg) != 6:
-            found = f"pose_mm_deg of {len(table.pose_mm_deg)} numbers"
-            raise InputError(found, "6: x, y, z, A, B, C")
-        pose = np.eye(4)
-        pose[:3, 3] = np.array(table.pose_mm_deg[:3]) * MM
-        turn = Rotation.from_euler("ZYX", table.pose_mm_deg[3:], degrees=True)
-        pose[:3, :3] = turn.as_matrix()
-    faces = None
-    if table.faces is not None:
-        if any(len(face) != 4 for face in table.faces):
+    stated = {name: given for name, given in table if given is not None}
+    for name in stated:
+        if name not in ("relation", "of", *fields):
+            raise InputError(f"{name} with {what}", expected)
+    known: dict[str, Any] = {}
+    for field, (name, unit) in called.items():
+        if name not in stated:
+            raise InputError(f"no {name} of {what}", expected)
+        if field == "pose" and len(stated[name]) != 6:
+            raise InputError(f"{name} of {len(stated[name])} numbers", "6: x, y, z, A, B, C")
+        if field == "faces" and any(len(face) != 4 for face in stated[name]):
             raise InputError("faces of a body that are not four numbers", "a normal and an offset")
-        faces = np.array(table.faces) * [1.0, 1.0, 1.0, MM]
-    return Known(
-        table.relation,
-        table.of,
-        value,
-        (table.sigma_mm or 0.0) * MM,
-        (table.sigma_deg or 0.0) * DEG,
-        direction,
-        pose,
-        faces,
-    )
+        known[field] = np.array(stated[name]) * unit
+    if "pose" in known:
+        numbers, known["pose"] = known["pose"], np.eye(4)
+        known["pose"][:3, 3] = numbers[:3] * MM
+        turn = Rotation.from_euler("ZYX", numbers[3:], degrees=True)
+        known["pose"][:3, :3] = turn.as_matrix()
+    return Known(table.relation, table.of, **known)

@@ -18,15 +18,15 @@
 Every table is optional, and so is every field but those that say where something is.
 """
 
-import json
 import math
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self, cast, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import Field, Strict, create_model
 
@@ -35,35 +35,29 @@ from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import FIELDS, Plausible
 from ..model.sensor import Sensor
+from ..planning.bounds import Bounds, Placement
+from ..planning.goal import Goal
+from ..planning.workspace import Workspace
 from ..quantities import IN_DEG, IN_MM, WIDEST_CONE
 from ..results.limits import Limits
 from .checked_text import (
     FileRecord,
     in_file,
     in_table,
+    made,
     numbers,
     read_checked,
     read_text,
     square_matrix,
+    toml_table,
 )
 from .logs.format import LogFormat
+from .logs.format_checks import EXCLUSIVE
+from .rig_planning import Plans, PlanTables
 from .rig_survey import SurveyRig, SurveyTables
 from .writing import path_of, write_text
 
-if TYPE_CHECKING:
-    from ..planning.bounds import Bounds, Placement
-    from ..planning.goal import Goal
-    from ..planning.workspace import Workspace
-    from .rig_planning import Plans
-
 RIG_FILE = "a rig file, TOML"
-ONE_OF = (
-    ("pose_format", "rotation"),
-    ("plane", "plane_column", "plane_ranges", "plane_file"),
-    ("pose_topic", "frames"),
-    ("stands", "interpolate"),
-)
-"""Fields that exclude each other: where a user states one, the rig file's do not count."""
 OPTION = re.compile(r"--([a-z][a-z-]*)")
 NAMES = tuple(one.name for one in fields(LogFormat))
 
@@ -98,11 +92,8 @@ class LogTable(create_model("Fields", __base__=FileRecord, **_FIELDS)):  # type:
         for name in ("readings", "plane_file"):
             if name in stated:
                 stated[name] = folder / str(stated[name])
-        try:
-            with in_table("log", self):
-                return with_stated(LogFormat(), stated)
-        except InputError as error:  # which of several fields contradict each other
-            raise InputError(as_fields(error.found), as_fields(error.expected)) from error
+        with naming_fields(), in_table("log", self):
+            return with_stated(LogFormat(), stated)
 
 
 def as_fields(words: str) -> str:
@@ -115,6 +106,18 @@ def as_fields(words: str) -> str:
     return OPTION.sub(field, words)
 
 
+@contextmanager
+def naming_fields(hint: str = "") -> Iterator[None]:
+    """Let what is said of the options of `convert` name the fields of the table [log]; with a hint."""
+    try:
+        yield
+    except InputError as error:
+        found, expected = as_fields(error.found), as_fields(error.expected)
+        if (found, expected) == (error.found, error.expected):
+            raise
+        raise InputError(found, expected + hint, error.path, error.line, error.column) from error
+
+
 def table_of(given: LogFormat, folder: Path) -> str:
     """Return the table [log] that says how logs are written, with files named from a folder on.
 
@@ -123,19 +126,18 @@ def table_of(given: LogFormat, folder: Path) -> str:
     InputError
         Nothing is stated.
     """
-    plain, lines = LogFormat(), ["[log]"]
+    plain, stated = LogFormat(), dict[str, object]()
     for name in NAMES:
         value = getattr(given, name)
-        if value == getattr(plain, name):
-            continue
-        if isinstance(value, Path):
-            value = os.path.relpath(value.absolute(), folder.absolute())
-        # What JSON says of a text, a number, a truth value or a list of them, TOML says, too.
-        lines.append(f"{name} = {json.dumps(value, ensure_ascii=False)}")
-    if len(lines) == 1:
+        if value != getattr(plain, name):
+            is_path = isinstance(value, Path)
+            stated[name] = (
+                os.path.relpath(value.absolute(), folder.absolute()) if is_path else value
+            )
+    if not stated:
         expected = "an option that says how the log is written, such as --pose-format"
         raise InputError("nothing that a table [log] could say", expected)
-    return "\n".join(lines) + "\n"
+    return toml_table("[log]", stated)
 
 
 def with_stated(known: LogFormat, given: Mapping[str, object]) -> LogFormat:
@@ -148,7 +150,7 @@ def with_stated(known: LogFormat, given: Mapping[str, object]) -> LogFormat:
     """
     stated = {name: given[name] for name in NAMES if given.get(name) is not None}
     plain = LogFormat()
-    for group in ONE_OF:
+    for group in EXCLUSIVE:
         if any(name in stated for name in group):
             for name in group:
                 stated.setdefault(name, getattr(plain, name))
@@ -182,32 +184,12 @@ class _Limits(numbers("rms_mm location_sigma_mm direction_sigma_deg")):  # type:
     """The table [limits]."""
 
 
-class _Rig(SurveyRig):
+class _Rig(PlanTables, SurveyRig):
     noise: NoiseTable = NoiseTable()
     sensor: Annotated[_Sensor, Field(description="which is of single beams")] = _Sensor()
     plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
     log: LogTable = LogTable()
-    # `rig_planning.PlanTables` says what these hold; it is imported where there is one.
-    workspace: Any = None
-    robot: Any = None
-    blind: Any = None
-    goal: Any = None
-    placement: Any = None
-
-    @classmethod
-    def schema_of(cls, data: object) -> type[Self]:
-        """Return a schema that knows what tables for plans hold, where there are any."""
-        tables = {"workspace", "robot", "blind", "goal", "placement"}
-        if not (isinstance(data, dict) and tables & data.keys()):
-            return cls
-        from .rig_planning import PlanTables
-
-        return cast("type[Self]", create_model("_RigOfPlans", __base__=(PlanTables, cls)))
-
-    def plans(self, folder: Path, sensor: Sensor, limits: Limits) -> "Plans | None":  # noqa: ARG002
-        """Return what tables for plans say; None where there are none."""
-        return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,8 +203,8 @@ class Rig:
     limits : Limits
     log : LogFormat
         How logs are written.
-    plans : Plans or None
-        What is said for plans: the properties below; None where nothing is.
+    plans : Plans
+        What is said for plans: the properties below.
     survey : SurveyTables or None
         Sensors of many rays, and relations; None where there are none.
     half_angle : float
@@ -234,33 +216,29 @@ class Rig:
     sensor: Sensor = field(default_factory=Sensor)
     limits: Limits = field(default_factory=Limits)
     log: LogFormat = field(default_factory=LogFormat)
-    plans: "Plans | None" = None
+    plans: Plans = field(default_factory=Plans)
     survey: SurveyTables | None = None
     half_angle: float = 0.0
 
     @property
-    def workspace(self) -> "Workspace | None":
+    def workspace(self) -> Workspace | None:
         """Where the hand may go, and the robot that is to reach it."""
-        return None if self.plans is None else self.plans.workspace
+        return self.plans.workspace
 
     @property
-    def bounds(self) -> "Bounds | None":
+    def bounds(self) -> Bounds | None:
         """Where beams and plate roughly are, before any reading."""
-        return None if self.plans is None else self.plans.bounds
+        return self.plans.bounds
 
     @property
-    def goal(self) -> "Goal":
+    def goal(self) -> Goal:
         """What to plan for; the limits stand in it where it states nothing else."""
-        from ..planning.goal import Goal
-
-        return Goal().within(self.limits) if self.plans is None else self.plans.goal
+        return self.plans.goal.within(self.limits)
 
     @property
-    def placement(self) -> "Placement":
+    def placement(self) -> Placement:
         """How the plate can be placed again."""
-        from ..planning.bounds import Placement
-
-        return Placement() if self.plans is None else self.plans.placement
+        return self.plans.placement
 
 
 def read_rig(path: Path | str) -> Rig:
@@ -314,58 +292,48 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
     half_angle = given.pop("half_angle", 0.0)
     if len(span) != 2:
         raise InputError(f"sensor.range_mm of {len(span)} numbers", "[least, largest]")
-    with in_table("limits", rig.limits):
-        limits = Limits(**rig.limits.in_si())
-    with in_table("plausible", rig.plausible):
-        plausible = Plausible(**rig.plausible.in_si())
+    limits = made("limits", rig.limits, Limits)
+    plausible = made("plausible", rig.plausible, Plausible)
     with in_table("sensor", rig.sensor):
         least, most = map(float, span)
         sensor = Sensor(least, most, plausible=plausible, **given)
         require_number("half_angle", half_angle, 0.0, WIDEST_CONE, unit="rad")
-    return Rig(
-        noise_of(rig.noise),
-        sensor,
-        limits,
-        rig.log.to_format(folder),
-        rig.plans(folder, sensor, limits),
-        rig.survey(folder),
-        half_angle,
-    )
+    log, plans = rig.log.to_format(folder), rig.plans(folder, sensor)
+    return Rig(noise_of(rig.noise), sensor, limits, log, plans, rig.survey(folder), half_angle)
 
 
 def noise_of(table: NoiseTable, name: str = "noise") -> Noise:
     """Return the noise of a table in SI units; raises InputError for a value that cannot be."""
-    given = table.in_si()
+    given = {}
     if table.pose_covariance is not None:
         S = square_matrix(table.pose_covariance, 6, f"{name}.pose_covariance")
         given["pose_covariance"] = S
-    with in_table(name, table):
-        return Noise(**given)
+    return made(name, table, Noise, **given)
 
 
 def write_rig(
     path: Path | str, noise: Noise, sensor: Sensor, more: str = "", half_angle: float = 0.0
 ) -> None:
     """Write the noise, the sensor's range and cone, and more tables; but nothing that is unknown."""
-    lines = ["[noise]"]
-    for name, value, unit in (
-        ("range_sigma_mm", noise.range_sigma, IN_MM),
-        ("pose_translation_sigma_mm", noise.pose_translation_sigma, IN_MM),
-        ("pose_rotation_sigma_deg", noise.pose_rotation_sigma, IN_DEG),
-        ("incidence_sigma_mm", noise.incidence_sigma or None, IN_MM),
-    ):
-        if value is not None:
-            lines.append(f"{name} = {value * unit:.12g}")
-    if noise.pose_covariance is not None and noise.pose_covariance.ndim == 2:
-        lines.append(f"pose_covariance = {noise.pose_covariance.tolist()}")
-    if math.isfinite(sensor.range_max) or half_angle:
-        lines += ["", "[sensor]"]
-    if math.isfinite(sensor.range_max):
-        least, most = sensor.range_min * IN_MM, sensor.range_max * IN_MM
-        lines.append(f"range_mm = [{least:.12g}, {most:.12g}]")
-    if half_angle:
-        lines.append(f"half_angle_deg = {half_angle * IN_DEG:.12g}")
-    write_text(path_of(path), "\n".join(lines) + "\n" + more)
+
+    def stated(value: float | None, unit: float) -> float | None:
+        return None if value is None else float(f"{value * unit:.12g}")
+
+    S = noise.pose_covariance
+    fields = {
+        "range_sigma_mm": stated(noise.range_sigma, IN_MM),
+        "pose_translation_sigma_mm": stated(noise.pose_translation_sigma, IN_MM),
+        "pose_rotation_sigma_deg": stated(noise.pose_rotation_sigma, IN_DEG),
+        "incidence_sigma_mm": stated(noise.incidence_sigma or None, IN_MM),
+        "pose_covariance": None if S is None or S.ndim != 2 else S.tolist(),
+    }
+    text, bounded = toml_table("[noise]", fields), math.isfinite(sensor.range_max)
+    if bounded or half_angle:
+        ends = [stated(end, IN_MM) for end in (sensor.range_min, sensor.range_max)]
+        fields = {"range_mm": ends if bounded else None}
+        fields["half_angle_deg"] = stated(half_angle or None, IN_DEG)
+        text += "\n" + toml_table("[sensor]", fields)
+    write_text(path_of(path), text + more)
 
 
 def with_log_table(path: Path | str, log: LogFormat) -> str:
@@ -390,13 +358,9 @@ def with_log_table(path: Path | str, log: LogFormat) -> str:
         ends = "\r\n" if "\r\n" in text else "\n"
         gap = "" if not text else ends if text.endswith("\n") else 2 * ends
         return text + gap + table.replace("\n", ends)
-    differ = [
-        one.name for one in fields(log) if getattr(known, one.name) != getattr(wanted, one.name)
-    ]
+    differ = [name for name in NAMES if getattr(known, name) != getattr(wanted, name)]
     if differ:
-        raise InputError(
-            f"a table [log] with other values of {', '.join(differ)}",
-            "the same values, a rig file without that table, or a new one",
-            path,
-        )
+        found = f"a table [log] with other values of {', '.join(differ)}"
+        expected = "the same values, a rig file without that table, or a new one"
+        raise InputError(found, expected, path)
     return text

@@ -51,44 +51,35 @@ class SurveyFile(FileRecord, extra="ignore"):
 
 def survey_text(result: SurveyCalibration) -> str:
     """Return a result as JSON text."""
+    tested = "code size sigma detectable found spot_shift"
     sensor = (
-        "name kind location_sigma_m rotation_sigma_rad covariance reading_sigma_m spot_error_m"
-        " shots rejected"
+        "name kind location_sigma_m rotation_sigma_rad covariance reading_sigma_m spot_error_m shots "
+        "rejected rotation location_m range_error working_distance_m range_errors_tested"
     )
+    beam = (
+        "name direction location_sigma_m reading_sigma_m readings rejected covariance location_m "
+        "direction_sigma_rad range_error"
+    )
+    rotation, translation = result.pose_sigma
     whole: Record = {
         "status": result.status,
         "message": result.message,
         "verdict": {"usable": result.usable, "sentence": result.verdict},
         "warnings": [record(one, WarningRecord) for one in result.warnings],
         "sensors": [
-            record(one, sensor)
-            | {
-                "rotation": one.rotation,
-                "location_m": one.location,
-                "range_error": one.range_error,
-                "working_distance_m": one.reading,
-                "range_errors_tested": [
-                    record(error, "code size sigma detectable found spot_shift")
-                    for error in one.errors
-                ],
-            }
+            record(
+                one,
+                sensor,
+                working_distance_m=one.reading,
+                range_errors_tested=[record(error, tested) for error in one.errors],
+            )
             for one in result.sensors.values()
         ],
-        "beams": [
-            record(
-                one, "name direction location_sigma_m reading_sigma_m readings rejected covariance"
-            )
-            | {
-                "location_m": one.location,
-                "direction_sigma_rad": one.direction_sigma,
-                "range_error": one.range_error,
-            }
-            for one in result.beams.values()
-        ],
+        "beams": [record(one, beam) for one in result.beams.values()],
         "targets": [record(one, "label kind values sigma") for one in result.targets.values()],
         "pose_sigma": {
-            "rotation_rad": result.pose_sigma[0],
-            "translation_m": result.pose_sigma[1],
+            "rotation_rad": rotation,
+            "translation_m": translation,
             "estimated": result.pose_sigma_estimated,
         },
         "known": [
@@ -97,9 +88,7 @@ def survey_text(result: SurveyCalibration) -> str:
         ],
         "without_contradicted": None if result.without is None else _mounts(result.without),
         "rejected": [record(one, "sensor station target reason") for one in result.rejected],
-        "undetermined": result.undetermined,
-        "chi2": result.chi2,
-        "dof": result.dof,
+        **record(result, "undetermined chi2 dof"),
     }
     return json_text("survey", whole)
 
@@ -108,14 +97,8 @@ def _mounts(result: SurveyCalibration) -> Record:
     """Return where sensors and beams sit by a result that is not to be read by itself."""
     return {
         "status": result.status,
-        "sensors": [
-            record(one, "name rotation") | {"location_m": one.location}
-            for one in result.sensors.values()
-        ],
-        "beams": [
-            record(one, "name direction") | {"location_m": one.location}
-            for one in result.beams.values()
-        ],
+        "sensors": [record(one, "name rotation location_m") for one in result.sensors.values()],
+        "beams": [record(one, "name direction location_m") for one in result.beams.values()],
     }
 
 
@@ -123,10 +106,7 @@ def survey_validation_text(result: SurveyValidation) -> str:
     """Return a validation of a survey as JSON text."""
     left_out = "name shots chi2 dof p_value shift_m message"
     whole: Record = {
-        "verdict": {
-            "usable": result.usable,
-            "sentence": result.verdict,
-        },
+        "verdict": {"usable": result.usable, "sentence": result.verdict},
         "reference": record(result.reference, "largest parameter largest_sigma sigma_parameter"),
         "targets_left_out": [record(one, left_out) for one in result.targets],
         "splits": [record(one, left_out) for one in result.splits],

@@ -1,6 +1,5 @@
 """Surveys read from files: stations with their targets, tables of points, and a rig file."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from ..data.station_list import StationList
 from ..data.survey import Survey
 from ..errors import InputError
 from ..model.sensor import Sensor
+from .checked_text import in_file
 from .logs.bags import is_bag
 from .logs.columns import columns_of
 from .logs.format import LogFormat
@@ -51,22 +51,37 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
             return survey_of(read_recording(path, rig.sensor), rig)
         expected = "one of them in the rig file, or half_angle_deg in [sensor]"
         raise InputError("no table [[sensors]] or [[known]]", expected, path)
-    known = rig.survey.known
+    tables, log = rig.survey, rig.log
+    ranges: FloatArray | None = None
+    rows: LogRows | None = None
+    beams, lines = tuple[str, ...](), tuple[str, ...]()
     if is_bag(path):
-        refuse_of_a_bag(rig.log, path, OF_READINGS)
-        stations, shots = rig.survey.bag(path, rig.log)
-        return Survey(stations, shots, known=known, **_of_beams(rig, (), path))
-    if is_log(path, rig.log, readings=False):
-        stations, numbers, way, written = _of_log(path, rig.log)
-        shots, lines = rig.survey.shots(stations.station_names, rig.log.station_column)
-        more = {"lines": (written.words, *lines), **_of_beams(rig, (), path)}
-        survey = Survey(stations, shots, known=known, **more)
-        doubts = refuse_wrong_poses(survey, numbers, way, rig.log, path) if shots else ()
-        return replace(survey, warnings=(*written.warnings, *doubts))
-    stations, ranges, beams = _of_recording(path, rig)
-    shots, lines = rig.survey.shots(stations.station_names)
-    more = {"lines": lines, **_of_beams(rig, beams, path)}
-    return Survey(stations, shots, ranges, beams, known, **more)
+        refuse_of_a_bag(log, path, OF_READINGS)
+        stations, shots = tables.bag(path, log)
+    elif is_log(path, log, readings=False):
+        stations, rows = _of_log(path, log)
+        shots, lines = tables.shots(stations.station_names, log.station_column)
+        lines = (rows.words, *lines)
+    else:
+        table = read_table(path, ("plane", *POSE))
+        stations = stations_of(table, PREFIX)
+        columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
+        beams = tuple(name.removeprefix(PREFIX) for name in columns)
+        ranges = range_numbers(table, columns, rig.sensor)[0] if columns else None
+        shots, lines = tables.shots(stations.station_names)
+    if rig.half_angle and not beams:
+        found = "half_angle_deg in [sensor], and no single beam that it would count for"
+        expected = (
+            "columns range_NAME of single beams in the table of stations, or no half_angle_deg"
+        )
+        raise InputError(found, expected, path)
+    survey = _survey(stations, ranges, beams, rig, shots=shots, known=tables.known, lines=lines)
+    warnings = () if rows is None else rows.warnings
+    if rows is not None and shots:
+        with in_file(path):
+            way = Way.of_rows(len(stations))
+            warnings += refuse_wrong_poses(survey, rows.posed, way, log)
+    return replace(survey, warnings=warnings)
 
 
 def survey_of(recording: Recording, rig: Rig) -> Survey:
@@ -77,57 +92,27 @@ def survey_of(recording: Recording, rig: Rig) -> Survey:
         recording.plane_labels,
         recording.station_names,
     )
-    ranges = _within(recording.ranges, rig)
-    beams = recording.beam_names
-    more = {"warnings": recording.warnings, **_of_beams(rig, beams)}
-    return Survey(stations, (), ranges, beams, **more)
+    beams, warnings = recording.beam_names, recording.warnings
+    return _survey(stations, recording.ranges, beams, rig, warnings=warnings)
 
 
-def _of_beams(rig: Rig, beams: Sequence[str], path: Path | None = None) -> dict[str, Any]:
-    """Return what a rig file says of single beams, as arguments of `Survey`.
-
-    Raises
-    ------
-    InputError
-        A cone, and no beam that reads what is nearest in it.
-    """
-    if rig.half_angle and not beams:
-        found = "half_angle_deg in [sensor], and no single beam that it would count for"
-        expected = (
-            "columns range_NAME of single beams in the table of stations, or no half_angle_deg"
-        )
-        raise InputError(found, expected, path)
-    return {"half_angle": rig.half_angle, "linearity": rig.sensor.linearity}
+def _survey(
+    stations: StationList, ranges: FloatArray | None, beams: tuple[str, ...], rig: Rig, **more: Any
+) -> Survey:
+    """Return a survey of single beams that are as a rig file says, and more."""
+    if ranges is not None:  # without those that the sensor cannot give
+        ranges = np.where(rig.sensor.can_read(ranges), ranges, np.nan)
+    more |= {"half_angle": rig.half_angle, "linearity": rig.sensor.linearity}
+    return Survey(stations, ranges=ranges, beam_names=beams, **more)
 
 
-def _within(ranges: FloatArray, rig: Rig) -> FloatArray:
-    """Return ranges without those that the sensor cannot give."""
-    return np.where(rig.sensor.can_read(ranges), ranges, np.nan)
-
-
-def _of_recording(path: Path, rig: Rig) -> tuple[StationList, FloatArray | None, tuple[str, ...]]:
-    """Return stations, ranges (M, B) of beams, and the names of these."""
-    table = read_table(path, ("plane", *POSE))
-    stations = stations_of(table)
-    columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
-    if not columns:
-        return stations, None, ()
-    ranges, _ = range_numbers(table, columns, rig.sensor)
-    return stations, _within(ranges, rig), tuple(name.removeprefix(PREFIX) for name in columns)
-
-
-def _of_log(path: Path, given: LogFormat) -> tuple[StationList, FloatArray, Way, LogRows]:
-    """Return the stations of a log of poses that has labels, or one target for all.
-
-    The other results are its numbers (M, k), how stations get their poses from these, and its rows.
-    """
+def _of_log(path: Path, given: LogFormat) -> tuple[StationList, LogRows]:
+    """Return the stations of a log of poses that has labels, or one target for all; and its rows."""
     table = read_log_table(path, given)
     rows = rows_of(table, columns_of(table, given, readings=False), given, Sensor())
-    assert rows.poses is not None
-    way = Way.of_groups(np.arange(len(rows.poses)))
-    R, t = hand_poses(rows.poses, way, given)
+    R, t = hand_poses(rows.posed, Way.of_rows(len(rows.posed)), given)
     labels = rows.planes if rows.planes is not None else [given.plane] * len(R)
     if not all(labels):
         expected = "a column plane, --plane-column NAME, or one label for all by --plane"
         raise InputError("no target of the stations", expected, path)
-    return StationList(R, t, tuple(labels), tuple(rows.names)), rows.poses, way, rows
+    return StationList(R, t, tuple(labels), tuple(rows.names)), rows

@@ -1,6 +1,5 @@
 """Simulated surveys as files: stations, tables of points, zones, a rig file, and what is true."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,9 +14,9 @@ from ..model.sensor import Sensor
 from ..model.sensors.kinds import KINDS
 from ..quantities import IN_DEG, IN_MM
 from ..validation.survey_simulate import SurveyTruth
-from .checked_text import Record, json_text
+from .checked_text import Record, json_text, toml_table
 from .points_table import COLUMNS
-from .recording_csv import PREFIX, station_columns
+from .recording_csv import PREFIX, write_columns
 from .rig_survey import SensorTable
 from .rig_toml import write_rig
 from .writing import write_text
@@ -63,12 +62,8 @@ def write_simulated(
     InputError
         A file that cannot be written.
     """
-    stations = station_columns(survey.stations)
-    if survey.ranges is not None:
-        names = [PREFIX + beam for beam in survey.beam_names]
-        ranges = pl.DataFrame(survey.ranges, schema=names, orient="row").fill_nan(None)
-        stations = stations.hstack(ranges)
-    write_text(folder / STATIONS_WRITTEN, stations.write_csv())
+    ranges = PREFIX, survey.beam_names, survey.ranges
+    write_columns(folder / STATIONS_WRITTEN, survey.stations, ranges)
     for table, shots in zip(tables, survey.shots, strict=True):
         stops = survey.stations.station_names
         columns = _columns(table, shots, zones.get(table.name)).round(DIGITS)
@@ -113,20 +108,20 @@ def _columns(table: SensorTable, shots: Shots, zones: FloatArray | None) -> Floa
 
 def _sensor_text(table: SensorTable) -> str:
     """Return a row of [[sensors]]: what was stated, in millimetres and degrees, with its own files."""
-    fields: dict[str, object] = {"name": table.name, "kind": table.kind, "points": _points(table)}
-    fields["units"] = "mm"
-    if table.kind == "scanner":
-        fields["angles"] = "deg"
-    if table.kind == "array":
-        fields |= {"zones": _zones(table), "convention": table.convention}
-    if table.sigma_mm is not None:
-        fields["sigma_mm"] = table.sigma_mm
-    if table.sigma_across_mm:
-        fields["sigma_across_mm"] = table.sigma_across_mm
-    if table.free:
-        fields["free"] = list(table.free)
-    lines = [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in fields.items()]
-    return "\n".join(["", "[[sensors]]", *lines, ""])
+    is_array = table.kind == "array"
+    fields: dict[str, object] = {
+        "name": table.name,
+        "kind": table.kind,
+        "points": _points(table),
+        "units": "mm",
+        "angles": "deg" if table.kind == "scanner" else None,
+        "zones": _zones(table) if is_array else None,
+        "convention": table.convention if is_array else None,
+        "sigma_mm": table.sigma_mm,
+        "sigma_across_mm": table.sigma_across_mm or None,
+        "free": table.free or None,
+    }
+    return toml_table("\n[[sensors]]", fields)
 
 
 def _truth(truth: SurveyTruth) -> Record:

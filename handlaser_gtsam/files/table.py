@@ -28,7 +28,8 @@ UNIT = "\x1f"
 CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 CELLS = {
     separator: re.compile(
-        f'[{blanks}]*"((?:[^"]|"")*)"[{blanks}]*(?={separator}|$)|([^{separator}]*)'
+        f'(?:^|{separator})(?:[{blanks}]*"((?:[^"]|"")*)"[{blanks}]*(?={separator}|$)'
+        f"|([^{separator}]*))"
     )
     for separator, blanks in ((",", BLANK), (";", BLANK), ("\t", " "))
 }
@@ -138,12 +139,12 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
     if separator is None:
         # That of the first line with most known names; where these are as many, with most cells.
         lines = text.split("\n", MOST_TITLES + 1)[: MOST_TITLES + 1]
-        fits = []
+        fits = [(0, 0, 0, ",")]
         for number, line in enumerate(line for line in lines if line.strip()):
             for one in SEPARATORS:
                 names = first_cells(line, one)
                 fits.append((len(set(known) & set(names)), -number, len(names), one))
-        separator = max(fits, key=lambda fit: fit[:3], default=(",",))[-1]
+        separator = max(fits, key=lambda fit: fit[:3])[-1]
     text, warnings = without_titles(text, separator, path)
     return replace(table_of(text, path, separator), warnings=warnings)
 
@@ -203,20 +204,16 @@ def table_of(text: str, path: Path, separator: str) -> Table:
     InputError
     """
     lines = text.split("\n")
-    numbers = [i + 1 for i, line in enumerate(lines) if line.strip(BLANK + separator)]
+    numbers = [i for i, line in enumerate(lines, 1) if line.strip(BLANK + separator)]
     if not numbers:
         raise InputError("an empty file", "a header and one row a station", path)
     if len(numbers) < 2:
         raise InputError("a header but no station", "one row a station", path)
     cells, ended = [], numbers[-1] < len(lines)
     for number in numbers:
-        try:
-            cells.append(_split(lines[number - 1], separator))
-        except InputError as error:
-            raise InputError(error.found, error.expected, path, number) from error
-    width = cells[0].count(UNIT) + 1
-    for number, row in zip(numbers, cells, strict=True):
-        count = row.count(UNIT) + 1
+        row = _split(lines[number - 1], separator, path, number)
+        cells.append(row)
+        width, count = cells[0].count(UNIT) + 1, row.count(UNIT) + 1
         if count != width:
             is_cut = number == numbers[-1] and not ended and count < width
             cut = " in a last line that is cut" if is_cut else ""
@@ -226,21 +223,28 @@ def table_of(text: str, path: Path, separator: str) -> Table:
             raise InputError(f"{count} fields{cut}", expected, path, number)
     names = [cell.strip(BLANK) for cell in cells[0].split(UNIT)]
     names = [name or f"(column {i + 1} without a name)" for i, name in enumerate(names)]
-    for name in names:
-        fault = name_fault(name)
-        if fault:
-            expected = f"printable names of at most {LONGEST_NAME} characters in the header"
-            raise InputError(fault, expected, path, numbers[0])
-    twice = first_repeated(names)
-    if twice is not None:
-        found, expected = "the same name twice", "every column once"
-        raise InputError(found, expected, path, numbers[0], names[twice])
+    require_columns(names, path, numbers[0])
     split = pl.Series(cells[1:], dtype=pl.String).str.split_exact(UNIT, width - 1)
     frame = split.struct.rename_fields(names).struct.unnest()
     stripped = pl.all().str.strip_chars(BLANK)
     frame = frame.select(pl.when(stripped != "").then(stripped))
     open_ended = not ended and not lines[numbers[-1] - 1].rstrip(BLANK).endswith('"')
     return Table(frame, path, numbers[0], np.array(numbers[1:], dtype=np.intp), open_ended)
+
+
+def require_columns(names: Sequence[str], path: Path, line: int | None) -> None:
+    """Refuse columns whose names cannot be printed, or stand twice in the line of a header.
+
+    Raises
+    ------
+    InputError
+    """
+    for fault in filter(None, map(name_fault, names)):
+        expected = f"printable names of at most {LONGEST_NAME} characters in the header"
+        raise InputError(fault, expected, path, line)
+    twice = first_repeated(names)
+    if twice is not None:
+        raise InputError("the same name twice", "every column once", path, line, names[twice])
 
 
 def column_numbers(
@@ -306,24 +310,18 @@ def table_text(path: Path) -> str:
     return text
 
 
-def _split(line: str, separator: str) -> str:
+def _split(line: str, separator: str, path: Path, number: int) -> str:
     """Return a line with `UNIT` between its cells and without the quotes around them."""
-    if '"' not in line:
-        return line.replace(separator, UNIT)
-    cells, at = [], 0
-    while at <= len(line):
-        cell = CELLS[separator].match(line, at)
-        assert cell is not None  # for a cell may be empty
-        quoted, plain = cell.groups()
-        if quoted is None and '"' in plain:
+    cells = CELLS[separator].findall(line) if '"' in line else ()
+    for _, plain in cells:
+        if '"' in plain:
             found = f"a stray quote in {shown(plain.strip(BLANK))}"
             expected = (
                 "no quotes, or quotes around a whole cell on one line with those inside doubled"
             )
-            raise InputError(found, expected)
-        cells.append(plain if quoted is None else quoted.replace('""', '"'))
-        at = cell.end() + 1
-    return UNIT.join(cells)
+            raise InputError(found, expected, path, number)
+    whole = [plain or quoted.replace('""', '"') for quoted, plain in cells]
+    return UNIT.join(whole) if cells else line.replace(separator, UNIT)
 
 
 def _whole(cell: str | None, others: pl.Series) -> bool:

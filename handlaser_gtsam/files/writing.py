@@ -7,8 +7,8 @@ to another place wants it there. A file that is replaced hands its mode on to th
 import os
 import stat
 import tempfile
-from collections.abc import Collection, Mapping
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from itertools import combinations
 from pathlib import Path
 
@@ -39,8 +39,8 @@ def write_bytes(path: Path, content: bytes) -> None:
     InputError
         What `require_writable` refuses, or no space left.
     """
-    target, mode = _target(path)
-    try:
+    with _refused(path):
+        target, mode = _target(path)
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=BESIDE)
         try:
             with os.fdopen(handle, "wb") as file:
@@ -52,8 +52,6 @@ def write_bytes(path: Path, content: bytes) -> None:
         except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
-    except OSError as error:
-        raise _refusal(path, error) from error
     _sync_folder(target.parent)
 
 
@@ -76,13 +74,11 @@ def require_writable(path: Path) -> None:
         The folder is missing or not writable, links lead in a circle, or the target is write-protected
         or no regular file (a folder, a device).
     """
-    target, _ = _target(path)
-    try:
+    with _refused(path):
+        target, _ = _target(path)
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=BESIDE)
         os.close(handle)
         Path(name).unlink()
-    except OSError as error:
-        raise _refusal(path, error) from error
 
 
 def require_outputs(outputs: Mapping[str, Path | None], inputs: Collection[Path | None]) -> None:
@@ -111,20 +107,15 @@ def same_file(first: Path, second: Path) -> bool:
 
 
 def _target(path: Path) -> tuple[Path, int]:
-    """Return the file behind all links, and the mode that it is to have."""
+    """Return the file behind all links, and the mode that it is to have; raises OSError, too."""
+    target = Path(os.path.realpath(path))
     try:
-        target = Path(os.path.realpath(path))
         mode = target.lstat().st_mode
     except FileNotFoundError:
         mask = os.umask(0)
         os.umask(mask)
-        try:
-            target.parent.stat()
-        except OSError as error:
-            raise _refusal(path, error) from error
+        target.parent.stat()
         return target, 0o666 & ~mask  # as `open` gives them
-    except OSError as error:
-        raise _refusal(path, error) from error
     if stat.S_ISLNK(mode):
         raise InputError("links that lead in a circle", "a name for a file", path)
     if not stat.S_ISREG(mode):
@@ -134,6 +125,11 @@ def _target(path: Path) -> tuple[Path, int]:
     return target, stat.S_IMODE(mode)
 
 
-def _refusal(path: Path, error: OSError) -> InputError:
-    expected = "a writable file in a folder that exists"
-    return InputError(f"no way to write ({error.strerror})", expected, path)
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """Let what the system says against writing to a path be an InputError."""
+    try:
+        yield
+    except OSError as error:
+        expected = "a writable file in a folder that exists"
+        raise InputError(f"no way to write ({error.strerror})", expected, path) from error

@@ -52,12 +52,19 @@ class SurveySession:
     Parameters
     ----------
     noise : Noise, optional
-        As for `calibrate`.
+        As for `calibrate`; one pose covariance for all stations.
+
+    Raises
+    ------
+    InputError
+        A pose covariance a station.
     """
 
     def __init__(self, noise: Noise | None = None) -> None:
         self.noise = Noise() if noise is None else noise
         require_kind("noise", self.noise, Noise)
+        if self.noise.pose_covariance is not None and self.noise.pose_covariance.ndim == 3:
+            raise InputError("a pose covariance a station", "one for all stations to come")
         self._survey: Survey | None = None
         self._calibration: SurveyCalibration | None = None
 

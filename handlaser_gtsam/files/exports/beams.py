@@ -22,6 +22,8 @@ from ..survey_json import SurveyFile
 from .rendering import comment_text, identifiers
 
 Axis = Literal["x", "y", "z"]
+Ray = tuple[FloatArray, FloatArray, FloatArray]
+"""Location, direction and range errors."""
 Beam = dict[str, Any]
 """What templates take of a beam in the hand frame, SI units, and of a frame along which it lies.
 
@@ -74,7 +76,8 @@ def _beams(mounts: Mounts, axis: Axis, reading: float) -> Iterator[Beam]:
         words += [f"k2 {k2:.6g} +- {sigma[7]:.2g} per m"] if mounts.terms[i] > 1 else []
         comment, v = f"beam {comment_text(name)}: {', '.join(words)}", directions[i]
         ray = mounts.locations[i], v, mounts.range_errors[i]
-        yield _framed(name, comment, ray, smallest_rotation(axis, v), reading)
+        frame = _framed(ray, smallest_rotation(axis, v), reading)
+        yield {"name": name, "comment": comment, **frame}
 
 
 def _sensors(file: SurveyFile, axis: Axis, reading: float) -> Iterator[Beam]:
@@ -82,29 +85,20 @@ def _sensors(file: SurveyFile, axis: Axis, reading: float) -> Iterator[Beam]:
     for sensor in file.sensors:
         R = np.array(sensor.rotation)
         ahead = R[:, 0] if sensor.kind == "scanner" else R[:, 2]
-        words = _located(sensor.kind, sensor.name, sensor.location_sigma_m)
-        ray = np.array(sensor.location_m), ahead, np.zeros(2)
-        yield _framed(sensor.name, words, ray, R, reading)
+        frame = _framed((np.array(sensor.location_m), ahead, np.zeros(2)), R, reading)
+        yield _located(sensor.kind, sensor.name, sensor.location_sigma_m) | frame
     for beam in file.beams:
         r, v, k = map(np.array, (beam.location_m, beam.direction, beam.range_error))
-        words = _located("beam", beam.name, beam.location_sigma_m)
-        yield _framed(beam.name, words, (r, v, k), smallest_rotation(axis, v), reading)
+        frame = _framed((r, v, k), smallest_rotation(axis, v), reading)
+        yield _located("beam", beam.name, beam.location_sigma_m) | frame
 
 
-def _framed(
-    name: str,
-    comment: str,
-    ray: tuple[FloatArray, FloatArray, FloatArray],
-    R: FloatArray,
-    reading: float,
-) -> Beam:
-    """Return a ray (location, direction, range errors) with a frame turned by R where it reads that."""
+def _framed(ray: Ray, R: FloatArray, reading: float) -> Beam:
+    """Return a ray with a frame turned by R where it reads that."""
     r, v, k = ray
     k1, k2 = k.tolist()
     turn = Rotation.from_matrix(R)
     return {
-        "name": name,
-        "comment": comment,
         "location": tuple(r.tolist()),
         "direction": tuple(v.tolist()),
         "k1": k1,
@@ -116,9 +110,10 @@ def _framed(
     }
 
 
-def _located(kind: str, name: str, sigma: Sequence[float | None]) -> str:
+def _located(kind: str, name: str, sigma: Sequence[float | None]) -> Beam:
     words = ["undetermined" if s is None else f"{s * IN_MM:.3g}" for s in sigma]
-    return f"{kind} {comment_text(name)}: location +- {' '.join(words)} mm"
+    comment = f"{kind} {comment_text(name)}: location +- {' '.join(words)} mm"
+    return {"name": name, "comment": comment}
 
 
 def smallest_rotation(axis: Axis, v: FloatArray) -> FloatArray:

@@ -107,11 +107,8 @@ class ExportOptions:
                 raise InputError(found, f"it with {', '.join(formats)} only")
             if not given and field.name in NEEDED and to in formats:
                 raise InputError(f"no {words} with the format {to}", NEEDED[field.name])
-        if (
-            to in LINKED
-            and to != "urdf"
-            and not re.fullmatch(r"[\w/][\w/.-]*", self.link, re.ASCII)
-        ):
+        of_ros = to in LINKED and to != "urdf"
+        if of_ros and not re.fullmatch(r"[\w/][\w/.-]*", self.link, re.ASCII):
             expected = "letters, digits and _ / . - as ROS has them in names of frames"
             raise InputError(f"the link {shown(self.link)}", expected)
 
@@ -189,32 +186,25 @@ def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
         found = f"tool {tool} as the first of {len(beams)}"
         raise InputError(found, f"numbers of tools that end at {LAST_TOOL} at most")
     reading = number(options.at_reading * IN_MM) if options.at_reading else ""
-    kind, along = "Laser beams", f"{axis} along beam"
-    roll = (
-        "The roll about the beam is free; it is that of the smallest rotation from the hand frame."
-    )
-    if isinstance(what, Mounts):
-        frames = "x of each frame lies along its beam, from where the true range is zero."
-        if to in TOOLS:
-            where = f"where it reads {reading} mm" if reading else "where the true range is zero"
-            frames = f"{axis} of each frame lies along its beam; its origin is {where}."
-    elif what.beams:
-        kind = "Sensors"
-        frames = "Each frame of a sensor is its own, in which its points are; "
-        frames += "x of a beam's lies along it."
-    else:
-        kind, along = "Sensors", "frame of sensor"
-        frames = "Each frame is the sensor's own, in which its points are."
-        roll = "All three of its axes are measured: nothing about it is free."
+    of_beams = isinstance(what, Mounts)
+    with_beams = isinstance(what, Mounts) or bool(what.beams)
+    about, frames, roll = rendered(
+        "about",
+        version=__version__,
+        of_beams=of_beams,
+        with_beams=with_beams,
+        tools=to in TOOLS,
+        axis=axis,
+        reading=reading,
+    ).splitlines()
     text = rendered(
         to,
         beams=beams,
-        about=f"{kind} calibrated by handlaser {__version__}, "
-        "in the hand frame: the frame that the recorded poses describe.",
+        about=about,
         frames=frames,
         roll=roll,
         parent=options.link,
-        along=along,
+        along=f"{axis} along beam" if with_beams else "frame of sensor",
         tool=tool,
         reading=reading,
     )

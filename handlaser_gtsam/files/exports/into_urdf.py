@@ -47,10 +47,9 @@ def put_into(path: Path, added: str, identifiers: Sequence[str], link: str) -> s
     ):
         taken = [name for name in names if name in there]
         if taken:
+            found = f"a {kind} {taken[0]} there already"
             raise InputError(
-                f"a {kind} {taken[0]} there already",
-                f"a URDF without the beams; it has {some(there, NAMES_ON_PAGE)}",
-                path,
+                found, f"a URDF without the beams; it has {some(there, NAMES_ON_PAGE)}", path
             )
     end = END.search(text)
     assert end is not None  # for there is a link inside

@@ -7,12 +7,16 @@ a comment beside it, where every character that could end a comment is replaced 
 import re
 import shlex
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
 from ...data.recording import first_repeated
 from ...errors import InputError
 from ...quantities import IN_DEG, IN_MM
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 REMARK = 30
 """Characters of a remark in a FANUC program; the name of a station has two thirds of them."""
@@ -35,31 +39,38 @@ def fixed(value: float, digits: int = 9) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-def rendered(template: str, **values: object) -> str:
-    """Return the text of a template."""
+def environment(package: str, **filters: Callable[..., object]) -> "Environment":
+    """Return the templates in the folder of a package, which may use some filters."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(
-        loader=PackageLoader(__package__),
+    found = Environment(
+        loader=PackageLoader(package),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
         autoescape=False,
     )
-    environment.filters |= {
-        "number": number,
-        "numbers": lambda values, between: between.join(map(number, values)),
-        "mm": lambda values: [fixed(value * IN_MM) for value in values],
-        "deg": lambda values: [fixed(value * IN_DEG) for value in values],
-        "unit": lambda values: [fixed(value, 12) for value in values],
-        "literal": literal,
-        "shell": shlex.quote,
-        "attribute": quoteattr,
-        "remarks": lambda text: "\n".join(f"!{line}" for line in textwrap.wrap(text, REMARK)),
-        "steps": _steps,
-    }
-    return environment.get_template(f"{template}.j2").render(**values)
+    found.filters |= filters
+    return found
+
+
+def rendered(template: str, **values: object) -> str:
+    """Return the text of a template."""
+    templates = environment(
+        __package__,
+        number=number,
+        numbers=lambda values, between: between.join(map(number, values)),
+        mm=lambda values: [fixed(value * IN_MM) for value in values],
+        deg=lambda values: [fixed(value * IN_DEG) for value in values],
+        unit=lambda values: [fixed(value, 12) for value in values],
+        literal=literal,
+        shell=shlex.quote,
+        attribute=quoteattr,
+        remarks=lambda text: "\n".join(f"!{line}" for line in textwrap.wrap(text, REMARK)),
+        steps=_steps,
+    )
+    return templates.get_template(f"{template}.j2").render(**values)
 
 
 def _steps(text: str) -> str:
@@ -89,10 +100,8 @@ def identifiers(names: Sequence[str]) -> tuple[str, ...]:
         found.append(one)
     twice = first_repeated(found)
     if twice is not None:
-        raise InputError(
-            f"beams whose names make the same identifier {found[twice]}",
-            "names that differ by letters or digits",
-        )
+        expected = "names that differ by letters or digits"
+        raise InputError(f"beams whose names make the same identifier {found[twice]}", expected)
     return tuple(found)
 
 

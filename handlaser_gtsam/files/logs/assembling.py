@@ -22,8 +22,9 @@ from ...data.recording import Recording
 from ...data.screen import FINEST_STEP, worth_of_mean
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
-from ...quantities import IN_MM, MEDIAN_TO_SIGMA
+from ...quantities import MEDIAN_TO_SIGMA
 from ...text import count
+from ..exports.rendering import environment
 from .format import Average, LogFormat
 from .joining import Stations
 from .planes import intervals, planes_of
@@ -49,7 +50,6 @@ def assembled(
         No planes, no readings, or poses that mean something else.
     """
     poses, readings, path = log.poses, log.readings, log.poses.table.path
-    assert poses.poses is not None
     mean, samples, scatters, repeated = averaged(
         readings.ranges, log.station, len(log.names), given.average, range_sigma
     )
@@ -67,7 +67,7 @@ def assembled(
             raise InputError("no reading at any station", "readings at the time of poses", path)
         if unread.any():
             warnings = (*warnings, _left_out(int(unread.sum()), len(unread), "have no reading"))
-    R, t = hand_poses(poses.poses, log.way, given)
+    R, t = hand_poses(poses.posed, log.way, given)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
     recording = Recording(
@@ -83,43 +83,29 @@ def assembled(
         min(0.0, sensor.range_min),
     )
     doubts = held_poses(recording)
-    doubts += refuse_wrong_convention(recording, poses.poses, log.way, rows, given, path)
+    doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given)
     if doubts:
         recording = replace(recording, warnings=(*recording.warnings, *doubts))
-    parts = (
-        (len(recording.station_names), "station"),
-        (len(recording.beam_names), "beam"),
-        (len(recording.plane_names), "plane"),
-        (int((~np.isnan(recording.ranges)).sum()), "reading"),
+    scatter_of = dict(zip(readings.beams, scatters[1:].tolist(), strict=True))
+    words = environment(__package__, count=count).get_template("log.j2")
+    lines = words.render(
+        recording=recording,
+        readings=int((~np.isnan(recording.ranges)).sum()),
+        poses=poses.words,
+        joined=log.words,
+        lag=log.lag[0],
+        lag_sigma=log.lag[1],
+        repeated=repeated,
+        scatter=scatter,
+        given=given,
     )
-    lines = [", ".join(count(number, what) for number, what in parts), poses.words, log.words]
-    if log.lag[1]:
-        sigma = f"{1e3 * log.lag[1]:.2g} ms"
-        late = f"these are stamped {_late(log.lag[0])} than poses (+- {sigma})"
-        lines.append(f"a lag between poses and readings: {late}")
-    elif log.lag[0]:
-        lines.append(f"readings are taken to be stamped {_late(log.lag[0])} than poses")
-    if repeated:
-        words = f"{repeated} repeated readings became their {given.average}s"
-        if scatter is not None:
-            words += f"; one reading scatters by {IN_MM * scatter:.3g} mm"
-            words += (
-                ", which is taken as range sigma where none is given"
-                if given.range_sigma_from_scatter
-                else " (--range-sigma-from-scatter takes this as range sigma)"
-            )
-        lines.append(words)
     return LogReport(
         recording,
         scatter,
-        {
-            beam: float(value)
-            for beam, value in zip(readings.beams, scatters[1:], strict=True)
-            if not np.isnan(value)
-        },
+        {name: x for name, x in scatter_of.items() if not math.isnan(x)},
         log.lag[0],
         log.lag[1] or None,
-        tuple(filter(None, lines)),
+        tuple(filter(None, lines.splitlines())),
         tuple(path for path in given.files if path is not None),
     )
 
@@ -135,33 +121,26 @@ def targets_of(
         which = planes_of(stated, log.names, log.times, begin)
         chosen = which >= 0
         if not chosen.any():
-            raise InputError(
-                "no station in any range of planes", "ranges with stations", log.poses.table.path
-            )
+            path = log.poses.table.path
+            raise InputError("no station in any range of planes", "ranges with stations", path)
         out = int((~chosen).sum())
         warnings = (_left_out(out, len(which), "are in no range of a plane"),) if out else ()
         return [stated[i][0] if i >= 0 else "" for i in which.tolist()], chosen, warnings
     if given.plane:
         return [given.plane] * len(log.names), every, ()
     if log.planes is None:
-        raise InputError(
-            f"{len(log.names)} stations, and no column of planes",
+        expected = (
             "--plane NAME if all stations look at one plane, --plane-column for its name, or "
-            "--plane-ranges 'A=1..12,B=13..24' of stations (of times with an s: A=0s..12.5s)",
-            log.poses.table.path,
+            "--plane-ranges 'A=1..12,B=13..24' of stations (of times with an s: A=0s..12.5s)"
         )
+        found = f"{len(log.names)} stations, and no column of planes"
+        raise InputError(found, expected, log.poses.table.path)
     return log.planes, every, ()
 
 
 def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
     words = f"{count} of {total} stations {what}, and were left out"
     return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
-
-
-def _late(lag: float) -> str:
-    """Return how much later or earlier readings are stamped, in words."""
-    much = f"{1e3 * abs(lag):.4g} ms" if abs(lag) < 1.0 else f"{abs(lag):.4f} s"
-    return f"{much} {'later' if lag >= 0.0 else 'earlier'}"
 
 
 def averaged(

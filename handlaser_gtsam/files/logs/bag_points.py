@@ -27,8 +27,6 @@ from .poses import hand_poses
 from .rows import LogRows
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
-MESSAGE_OF = {"profiler": CLOUD, "scanner": SCAN, "array": RANGE, "points": CLOUD}
-"""What each kind of sensor publishes."""
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
 
@@ -54,15 +52,22 @@ def read_bag_points(
     # Of each sensor the times of messages that have points [s], and the points of each (n, c).
     clouds: list[tuple[array[float], list[FloatArray]]] = [(array("d"), []) for _ in sensors]
 
+    def add(sensor: int, number: int, message: Any, time: float) -> None:
+        """Add the points of a message, if it has any, to those of its sensor."""
+        rows = READ_FROM[sensors[sensor][1]][1](message, number)
+        if len(rows):
+            clouds[sensor][0].append(time)
+            clouds[sensor][1].append(rows)
+
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
         found: dict[str, Reader] = {}
-        for (name, kind, own), cloud in zip(sensors, clouds, strict=True):
+        for sensor, (name, kind, own) in enumerate(sensors):
             if not own or (len(own) > 1 and kind != "array"):
                 stated = f"{len(own)} topics of the sensor {name}, in a bag"
                 raise InputError(stated, "topics = one; of an array one for each zone")
             for number, topic in enumerate(own):
-                require_topic(topics, topic, MESSAGE_OF[kind])
-                found[topic] = partial(_add, cloud, DECODED_BY[kind], number)
+                require_topic(topics, topic, READ_FROM[kind][0])
+                found[topic] = partial(add, sensor, number)
         return found
 
     poses = read_messages(path, given, readers)
@@ -84,8 +89,7 @@ def read_bag_points(
     kept = np.flatnonzero(seen & chosen)
     number = np.full(len(log.names) + 1, -1)
     number[kept] = np.arange(len(kept))
-    assert poses.poses is not None
-    R, t = hand_poses(poses.poses, log.way, given)
+    R, t = hand_poses(poses.posed, log.way, given)
     names = tuple(log.names[i] for i in kept.tolist())
     stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
     points = []
@@ -96,28 +100,13 @@ def read_bag_points(
     return stations, points
 
 
-def _add(
-    cloud: "tuple[array[float], list[FloatArray]]",
-    decode: Callable[[Any, int], FloatArray],
-    number: int,
-    message: Any,
-    time: float,
-) -> None:
-    """Add the points of a message, if it has any, to those of its sensor."""
-    rows = decode(message, number)
-    if len(rows):
-        cloud[0].append(time)
-        cloud[1].append(rows)
-
-
-def _scan(message: Any, number: int) -> FloatArray:
+def _scan(message: Any, _: int) -> FloatArray:
     """Return angles and ranges (n, 2) of a LaserScan."""
-    del number
     d = np.asarray(message.ranges, dtype=float)
     angle = message.angle_min + message.angle_increment * np.arange(len(d))
     with np.errstate(invalid="ignore"):
-        good = (d > 0.0) & (d >= message.range_min) & (d <= message.range_max)
-    good &= d <= LARGEST_LENGTH
+        good = (d > 0.0) & (d >= message.range_min)
+        good &= d <= min(message.range_max, LARGEST_LENGTH)
     return np.asarray(np.column_stack((angle, d))[good])
 
 
@@ -128,31 +117,22 @@ def _zone(message: Any, number: int) -> FloatArray:
     return np.array([[float(number), d]] if good else []).reshape(-1, 2)
 
 
-def _points(message: Any, number: int) -> FloatArray:
+def _points(message: Any, _: int) -> FloatArray:
     """Return the points (n, 3) of a PointCloud2 that are finite and not at the origin."""
-    del number
-    fields = {one.name: one for one in message.fields}
-    missing = [
-        axis for axis in "xyz" if axis not in fields or fields[axis].datatype not in FIELD_TYPES
-    ]
+    fields = {one.name: one for one in message.fields if one.datatype in FIELD_TYPES}
+    missing = [axis for axis in "xyz" if axis not in fields]
     if missing:
         raise InputError(f"a cloud without {', '.join(missing)}", "fields x, y and z of numbers")
-    order = ">" if message.is_bigendian else "<"
-    one_point = np.dtype(
-        {
-            "names": list("xyz"),
-            "formats": [order + FIELD_TYPES[fields[axis].datatype] for axis in "xyz"],
-            "offsets": [fields[axis].offset for axis in "xyz"],
-            "itemsize": message.point_step,
-        }
-    )
+    order, axes = ">" if message.is_bigendian else "<", [fields[axis] for axis in "xyz"]
+    layout: Any = {"names": list("xyz"), "itemsize": message.point_step}
+    layout["formats"] = [order + FIELD_TYPES[axis.datatype] for axis in axes]
+    layout["offsets"] = [axis.offset for axis in axes]
+    one_point = np.dtype(layout)
     data = np.frombuffer(message.data, dtype=np.uint8)
     width = message.width * message.point_step
     if len(data) < message.height * message.row_step or message.row_step < width:
-        raise InputError(
-            f"a cloud of {len(data)} bytes with {message.height} rows of {message.row_step}",
-            "as many bytes as its header says",
-        )
+        found = f"a cloud of {len(data)} bytes with {message.height} rows of {message.row_step}"
+        raise InputError(found, "as many bytes as its header says")
     rows = data[: message.height * message.row_step].reshape(message.height, message.row_step)
     table = np.ascontiguousarray(rows[:, :width]).view(one_point).ravel()
     p = np.column_stack([table[axis].astype(float) for axis in "xyz"])
@@ -169,10 +149,11 @@ def _profile(message: Any, number: int) -> FloatArray:
     return p[:, [0, 2]]
 
 
-DECODED_BY: Mapping[str, Callable[[Any, int], FloatArray]] = {
-    "profiler": _profile,
-    "scanner": _scan,
-    "array": _zone,
-    "points": _points,
+READ_FROM: Mapping[str, tuple[str, Callable[[Any, int], FloatArray]]] = {
+    "profiler": (CLOUD, _profile),
+    "scanner": (SCAN, _scan),
+    "array": (RANGE, _zone),
+    "points": (CLOUD, _points),
 }
-"""What makes numbers of a message, in metres and radians, as a table of points has them."""
+"""What each kind of sensor publishes, and what makes numbers of a message, in metres and radians, as a
+table of points has them."""

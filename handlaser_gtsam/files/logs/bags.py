@@ -68,9 +68,8 @@ def _opened(path: Path) -> Iterator[Any]:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise InputError(
-            "a bag, but no package that reads it", "pip install 'handlaser-gtsam[ros]'", path
-        ) from error
+        expected = "pip install 'handlaser-gtsam[ros]'"
+        raise InputError("a bag, but no package that reads it", expected, path) from error
     try:
         if path.suffix.lower() != ROS1:
             refuse_bag_bomb(path)
@@ -81,9 +80,8 @@ def _opened(path: Path) -> Iterator[Any]:
         raise
     except Exception as error:  # the readers of rosbags have no common root
         what = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
-        raise InputError(
-            f"no bag that can be read ({what})", "a ROS 1, ROS 2 or MCAP bag", path
-        ) from error
+        found = f"no bag that can be read ({what})"
+        raise InputError(found, "a ROS 1, ROS 2 or MCAP bag", path) from error
 
 
 Reader = Callable[[Any, float], None]
@@ -100,19 +98,35 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     """
     beams: dict[str, Place] = {}
     numbers: dict[str, array[float]] = {}  # of each beam time [s] and reading [m], in turn
+    unit = LENGTHS[given.range_units]
+
+    def read(topic: str, message: Any, time: float) -> None:
+        """Add what the beams of a topic read at a time, if it is a reading."""
+        for name, (own, ray) in beams.items():
+            if own != topic:
+                continue
+            if ray is None:
+                least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
+            else:
+                if ray >= len(message.ranges):
+                    found = f"a scan of {len(message.ranges)} rays on {topic}"
+                    raise InputError(found, f"ray {ray}, of beam {name}")
+                least, most, d = message.range_min, message.range_max, float(message.ranges[ray])
+                delay = ray * message.time_increment
+            known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST_LENGTH
+            if known and (d > 0.0 or least < 0.0):
+                numbers[name].extend((time + delay, unit * d))
 
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
         beams.update(_beams(topics, given))
         numbers.update((name, array("d")) for name in beams)
-        return {topic: partial(_read, numbers, beams, topic, given) for topic, _ in beams.values()}
+        return {topic: partial(read, topic) for topic, _ in beams.values()}
 
     poses = read_messages(path, given, readers)
     for name, (topic, _) in beams.items():
         if not len(numbers[name]):
-            raise InputError(
-                f"no reading of beam {name} within the limits of its messages, on {topic}",
-                "at least one, or the other topics by --range-columns",
-            )
+            found = f"no reading of beam {name} within the limits of its messages, on {topic}"
+            raise InputError(found, "at least one, or the other topics by --range-columns")
     return poses, _readings(numbers, path)
 
 
@@ -157,17 +171,15 @@ def read_messages(
         raise InputError(f"no pose on topic {poses[0]}", "poses of the hand")
     x = stamped_rows(stamped) if frames is None else frames.rows()
     way = poses[0] if frames is None else f"tf, {frames.hand} in {frames.world}"
-    warnings = tuple(
-        CalibrationWarning(
-            "several-publishers",
-            f"{publishers[topic]} publishers on topic {topic}, all of whose messages were read; if "
-            "they are not one node that was started again, record each on a topic of its own",
-            {"publishers": publishers[topic]},
-        )
-        for topic in wanted
-        # Several publishers of tf are usual.
-        if publishers[topic] > 1 and topics[topic] not in TRANSFORMS
-    )
+    warnings = []
+    for topic in wanted:
+        count = publishers[topic]
+        if count > 1 and topics[topic] not in TRANSFORMS:  # of which several are usual
+            words = (
+                f"{count} publishers on topic {topic}, all of whose messages were read; if they are "
+                "not one node that was started again, record each on a topic of its own"
+            )
+            warnings.append(CalibrationWarning("several-publishers", words, {"publishers": count}))
     return LogRows(
         lines_of(path, len(x)),
         (),
@@ -175,7 +187,7 @@ def read_messages(
         x[:, 1:],
         times=x[:, 0],
         ignored=tuple(name for name in topics if name not in wanted and not name_fault(name)),
-        warnings=warnings,
+        warnings=tuple(warnings),
         words=f"poses from {way}; times count from {x[0, 0]:.3f} s",
     )
 
@@ -231,10 +243,10 @@ def _messages(
             frame = message.header.frame_id
             first = frame_of.setdefault(one.topic, frame)
             if frame != first:
-                raise InputError(
-                    f"messages in the frames {shown(first)} and {shown(frame)} on topic {one.topic}",
-                    "one publisher of one frame; record each on a topic of its own",
-                )
+                both = f"{shown(first)} and {shown(frame)}"
+                found = f"messages in the frames {both} on topic {one.topic}"
+                expected = "one publisher of one frame; record each on a topic of its own"
+                raise InputError(found, expected)
         yield message, one.topic, received
 
 
@@ -244,32 +256,6 @@ def _time(message: Any, when: int | None, received: int) -> float:
     if when is None and (stamp.sec or stamp.nanosec):
         return float(stamp.sec + 1e-9 * stamp.nanosec)
     return 1e-9 * received
-
-
-def _read(
-    numbers: "Mapping[str, array[float]]",
-    beams: Mapping[str, Place],
-    topic: str,
-    given: LogFormat,
-    message: Any,
-    time: float,
-) -> None:
-    """Add what the beams of a topic read at a time, if it is a reading."""
-    unit = LENGTHS[given.range_units]
-    for name, (own, ray) in beams.items():
-        if own != topic:
-            continue
-        if ray is None:
-            least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
-        else:
-            if ray >= len(message.ranges):
-                found = f"a scan of {len(message.ranges)} rays on {topic}"
-                raise InputError(found, f"ray {ray}, of beam {name}")
-            least, most, d = message.range_min, message.range_max, float(message.ranges[ray])
-            delay = ray * message.time_increment
-        known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST_LENGTH
-        if known and (d > 0.0 or least < 0.0):
-            numbers[name].extend((time + delay, unit * d))
 
 
 def _beams(topics: Mapping[str, str], given: LogFormat) -> dict[str, Place]:
@@ -321,17 +307,15 @@ def _pose_topics(topics: Mapping[str, str], given: LogFormat) -> list[str]:
         if not transforms:
             raise InputError("no topic of tf", "tf2_msgs/TFMessage, for --frames")
         return transforms
-    if given.pose_topic:
-        if given.pose_topic not in poses:
-            known = some(poses, 8) or "there is none"
-            raise InputError(f"no topic {shown(given.pose_topic)} of {POSE}", f"one of: {known}")
-        return [given.pose_topic]
-    if len(poses) != 1:
+    known = some(poses, 8) or "there is none"
+    if given.pose_topic and given.pose_topic not in poses:
+        raise InputError(f"no topic {shown(given.pose_topic)} of {POSE}", f"one of: {known}")
+    if len(poses) != 1 and not given.pose_topic:
         expected = "--pose-topic, which of them" if poses else f"one of {POSE}"
         expected += "; or --frames WORLD,HAND of tf" if transforms else ""
-        found = f"{len(poses)} topics of {POSE} ({some(poses, 8)})"
-        raise InputError(found if poses else f"no topic of {POSE}", expected)
-    return poses
+        found = f"{len(poses)} topics of {POSE} ({known})" if poses else f"no topic of {POSE}"
+        raise InputError(found, expected)
+    return [given.pose_topic or poses[0]]
 
 
 def stamp(numbers: "array[float]", time: float, p: Any, q: Any) -> None:
@@ -385,17 +369,14 @@ class Frames:
             return
         parent = transform.header.frame_id.lstrip("/")
         if self.parent.setdefault(child, parent) != parent:
-            raise InputError(
-                f"frame {shown(child)} below {shown(self.parent[child])} and below {shown(parent)}",
-                "one parent of every frame",
-            )
+            both = f"{shown(self.parent[child])} and below {shown(parent)}"
+            raise InputError(f"frame {shown(child)} below {both}", "one parent of every frame")
+        new, both = static or child not in self.poses, transform.transform
         if static:
             self.static.add(child)
             self.poses[child] = array("d")
-        both = transform.transform
-        new = child not in self.poses
         stamp(self.poses.setdefault(child, array("d")), time, both.translation, both.rotation)
-        if self.way is None and (new or static):
+        if self.way is None and new:
             self._find_way()
 
     def _find_way(self) -> None:
@@ -424,17 +405,13 @@ class Frames:
         if self.way is None or not self.poses:
             names = sorted({*self.parent, *self.parent.values()})
             known = some([name[:60] for name in names], 12) or "the frames, of which there are none"
-            raise InputError(
-                f"no chain of tf frames from {shown(self.world)} to {shown(self.hand)}",
-                f"two of {known}",
-            )
+            found = f"no chain of tf frames from {shown(self.world)} to {shown(self.hand)}"
+            raise InputError(found, f"two of {known}")
         rows = {name: stamped_rows(poses) for name, poses in self.poses.items()}
         moving = {name: len(x) for name, x in rows.items() if name not in self.static}
         if not moving:
-            raise InputError(
-                f"only static tf frames between {shown(self.world)} and {shown(self.hand)}",
-                "a hand that moves",
-            )
+            found = f"only static tf frames between {shown(self.world)} and {shown(self.hand)}"
+            raise InputError(found, "a hand that moves")
         base = rows[max(moving, key=lambda name: moving[name])][:, 0]
         begin = max(rows[name][0, 0] for name in moving)
         end = min(rows[name][-1, 0] for name in moving)

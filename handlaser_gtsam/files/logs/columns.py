@@ -2,7 +2,8 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple
 
 from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS
 from ...text import A_NAME, name_fault, shown, some
@@ -11,13 +12,10 @@ from .format import LogFormat
 from .format_checks import convention_of
 
 POSITIONS = (
-    ("x", "y", "z"),
-    ("tx", "ty", "tz"),
-    ("px", "py", "pz"),
-    ("pos_x", "pos_y", "pos_z"),
-    ("position.x", "position.y", "position.z"),
-    ("pose.position.x", "pose.position.y", "pose.position.z"),
-    ("translation.x", "translation.y", "translation.z"),
+    *(
+        tuple(before + axis for axis in "xyz")
+        for before in ("", "t", "p", "pos_", "position.", "pose.position.", "translation.")
+    ),
     ("actual_tcp_pose_0", "actual_tcp_pose_1", "actual_tcp_pose_2"),
 )
 KNOWN = "mm m in inch deg ° rad s ms us ns"
@@ -37,8 +35,7 @@ TIMES = ("time", "timestamp", "stamp", "t", "time_s")
 RANGE = "range_"
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
+class Columns(NamedTuple):
     """Columns of a table by what they are; empty where there are none.
 
     Attributes
@@ -53,7 +50,7 @@ class Columns:
     """
 
     pose: tuple[str, ...] = ()
-    beams: Mapping[str, str] = field(default_factory=dict)
+    beams: Mapping[str, str] = MappingProxyType({})
     beam: str = ""
     range: str = ""
     plane: str = ""
@@ -91,26 +88,21 @@ def columns_of(
     """
     names = table.frame.columns
     pose = _pose_columns(table, given) if poses else ()
-    station, time = ("station_column", given.station_column), ("time_column", given.time_column)
-    if not poses:  # the second file
-        if given.readings_station_column:
-            station = ("readings_station_column", given.readings_station_column)
-        if given.readings_time_column:
-            time = ("readings_time_column", given.readings_time_column)
-    beams = _beam_columns(table, given) if readings and not given.beam_column else {}
-    if readings and given.beam_column:
-        _require(table, given.beam_column, "beam_column")
-        _require(table, given.range_column, "range_column")
+    for needed in ("beam_column", "range_column") if readings and given.beam_column else ():
+        _require(table, getattr(given, needed), needed)
+    second = "" if poses else "readings_"
     elsewhere = given.plane_column not in ("", *names) and not (poses and readings)
     found = Columns(
         pose,
-        beams,
+        _beam_columns(table, given) if readings and not given.beam_column else {},
         given.beam_column if readings else "",
         given.range_column if readings else "",
         # Of two files, either may have the column that is stated.
-        "" if elsewhere else _named(table, "plane_column", given.plane_column, ("plane",)),
-        _named(table, *station, ("station",)),
-        _named(table, *time, TIMES) if not set(pose) & set(_alike(names, TIMES)) else "",
+        "" if elsewhere else _named(table, given, ("plane",), "plane_column"),
+        _named(table, given, ("station",), f"{second}station_column", "station_column"),
+        ""
+        if set(pose) & set(_alike(names, TIMES))
+        else _named(table, given, TIMES, f"{second}time_column", "time_column"),
     )
     _check_once(table, found)
     _check_units(table, found, given)
@@ -119,12 +111,11 @@ def columns_of(
 
 def _check_once(table: Table, found: Columns) -> None:
     """Refuse one column as two things; times may be labels of stations, too."""
-    things = [*((name, "a number of poses") for name in found.pose)]
+    things = [(name, "a number of poses") for name in found.pose]
     things += [(name, f"the readings of beam {shown(beam)}") for beam, name in found.beams.items()]
     things += [(found.range, "readings"), (found.beam, "beams"), (found.plane, "planes")]
-    things += [(found.station, "stations")]
     used: dict[str, str] = {}
-    for name, what in things:
+    for name, what in (*things, (found.station, "stations")):
         if name and name in used:
             found_so = f"one column as {used[name]} and as {what}"
             raise table.fault(found_so, "a column of its own for each", name)
@@ -176,14 +167,12 @@ def _first_found(table: Table, spellings: Sequence[tuple[str, ...]]) -> tuple[st
     names = table.frame.columns
     for spelling in spellings:
         found = {name: [one for one in names if plain(one) == name] for name in spelling}
-        if not all(found.values()):
-            continue
-        for name, columns in found.items():
-            if len(columns) > 1:
-                listed = ", ".join(columns)
-                expected = "one of them, by --pose-columns"
-                raise table.fault(f"several columns that may be {name}: {listed}", expected)
-        return tuple(columns[0] for columns in found.values())
+        if all(found.values()):
+            for name, columns in found.items():
+                if len(columns) > 1:
+                    several = f"several columns that may be {name}: {', '.join(columns)}"
+                    raise table.fault(several, "one of them, by --pose-columns")
+            return tuple(columns[0] for columns in found.values())
     return ()
 
 
@@ -196,19 +185,18 @@ def _alike(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
 def _require(table: Table, name: str, field: str) -> None:
     """Refuse a column that is not there; the field says who wants it."""
     if name not in table.frame.columns:
-        raise table.fault(
-            f"no column {shown(name)} among {table.names}",
-            f"the name of a column as the header has it, for --{field.replace('_', '-')}",
-        )
+        expected = f"the name of a column as the header has it, for --{field.replace('_', '-')}"
+        raise table.fault(f"no column {shown(name)} among {table.names}", expected)
 
 
-def _named(table: Table, field: str, stated: str, usual: Sequence[str]) -> str:
-    """Return the column that is stated, or the one of a usual name, or an empty text."""
-    if stated:
-        _require(table, stated, field)
-        return stated
-    found = _alike(table.frame.columns, usual)
-    return found[0] if found else ""
+def _named(table: Table, given: LogFormat, usual: Sequence[str], *fields: str) -> str:
+    """Return the column that the first field states that does, or the one of a usual name, or none."""
+    for one in fields:
+        stated: str = getattr(given, one)
+        if stated:
+            _require(table, stated, one)
+            return stated
+    return next(iter(_alike(table.frame.columns, usual)), "")
 
 
 def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
@@ -244,20 +232,19 @@ def _check_units(table: Table, found: Columns, given: LogFormat) -> None:
     position = () if convention.is_matrix else found.pose[:3]
     rotation = found.pose[3:] if convention.has_angles else ()
     ranges = (*found.beams.values(), found.range)
-    wanted = [
-        *((name, convention.units, tuple(LENGTHS), "--units") for name in position),
-        *((name, convention.angles, tuple(ANGLES), "--angles") for name in rotation),
-        *((name, given.range_units, tuple(LENGTHS), "--range-units") for name in ranges),
-        (found.time, given.time_units, tuple(TIME_UNITS), "--time-units"),
-    ]
-    for name, unit, units, option in wanted:
-        stated = unit_of(name)
-        if stated and stated != unit and not given.as_stated:
-            remedy = f"values in {', '.join(map(shown, units))}"
-            if stated in units:
-                remedy = f"{option} {stated}"
-            raise table.fault(
-                f"the unit {shown(stated)} in the name of the column, which is read as {shown(unit)}",
-                f"{remedy}; or --as-stated if the name is wrong",
-                name,
-            )
+    for names, unit, units, option in (
+        (position, convention.units, LENGTHS, "--units"),
+        (rotation, convention.angles, ANGLES, "--angles"),
+        (ranges, given.range_units, LENGTHS, "--range-units"),
+        ((found.time,), given.time_units, TIME_UNITS, "--time-units"),
+    ):
+        for name, stated in zip(names, map(unit_of, names), strict=True):
+            if stated not in ("", unit) and not given.as_stated:
+                remedy = f"values in {', '.join(map(shown, units))}"
+                raise table.fault(
+                    f"the unit {shown(stated)} in the name of the column, which is read as "
+                    f"{shown(unit)}",
+                    f"{f'{option} {stated}' if stated in units else remedy}; or --as-stated if the "
+                    "name is wrong",
+                    name,
+                )

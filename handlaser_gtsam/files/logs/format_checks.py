@@ -13,6 +13,13 @@ from ..writing import path_of
 if TYPE_CHECKING:
     from .format import LogFormat
 
+EXCLUSIVE = {
+    ("pose_format", "rotation"): "one of the two: the format says what rotation it has",
+    ("plane", "plane_column", "plane_ranges", "plane_file"): "one way to state planes",
+    ("pose_topic", "frames"): "one of the two",
+    ("stands", "interpolate"): "one of the two: the arm stands, or it moves",
+}
+"""Fields of which one at most is stated; where a user states one, the rig file's do not count."""
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 
 
@@ -26,12 +33,8 @@ def check_format(given: "LogFormat") -> None:
     _check_kinds(given)
     if given.delimiter:
         require_word("delimiter", given.delimiter, DELIMITERS)
-    for name, most in (
-        ("tolerance_s", LARGEST_LENGTH),
-        ("stand_s", LARGEST_LENGTH),
-        ("stand_mm", 1e3),
-        ("stand_deg", 180.0),
-    ):
+    largest = {"tolerance_s": LARGEST_LENGTH, "stand_s": LARGEST_LENGTH}
+    for name, most in (largest | {"stand_mm": 1e3, "stand_deg": 180.0}).items():
         value, unit = getattr(given, name), name.rpartition("_")[2]
         if value is not None or name != "tolerance_s":
             require_number(name, value, 0.0, most, above=True, unit=unit)
@@ -94,10 +97,10 @@ def _tuple_of(name: str, value: object, *, numbers: bool) -> tuple[object, ...]:
 
 def _check_together(given: "LogFormat") -> None:
     """Refuse what contradicts each other, or lacks another field."""
-    if given.pose_format and given.rotation:
-        raise InputError(
-            "--pose-format and --rotation", "one of the two: the format says what rotation it has"
-        )
+    for group, expected in EXCLUSIVE.items():
+        stated = [f"--{name.replace('_', '-')}" for name in group if getattr(given, name)]
+        if len(stated) > 1:
+            raise InputError(" and ".join(stated), expected)
     if given.rotation and given.units is None:
         raise InputError(f"--rotation {given.rotation} without --units", "--units m, mm or in")
     turned = EULER.fullmatch(given.rotation) or given.rotation == "rotvec"
@@ -107,22 +110,8 @@ def _check_together(given: "LogFormat") -> None:
         raise InputError("one of --beam-column and --range-column", "both, of a long table")
     if given.beam_column and given.range_columns:
         raise InputError("--range-columns and --beam-column", "a wide or a long table")
-    planes = [bool(given.plane), bool(given.plane_ranges), given.plane_file is not None]
-    if sum(planes) > 1 or (any(planes) and given.plane_column):
-        raise InputError(
-            "planes stated in several ways",
-            "one of --plane, --plane-column, --plane-ranges, --plane-file",
-        )
     if given.plane and name_fault(given.plane):
         raise InputError(name_fault(given.plane), "a name for the plane")
     if len(given.frames) not in (0, 2):
-        raise InputError(
-            f"--frames of {len(given.frames)} names",
-            "two: the world and the hand, as tf calls them",
-        )
-    if given.frames and given.pose_topic:
-        raise InputError("--frames and --pose-topic", "one of the two")
-    if given.stands and given.interpolate:
-        raise InputError(
-            "--stands and --interpolate", "one of the two: the arm stands, or it moves"
-        )
+        expected = "two: the world and the hand, as tf calls them"
+        raise InputError(f"--frames of {len(given.frames)} names", expected)

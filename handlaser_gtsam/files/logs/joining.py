@@ -1,13 +1,13 @@
 """Poses and readings put together: of one table, or of two, by station or by time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...data.recording import first_repeated
+from ...data.recording_checks import first_repeated, numbered
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import FORMATS, TIME_UNITS, poses_of
 from ...quantities import IN_MM
@@ -23,8 +23,7 @@ UNIT_OFF = 0.15
 """Spans of one recording agree within a factor of three: this part of a power of a thousand."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stations:
+class Stations(NamedTuple):
     """Stations of a log, with their poses and readings.
 
     Attributes
@@ -78,16 +77,22 @@ def one_table(rows: LogRows, given: LogFormat) -> Stations:
         whose = [f"station {name!r}" for name in rows.names]
         _refuse_other_pose(rows, given, every, first[group], rows.columns.station, whose, expected)
         words = f"{len(group)} rows of {len(names)} stations"
-    planes = _labels_at((rows, first))
-    if planes is not None and rows.planes is not None:
-        pairs = zip(rows.planes, group.tolist(), strict=True)
-        wrong = np.array([plane != planes[station] for plane, station in pairs])
-        row = int(wrong.argmax())
-        both = f"{planes[group[row]]!r} and {rows.planes[row]!r}"
-        found = f"station {rows.names[row]!r} before planes {both}"
-        rows.table.refuse(wrong, rows.columns.plane, "one plane a station", found)
+    of_station = _planes_by_station(rows, group)
+    planes = [of_station[i] for i in range(len(names))] if of_station else None
     times = None if rows.times is None else rows.times[first]
     return Stations(rows, rows, way, names, planes, times, group, words=words)
+
+
+def _planes_by_station(rows: LogRows, station: IntArray) -> dict[int, str]:
+    """Return the plane of each station by the rows (M,) that are of it, -1 of none; refuse two."""
+    found: dict[int, str] = {}
+    for row, (index, plane) in enumerate(zip(station.tolist(), rows.planes or (), strict=False)):
+        if index >= 0 and found.setdefault(index, plane) != plane:
+            both = f"{found[index]!r} and {plane!r}"
+            found_so = f"station {rows.names[row]!r} before planes {both}"
+            wrong = np.arange(len(station)) == row
+            rows.table.refuse(wrong, rows.columns.plane, "one plane a station", found_so)
+    return found
 
 
 def _groups(labels: Sequence[str]) -> tuple[list[str], IntArray]:
@@ -114,8 +119,7 @@ def _refuse_other_pose(
     expected: str,
 ) -> None:
     """Refuse rows (K,) whose poses are not those of others (K,); `whose` poses they are, in words."""
-    assert poses.poses is not None
-    R, t = poses_of(poses.poses, convention_of(given))
+    R, t = poses_of(poses.posed, convention_of(given))
     between = Rotation.from_matrix(np.swapaxes(R[like], 1, 2) @ R[rows])
     angle = np.atleast_1d(between.magnitude())
     distance = np.linalg.norm(t[rows] - t[like], axis=1)
@@ -151,39 +155,30 @@ def by_station(poses: LogRows, readings: LogRows) -> Stations:
             readings.table.path,
         )
     planes = poses.planes
-    if planes is None and readings.planes is not None:
-        found_of: dict[int, str] = {}
-        for index, plane in zip(station.tolist(), readings.planes, strict=True):
-            if found_of.setdefault(index, plane) != plane and index >= 0:
-                raise InputError(
-                    f"a station before planes {found_of[index]!r} and {plane!r}",
-                    "one plane a station",
-                    readings.table.path,
-                )
-        missing = sum(index not in found_of for index in range(len(names)))
+    of_station = _planes_by_station(readings, station) if planes is None else {}
+    if of_station:
+        missing = len(names) - len(of_station)
         if missing:
-            raise InputError(
-                f"{missing} stations without a reading, and so without a plane",
-                "the planes in the table of poses, or --plane",
-                readings.table.path,
-            )
-        planes = [found_of[index] for index in range(len(names))]
+            found = f"{missing} stations without a reading, and so without a plane"
+            expected = "the planes in the table of poses, or --plane"
+            raise InputError(found, expected, readings.table.path)
+        planes = [of_station[index] for index in range(len(names))]
     return Stations(
         poses,
         readings,
-        Way.of_groups(np.arange(len(names), dtype=np.intp)),
+        Way.of_rows(len(names)),
         names,
         planes,
         poses.times,
         station,
-        _unmatched(station, "have a station without a pose"),
+        _unmatched(station >= 0, "have a station without a pose"),
         f"{len(names)} poses and {len(station)} rows of readings, joined by station",
     )
 
 
-def _unmatched(station: IntArray, what: str) -> tuple[CalibrationWarning, ...]:
+def _unmatched(near: BoolArray, what: str) -> tuple[CalibrationWarning, ...]:
     """Return a warning of rows of readings without a station, if there are any."""
-    count, total = int((station < 0).sum()), len(station)
+    count, total = int((~near).sum()), len(near)
     if not count:
         return ()
     words = f"{count} of {total} rows of readings {what}, and do not count"
@@ -195,109 +190,79 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
 
     Both may stand in one table, whose readings then belong to the poses of earlier rows if they lag.
 
-    The rows of the shorter table are the stations. To each row of readings belongs the nearest pose, or
-    one between two; to a row of poses all readings within the tolerance.
+    Stations are the moments at which the hand stands, or else the rows of the shorter table. To each
+    row of readings belongs the nearest pose, or one between two; to a row of poses all readings within
+    the tolerance.
 
     Raises
     ------
     InputError
     """
+    clock, tolerance, path = poses.clock, given.tolerance_s or 0.0, readings.table.path
     lag = _lag_of(poses, readings, given) if given.estimate_lag else (given.lag_s, 0.0)
     wanted = readings.clock - lag[0]  # times (M,) on the clock of the poses
+    needed = "a pose within the tolerance"
+    remedy = "a larger --tolerance-s, or --lag-s"
+    warnings: tuple[CalibrationWarning, ...] = ()
     if given.stands:
-        return replace(_standing(poses, readings, given, wanted), lag=lag)
-    if given.tolerance_s is None:
-        raise InputError(
-            "poses and readings joined by time without a tolerance",
-            "--tolerance-s: how far pose and reading may be apart; or --stands",
-        )
-    again = np.flatnonzero(np.diff(poses.clock) == 0.0) + 1
-    if again.size:
-        whose = [f"the time {time:.10g} s" for time in poses.clock[again]]
-        expected = "one pose at a time: finer stamps, or --stands"
-        column = poses.columns.time
-        _refuse_other_pose(poses, given, again, again - 1, column, whose, expected)
-    if given.interpolate or len(poses.clock) >= len(wanted):
-        return replace(_at_readings(poses, readings, wanted, given), lag=lag)
-    return replace(_around(poses, readings, wanted, given.tolerance_s), lag=lag)
-
-
-def _at_readings(
-    poses: LogRows, readings: LogRows, wanted: FloatArray, given: LogFormat
-) -> Stations:
-    """Return the rows of readings that have a pose, as stations; `wanted` are times of poses (N,)."""
-    tolerance = given.tolerance_s or 0.0
-    row, off = nearest(poses.clock, wanted)
-    if given.interpolate:
-        near, words = bracketed(poses.clock, wanted, tolerance), "a pose between its neighbours"
-        needed = "poses before and after it within the tolerance"
+        first, last, words = find_stands(_track_of(poses, given), given)
+        way, names = Way.of_runs(first, last), numbered(len(first))
+        times = 0.5 * (clock[first] + clock[last])
+        station = np.searchsorted(clock[first], wanted, side="right") - 1
+        near = (station >= 0) & (wanted <= clock[last][np.maximum(station, 0)])
+        needed, remedy = "a stop of the hand around it", "or --lag-s"
+        words += f"; {int(near.sum())} of {len(near)} rows of readings are in them"
+        # Labels that are set on arrival are right in the middle.
+        labels = (poses, (first + last) // 2), (readings, nearest(wanted, times)[0])
+    elif given.tolerance_s is None:
+        expected = "--tolerance-s: how far pose and reading may be apart; or --stands"
+        raise InputError("poses and readings joined by time without a tolerance", expected)
     else:
-        near, words, needed = off <= tolerance, "the nearest pose", "a pose within the tolerance"
-    _require_any(near, poses, readings, wanted, needed)
-    kept, labels = np.flatnonzero(near), readings.names
-    names = [labels[i] for i in kept.tolist()]
-    twice = first_repeated(names)
-    if twice is not None:
+        again = np.flatnonzero(np.diff(clock) == 0.0) + 1
+        if again.size:
+            whose = [f"the time {time:.10g} s" for time in clock[again]]
+            expected = "one pose at a time: finer stamps, or --stands"
+            column = poses.columns.time
+            _refuse_other_pose(poses, given, again, again - 1, column, whose, expected)
+        row, off = nearest(clock, wanted)
+        near = off <= tolerance
+        if given.interpolate or len(clock) >= len(wanted):
+            words = "the nearest pose"
+            if given.interpolate:
+                near, words = bracketed(clock, wanted, tolerance), "a pose between its neighbours"
+                needed = "poses before and after it within the tolerance"
+            kept = np.flatnonzero(near)
+            station, times = np.cumsum(near) - 1, wanted[kept]
+            way = Way(row[kept], np.arange(len(kept), dtype=np.intp))
+            if given.interpolate:
+                way = Way.between(clock, times)
+            names = tuple(readings.names[i] for i in kept.tolist())
+            labels = (readings, kept), (poses, row[kept])
+            twice = first_repeated(names)
+            if twice is not None:
+                found = f"station {names[twice]!r} twice among the readings"
+                expected = "every label once where each row of readings is a station"
+                raise InputError(found, expected, path)
+            words = f"{len(kept)} rows of readings, each with {words}"
+            warnings = _unmatched(near, "have no pose within the tolerance")
+        else:
+            every, station, times, names = np.arange(len(clock)), row, clock, tuple(poses.names)
+            labels = (poses, every), (readings, nearest(wanted, clock)[0])
+            way = Way.of_rows(len(every))
+            words = f"{len(every)} poses, each with the readings within {tolerance:g} s: "
+            words += f"{int(near.sum())} of {len(near)} rows"
+    if not near.any():
+        far = nearest(clock, wanted)[1].min()
         raise InputError(
-            f"station {names[twice]!r} twice among the readings",
-            "every label once where each row of readings is a station",
-            readings.table.path,
+            f"no reading with {needed}: the nearest pose is {far:.3g} s away (poses from "
+            f"{clock[0]:.10g} to {clock[-1]:.10g} s, readings from "
+            f"{readings.clock.min():.10g} to {readings.clock.max():.10g} s)",
+            f"one clock and one unit (--time-units, --readings-time-units), {remedy}",
+            path,
         )
-    station = np.full(len(near), -1, dtype=np.intp)
-    station[kept] = np.arange(len(kept))
-    each = Way(row[near], np.arange(len(kept), dtype=np.intp))
-    return Stations(
-        poses,
-        readings,
-        Way.between(poses.clock, wanted[near]) if given.interpolate else each,
-        names,
-        _labels_at((readings, kept), (poses, row[kept])),
-        wanted[kept],
-        station,
-        _unmatched(station, "have no pose within the tolerance"),
-        f"{len(kept)} rows of readings, each with {words}",
-    )
-
-
-def _around(poses: LogRows, readings: LogRows, wanted: FloatArray, tolerance: float) -> Stations:
-    """Return the rows of poses as stations, with all readings around them."""
-    row, off = nearest(poses.clock, wanted)
-    near = off <= tolerance
-    _require_any(near, poses, readings, wanted)
-    station = np.where(near, row, -1).astype(np.intp)
-    every = np.arange(len(poses.clock), dtype=np.intp)
-    return Stations(
-        poses,
-        readings,
-        Way.of_groups(every),
-        poses.names,
-        _labels_at((poses, every), (readings, nearest(wanted, poses.clock)[0])),
-        poses.clock,
-        station,
-        words=f"{len(every)} poses, each with the readings within {tolerance:g} s: "
-        f"{int(near.sum())} of {len(near)} rows",
-    )
-
-
-def _standing(poses: LogRows, readings: LogRows, given: LogFormat, wanted: FloatArray) -> Stations:
-    """Return the moments at which the hand stands as stations."""
-    first, last, words = find_stands(_track_of(poses, given), given)
-    begin, end = poses.clock[first], poses.clock[last]
-    station = np.searchsorted(begin, wanted, side="right") - 1
-    inside = (station >= 0) & (wanted <= end[np.maximum(station, 0)])
-    _require_any(inside, poses, readings, wanted, "a stop of the hand around it", "or --lag-s")
-    times = 0.5 * (begin + end)
-    middle = (first + last) // 2  # labels that are set on arrival are right there
-    return Stations(
-        poses,
-        readings,
-        Way.of_runs(first, last),
-        [str(i + 1) for i in range(len(times))],
-        _labels_at((poses, middle), (readings, nearest(wanted, times)[0])),
-        times,
-        np.where(inside, station, -1).astype(np.intp),
-        words=f"{words}; {int(inside.sum())} of {len(inside)} rows of readings are in them",
-    )
+    station = np.where(near, station, -1).astype(np.intp)
+    planes = _labels_at(*labels)
+    return Stations(poses, readings, way, names, planes, times, station, warnings, words, lag)
 
 
 def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float, float]:
@@ -328,32 +293,10 @@ def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float,
 
 def _track_of(poses: LogRows, given: LogFormat) -> Track:
     """Return the poses of rows in time."""
-    assert poses.poses is not None
     if convention_of(given).meaning == FORMATS["ros"].meaning:
-        return Track(poses.clock, poses.poses[:, :3], poses.poses[:, 3:])
-    R, t = poses_of(poses.poses, convention_of(given))
+        return Track(poses.clock, poses.posed[:, :3], poses.posed[:, 3:])
+    R, t = poses_of(poses.posed, convention_of(given))
     return Track(poses.clock, t, Rotation.from_matrix(R).as_quat())
-
-
-def _require_any(
-    near: BoolArray,
-    poses: LogRows,
-    readings: LogRows,
-    wanted: FloatArray,
-    what: str = "a pose within the tolerance",
-    remedy: str = "a larger --tolerance-s, or --lag-s",
-) -> None:
-    """Refuse tables of which no reading has what it needs."""
-    if near.any():
-        return
-    off = nearest(poses.clock, wanted)[1].min()
-    raise InputError(
-        f"no reading with {what}: the nearest pose is {off:.3g} s away (poses from "
-        f"{poses.clock[0]:.10g} to {poses.clock[-1]:.10g} s, readings from "
-        f"{readings.clock.min():.10g} to {readings.clock.max():.10g} s)",
-        f"one clock and one unit (--time-units, --readings-time-units), {remedy}",
-        readings.table.path,
-    )
 
 
 def refuse_other_units(poses: LogRows, readings: LogRows, given: LogFormat) -> None:

@@ -36,8 +36,9 @@ maxima of both are candidates only: the range equation judges them.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from itertools import zip_longest
+from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -106,8 +107,7 @@ SPIKE = 10.0
 """A reading is wild if it is off the median of five by this factor of what nine in ten readings are."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Candidate:
+class _Candidate(NamedTuple):
     """The best lag near an offset [s], and what the linear equation leaves there.
 
     Attributes
@@ -115,7 +115,7 @@ class _Candidate:
     lag : float
     squares, variation : float
         Sums of squares that are left of readings, and of their differences from their means [m^2].
-    count, covered : int
+    number, covered : int
         How many readings they are, and how many they stand for.
     parts : list of _Part
     """
@@ -123,7 +123,7 @@ class _Candidate:
     lag: float
     squares: float
     variation: float
-    count: int
+    number: int
     covered: int
     parts: list[_Part]
 
@@ -134,8 +134,8 @@ class _Candidate:
 
     def as_good_as(self, other: "_Candidate") -> bool:
         """Whether it leaves as little as another one, of readings that are not far fewer."""
-        least = AS_GOOD * other.squares / other.count
-        return self.squares < least * self.count and 2 * self.covered > other.covered
+        least = AS_GOOD * other.squares / other.number
+        return self.squares < least * self.number and 2 * self.covered > other.covered
 
 
 def estimated_lag(
@@ -184,16 +184,15 @@ def estimated_lag(
         others = [one for one in alike if abs(one.lag - best.lag) > REACH]
     lag = _calibrated(track, best)
     if lag is None:
-        raise InputError(
-            "a motion that does not tell the lag of the readings",
-            "a log with stops, turns and changes of speed before a plane; or state --lag-s",
-        )
+        expected = "a log with stops, turns and changes of speed before a plane; or state --lag-s"
+        raise InputError("a motion that does not tell the lag of the readings", expected)
     value, sigma, varies = lag
     if not varies <= WORST_SIGMA:
-        raise InputError(
-            f"a lag that varies by some {1e3 * varies:.0f} ms in the recording",
-            "clocks that run alike and are not set meanwhile; or parts of the log by themselves",
+        found_so = f"a lag that varies by some {1e3 * varies:.0f} ms in the recording"
+        expected = (
+            "clocks that run alike and are not set meanwhile; or parts of the log by themselves"
         )
+        raise InputError(found_so, expected)
     fits = [one.lag for one in others if _calibrated(track, one) is not None]
     if fits:
         more = f" and {len(fits) - 1} more" if len(fits) > 1 else ""
@@ -234,10 +233,8 @@ def _coarse(
     sums = np.array([_squares(track, parts, lag) for lag in lags])
     best = int(sums.argmin())
     if best in (0, len(lags) - 1):
-        raise InputError(
-            f"no lag within {REACH:g} s at which readings follow the motion",
-            "clocks that agree better; or a rough --lag-s, from which the search begins",
-        )
+        expected = "clocks that agree better; or a rough --lag-s, from which the search begins"
+        raise InputError(f"no lag within {REACH:g} s at which readings follow the motion", expected)
     lag, squares, step = float(lags[best]), float(sums[best]), COARSE
     while step > FINE:
         step *= 0.5
@@ -369,16 +366,12 @@ def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
 
 def _moves(track: Track, time: FloatArray) -> BoolArray:
     """Tell at which times (N,) the hand moves or turns within `REACH` before or after."""
-    rows = [
-        np.clip(np.searchsorted(track.time, time + shift), 0, len(track.time) - 1)
-        for shift in (-REACH, 0.0, REACH)
-    ]
-    moves = np.zeros(len(time), dtype=bool)
-    for other in (rows[0], rows[2]):
-        shift = track.position[other] - track.position[rows[1]]
-        cosine = np.abs((track.quaternion[other] * track.quaternion[rows[1]]).sum(axis=1))
-        moves |= (np.linalg.norm(shift, axis=1) > MOVES_M) | (cosine < np.cos(0.5 * MOVES_RAD))
-    return moves
+    times = time + np.array([[0.0], [-REACH], [REACH]])
+    rows = np.clip(np.searchsorted(track.time, times), 0, len(track.time) - 1)
+    shift = np.linalg.norm(track.position[rows[1:]] - track.position[rows[0]], axis=2)
+    cosine = np.abs((track.quaternion[rows[1:]] * track.quaternion[rows[0]]).sum(axis=2))
+    moves = (shift > MOVES_M) | (cosine < np.cos(0.5 * MOVES_RAD))
+    return np.asarray(moves.any(axis=0))
 
 
 def _squares(track: Track, parts: list[_Part], lag: float) -> float:
@@ -494,8 +487,6 @@ def _rates(time: FloatArray, d: FloatArray, step: float) -> FloatArray:
 def _sides(time: FloatArray, x: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
     """Return columns (N, k) a little after and a little before each step."""
     grid = np.arange(time[0], time[-1], step)
-    both = [
-        np.stack([np.interp(grid + side, time, column) for column in x.T], axis=1)
-        for side in (HALF_WIDTH * step, -HALF_WIDTH * step)
-    ]
-    return both[0], both[1]
+    late, early = grid + HALF_WIDTH * step, grid - HALF_WIDTH * step
+    at = partial(np.apply_along_axis, lambda column, when: np.interp(when, time, column), 0, x)
+    return at(late), at(early)

@@ -1,6 +1,6 @@
 """Poses of rows become poses of stations: means of rows, or between two of them."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,8 +14,7 @@ MOVES_M, MOVES_RAD = 1e-3, np.radians(0.1)
 """Poses farther apart than this show a hand that moves: a robot that stands still does not."""
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
+class Way(NamedTuple):
     """How each of S stations gets its pose from rows.
 
     Attributes
@@ -38,6 +37,11 @@ class Way:
         """Return the means of rows by the number of their station (M,), each of 0 to S - 1."""
         row = np.argsort(group, kind="stable")
         return cls(row, np.flatnonzero(np.diff(group[row], prepend=-1)))
+
+    @classmethod
+    def of_rows(cls, count: int) -> "Way":
+        """Return that each row is a station of its own."""
+        return cls(np.arange(count, dtype=np.intp), np.arange(count, dtype=np.intp))
 
     @classmethod
     def of_runs(cls, first: IntArray, last: IntArray) -> "Way":

@@ -111,15 +111,12 @@ def refuse_bag_bomb(path: Path) -> None:
     ------
     InputError
     """
-    metadata = path / "metadata.yaml"
-    mode = ""
+    metadata, mode = path / "metadata.yaml", ""
     if path.is_dir():
         if metadata.stat().st_size > ALWAYS:
             raise InputError("metadata.yaml of more bytes than a bag needs", "a bag", path)
-        stated = re.search(
-            r"compression_mode:\s*['\"]?(\w+)", metadata.read_text("utf-8", "replace")
-        )
-        mode = stated[1].lower() if stated else ""
+        text = metadata.read_text("utf-8", "replace").lower()
+        mode = "".join(re.findall(r"compression_mode:\s*['\"]?(\w+)", text)[:1])
     allowance = Allowance(path)
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     for file in files:
@@ -171,9 +168,8 @@ def limit_chunks(reader: Any, path: Path) -> None:
     for one in reader.readers:
         chunks = getattr(one, "chunks", {})  # ROS 2 has none
         for place, chunk in chunks.items():
-            chunks[place] = chunk._replace(
-                decompressor=partial(_unpacked, allowance, chunk.decompressor)
-            )
+            unpack = partial(_unpacked, allowance, chunk.decompressor)
+            chunks[place] = chunk._replace(decompressor=unpack)
 
 
 def _unpacked(allowance: Allowance, unpack: Callable[[bytes], bytes], data: bytes) -> bytes:

@@ -86,14 +86,12 @@ def planes_of(
     which = np.full(len(names), -1, dtype=np.intp)
     place: dict[str | float, int] = {name: i for i, name in enumerate(names)}
     for index, (plane, first, last) in enumerate(found):
-        inside = np.zeros(len(names), dtype=bool)
         if isinstance(first, float) and isinstance(last, float):
             if times is None:
-                raise InputError(
-                    "planes by times, and a log without times", "planes by stations: A=1..12"
-                )
+                found_so = "planes by times, and a log without times"
+                raise InputError(found_so, "planes by stations: A=1..12")
             shift = 0.0 if abs(first) > EPOCH else begin
-            inside = (times >= first + shift) & (times <= last + shift)
+            inside = np.flatnonzero((times >= first + shift) & (times <= last + shift))
         else:
             for end in (first, last):
                 if end not in place:
@@ -101,14 +99,11 @@ def planes_of(
                     raise InputError(f"no station {shown(end)} in the log", expected)
             if place[first] > place[last]:
                 raise InputError(f"stations {first} to {last}", "in the order of the log")
-            inside[place[first] : place[last] + 1] = True
-        twice = np.flatnonzero(inside & (which >= 0))
-        if twice.size:
-            other = found[which[twice[0]]][0]
-            raise InputError(
-                f"station {names[twice[0]]} in the ranges of planes {other} and {plane}",
-                "every station in one range",
-            )
+            inside = np.arange(place[first], place[last] + 1)
+        for twice in inside[which[inside] >= 0][:1].tolist():
+            both = f"{found[which[twice]][0]} and {plane}"
+            found_so = f"station {names[twice]} in the ranges of planes {both}"
+            raise InputError(found_so, "every station in one range")
         which[inside] = index
     return which
 

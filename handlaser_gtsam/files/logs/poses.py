@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,8 +33,7 @@ NEAREST = 5.0
 """Positions that all stay within this distance [mm] of the origin are in metres."""
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """Rows that cannot be under a convention.
 
     Attributes
@@ -60,96 +60,61 @@ def faults(x: FloatArray, convention: Convention) -> list[Fault]:
 
 def _faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
     """Yield all faults that may be, with the rows that have them: often none."""
+    position, t = slice(0, 3), x[:, :3]
     if convention.is_matrix:
         yield from _matrix_faults(x, convention)
+        position, t = slice(0, x.shape[1]), matrices(x, convention)[:, :3, 3]
     elif not convention.has_angles:
         length, wrong = off_unit(x[:, 3:])
-        yield Fault(
-            wrong,
-            slice(3, 7),
-            f"a quaternion of length {length[wrong.argmax()]:.6g}",
-            f"length 1 within {QUATERNION_TOLERANCE:g}; are these angles, or other columns?",
-        )
+        found = f"a quaternion of length {length[wrong.argmax()]:.6g}"
+        expected = f"length 1 within {QUATERNION_TOLERANCE:g}; are these angles, or other columns?"
+        yield Fault(wrong, slice(3, 7), found, expected)
     elif convention.angles == "rad":
-        a = x[:, 3:]
-        vector = convention.rotation == "rotvec"
-        size = np.linalg.norm(a, axis=1) if vector else np.abs(a).max(axis=1)
-        yield Fault(
-            size > 2.0 * math.pi * (1.0 + ROUNDING),
-            slice(3, 6),
-            f"angles of {size.max():.4g} read as radians",
-            f"at most 2 pi; are they degrees? {_others(replace(convention, angles='deg'))}",
-            doubt=True,
-        )
-    yield from _position_faults(x, convention)
+        a = np.abs(x[:, 3:])
+        size = np.linalg.norm(a, axis=1) if convention.rotation == "rotvec" else a.max(axis=1)
+        wrong, found = size > 2.0 * math.pi * (1.0 + ROUNDING), f"angles of {size.max():.4g}"
+        expected = f"at most 2 pi; are they degrees? {_others(replace(convention, angles='deg'))}"
+        yield Fault(wrong, slice(3, 6), f"{found} read as radians", expected, doubt=True)
+    size, units = np.abs(t).max(axis=1), convention.units
+    other = _others(replace(convention, units="mm" if units == "m" else "m"))
+    expected = f"at most {FARTHEST:g} m of an arm"
+    expected += f"; is it millimetres? {other}" if units == "m" else ""
+    found = f"a position of {size.max():.6g} read as {UNIT_WORDS[units]}"
+    yield Fault(size * LENGTHS[units] > FARTHEST, position, found, expected, doubt=True)
+    if units == "mm" and size.max() < NEAREST and len(x) > 1:
+        found = f"positions within {size.max():.4g} of the origin read as millimetres"
+        expected = f"some of {NEAREST:g} mm or more; are they metres? {other}"
+        yield Fault(np.ones(len(x), dtype=bool), position, found, expected, doubt=True)
 
 
 def _matrix_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
     T, every = matrices(x, convention), slice(0, x.shape[1])
     other = "matrix" if convention.rotation == "matrix-columns" else "matrix-columns"
     instead = f"{ROWS[other]}: {called(replace(convention, rotation=other))}"
-    transposed = (T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1)
-    row = T[transposed.argmax(), 3]
-    yield Fault(
-        transposed,
-        every,
-        f"a matrix whose last row is {np.array2string(row, precision=6, separator=', ')}",
-        f"0, 0, 0, 1 ({ROWS[convention.rotation]}); is it {instead}?",
-    )
+    wrong = (T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1)
+    row = np.array2string(T[wrong.argmax(), 3], precision=6, separator=", ")
+    expected = f"0, 0, 0, 1 ({ROWS[convention.rotation]}); is it {instead}?"
+    yield Fault(wrong, every, f"a matrix whose last row is {row}", expected)
     R = np.clip(T[:, :3, :3], -2.0, 2.0)
     off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    yield Fault(
-        (np.linalg.det(R) < 0.0) & (off <= MATRIX_TOLERANCE),
-        every,
-        "a matrix with the determinant -1, of a left-handed frame",
-        "a rotation, of right-handed frames",
-    )
-    wrong = ~(off <= MATRIX_TOLERANCE)
-    yield Fault(
-        wrong,
-        every,
-        f"a matrix that is no rotation (R'R differs from the identity by {off[wrong.argmax()]:.2g})",
-        f"a rotation to {MATRIX_TOLERANCE:g}, {ROWS[convention.rotation]}; if {instead}",
-    )
+    wrong, expected = ~(off <= MATRIX_TOLERANCE), "a rotation, of right-handed frames"
+    found = "a matrix with the determinant -1, of a left-handed frame"
+    yield Fault((np.linalg.det(R) < 0.0) & ~wrong, every, found, expected)
+    found = f"R'R differs from the identity by {off[wrong.argmax()]:.2g}"
+    expected = f"a rotation to {MATRIX_TOLERANCE:g}, {ROWS[convention.rotation]}; if {instead}"
+    yield Fault(wrong, every, f"a matrix that is no rotation ({found})", expected)
 
 
 ROWS = {"matrix": "row by row", "matrix-columns": "column by column"}
 
 
-def _position_faults(x: FloatArray, convention: Convention) -> Iterator[Fault]:
-    which = slice(0, 3)
-    t = x[:, :3]
-    if convention.is_matrix:
-        which, t = slice(0, x.shape[1]), matrices(x, convention)[:, :3, 3]
-    size = np.abs(t).max(axis=1)
-    other = _others(replace(convention, units="mm" if convention.units == "m" else "m"))
-    far = size * LENGTHS[convention.units] > FARTHEST
-    question = f"; is it millimetres? {other}" if convention.units == "m" else ""
-    yield Fault(
-        far,
-        which,
-        f"a position of {size.max():.6g} read as {UNIT_WORDS[convention.units]}",
-        f"at most {FARTHEST:g} m of an arm{question}",
-        doubt=True,
-    )
-    if convention.units == "mm" and size.max() < NEAREST and len(x) > 1:
-        yield Fault(
-            np.ones(len(x), dtype=bool),
-            which,
-            f"positions within {size.max():.4g} of the origin read as millimetres",
-            f"some of {NEAREST:g} mm or more; are they metres? {other}",
-            doubt=True,
-        )
-
-
 def _others(other: Convention) -> str:
     """Name what states a convention, and formats with its units."""
+    units = other.numbers, other.units, other.has_angles and other.angles
     alike = [
         name
         for name, one in FORMATS.items()
-        if one.numbers == other.numbers
-        and one.units == other.units
-        and (one.angles == other.angles or not other.has_angles)
+        if (one.numbers, one.units, other.has_angles and one.angles) == units
         and one.meaning != other.meaning
     ]
     words = f"then state {called(other)}"
@@ -182,10 +147,8 @@ def hand_poses(numbers: FloatArray, way: Way, given: LogFormat) -> tuple[FloatAr
             continue
         if len(stated) not in convention.numbers:
             expected = " or ".join(map(str, convention.numbers))
-            raise InputError(
-                f"--{name} of {len(stated)} numbers",
-                f"{expected}, as a pose of the log: {convention.words}",
-            )
+            expected += f", as a pose of the log: {convention.words}"
+            raise InputError(f"--{name} of {len(stated)} numbers", expected)
         x = np.array([stated], dtype=np.float64)
         for fault in faults(x, convention):
             raise InputError(f"{name}: {fault.found}", fault.expected)

@@ -1,7 +1,8 @@
 """The rows of one table: poses, readings, times, and what else stands beside them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -25,8 +26,7 @@ MOST_BEAMS = 200
 """More labels of beams in a long table are another column."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LogRows:
+class LogRows(NamedTuple):
     """What stands in the rows of a table, or in messages of a bag; None where there is no such thing.
 
     Attributes
@@ -59,7 +59,7 @@ class LogRows:
     stations: Sequence[str] | None = None
     times: FloatArray | None = None
     coded: BoolArray | None = None
-    columns: Columns = field(default_factory=Columns)
+    columns: Columns = Columns()
     ignored: tuple[str, ...] = ()
     warnings: tuple[CalibrationWarning, ...] = ()
     words: str = ""
@@ -77,15 +77,20 @@ class LogRows:
         assert self.times is not None
         return self.times
 
+    @property
+    def posed(self) -> FloatArray:
+        """The numbers (M, k) of poses of rows that have some."""
+        assert self.poses is not None
+        return self.poses
+
     def code_warnings(self, counted: BoolArray) -> tuple[CalibrationWarning, ...]:
         """Return a warning for each code for "no reading" among the rows that are `counted` (M,)."""
         if self.coded is None:
             return ()
-        whose: dict[str, Sequence[str]] = {
-            name: [beam] for beam, name in self.columns.beams.items()
-        }
-        if self.columns.range:
-            whose = {self.columns.range: labels(self.table, self.columns.beam)}
+        columns, whose = self.columns, dict[str, Sequence[str]]()
+        whose |= {name: [beam] for beam, name in columns.beams.items()}
+        if columns.range:
+            whose = {columns.range: labels(self.table, columns.beam)}
         return code_warnings(self.table, whose, self.coded & counted[:, None])
 
 
@@ -165,17 +170,12 @@ def _wide(table: Table, columns: Columns, d: FloatArray) -> tuple[tuple[str, ...
     whose = labels(table, columns.beam)
     beams = tuple(dict.fromkeys(whose))
     if len(beams) > MOST_BEAMS:
-        raise InputError(
-            f"{len(beams)} beams, {some(beams, 4)}",
-            f"at most {MOST_BEAMS}; is --beam-column right?",
-            table.path,
-            None,
-            columns.beam,
-        )
+        found, expected = f"{len(beams)} beams, {some(beams, 4)}", "is --beam-column right?"
+        expected = f"at most {MOST_BEAMS}; {expected}"
+        raise InputError(found, expected, table.path, None, columns.beam)
     number = {beam: i for i, beam in enumerate(beams)}
-    wide = np.full((len(whose), len(beams)), np.nan)
-    wide[np.arange(len(whose)), [number[beam] for beam in whose]] = d[:, 0]
-    return beams, wide
+    mine = np.array([number[beam] for beam in whose])[:, None] == np.arange(len(beams))
+    return beams, np.where(mine, d, np.nan)
 
 
 def _pose_numbers(

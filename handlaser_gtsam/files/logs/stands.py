@@ -9,7 +9,7 @@ does, it is trimmed to the rows about its median pose that are within the limits
 Poses have noise, which is no motion: means are compared, and the limits grow by the noise of these.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,8 +25,7 @@ QUIET = 0.25
 """A quarter of the rows at least shows noise alone."""
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(NamedTuple):
     """Poses in time.
 
     Attributes
@@ -73,25 +72,20 @@ def find_stands(track: Track, given: LogFormat) -> tuple[IntArray, IntArray, str
     # A run is not over because of a moment at which noise is large.
     apart = np.flatnonzero(track.time[first[1:]] - track.time[last[:-1]] >= half)
     first, last = np.append(first[:1], first[apart + 1]), np.append(last[apart], last[-1:])
-    least = given.stand_s - 2.0 * half - 1e-9
-    kept: list[tuple[int, int]] = []
+    runs = np.stack((first, last), axis=1)
+    ends = [_trimmed(track, means, run, half) for run in runs]
+    begin, end = np.array(ends, dtype=np.intp).reshape(-1, 2).T
     # Runs that are cut to where they do not creep, and those of which too little is left.
-    trimmed = dropped = 0
-    for run in zip(first.tolist(), last.tolist(), strict=True):
-        a, b = _trimmed(track, means, run, half)
-        if track.time[b] - track.time[a] < least:
-            dropped += 1
-            continue
-        trimmed += (a, b) != run
-        kept.append((a, b))
-    if not kept:
+    kept = track.time[end] - track.time[begin] >= given.stand_s - 2.0 * half - 1e-9
+    trimmed, dropped = int(((begin != first) | (end != last))[kept].sum()), int((~kept).sum())
+    if not kept.any():
         short = f"; {dropped} shorter stops were found" if dropped else ""
         raise InputError(
             f"no moment at which the hand stands within {given.stand_mm:g} mm and "
             f"{given.stand_deg:g} deg for {given.stand_s:g} s{short}",
             "stations; or other limits (--stand-mm, --stand-deg, --stand-s), or --interpolate",
         )
-    begin, end = np.array(kept, dtype=np.intp).T
+    begin, end = begin[kept], end[kept]
     words = f"{len(begin)} moments at which the hand stands"
     if trimmed:
         words += f", {trimmed} of them trimmed where the hand creeps (--stand-mm, --stand-deg)"
@@ -149,7 +143,7 @@ def _still(t: FloatArray, means: _Means, half: float) -> BoolArray:
     return np.asarray(still)
 
 
-def _trimmed(track: Track, means: _Means, run: tuple[int, int], half: float) -> tuple[int, int]:
+def _trimmed(track: Track, means: _Means, run: IntArray, half: float) -> tuple[int, int]:
     """Return the ends of the rows of a run about its median pose that are within the limits."""
     rows = np.arange(run[0], run[1] + 1)
     t = track.time[rows]

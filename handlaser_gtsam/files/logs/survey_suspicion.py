@@ -7,7 +7,6 @@ would be, and the residual below which most readings are is compared.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -38,7 +37,7 @@ from .suspicion import (
 
 
 def refuse_wrong_poses(
-    survey: Survey, numbers: FloatArray, way: Way, given: LogFormat, path: Path
+    survey: Survey, numbers: FloatArray, way: Way, given: LogFormat
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log that fits a hundredfold better under another convention; warn where it is less.
 
@@ -50,8 +49,8 @@ def refuse_wrong_poses(
         Poses as the log has them.
     way : Way
         How stations get theirs from these.
-    given, path
-        How the log is written, and where it stands.
+    given : LogFormat
+        How the log is written.
 
     Raises
     ------
@@ -79,7 +78,7 @@ def refuse_wrong_poses(
     best, words = min(misfits(carrier, others, measure), default=(np.inf, ""))
     if best > min(now / BETTER, WELL):
         return ()
-    return accused(now / best, words, given, path)
+    return accused(now / best, words, given)
 
 
 def _part(survey: Survey) -> Rows:

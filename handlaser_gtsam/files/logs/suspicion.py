@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 
@@ -72,25 +71,20 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
     """
     count = len(recording.plane_labels)
     x = np.hstack((recording.world_t_hand, recording.world_R_hand.reshape(count, 9)))
-    rows = np.ascontiguousarray(x).view(np.dtype((np.void, x.itemsize * x.shape[1]))).ravel()
     _, first, group, size = np.unique(
-        rows, return_index=True, return_inverse=True, return_counts=True
+        x, return_index=True, return_inverse=True, return_counts=True, axis=0
     )
+    group = group.ravel()
     repeats = size[group] > 1
-    if not repeats.any():
-        return ()
     off = np.abs(recording.ranges - recording.ranges[first[group]])
     known = recording.ranges[~np.isnan(recording.ranges)]
     moved = repeats & (np.nan_to_num(off) > MOVED * typical_range(known)).any(axis=1)
-    if not moved.any():
+    same, name = int(moved.sum()), recording.station_names[int(moved.argmax())]
+    if not same:
         return ()
-    same = int(moved.sum())
-    name = recording.station_names[int(moved.argmax())]
     if len(first) == 1:
-        raise InputError(
-            f"one pose at all {count} stations, with readings that differ",
-            "the pose of each station; are the right columns stated (--pose-columns)?",
-        )
+        expected = "the pose of each station; are the right columns stated (--pose-columns)?"
+        raise InputError(f"one pose at all {count} stations, with readings that differ", expected)
     words = (
         f"{same} of {count} stations repeat the pose of another although their readings differ by "
         f"more than {IN_PERCENT * MOVED:.0f} % (the first: {name}): poses that were not logged anew, "
@@ -100,18 +94,13 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
 
 
 def refuse_wrong_convention(
-    recording: Recording,
-    numbers: FloatArray,
-    way: Way,
-    chosen: IntArray,
-    given: LogFormat,
-    path: Path,
+    recording: Recording, numbers: FloatArray, way: Way, chosen: IntArray, given: LogFormat
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log that fits a hundredfold better under another convention; warn where it is less.
 
     Parameters
     ----------
-    recording, given, path
+    recording, given
         The tool and the base are constant, and do not matter.
     numbers : (M, k)
         Poses as the log has them.
@@ -135,11 +124,11 @@ def refuse_wrong_convention(
     found = _better(part, list(alternatives(numbers, way, given)))
     if found is None:
         return ()
-    return accused(*found, given, path, f", ranges in {given.range_units}")
+    return accused(*found, given, f", ranges in {given.range_units}")
 
 
 def accused(
-    ratio: float, words: str, given: LogFormat, path: Path, more: str = ""
+    ratio: float, words: str, given: LogFormat, more: str = ""
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log whose readings fit much better in another way; warn where it is less.
 
@@ -151,7 +140,6 @@ def accused(
         The other way.
     given : LogFormat
         How it is read.
-    path : Path
     more : str
         What else is stated of it.
 
@@ -166,10 +154,9 @@ def accused(
     message = f"the readings fit {times:.3g} times better if {words}"
     if ratio >= MUCH_BETTER and not given.as_stated:
         found_so = f"poses that do not fit as {stated}; {message}"
-        raise InputError(found_so, "that, or --as-stated if it is right", path)
-    return (
-        CalibrationWarning("pose-convention", f"{message}; stated: {stated}", {"times": times}),
-    )
+        raise InputError(found_so, "that, or --as-stated if it is right")
+    words = f"{message}; stated: {stated}"
+    return (CalibrationWarning("pose-convention", words, {"times": times}),)
 
 
 def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] | None:

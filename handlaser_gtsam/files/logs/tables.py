@@ -13,18 +13,19 @@ import os
 import re
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
+from string import ascii_uppercase
 from typing import IO
 
 import numpy as np
 import polars as pl
 
-from ...data.recording import first_repeated
 from ...errors import CalibrationWarning, InputError
-from ...text import LONGEST_NAME, count, name_fault, shown, some
+from ...text import count, shown, some
 from ..checked_text import in_file, json_value
 from ..table import (
     COMMA,
@@ -35,6 +36,7 @@ from ..table import (
     SEPARATORS,
     Table,
     first_cells,
+    require_columns,
     table_of,
     table_text,
     titles_above,
@@ -125,33 +127,24 @@ def _of_text(path: Path, given: LogFormat) -> Table:
 def _separator(text: str, path: Path) -> str:
     """Return the only separator at which the lines have equally many cells, two or more."""
     lines = [line for line in text.split("\n") if line.strip(" \t,;")][:MOST_LOOKED_AT]
-    possible = _even(lines)
-    if len(possible) > 1:
-        words = {value: name for name, value in DELIMITERS.items()}
-        both = " and ".join(words[one] for one in possible)
-        expected = "one of them as separator: state --delimiter"
-        raise InputError(f"lines that {both} divide alike", expected, path)
-    # Titles above the header are never half of the lines.
-    possible = possible or _even(lines[len(lines) // 2 :])
-    if len(possible) == 1:
-        return possible[0]
-    if not lines:
-        return ","
+    # Separators in quotes are none.
+    bare = [re.sub('"[^"]*"', "", line) for line in lines]
+    cells = {one: [line.count(one) + 1 for line in bare] for one in SEPARATORS}
+    half, possible = len(lines) // 2, list[str]()
+    for begin in (0, half):  # titles above the header are never half of the lines
+        even = [one for one, counts in cells.items() if len(set(counts[begin:])) == 1]
+        possible = possible or [one for one in even if cells[one][-1] > 1]
+        if begin == 0 and len(possible) > 1:
+            words = {value: name for name, value in DELIMITERS.items()}
+            both = " and ".join(words[one] for one in possible)
+            expected = "one of them as separator: state --delimiter"
+            raise InputError(f"lines that {both} divide alike", expected, path)
+    if len(possible) == 1 or not lines:
+        return possible[0] if lines else ","
     blanks = all(len(line.split()) > 1 for line in lines)
     if blanks and not any(one in lines[0] for one in SEPARATORS):
         return " "
-    return max(SEPARATORS, key=lambda one: _cells(lines[0], one))
-
-
-def _even(lines: Sequence[str]) -> list[str]:
-    """Return the separators at which the lines have equally many cells, two or more."""
-    counts = {one: {_cells(line, one) for line in lines} for one in SEPARATORS}
-    return [one for one, found in counts.items() if len(found) == 1 and min(found) > 1]
-
-
-def _cells(line: str, separator: str) -> int:
-    """Return how many cells a line has; separators in quotes are none."""
-    return re.sub('"[^"]*"', "", line).count(separator) + 1
+    return max(SEPARATORS, key=lambda one: cells[one][0])
 
 
 def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = False) -> Table:
@@ -164,7 +157,7 @@ def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = 
     """
     texts = table.frame.select(pl.selectors.string())
     if given.decimal == "comma" and not numbers_have_points:
-        grouped = pl.all().str.contains(rf"^{GROUPED.pattern}$")
+        grouped = pl.all().str.contains(f"^{GROUPED.pattern}$")
         whole = pl.all().str.replace_all(".", "", literal=True)
         texts = texts.select(pl.when(grouped).then(whole).otherwise(pl.all()))
         table = replace(table, frame=table.frame.with_columns(texts))
@@ -172,14 +165,11 @@ def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = 
     commas = {name: mask for name, mask in commas.items() if mask.any()}
     if given.decimal == "point" or not commas:
         return table
-    if given.decimal is None and all(
-        _match(texts[name].filter(mask), THOUSANDS).all() for name, mask in commas.items()
-    ):
+    cells = pl.concat([texts[name].filter(mask).alias("") for name, mask in commas.items()])
+    if given.decimal is None and _match(cells, THOUSANDS).all():
         name, mask = next(iter(commas.items()))
-        expected = (
-            "a decimal comma or a separator of thousands? state --decimal comma, or leave it out"
-        )
-        table.refuse(mask.to_numpy(), name, expected)
+        expected = "a decimal comma or a separator of thousands? state --decimal comma"
+        table.refuse(mask.to_numpy(), name, f"{expected}, or leave it out")
     for name in () if numbers_have_points else texts.columns:
         points = _match(texts[name], POINT).to_numpy()
         table.refuse(points, name, "decimal commas, as in other cells; or state --decimal point")
@@ -282,15 +272,7 @@ def _refuse_constant(name: str) -> None:
 def _of_values(frame: pl.DataFrame, path: Path) -> Table:
     """Return a frame as a table of numbers and texts: arrays and structures become columns."""
     flat = [one for column in frame.get_columns() for one in _flat(column)]
-    for column in flat:
-        fault = name_fault(column.name)
-        if fault:
-            expected = f"printable names of at most {LONGEST_NAME} characters"
-            raise InputError(fault, expected, path)
-    twice = first_repeated([column.name for column in flat])
-    if twice is not None:
-        found = "the same name twice, as that of a column and of a part of another"
-        raise InputError(found, "every column once", path, None, flat[twice].name)
+    require_columns([column.name for column in flat], path, None)
     table = pl.DataFrame(flat)
     filled = table.select(pl.any_horizontal(pl.all().is_not_null())).to_series().to_numpy()
     rows = np.flatnonzero(filled)
@@ -338,11 +320,8 @@ def read_sheet(
     try:
         import fastexcel
     except ImportError as error:
-        raise InputError(
-            "a workbook, but no package that reads it",
-            "pip install 'handlaser-gtsam[excel]', or the sheet saved as CSV",
-            path,
-        ) from error
+        expected = "pip install 'handlaser-gtsam[excel]', or the sheet saved as CSV"
+        raise InputError("a workbook, but no package that reads it", expected, path) from error
     refuse_zip_bomb(path)
     with zipfile.ZipFile(path) as archive:
         sheets = _sheets(archive)
@@ -358,20 +337,13 @@ def read_sheet(
     texts: pl.DataFrame = book.load_sheet(name, header_row=None, dtypes="string").to_polars()
     if not len(texts):
         raise InputError("an empty sheet", "a header and one row a station or a reading", path)
-    head = [
-        ["" if x is None else str(x).strip() for x in row]
-        for row in texts.head(MOST_TITLES + 1).rows()
-    ]
+    head = [[str(x or "").strip() for x in row] for row in texts.head(MOST_TITLES + 1).rows()]
     above = titles_above(head)
     if above:
-        titles = [" ".join(filter(None, row)) for row in head[:above]]
-        warnings += titles_warning(titles, path)
+        warnings += titles_warning([" ".join(filter(None, row)) for row in head[:above]], path)
     line = above + first
-    named = [one for one in head[above] if one]
-    twice = first_repeated(named)
-    if twice is not None:
-        raise InputError("the same name twice", "every column once", path, line, named[twice])
     names = [one or f"(column {i + 1} without a name)" for i, one in enumerate(head[above])]
+    require_columns(names, path, line)
     texts = texts[above + 1 :]
     texts.columns = names
     found: pl.DataFrame = book.load_sheet(
@@ -387,13 +359,10 @@ def _sheets(archive: zipfile.ZipFile) -> dict[str, str]:
     """Return the part of every sheet by its name."""
     links = ET.fromstring(archive.read("xl/_rels/workbook.xml.rels"))
     target = {one.get("Id"): str(one.get("Target")) for one in links}
-    book = ET.fromstring(archive.read("xl/workbook.xml"))
     found = {}
-    for one in book.iter():
-        if _tag(one) == "sheet":
-            identity = next((value for name, value in one.items() if name.endswith("}id")), None)
-            part = target[identity]
-            found[str(one.get("name"))] = part[1:] if part.startswith("/") else f"xl/{part}"
+    for one in ET.fromstring(archive.read("xl/workbook.xml")).iterfind(".//{*}sheet"):
+        part = target[next((value for name, value in one.items() if name.endswith("}id")), None)]
+        found[str(one.get("name"))] = part[1:] if part.startswith("/") else f"xl/{part}"
     return found
 
 
@@ -423,9 +392,9 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
             place = PLACE.fullmatch(element.get("r", ""))
             column += 1
             if place:  # A is 1, AA is 27
-                column = 0
-                for letter in place[1]:
-                    column = 26 * column + ord(letter) - ord("A") + 1
+                column = reduce(
+                    lambda n, letter: 26 * n + ascii_uppercase.index(letter) + 1, place[1], 0
+                )
             if len(element):
                 cells += 1
                 rows.add(row)
@@ -455,11 +424,11 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
 
 def _problem(cell: ET.Element) -> str:
     """Return the error of a cell, or that its formula has no value; empty where it has one."""
-    parts = {_tag(one): one for one in cell}
-    value = (parts["v"].text or "").strip() if "v" in parts else ""
+    value = cell.findtext("{*}v", "").strip()
     if cell.get("t") == "e":
         return value
-    if "f" in parts and not value and cell.get("t") != "str":  # a text may be empty
+    # A text may be empty.
+    if cell.find("{*}f") is not None and not value and cell.get("t") != "str":
         return "formula without a value"
     return ""
 
@@ -469,5 +438,5 @@ def _letters(number: int) -> str:
     letters = ""
     while number:
         number, letter = divmod(number - 1, 26)
-        letters = chr(ord("A") + letter) + letters
+        letters = ascii_uppercase[letter] + letters
     return letters

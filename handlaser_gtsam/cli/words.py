@@ -1,0 +1,112 @@
+"""What a person sees of plans and validations: texts from the templates of this folder, a line each."""
+
+import math
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from ..files.exports.rendering import environment
+from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
+from ..quantities import IN_DEG, IN_MM
+from ..text import count
+
+if TYPE_CHECKING:
+    from ..data.station_list import StationList
+    from ..planning.goal import Goal
+    from ..planning.robot import Robot
+    from ..planning.route import Plan
+    from ..planning.survey import SurveyPlan
+    from ..results.verdict import Verdict
+    from ..validation.hold_out import HoldOut
+    from ..validation.leave_out import Validation
+
+SHOWN_ROWS = 10
+"""Rows of the forecast, evenly over the stations, and stations whose poses are shown at most: they fit
+on a screen beside the rest."""
+UNKNOWN_ABOVE = 999.0
+"""Larger standard deviations are shown as unknown [mm], [deg]: nothing has determined them."""
+
+
+def _in(unit: float, value: float, digits: int, most: float = math.inf) -> str:
+    """Return a number in a unit; or that it is unknown, at least as large as what is shown at most."""
+    known = most == math.inf or (math.isfinite(value) and value * unit < most)
+    return f"{value * unit:.{digits}g}" if known else "unknown"
+
+
+def lines_of(template: str, **values: object) -> list[str]:
+    """Return the lines of a template; its filters say numbers, sizes of errors and counts."""
+    templates = environment(
+        __package__,
+        count=count,
+        chance=chance,
+        mm=lambda value, *how: _in(IN_MM, value, *how),
+        deg=lambda value, *how: _in(IN_DEG, value, *how),
+        length_of=lambda vector: math.hypot(*vector),
+        size=lambda errors: (
+            f"rms {_in(IN_MM, errors.rms, 4)} mm, largest {_in(IN_MM, errors.max_residual, 4)} mm"
+        ),
+    )
+    return templates.get_template(f"{template}.j2").render(**values).splitlines()
+
+
+def plan_lines(plan: "Plan", goal: "Goal", robot: "Robot | None") -> list[str]:
+    """Return where to go, what will be known, whether that is enough, and what ways were checked."""
+    from ..planning.route import VIA
+
+    stations, forecast, last = plan.stations, plan.forecast, len(plan.forecast)
+    pairs = zip(stations.plane_labels, stations.station_names, strict=True)
+    where = Counter(plane for plane, name in pairs if not name.startswith(VIA))
+    shown = {round(last * index / (SHOWN_ROWS - 1)) for index in range(SHOWN_ROWS)}
+    return lines_of(
+        "plan",
+        plan=plan,
+        where=", ".join(f"{number} before plane {plane}" for plane, number in where.items()),
+        passed=len(stations) - len(plan),
+        via=VIA,
+        forecast=forecast,
+        rows=sorted(shown | {last}),
+        most=UNKNOWN_ABOVE,
+        goal=goal,
+        robot=robot,
+    )
+
+
+def station_lines(stations: "StationList") -> list[str]:
+    """Return where the stations of a plan are that is not written; of many, that --out writes them."""
+    from ..planning.advice import pose_words
+
+    named = zip(stations.station_names, stations.plane_labels, pose_words(stations), strict=True)
+    return lines_of("stations", stations=stations, named=named, most=SHOWN_ROWS)
+
+
+def survey_plan_lines(plan: "SurveyPlan") -> list[str]:
+    """Return how well spots are known before and after each station of a plan of a survey."""
+    within = [
+        f"{_in(IN_MM, error, 2)} mm" if math.isfinite(error) else "undetermined"
+        for error in plan.spot_errors.tolist()
+    ]
+    return lines_of("survey_plan", plan=plan, within=within)
+
+
+def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> list[str]:
+    """Return the lines of a validation, the verdict first."""
+    from ..results.description.description import Description
+    from ..results.description.rendering import full_table
+    from ..validation.prediction import pooled
+
+    p_values = {one.plane: one.result.p_value for one in result.planes if one.result is not None}
+    lines = lines_of(
+        "validation",
+        result=result,
+        verdict=verdict,
+        against=contradicted(p_values),
+        family_level=FAMILY_LEVEL,
+        every=pooled(result.splits) if result.splits else None,
+    )
+    table = Description(result.calibration, verdict).systematic
+    lines += [] if table is None else full_table("systematic errors", table, width)
+    return lines + [f"WARNING: {warning}" for warning in result.calibration.warnings]
+
+
+def hold_out_lines(found: "HoldOut") -> list[str]:
+    """Return the lines of a hold-out test: whether the calibration holds, and what p means, first."""
+    return lines_of("hold_out", found=found, level=SINGLE_LEVEL, family_level=FAMILY_LEVEL)
