@@ -1,6 +1,7 @@
 """handlaser calibrate --incremental."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -66,6 +67,37 @@ def test_what_cannot_be_done_plane_by_plane_is_refused(handlaser):
     assert code == 2
     assert "loss huber" in err
     assert len(err.splitlines()) == 1
+
+
+def test_target_by_target_is_all_at_once(handlaser):
+    """What the JSON says is the calibration of all stations; the table says what each target taught."""
+    profiler = GRIPPER.parent / "profiler"
+    given = ("calibrate", profiler / "poses.csv", "--rig", profiler / "rig.toml")
+    code, out, err = handlaser(*given, "--incremental")
+    assert (code, err) == (0, "")
+    (plate,) = [
+        line for line in out.splitlines() if line.startswith("plane:plate") and "-  " in line
+    ]
+    taught = next(line for line in out.splitlines() if line.startswith("sphere:ball      "))
+    assert float(taught.split()[1]) > 1.0
+    assert "-" in plate.split()
+    (agree,) = re.findall(r"all at once agree to (\S+) standard deviations", out)
+    assert float(agree) < 0.01
+    assert handlaser(*given, "--incremental", "--json")[1] == handlaser(*given, "--json")[1]
+
+
+def test_a_target_without_readings_is_said_so(handlaser, tmp_path):
+    for name in ("poses.csv", "rig.toml", "profiles.csv"):
+        text = (GRIPPER.parent / "profiler" / name).read_text()
+        if name == "poses.csv":
+            rows = text.splitlines()
+            text = "\n".join(
+                [*rows, rows[-1].replace("sphere:ball", "sphere:other").replace("P24", "P99")]
+            )
+        (tmp_path / name).write_text(text)
+    given = ("calibrate", tmp_path / "poses.csv", "--rig", tmp_path / "rig.toml")
+    _, out, _ = handlaser(*given, "--incremental")
+    assert next(line for line in out.splitlines() if "sphere:other" in line).endswith("no reading")
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ class Manner(Model):
     loss : LossChoice
         Loss of the final estimate, reading by reading.
     incremental : bool
-        Add plane by plane, show what each teaches, and compare with all at once.
+        Add plane by plane, or target by target, show what each teaches, and compare with all at once.
     cross_check : bool
         Solve again with SciPy and compare.
     """
@@ -128,8 +128,9 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
         read = read_any_kind(rig, recording)
         if isinstance(read, Survey):
             stated = [] if output.at_range_mm is None else ["--at-range-mm"]
-            refuse_of_beams(rig, stated, recording, plain=manner == Manner())
-            answer = survey_answer(recording, rig, read, output)
+            plain = replace(manner, incremental=False) == Manner()
+            refuse_of_beams(rig, stated, recording, plain=plain)
+            answer = survey_answer(recording, rig, read, output, incremental=manner.incremental)
         else:
             log, rig = read
             answer = _of_beams(recording, rig, log, manner, output, given.rig)

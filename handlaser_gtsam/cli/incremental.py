@@ -1,4 +1,4 @@
-"""handlaser calibrate --incremental: plane by plane, and what each of them taught."""
+"""handlaser calibrate --incremental: plane by plane, or target by target, and what each taught."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -9,6 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.recording import Recording
+from ..data.survey import Survey, normal_label
 from ..errors import CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
 from ..model.effects import EFFECTS
@@ -17,8 +18,10 @@ from ..progress import tell
 from ..quantities import IN_MM, IN_PERCENT
 from ..results.calibration import Calibration
 from ..results.description.tables import Cell, Column, Table, number, text
+from ..results.survey import SurveyCalibration
 from ..session.reports import Comparison, Moved, Update
 from ..session.session import Session
+from ..session.survey import SurveySession
 
 
 def plane_by_plane(
@@ -75,9 +78,71 @@ def plane_by_plane(
     return result, session.recording(), _table(rows), comparison
 
 
-def _table(rows: Sequence[tuple[Cell, ...]]) -> Table:
+def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, Table, str]:
+    """Feed a survey to a session target by target, then calibrate all of it at once.
+
+    Returns
+    -------
+    calibration : SurveyCalibration
+        Of all stations at once.
+    taught : Table
+        What every target taught of the mounts, and how their standard deviations fell.
+    comparison : str
+        How far target by target and all at once are apart.
+
+    Raises
+    ------
+    InputError
+        As `SurveySession` and `calibrate` do.
+    """
+    labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
+    session, rows, names = SurveySession(noise), [], list(dict.fromkeys(labels.tolist()))
+    for index, name in enumerate(names):
+        tell("planes", index, len(names), name)
+        part = survey.stations_read() & (labels == name)
+        if not part.any():
+            rows.append(_row(name, None, None, 0, "no reading"))
+            continue
+        update = session.add(survey.part(part))
+        found = update.calibration
+        waits = found is None or found.status != "converged"
+        sigma = None if found is None or waits else _sigmas_of(found)
+        rejected = 0 if found is None else len(found.rejected)
+        rows.append(
+            _row(name, update.information, sigma, rejected, update.message if waits else "")
+        )
+    tell("planes", len(names), len(names), "all at once")
+    result, last, words = calibrate(survey, noise), session.calibration, ""
+    if last is not None and last.status == result.status == "converged":
+        rows.append(_row("result", None, _sigmas_of(result), len(result.rejected), ""))
+        off = [
+            np.abs(last.sensors[name].location - one.location) / one.location_sigma
+            for name, one in result.sensors.items()
+        ]
+        off += [
+            np.abs(last.beams[name].location - one.location) / one.location_sigma
+            for name, one in result.beams.items()
+        ]
+        words = (
+            "target by target and all at once agree to "
+            f"{max(float(one.max()) for one in off):.2g} standard deviations"
+        )
+    return result, _table(rows, "target"), words
+
+
+def _sigmas_of(found: SurveyCalibration) -> FloatArray:
+    """Return standard deviations of locations and directions as rows of six, one a mount."""
+    mounts = [np.append(one.location_sigma, one.rotation_sigma) for one in found.sensors.values()]
+    mounts += [
+        np.append(one.location_sigma, np.full(3, one.direction_sigma))
+        for one in found.beams.values()
+    ]
+    return np.array(mounts)
+
+
+def _table(rows: Sequence[tuple[Cell, ...]], what: str = "plane") -> Table:
     titles = ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "rejected")
-    columns = Column("plane", number=False), *map(Column, titles), Column("notes", number=False)
+    columns = Column(what, number=False), *map(Column, titles), Column("notes", number=False)
     return Table("updates", "", columns, tuple(rows))
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..errors import CalibrationWarning
     from ..files.rig_toml import Rig
     from ..planning.survey import SurveyPlan
+    from ..results.description.tables import Table
     from ..results.limits import LimitCheck
     from ..results.survey import SurveyCalibration
     from .calibrate import Output
@@ -44,7 +45,9 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path, *, plain: boo
         raise InputError(words, expected, path)
 
 
-def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") -> Answer:
+def survey_answer(
+    path: Path, rig: "Rig", survey: "Survey", output: "Output", *, incremental: bool = False
+) -> Answer:
     """Calibrate a survey, write the result where it is asked for, and return what is said.
 
     Parameters
@@ -54,6 +57,8 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
     rig : Rig
     survey : Survey
     output : Output
+    incremental : bool
+        Whether to add target by target first, and to show what each taught.
 
     Raises
     ------
@@ -66,7 +71,13 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
 
     tables = () if rig.survey is None else rig.survey.files
     require_outputs({"--out": output.out, "--report": output.report}, (path, *tables))
-    result = calibrate(survey, rig.noise)
+    taught, compared = None, ""
+    if incremental:
+        from .incremental import target_by_target
+
+        result, taught, compared = target_by_target(survey, rig.noise)
+    else:
+        result = calibrate(survey, rig.noise)
     text, checks = survey_text(result), survey_limits(result, rig.limits)
     if output.out is not None:
         write_text(output.out, text)
@@ -75,7 +86,9 @@ def survey_answer(path: Path, rig: "Rig", survey: "Survey", output: "Output") ->
 
         page = survey_report(result, survey, path.name, output.report_date or "", checks)
         write_text(output.report, page)
-    lines = _lines(result, checks, [*_read_lines(survey), *wrote(output.out, output.report)])
+    after = [compared] if compared else []
+    after += [*_read_lines(survey), *wrote(output.out, output.report)]
+    lines = _lines(result, checks, taught, after)
     warnings = result.warnings if output.json_ or output.quiet else ()
     return Answer(text, lines, warnings, _failure(result, checks))
 
@@ -205,7 +218,10 @@ def _read_lines(survey: "Survey") -> list[str]:
 
 
 def _lines(
-    result: "SurveyCalibration", checks: "Sequence[LimitCheck]", after: Sequence[str]
+    result: "SurveyCalibration",
+    checks: "Sequence[LimitCheck]",
+    taught: "Table | None",
+    after: Sequence[str],
 ) -> Iterator[str]:
     """Yield the verdict, tables and facts of a result, its warnings, and what stands `after` them."""
     from ..results.description.rendering import full_table, text_lines
@@ -217,6 +233,7 @@ def _lines(
         ("sensors", sensors_table(result)),
         ("beams", beams_table(result)),
         ("targets", targets_table(result)),
+        ("target by target", taught),
     ):
         yield from () if table is None else full_table(title, table, width)
     lines = [f"{name}: {words}" for name, words in facts(result, checks)]

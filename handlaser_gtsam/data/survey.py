@@ -473,6 +473,15 @@ class Survey(Value):
             names |= sides if kind == "groove" else {label}
         return names
 
+    def stations_read(self) -> BoolArray:
+        """Return at which stations (M,) anything was read."""
+        read = np.zeros(len(self.stations), dtype=bool)
+        if self.ranges is not None:
+            read |= ~np.isnan(self.ranges).all(axis=1)
+        for shots in self.shots:
+            read[shots.station] = True
+        return read
+
     def part(self, stations: BoolArray) -> "Survey":
         """Return what was read at some stations (M,), and what is known of it.
 
