@@ -197,7 +197,7 @@ def test_tables_of_points_may_be_written_as_sensors_and_spreadsheets_do(folder, 
 def test_a_column_without_a_name_is_no_station(tmp_path):
     """As pandas writes the index of its rows, which may be names of stations."""
     (tmp_path / "points.csv").write_text(",station,x,z\n0,2,1,300\n1,2,2,300\n2,3,1,310\n")
-    (station, *_), _ = read_points(tmp_path / "points.csv", "profiler", ("0", "1", "2", "3"))
+    (station, *_), _ = read_points({"": tmp_path / "points.csv"}, "profiler", ("0", "1", "2", "3"))
     assert station.tolist() == [2, 2, 3]
 
 
@@ -437,6 +437,61 @@ def test_a_wrong_rig_file_is_refused_in_one_line(case, folder, handlaser):
     rig = folder / "rig.toml"
     assert old in rig.read_text()
     rig.write_text(rig.read_text().replace(old, new))
+    code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def in_files(folder, pattern):
+    """Take the table of points apart, one a station, and state how the files are called."""
+    points = folder / "profiles.csv"
+    header, *rows = points.read_text().splitlines()
+    (folder / pattern).parent.mkdir(exist_ok=True)
+    for station in dict.fromkeys(row.partition(",")[0] for row in rows):
+        own = [row.partition(",")[2] for row in rows if row.partition(",")[0] == station]
+        text = "\n".join([header.partition(",")[2], *own]) + "\n"
+        (folder / pattern.replace("*", station)).write_text(text)
+    points.unlink()
+    rig = folder / "rig.toml"
+    rig.write_text(rig.read_text().replace('"profiles.csv"', f'"{pattern}"'))
+    return rig
+
+
+def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser):
+    given = ("calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"), "--json")
+    _, table, _ = handlaser(*given)
+    rig = in_files(folder, "scans/scan_*.csv")
+    assert handlaser(*given) == (0, table, "")
+    files = hl.read_rig(rig).survey.files
+    assert len(files) == 24
+    assert hl.read_rig(rig).survey.folders == (folder / "scans",)
+    (folder / "scans" / "scan_P3.csv").rename(folder / "scans" / "scan_P003.csv")
+    poses = folder / "poses.csv"
+    poses.write_text(re.sub(r"^P(\d+),", r"\1,", poses.read_text(), flags=re.MULTILINE))
+    rig.write_text(rig.read_text().replace("scan_*.csv", "scan_P*.csv"))
+    assert handlaser(*given)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("scan_P3.csv", "scan_Q3.csv", "station 'Q3'"),
+        ("scan_*.csv", "scn_*.csv", "one a station, as scn_P1.csv"),
+        ("x,z", "x_mm,z", "one unit in all files"),
+    ],
+)
+def test_a_wrong_file_of_points_a_station_is_refused_in_one_line(
+    folder, handlaser, old, new, words
+):
+    rig = in_files(folder, "scan_*.csv")
+    if "*" in old:
+        rig.write_text(rig.read_text().replace(old, new))
+    elif old.startswith("scan"):
+        (folder / old).rename(folder / new)
+    else:
+        one = folder / "scan_P3.csv"
+        one.write_text(one.read_text().replace(old, new, 1))
     code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
     assert (code, out) == (2, "")
     assert words in err

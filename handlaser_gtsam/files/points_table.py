@@ -6,8 +6,9 @@ cells and codes for no reading (not finite, or zero) are passed over. An array m
 where a zone has several. Letters of names count in either case.
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import polars as pl
@@ -19,9 +20,6 @@ from .logs.columns import plain, unit_of
 from .logs.tables import PARQUET
 from .recording_csv import known_numbers
 from .table import Table
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 COLUMNS = {
     "profiler": ("x", "z"),
@@ -40,13 +38,18 @@ DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
 
 
 def read_points(
-    path: Path, kind: str, stations: "Sequence[str]", echo: Echo = "all", station_column: str = ""
+    files: Mapping[str, Path],
+    kind: str,
+    stations: Sequence[str],
+    echo: Echo = "all",
+    station_column: str = "",
 ) -> tuple[Points, dict[str, str]]:
     """Return points as they stand, and the unit in the name of each of their columns, empty for none.
 
     Parameters
     ----------
-    path : Path
+    files : mapping of str to Path
+        Tables by the station that each is of; by an empty name one of all stations.
     kind : str
     stations : sequence of str
         Names of the stations, as the column `station` has them.
@@ -58,35 +61,64 @@ def read_points(
     Raises
     ------
     InputError
-        No such file, a column that is missing, a station that is not there, or no number.
+        No such file, a column that is missing, a station that is not there, or no number; columns that
+        are in one unit in one file, and in another in the next.
     """
+    place = {name: i for i, name in enumerate(stations)}
+    parts: list[Points] = []
+    units: dict[str, str] = {}
+    for name, path in files.items():
+        points, named = _read_table(path, kind, place, name, echo, station_column)
+        if parts and named != units:
+            found = f"columns in {_words(named)}, after others in {_words(units)}"
+            raise InputError(found, "one unit in all files", path)
+        parts.append(points)
+        units = named
+    station, numbers, before = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if not len(station):
+        expected = f"rows with {', '.join(COLUMNS[kind])}"
+        raise InputError("no reading at all", expected, next(iter(files.values())))
+    return (station, numbers, before), units
+
+
+def _words(units: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {unit or 'without a unit'}" for name, unit in units.items())
+
+
+def _read_table(
+    path: Path, kind: str, place: Mapping[str, int], name: str, echo: Echo, station_column: str
+) -> tuple[Points, dict[str, str]]:
+    """Return the points of one table, of the station `name` where that is not empty."""
     wanted = COLUMNS[kind]
     table = read_frame(path, "a table of points, CSV with a header or Parquet")
-    names_there = {plain(name) for name in table.frame.columns}
+    names_there = {plain(one) for one in table.frame.columns}
     others = [one for one, columns in COLUMNS.items() if names_there.issuperset(columns)]
     if others and kind not in others:
         found_so = f"columns of kind = {' or '.join(map(shown, others))}: {table.names}"
         raise table.fault(found_so, f"{', '.join(wanted)} of kind = {shown(kind)}", wanted[0])
-    if not station_column or station_column not in table.frame.columns:
-        station_column = _column(table, "station")
-    found = [_column(table, name) for name in wanted]
-    names = table.frame[station_column].cast(pl.String)
-    table.refuse(names.is_null().to_numpy(), station_column, "the name of a station")
-    place = {name: i for i, name in enumerate(stations)}
-    foreign = [shown(name) for name in names.unique(maintain_order=True) if name not in place]
+    found = [_column(table, one) for one in wanted]
+    if name:
+        # P01 of a file may be P01 of the log, and 07 may be 7.
+        own = name if name in place else name.lstrip("0")
+        names, column = pl.Series([own]).new_from_index(0, len(table.frame)), None
+    else:
+        column = station_column
+        if not column or column not in table.frame.columns:
+            column = _column(table, "station")
+        names = table.frame[column].cast(pl.String)
+        table.refuse(names.is_null().to_numpy(), column, "the name of a station")
+    foreign = [shown(one) for one in names.unique(maintain_order=True) if one not in place]
     if foreign:
-        expected = f"stations of the recording, such as {some(list(stations), 4)}"
-        raise InputError(f"station {some(foreign, 4)}", expected, path, None, station_column)
+        expected = f"stations of the recording, such as {some(list(place), 4)}"
+        raise InputError(f"station {some(foreign, 4)}", expected, path, None, column)
     station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
-    numbers = np.column_stack([known_numbers(table, name)[0] for name in found])
+    numbers = np.column_stack([known_numbers(table, one)[0] for one in found])
     good = np.isfinite(numbers).all(axis=1)
     if kind != "profiler":
         good &= (numbers[:, -1] > 0.0) if kind != "points" else (numbers != 0.0).any(axis=1)
     station, numbers = station[good], numbers[good]
-    if not len(station):
-        raise InputError("no reading at all", f"rows with {', '.join(wanted)}", path)
     before = np.full(len(numbers), np.nan)
-    if kind == "array":  # sorted by station, zone and range
+    if kind == "array" and len(numbers):  # sorted by station, zone and range
         order = np.lexsort((numbers[:, 1], numbers[:, 0], station))
         zones = np.column_stack((station, numbers[:, 0]))[order]
         first = np.append(True, (np.diff(zones, axis=0) != 0.0).any(axis=1))
@@ -94,10 +126,10 @@ def read_points(
         before[order] = np.where(first, np.nan, nearest)
         if echo != "all":
             # Each zone begins with its nearest reading, and ends with its farthest.
-            one = first if echo == "near" else np.roll(first, -1)
-            kept = np.sort(order[one])
+            one_a_zone = first if echo == "near" else np.roll(first, -1)
+            kept = np.sort(order[one_a_zone])
             station, numbers, before = station[kept], numbers[kept], before[kept]
-    units = {name: unit_of(column) for name, column in zip(wanted, found, strict=True)}
+    units = {one: unit_of(column) for one, column in zip(wanted, found, strict=True)}
     return (station.astype(np.intp), numbers, before), units
 
 

@@ -1,10 +1,10 @@
 """Tables of a rig file on sensors of many rays, and on what is known beside the readings.
 
 [[sensors]]  name; kind: profiler, scanner, array or points; points: a table of points (CSV, Parquet),
-or topics of a bag; units: mm, m or in (inches), of which mm is assumed where neither this nor the
-names of the columns say; angles: deg or rad, of which deg is assumed so; sigma_mm,
-sigma_across_mm; free: range errors that are unknown; zones: a CSV of zone, x, y, z
-(directions), or zone, x_deg, y_deg; convention: radial or perpendicular; echo: all,
+one a station if its name has a *, or topics of a bag; units: mm, m or in (inches), of which mm is
+assumed where neither this nor the names of the columns say; angles: deg or rad, of which deg is
+assumed so; sigma_mm, sigma_across_mm; free: range errors that are unknown; zones: a CSV of zone, x,
+y, z (directions), or zone, x_deg, y_deg; convention: radial or perpendicular; echo: all,
 near or far; clear_mm: what a zone reads behind an echo nearer than this does not count
 [[known]]    relation; of: labels of targets, sensor:NAME or beam:NAME; value_mm or value_deg;
 sigma_mm, sigma_deg; direction; position_mm; pose_mm_deg: x, y, z, A, B, C with
@@ -14,7 +14,7 @@ R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -37,6 +37,8 @@ from .recording_csv import known_numbers
 
 SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
 """All lengths below a millimetre, or readings of more than a hundred metres, are a wrong unit [m]."""
+EACH = "*"
+"""Stands for the name of a station in the name of a table of points."""
 Words = Annotated[tuple[str, ...], Strict(False)]
 Floats = Annotated[tuple[float, ...], Strict(False)]
 
@@ -84,11 +86,14 @@ class SurveyTables:
     known : tuple of Known
     folder : Path
         Where the rig file stands, from which tables of points are named.
+    copies : mapping of Path to Path
+        Copies of tables of points, which are read instead of these.
     """
 
     sensors: tuple[SensorTable, ...]
     known: tuple[Known, ...]
     folder: Path
+    copies: Mapping[Path, Path] = field(default_factory=dict)
 
     def shots(
         self, stations: tuple[str, ...], station_column: str = ""
@@ -137,8 +142,12 @@ class SurveyTables:
         if table.topics or not table.points:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
-        path = self.folder / table.points
-        points, named = read_points(path, table.kind, stations, table.echo, station_column)
+        path, files = self.folder / table.points, self._files_of(table)
+        if not files:
+            example = path.name.replace("*", stations[0])
+            raise InputError("no such file", f"one a station, as {example} of the first", path)
+        there = {name: self.copies.get(one, one) for name, one in files.items()}
+        points, named = read_points(there, table.kind, stations, table.echo, station_column)
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
         with in_file(path):
@@ -147,18 +156,34 @@ class SurveyTables:
             shots = _shots(table, self.folder, points, LENGTHS[length], ANGLES[angle])
         return shots, f"{table.name} in {words}{f' and {more}' if turns else ''}"
 
-    def reading_from(self, copies: Mapping[Path, Path]) -> "SurveyTables":
-        """Return the same with tables of points read from copies of them, by the original."""
-        tables = []
-        for table in self.sensors:
-            copy = str(copies.get(self.folder / table.points, "")) if table.points else ""
-            tables.append(table.model_copy(update={"points": copy}))
-        return replace(self, sensors=tuple(tables))
+    def _files_of(self, table: SensorTable) -> dict[str, Path]:
+        """Return the tables of points of a sensor by the station that each is of; one of all by ""."""
+        path = self.folder / table.points
+        if EACH not in path.name:
+            return {"": path} if table.points else {}
+        before, _, after = path.name.partition(EACH)
+        inside = slice(len(before), -len(after) or None)
+        try:
+            names = sorted(one.name for one in path.parent.iterdir())
+        except OSError:
+            return {}
+        long = len(before) + len(after)
+        return {
+            name[inside]: path.parent / name
+            for name in names
+            if len(name) > long and name.startswith(before) and name.endswith(after)
+        }
 
     @property
     def files(self) -> tuple[Path, ...]:
         """The tables of points."""
-        return tuple(self.folder / table.points for table in self.sensors if table.points)
+        return tuple(one for table in self.sensors for one in self._files_of(table).values())
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """Folders into which further tables of points come, one a station."""
+        paths = [self.folder / table.points for table in self.sensors]
+        return tuple(path.parent for path in paths if EACH in path.name)
 
 
 class SurveyRig(FileRecord):
@@ -327,7 +352,7 @@ def _known(table: KnownTable) -> Known:
         "pose": ("pose_mm_deg", 1.0),
         "faces": ("faces", [1.0, 1.0, 1.0, MM]),
     }
-    called = {field: of_file[field] for field in RELATIONS[table.relation][2]}
+    called = {own: of_file[own] for own in RELATIONS[table.relation][2]}
     fields = [name for name, _ in called.values()]
     what = f"{table.relation} of {' and '.join(table.of)}"
     expected = f"{', '.join(fields[:-1])} and {fields[-1]}"
@@ -336,14 +361,14 @@ def _known(table: KnownTable) -> Known:
         if name not in ("relation", "of", *fields):
             raise InputError(f"{name} with {what}", expected)
     known: dict[str, Any] = {}
-    for field, (name, unit) in called.items():
+    for own, (name, unit) in called.items():
         if name not in stated:
             raise InputError(f"no {name} of {what}", expected)
-        if field == "pose" and len(stated[name]) != 6:
+        if own == "pose" and len(stated[name]) != 6:
             raise InputError(f"{name} of {len(stated[name])} numbers", "6: x, y, z, A, B, C")
-        if field == "faces" and any(len(face) != 4 for face in stated[name]):
+        if own == "faces" and any(len(face) != 4 for face in stated[name]):
             raise InputError("faces of a body that are not four numbers", "a normal and an offset")
-        known[field] = np.array(stated[name]) * unit
+        known[own] = np.array(stated[name]) * unit
     if "pose" in known:
         numbers, known["pose"] = known["pose"], np.eye(4)
         known["pose"][:3, 3] = numbers[:3] * MM

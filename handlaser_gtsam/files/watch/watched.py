@@ -148,7 +148,7 @@ def read_contents(
             readings=there.get(rig.log.readings),  # type: ignore[arg-type]  # None is none
             plane_file=there.get(rig.log.plane_file),  # type: ignore[arg-type]
         )
-        survey = None if rig.survey is None else rig.survey.reading_from(there)
+        survey = None if rig.survey is None else replace(rig.survey, copies=there)
         try:
             return read_any_kind(replace(rig, log=log, survey=survey), next(iter(copies)))
         except InputError as error:

@@ -78,8 +78,10 @@ class Calibrator:
             self._last = None
             return FileAnswer(error=str(error))
         beside = tuple(path for path in rig.log.files if path is not None)
-        beside += () if rig.survey is None else rig.survey.files
-        return replace(self._of_files(rig, mark, beside, settled), beside=beside)
+        folders: tuple[Path, ...] = ()
+        if rig.survey is not None:
+            beside, folders = (*beside, *rig.survey.files), rig.survey.folders
+        return replace(self._of_files(rig, mark, beside, settled), beside=(*beside, *folders))
 
     def _rig(self) -> tuple[Rig, bytes]:
         """Return what is known of sensors and logs, and what is another thing once it changes."""
