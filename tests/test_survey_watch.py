@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 from helpers import ROOT
+from test_survey_files import in_files
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.options import CalibrationOptions
@@ -54,6 +55,25 @@ def test_a_survey_is_calibrated_again_as_it_grows(folder):
     assert result["sensors"][0]["location_m"] == pytest.approx(found.location)
     # What beams have and surveys have not is taken away.
     assert json.loads(answer.messages["section:systematic"])["html"] == ""
+
+
+@pytest.mark.slow
+def test_files_of_points_that_come_one_by_one_are_seen(folder):
+    in_files(folder, "scans/scan_*.csv")
+    last = folder / "scans" / "scan_P24.csv"
+    text = last.read_text()
+    last.unlink()
+    one, watched = calibrator(folder), Watched(folder / "poses.csv", folder / "rig.toml")
+    answer = one.answer(settled=True)
+    assert len(answer.beside) == 24  # of 23 stations, and the folder
+    assert json.loads(answer.messages["result"])["sensors"][0]["shots"] == 23
+    before = watched.fingerprint(answer.beside)
+    last.write_text(text)
+    assert watched.fingerprint(answer.beside) != before
+    answer = one.answer(settled=True)
+    assert json.loads(answer.messages["result"])["sensors"][0]["shots"] == 24
+    last.write_text("x,z\n1,word\n")
+    assert one.answer(settled=True).error.startswith(f"{last}, line 2")
 
 
 @pytest.mark.slow
