@@ -58,10 +58,10 @@ def judge_solvable(seed: int) -> Verdict:
     origins = readings.plane_means(readings.world_t_hand)
     truth = problem.true_parameters().seen_from(origins)
     best = settle(readings.seen_from(origins), truth, noise, options).finished().chi2
-    if any(warning.code == "far-beam" for warning in found.warnings):
-        same = found.fit.chi2 <= best + SAME_CHI2
+    far = any(warning.code == "far-beam" for warning in found.warnings)
+    if found.status != "converged" and far and found.fit.chi2 <= best + SAME_CHI2:
         outcome = "global optimum, with a beam farther off than a hand reaches: refused"
-        return Verdict(seed, problem.kind, outcome, same, seconds)
+        return Verdict(seed, problem.kind, outcome, True, seconds)
     if found.status != "converged":
         return Verdict(seed, problem.kind, f"refused as {found.status}", False, seconds)
     if found.fit.chi2 > best + SAME_CHI2:

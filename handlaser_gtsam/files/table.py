@@ -1,9 +1,9 @@
-"""Tables of text: a header and one row a line, taken apart without any guess.
+"""Tables of text: a header and one row a line, whose cells are taken apart without any guess.
 
-Every line that is not blank becomes one row, and every row has exactly the cells of the header: no
-parser stands between the two that could join, drop or pad them. A cell in quotes begins and ends with
-its quotes on one line, and quotes inside are doubled; any other quote is refused, since it would
-swallow what follows it.
+Separator and header are found in the first lines. Every further line that is not blank becomes one
+row, and every row has exactly the cells of the header: no parser stands between the two that could
+join, drop or pad them. A cell in quotes begins and ends with its quotes on one line, and quotes inside
+are doubled; any other quote is refused, since it would swallow what follows it.
 """
 
 import re

@@ -238,7 +238,10 @@ def _going_together(fit: Fit) -> float:
 def rival_warnings(
     used: Readings, solution: Solution, joint: JointCovariance | None, names: BeamAndPlaneNames
 ) -> Iterator[CalibrationWarning]:
-    """Yield a warning of every mount that is nearly as probable, and not within what is stated."""
+    """Yield warnings of mounts that are nearly as probable, and not within what is stated.
+
+    One of a beam, of the beams for which they are most probable.
+    """
     if joint is None or solution.at.loss != GAUSSIAN:
         return
     if not solution.observability.full or solution.redundancy <= 0:

@@ -1,4 +1,4 @@
-"""All flat figures of a calibration of beams, in the order of the report.
+"""All flat figures of a calibration of beams; `sections.html.j2` places them, with their captions.
 
 A further one is a line of `flat_figures`. `page` adds the scenes, and `survey_figures` has the figures
 of surveys.
