@@ -467,10 +467,15 @@ def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser):
     assert len(files) == 24
     assert hl.read_rig(rig).survey.folders == (folder / "scans",)
     (folder / "scans" / "scan_P3.csv").rename(folder / "scans" / "scan_P003.csv")
+    (folder / "scans" / "scan_P4.csv").write_text("")  # the sensor saw nothing
     poses = folder / "poses.csv"
     poses.write_text(re.sub(r"^P(\d+),", r"\1,", poses.read_text(), flags=re.MULTILINE))
     rig.write_text(rig.read_text().replace("scan_*.csv", "scan_P*.csv"))
     assert handlaser(*given)[0] == 0
+    shutil.copy(folder / "scans" / "scan_P5.csv", folder / "scans" / "scan_P05.csv")
+    code, _, err = handlaser(*given)
+    assert code == 2
+    assert "another file of station 5" in err
 
 
 @pytest.mark.parametrize(
@@ -479,6 +484,8 @@ def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser):
         ("scan_P3.csv", "scan_Q3.csv", "station 'Q3'"),
         ("scan_*.csv", "scn_*.csv", "one a station, as scn_P1.csv"),
         ("x,z", "x_mm,z", "one unit in all files"),
+        ("x,z", "station,x,z", "station 'P4' in the file of P3"),
+        ("scan_*.csv", "s*_*.csv", "one *, in the name of the file"),
     ],
 )
 def test_a_wrong_file_of_points_a_station_is_refused_in_one_line(
@@ -491,7 +498,10 @@ def test_a_wrong_file_of_points_a_station_is_refused_in_one_line(
         (folder / old).rename(folder / new)
     else:
         one = folder / "scan_P3.csv"
-        one.write_text(one.read_text().replace(old, new, 1))
+        rows = one.read_text().replace(old, new, 1).splitlines()
+        if new.startswith("station"):
+            rows[1:] = [f"P4,{row}" for row in rows[1:]]
+        one.write_text("\n".join(rows))
     code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
     assert (code, out) == (2, "")
     assert words in err

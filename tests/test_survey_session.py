@@ -1,5 +1,7 @@
 """A survey that grows target by target, against the calibration of the same stations at once."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -110,10 +112,16 @@ def test_what_contradicts_what_is_there_changes_nothing():
         survey.stations.plane_labels,
         names,
     )
-    with pytest.raises(InputError, match="other noise"):
+    with pytest.raises(InputError, match="sigma"):
         session.add(hl.Survey(stations, (louder,)))
     with pytest.raises(InputError, match="no station of"):
         session.remove("sphere:none")
+    with pytest.raises(InputError, match="label"):
+        session.remove(3)
+    with pytest.raises(InputError, match="shape"):
+        survey.part(np.ones(2, dtype=bool))
+    with pytest.raises(InputError, match="incidence"):
+        hl.SurveySession(hl.Noise(incidence_sigma=1e-4))
     assert session.calibration is before
 
 
@@ -127,3 +135,68 @@ def test_relations_come_and_go_with_their_targets():
     assert stated.part(labels != sphere).known == ()
     joined = stated.part(labels != sphere).joined(stated.part(labels == sphere))
     assert joined.known == (known,)
+
+
+def test_relations_between_targets_count_as_soon_as_all_are_there():
+    rig = rigs.GENERATORS["rays"].profiler(0, planes=3)
+    survey = rigs.survey_of(rig, [])
+    names, labels = targets_of(survey)
+    normals = [rig.truth["targets"][name]["normal"] for name in names[:2]]
+    angle = float(np.arccos(normals[0] @ normals[1]))
+    known = hl.Known("angle", tuple(names[:2]), angle, 0.0, 1e-4)
+    session = hl.SurveySession(known=[known])
+    counted = [
+        len(session.add(survey.part(labels == name)).calibration.relations) for name in names
+    ]
+    assert counted == [0] + [1] * (len(names) - 1)
+    assert session.remove(names[0]).calibration.relations == ()
+    assert len(session.add(survey.part(labels == names[0])).calibration.relations) == 1
+    whole = hl.calibrate(hl.Survey(survey.stations, survey.shots, known=(known,)))
+    assert_alike(session.calibration, whole)
+
+
+def test_a_body_that_comes_face_by_face_is_one():
+    rig = rigs.GENERATORS["rays"].profiler(0, targets="body")
+    survey = rigs.survey_of(rig, rigs.body_of(rig))
+    names, labels = targets_of(survey)
+    session = hl.SurveySession(known=survey.known)
+    for name in names:
+        session.add(survey.part(labels == name))
+    (body,) = session.survey.known
+    assert set(body.of) == set(survey.known[0].of)
+    assert_alike(session.calibration, hl.calibrate(survey))
+
+
+def test_cones_beside_a_profiler_may_come_after_it():
+    """Parts in which no cone reads anything have none, and their half angle comes with the others."""
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, planes=3), [])
+    names, labels = targets_of(survey)
+    ranges = np.full((len(labels), 1), np.nan)
+    ranges[labels == names[1]] = 0.3
+    both = hl.Survey(survey.stations, survey.shots, ranges, beam_names=("cone",), half_angle=0.2)
+    parts = [both.part(labels == name) for name in names]
+    assert [part.half_angle for part in parts[:2]] == [0.0, 0.2]
+    joined = parts[0].joined(parts[1])
+    assert (joined.half_angle, joined.beam_names) == (0.2, ("cone",))
+
+
+@pytest.mark.parametrize(
+    "seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))]
+)
+def test_gross_readings_of_a_ball_are_found_where_each_reading_counts_by_itself(seed):
+    """Seven zones of an array see a ball, and three of a hundred read 30 mm more."""
+    rig = rigs.GENERATORS["rays"].array(seed, targets="spheres")
+    survey = rigs.survey_of(rig, [])
+    rng, shots = np.random.default_rng(seed), survey.shots[0]
+    kept = np.zeros(len(shots.reading), dtype=bool)
+    for station in np.unique(shots.station):
+        kept[rng.permutation(np.flatnonzero(shots.station == station))[:7]] = True
+    few = shots.part(kept)
+    reading = few.reading + 0.03 * (rng.random(len(few.reading)) < 0.03)
+    spoilt = replace(survey, shots=(replace(few, reading=reading),))
+    result = hl.calibrate(spoilt)
+    assert result.status == "converged"
+    assert 3 < len(result.rejected) < 7
+    (sensor,) = result.sensors.values()
+    off = np.abs(sensor.location - rigs.truth_of(rig, sensor.name)[:3, 3])
+    assert (off < 4.0 * sensor.location_sigma).all()

@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..data.noise import Noise
@@ -78,7 +79,7 @@ def plane_by_plane(
     return result, session.recording(), _table(rows), comparison
 
 
-def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, Table, str]:
+def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, Table, Comparison]:
     """Feed a survey to a session target by target, then calibrate all of it at once.
 
     Returns
@@ -87,8 +88,8 @@ def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, T
         Of all stations at once.
     taught : Table
         What every target taught of the mounts, and how their standard deviations fell.
-    comparison : str
-        How far target by target and all at once are apart.
+    comparison : Comparison
+        How far target by target and all at once are apart; NaN where one of them has not converged.
 
     Raises
     ------
@@ -96,7 +97,8 @@ def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, T
         As `SurveySession` and `calibrate` do.
     """
     labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
-    session, rows, names = SurveySession(noise), [], list(dict.fromkeys(labels.tolist()))
+    session, rows = SurveySession(noise, survey.known), []
+    names = list(dict.fromkeys(labels.tolist()))
     for index, name in enumerate(names):
         tell("planes", index, len(names), name)
         part = survey.stations_read() & (labels == name)
@@ -112,22 +114,24 @@ def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, T
             _row(name, update.information, sigma, rejected, update.message if waits else "")
         )
     tell("planes", len(names), len(names), "all at once")
-    result, last, words = calibrate(survey, noise), session.calibration, ""
-    if last is not None and last.status == result.status == "converged":
-        rows.append(_row("result", None, _sigmas_of(result), len(result.rejected), ""))
-        off = [
-            np.abs(last.sensors[name].location - one.location) / one.location_sigma
-            for name, one in result.sensors.items()
-        ]
-        off += [
-            np.abs(last.beams[name].location - one.location) / one.location_sigma
-            for name, one in result.beams.items()
-        ]
-        words = (
-            "target by target and all at once agree to "
-            f"{max(float(one.max()) for one in off):.2g} standard deviations"
-        )
-    return result, _table(rows, "target"), words
+    result, last = calibrate(survey, noise), session.calibration
+    if last is None or not last.status == result.status == "converged":
+        return result, _table(rows, "target"), Comparison(np.nan, np.nan)
+    rows.append(_row("result", None, _sigmas_of(result), len(result.rejected), ""))
+    off = []
+    for name, sensor in result.sensors.items():
+        mine = last.sensors[name]
+        turn = Rotation.from_matrix(sensor.rotation.T @ mine.rotation).as_rotvec()
+        off += [*(mine.location - sensor.location) / sensor.location_sigma]
+        off += [*turn / sensor.rotation_sigma]
+    for name, beam in result.beams.items():
+        mine_beam = last.beams[name]
+        off += [*(mine_beam.location - beam.location) / beam.location_sigma]
+        off += [*(mine_beam.direction - beam.direction) / beam.direction_sigma]
+    order = {name: i for i, name in enumerate((*last.sensors, *last.beams))}
+    sigmas = _sigmas_of(last)[[order[name] for name in (*result.sensors, *result.beams)]]
+    apart = float(np.abs(sigmas / _sigmas_of(result) - 1.0).max())
+    return result, _table(rows, "target"), Comparison(float(np.abs(off).max()), apart)
 
 
 def _sigmas_of(found: SurveyCalibration) -> FloatArray:
@@ -168,10 +172,12 @@ def _row(
     return text(name), *sizes, text(str(rejected or "")), text(remark)
 
 
-def comparison_line(comparison: Comparison) -> str:
-    """Say how far plane by plane and all at once are apart."""
+def comparison_line(comparison: Comparison, what: str = "plane") -> str:
+    """Say how far plane by plane, or target by target, and all at once are apart."""
+    if np.isnan(comparison.largest):
+        return f"{what} by {what} and all at once cannot be compared: one has not converged"
     return (
-        f"plane by plane and all at once agree to {comparison.largest:.2g} standard deviations; the "
+        f"{what} by {what} and all at once agree to {comparison.largest:.2g} standard deviations; the "
         f"standard deviations agree to {IN_PERCENT * comparison.largest_sigma:.2g} %"
     )
 

@@ -67,15 +67,18 @@ def survey_answer(
     from ..files.survey_json import survey_text
     from ..files.writing import require_outputs, write_text
     from ..pipeline import calibrate
+    from ..quantities import SAME_OPTIMUM
     from ..results.survey import survey_limits
 
     tables = () if rig.survey is None else rig.survey.files
     require_outputs({"--out": output.out, "--report": output.report}, (path, *tables))
-    taught, compared = None, ""
+    taught, compared, largest = None, list[str](), 0.0
     if incremental:
-        from .incremental import target_by_target
+        from .incremental import comparison_line, target_by_target
 
-        result, taught, compared = target_by_target(survey, rig.noise)
+        result, taught, comparison = target_by_target(survey, rig.noise)
+        compared = [comparison_line(comparison, "target")]
+        largest = comparison.largest
     else:
         result = calibrate(survey, rig.noise)
     text, checks = survey_text(result), survey_limits(result, rig.limits)
@@ -86,11 +89,14 @@ def survey_answer(
 
         page = survey_report(result, survey, path.name, output.report_date or "", checks)
         write_text(output.report, page)
-    after = [compared] if compared else []
-    after += [*_read_lines(survey), *wrote(output.out, output.report)]
+    after = [*compared, *_read_lines(survey), *wrote(output.out, output.report)]
     lines = _lines(result, checks, taught, after)
     warnings = result.warnings if output.json_ or output.quiet else ()
-    return Answer(text, lines, warnings, _failure(result, checks))
+    failure = _failure(result, checks)
+    if largest > SAME_OPTIMUM:
+        found = f"target by target is {largest:.2g} standard deviations from all at once"
+        failure = UNDETERMINED, f"{found}; expected the same optimum: do not use this calibration"
+    return Answer(text, lines, warnings, failure)
 
 
 def survey_check(survey: "Survey", rig: "Rig") -> Answer:

@@ -153,20 +153,10 @@ class Shots(Value):
         InputError
             Another sensor, or the same one with other noise, errors or convention.
         """
-        if (
-            replace(
-                self,
-                station=other.station,
-                across=other.across,
-                reading=other.reading,
-                before=other.before,
-            )
-            != other
-        ):
-            found = (
-                f"{other.name} as another kind of sensor, or with other noise, after {self.name}"
-            )
-            raise InputError(found, "the same of a sensor in both surveys")
+        for name in ("name", "kind", "sigma", "sigma_across", "free", "convention"):
+            if getattr(self, name) != getattr(other, name):
+                found = f"{name} {getattr(other, name)} of {other.name} after {getattr(self, name)}"
+                raise InputError(found, "the same of a sensor in both surveys")
         before = None
         if self.before is not None or other.before is not None:
             before = np.concatenate(
@@ -490,6 +480,10 @@ class Survey(Value):
         InputError
             Nothing was read there.
         """
+        stations = np.asarray(stations, dtype=bool)
+        if stations.shape != (len(self.stations),) or not (stations & self.stations_read()).any():
+            found = f"a choice of stations of shape {stations.shape} in which nothing was read"
+            raise InputError(found, f"({len(self.stations)},) of bool, and readings at some")
         number, shots = np.cumsum(stations) - 1, []
         for one in self.shots:
             kept = stations[one.station]
@@ -508,6 +502,7 @@ class Survey(Value):
             ranges=ranges,
             beam_names=names,
             known=(),
+            half_angle=self.half_angle if names else 0.0,
         )
         there = part.variables()
         of_these = [known.among(there) for known in self.known]
@@ -521,7 +516,9 @@ class Survey(Value):
         InputError
             A station of both, or different words of one sensor, of the aiming, or of the beams.
         """
-        for name in ("aiming_sigma", "half_angle", "linearity"):
+        of_beams = self if self.beam_names else other
+        both = bool(self.beam_names and other.beam_names)
+        for name in ("aiming_sigma", *(("half_angle", "linearity") if both else ())):
             if getattr(self, name) != getattr(other, name):
                 given = f"{name} = {getattr(other, name)} after {getattr(self, name)}"
                 raise InputError(given, "the same in both surveys")
@@ -553,8 +550,10 @@ class Survey(Value):
             ranges=ranges,
             beam_names=names,
             known=(*self.known, *(one for one in other.known if one not in self.known)),
+            half_angle=of_beams.half_angle,
+            linearity=of_beams.linearity,
             lines=tuple(dict.fromkeys((*self.lines, *other.lines))),
-            warnings=(*self.warnings, *other.warnings),
+            warnings=(*self.warnings, *(w for w in other.warnings if w not in self.warnings)),
         )
 
 

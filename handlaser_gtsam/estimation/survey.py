@@ -40,7 +40,7 @@ from .survey_rows import (
     priors_of,
     relations_of,
     rows_of,
-    with_steep,
+    without_grazing,
 )
 from .survey_sorting import OF_OTHERS, of_others, slackness, sortable, sorted_again
 from .survey_starts import TRIMMED, start_beside, start_of
@@ -215,28 +215,32 @@ class SurveyState:
     def minimize(self, iterations: int | None = None) -> bool:
         """Go to the minimum of what counts, or so many steps towards it; tell whether there is one.
 
-        Single readings that graze or miss their sphere do not count: which these are, the minimum says.
-        Readings of a sphere have the square of its radius only: it is taken above zero.
+        Where a single reading that grazes or misses its sphere ends the search, such readings do not
+        count. Readings of a sphere have the square of its radius only: it is taken above zero.
         """
-        for _ in range(MOST_GRAZING_ROUNDS):
-            self.used = self.used & ~grazing(self.rows)
-            problem, _ = self.problem()
-            blocks, again = list(problem.blocks), None
+        self.used = self.used & ~grazing(self.rows)
+        problem, _ = self.problem()
+        blocks = list(problem.blocks)
+
+        def ended(values: dict[str, FloatArray]) -> dict[str, FloatArray] | None:
             if iterations is None:
-                again = minimum(problem, blocks, self.values)
-            else:
-                again = descended(problem, blocks, self.values, iterations)
-            if again is not None and (again.get(SPHERE.name, NO_SPHERE)[..., 3] < 0.0).any():
-                again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
-                again = minimum(problem, blocks, again)
-            if again is not None:
-                self.values = again
-            rows = with_steep(self.rows, self.values)
-            if rows is None:
-                break
-            self.used = self.used | (grazing(self.rows) & ~grazing(rows))
-            self.rows = rows
-        return again is not None
+                return minimum(problem, blocks, values)
+            return descended(problem, blocks, values, iterations)
+
+        again = ended(self.values)
+        if again is None:
+            fewer = without_grazing(self.rows, self.values)
+            if fewer is None:
+                return False
+            self.rows = fewer
+            return self.minimize(iterations)
+        if (again.get(SPHERE.name, NO_SPHERE)[..., 3] < 0.0).any():
+            again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
+            again = ended(again)
+        if again is None:
+            return False
+        self.values = again
+        return True
 
     def _held(self) -> Iterator[Block]:
         """Yield what holds bodies along what their faces leave open."""
@@ -590,7 +594,26 @@ def _settle_sorted(state: SurveyState) -> bool:
             break
         state.rows, state.used = again
         state.inside = _inside(state.rows)
-    return _settle(state)
+    return _settle(state) and _settle_grazing(state)
+
+
+def _settle_grazing(state: SurveyState) -> bool:
+    """Let those single readings of spheres count that meet them steeply where all has settled.
+
+    On the way readings were left out that grazed a sphere there; which do at the end must not depend on
+    the way. What settles no more stays as it was.
+    """
+    for _ in range(MOST_GRAZING_ROUNDS):
+        rows = without_grazing(state.rows, state.values, anew=True)
+        if rows is None:
+            break
+        back = grazing(state.rows) & ~grazing(rows)
+        trial = replace(state, rows=rows, used=state.used | back, values=dict(state.values))
+        if not _settle(trial):
+            break
+        state.rows, state.used = trial.rows, trial.used
+        state.values, state.sizes = trial.values, trial.sizes
+    return True
 
 
 def _by_hand(state: SurveyState) -> float:

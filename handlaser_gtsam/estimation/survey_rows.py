@@ -243,15 +243,16 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
     return [(f"plane:{name}.left", rows[: cut - 1]), (f"plane:{name}.right", rows[cut + 1 :])]
 
 
-def with_steep(rows: Rows, values: Values) -> Rows | None:
-    """Return the rows with those single readings that meet their sphere steeply; None for no change.
+def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows | None:
+    """Return the rows without single readings that graze or miss their sphere; None for no change.
 
     These are readings of beams, and of shots with few readings, whose own shape does not say which of
-    them graze. Near the minimum one whose ray just misses the sphere ends the search.
+    them graze. Near the minimum one whose ray just misses the sphere ends the search. Those that were
+    left out before count again only where all are judged `anew`.
     """
     items = list(rows.items)
     for i, item in enumerate(items):
-        if item.target[0] != SPHERE.name:
+        if item.target[0] != SPHERE.name or (item.grazing and not anew):
             continue
         if item.shot is None:
             grazing = _grazes(item, values)
@@ -259,7 +260,8 @@ def with_steep(rows: Rows, values: Values) -> Rows | None:
                 items[i] = replace(item, grazing=grazing)
             continue
         assert item.points is not None
-        shot, points = item.whole or (item.shot, item.points)
+        whole = item.whole or (item.shot, item.points)
+        shot, points = whole if anew else (item.shot, item.points)
         if not of_single_readings(shot):
             continue
         sensor, rays = values[SENSOR.name][0, item.member], shot.rays
@@ -273,7 +275,7 @@ def with_steep(rows: Rows, values: Values) -> Rows | None:
         steep = np.linalg.norm(hits.covector, axis=0)[0, 0] < MOST_SLANTED
         steep &= ~hits.impossible[0, 0]
         if steep.any() and not np.array_equal(points[steep], item.points):
-            some, whole = some_of(shot, steep), (shot, points)
+            some = some_of(shot, steep)
             items[i] = replace(item, shot=some, points=points[steep], whole=whole)
     same = all(one is other for one, other in zip(items, rows.items, strict=True))
     return None if same else replace(rows, items=tuple(items))

@@ -50,6 +50,8 @@ RADII = (1.0, 1.02, 1.06, 1.12, 1.25, 1.5)
 """An unknown radius is tried at these times the second largest circle of the shots."""
 RANDOM = 300
 """Random mounts that are tried where nothing else leads to a good fit."""
+MOST_STEPS = 60
+"""Steps of a search from all starts of a sensor or beam; most have arrived within twenty."""
 POOR = 25.0
 """A mean square misfit beyond this [squared standard deviations] is no good fit."""
 TRIMMED = 0.75
@@ -76,10 +78,10 @@ def start_of(
         own = [item for item in rows.items if (item.family, item.member) == entity]
         candidates = [from_planes[entity]] if entity in from_planes else []
         candidates += _others(rows, entity, own)
-        found = _searched(rows, entity, own, candidates, sigmas)
+        found = _searched(rows, entity, own, candidates, sigmas, thorough=last_resort)
         poor = found is None or found[1] > POOR
         if last_resort and entity[0] == SENSOR.name and poor:
-            more = _searched(rows, entity, own, _random_mounts(), sigmas)
+            more = _searched(rows, entity, own, _random_mounts(), sigmas, thorough=True)
             if more is not None and (found is None or more[1] < found[1]):
                 found = more
         if found is not None:
@@ -451,6 +453,8 @@ def _searched(
     own: Sequence[Item],
     candidates: Sequence[FloatArray],
     sigmas: Mapping[tuple[str, int], float],
+    *,
+    thorough: bool,
 ) -> tuple[FloatArray, float, dict[tuple[str, int], FloatArray]] | None:
     """Return one sensor or beam at its best minimum, how well it fits, and its targets."""
     if not candidates:
@@ -473,12 +477,13 @@ def _searched(
     every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
     task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
-    ended = search(task, values, LevenbergOptions(FIRST_STEPS, least_damping=SINGULAR))
-    promising = np.argsort(ended.cost, kind="stable")[: max(FINALISTS, K // 4)]
-    values = {name: x if len(x) == 1 else x[promising] for name, x in ended.values.items()}
-    ended = search(
-        task.picked(promising), values, LevenbergOptions(LAST_STEPS, least_damping=SINGULAR)
-    )
+    steps = MOST_STEPS if thorough else FIRST_STEPS
+    ended = search(task, values, LevenbergOptions(steps, least_damping=SINGULAR))
+    if not thorough:  # the promising ones to the end
+        some = np.argsort(ended.cost, kind="stable")[: max(FINALISTS, K // 4)]
+        values = {name: x if len(x) == 1 else x[some] for name, x in ended.values.items()}
+        options = LevenbergOptions(LAST_STEPS, least_damping=SINGULAR)
+        ended = search(task.picked(some), values, options)
     of = unknowns_of(rows.counts(), unknown)
     best: tuple[float, int] | None = None
     for k in np.flatnonzero(np.isfinite(ended.cost)).tolist():

@@ -67,18 +67,33 @@ def read_points(
     place = {name: i for i, name in enumerate(stations)}
     parts: list[Points] = []
     units: dict[str, str] = {}
-    for name, path in files.items():
+    seen: dict[str, Path] = {}
+    for own, path in files.items():
+        name = _station_of(own, place)
+        if name in seen:
+            raise InputError(f"another file of station {name}: {seen[name].name}", "one", path)
+        seen[name] = path
+        if name and path.is_file() and not path.stat().st_size:
+            continue  # the sensor saw nothing there
         points, named = _read_table(path, kind, place, name, echo, station_column)
         if parts and named != units:
             found = f"columns in {_words(named)}, after others in {_words(units)}"
             raise InputError(found, "one unit in all files", path)
         parts.append(points)
         units = named
-    station, numbers, before = (np.concatenate(column) for column in zip(*parts, strict=True))
-    if not len(station):
+    if parts:
+        station, numbers, before = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if not parts or not len(station):
         expected = f"rows with {', '.join(COLUMNS[kind])}"
         raise InputError("no reading at all", expected, next(iter(files.values())))
     return (station, numbers, before), units
+
+
+def _station_of(name: str, place: Mapping[str, int]) -> str:
+    """Return the station that a file is of: of its own name, or of the same number."""
+    if name in place or not name.isdigit():
+        return name
+    return next((one for one in place if one.isdigit() and int(one) == int(name)), name)
 
 
 def _words(units: Mapping[str, str]) -> str:
@@ -98,9 +113,11 @@ def _read_table(
         raise table.fault(found_so, f"{', '.join(wanted)} of kind = {shown(kind)}", wanted[0])
     found = [_column(table, one) for one in wanted]
     if name:
-        # P01 of a file may be P01 of the log, and 07 may be 7.
-        own = name if name in place else name.lstrip("0")
-        names, column = pl.Series([own]).new_from_index(0, len(table.frame)), None
+        names, column = pl.Series([name]).new_from_index(0, len(table.frame)), None
+        inside = [one for one in table.frame.columns if plain(one) == "station"]
+        for one in table.frame.select(inside).cast(pl.String).unpivot()["value"].unique():
+            if one is not None and _station_of(one, place) != name:
+                raise InputError(f"station {shown(one)} in the file of {name}", "one", path)
     else:
         column = station_column
         if not column or column not in table.frame.columns:

@@ -143,10 +143,16 @@ class SurveyTables:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
         path, files = self.folder / table.points, self._files_of(table)
+        if table.points.count(EACH) > path.name.count(EACH) or path.name.count(EACH) > 1:
+            raise InputError(
+                f"points = {shown(table.points)}", f"one {EACH}, in the name of the file"
+            )
         if not files:
             example = path.name.replace("*", stations[0])
             raise InputError("no such file", f"one a station, as {example} of the first", path)
-        there = {name: self.copies.get(one, one) for name, one in files.items()}
+        there = files
+        if self.copies:  # a file that has come since is of the next look
+            there = {name: self.copies[one] for name, one in files.items() if one in self.copies}
         points, named = read_points(there, table.kind, stations, table.echo, station_column)
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}

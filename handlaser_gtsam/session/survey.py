@@ -6,13 +6,14 @@ result is that of all stations at once, and takes less time, because no start is
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..checks import require_kind
 from ..data.noise import Noise
-from ..data.survey import Survey, normal_label
+from ..data.survey import Known, Survey, normal_label
 from ..data.value import Value
 from ..errors import InputError
 from ..model.families import BEAM
@@ -31,7 +32,8 @@ class SurveyUpdate(Value):
         Labels whose stations came, or left.
     information : float
         Gain of information on all mounts [nats]: half the growth of the logarithm of the determinant
-        of their information; NaN where they were or are not determined.
+        of their information, below zero where a target leaves. NaN for the first calibration, where
+        another sensor came or left, and where mounts were or are not determined.
     calibration : SurveyCalibration or None
         Of all stations so far; None where nothing leads to a start yet.
     message : str
@@ -52,19 +54,28 @@ class SurveySession:
     Parameters
     ----------
     noise : Noise, optional
-        As for `calibrate`; one pose covariance for all stations.
+        As for `calibrate`; one pose covariance for all stations. A range sigma counts once there are
+        single beams.
+    known : sequence of Known
+        Relations that count whenever all that they are of is there: a survey can state only those of
+        its own targets.
 
     Raises
     ------
     InputError
-        A pose covariance a station.
+        A pose covariance a station, or an incidence sigma.
     """
 
-    def __init__(self, noise: Noise | None = None) -> None:
+    def __init__(self, noise: Noise | None = None, known: Sequence[Known] = ()) -> None:
         self.noise = Noise() if noise is None else noise
         require_kind("noise", self.noise, Noise)
+        for one in known:
+            require_kind("known", one, Known)
+        if self.noise.incidence_sigma:
+            raise InputError("an incidence sigma with surveys", "it with beams before planes only")
         if self.noise.pose_covariance is not None and self.noise.pose_covariance.ndim == 3:
             raise InputError("a pose covariance a station", "one for all stations to come")
+        self._known = tuple(known)
         self._survey: Survey | None = None
         self._calibration: SurveyCalibration | None = None
 
@@ -96,33 +107,44 @@ class SurveySession:
         """
         require_kind("survey", survey, Survey)
         whole = survey if self._survey is None else self._survey.joined(survey)
+        # Of a relation that is known as a whole, a part of a survey states what is of its own targets.
+        there = survey.variables()
+        parts = [one.among(there) for one in self._known]
+        new = tuple(one for one in survey.known if one not in parts)
         labels = dict.fromkeys(map(normal_label, survey.stations.plane_labels))
-        return self._changed(whole, tuple(labels))
+        return self._changed(whole, tuple(labels), (*self._known, *new))
 
     def remove(self, label: str) -> SurveyUpdate:
-        """Remove the stations of a target.
+        """Remove the stations of a target; what is known of it counts again when it comes back.
 
         Raises
         ------
         InputError
             It has none, or no reading is left without them.
         """
+        require_kind("label", label, str)
         labels = np.array([normal_label(one) for one in self.survey.stations.plane_labels])
         gone = labels == normal_label(label)
         if not gone.any():
             raise InputError(f"no station of {label!r}", f"one of {', '.join(sorted(set(labels)))}")
         if gone.all():
             raise InputError(f"{label!r}, before which all stations stand", "one target of several")
-        return self._changed(self.survey.part(~gone), (normal_label(label),))
+        return self._changed(self.survey.part(~gone), (normal_label(label),), self._known)
 
-    def _changed(self, survey: Survey, targets: tuple[str, ...]) -> SurveyUpdate:
+    def _changed(
+        self, survey: Survey, targets: tuple[str, ...], known: tuple[Known, ...]
+    ) -> SurveyUpdate:
+        there = survey.variables()
+        now = [one.among(there) for one in known]
+        survey = replace(survey, known=tuple(one for one in now if one is not None))
+        noise = self.noise if survey.beam_names else replace(self.noise, range_sigma=None)
         before, calibration = self._calibration, None
         try:
-            calibration = calibrate_survey(survey, self.noise, before)
+            calibration = calibrate_survey(survey, noise, before)
             message = calibration.message
         except InputError as error:
             message = str(error)
-        self._survey, self._calibration = survey, calibration
+        self._survey, self._calibration, self._known = survey, calibration, known
         return SurveyUpdate(targets, _gain(before, calibration), calibration, message)
 
 
