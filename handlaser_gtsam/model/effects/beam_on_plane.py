@@ -21,12 +21,6 @@ def members(stations: SeenStations) -> OnPlanes:
 
 BEAM_ON_PLANE = Effect(
     code="beam-on-plane",
-    phrase="a bias of {size} of {subject}",
-    remedy="check the surface of that plane under the beam, or remove these readings",
-    reveal="add a plane of the same surface",
-    confounded="the offset of the plane or the location of the beam: it takes two beams that see the "
-    "same two planes",
-    anywhere="one beam on one plane",
     members=members,
     of_sensor={
         "triangulation": 0.002,
