@@ -97,21 +97,6 @@ class Share:
     derivatives: gtsam.JacobianVector
 
 
-@dataclass(frozen=True, slots=True)
-class _Variables:
-    """What the values hold: R, t a row; the others a variable, with GTSAM's tangent bases."""
-
-    R: FloatArray
-    t: FloatArray
-    r: FloatArray
-    v: FloatArray
-    v_basis: FloatArray
-    k: FloatArray
-    n: FloatArray
-    n_basis: FloatArray
-    b: FloatArray
-
-
 class SharedEvaluation:
     """Evaluates the blocks of a graph together.
 
@@ -155,67 +140,44 @@ class SharedEvaluation:
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
-        now = self._variables(values)
-        rows = len(self.distance)
-        jacobian = np.empty((POSE_COLUMNS.stop if self._posed.size else PLANE_COLUMNS.stop, rows)).T
-        residual = np.empty(rows)
-        for first in range(0, rows, SLAB):
-            self._fill(residual, jacobian, slice(first, min(first + SLAB, rows)), now)
+        directions = [values.atUnit3(key).point3() for key in self.directions]
+        planes = [values.atOrientedPlane3(key).planeCoefficients() for key in self.planes]
+        r = np.array([values.atPoint3(key) for key in self.locations])
+        k, (R, t) = self._range_errors(values), self._hand_poses(values)
+        v, plane = np.array(directions), np.array(planes)
+        n, b = plane[:, :3], plane[:, 3]
+        basis = model.tangent_basis(np.concatenate((v, n)))
+        v_basis, n_basis = basis[: len(v)], basis[len(v) :]
+        size, with_pose = len(self.distance), bool(self._posed.size)
+        jacobian = np.empty((POSE_COLUMNS.stop if with_pose else PLANE_COLUMNS.stop, size)).T
+        residual = np.empty(size)
+        for first in range(0, size, SLAB):
+            rows = slice(first, min(first + SLAB, size))
+            of_direction, of_plane = self.direction_of[rows], self.plane_of[rows]
+            x = model.Scene(
+                R[rows],
+                t[rows],
+                gathered(r, self.location_of[rows]),
+                gathered(v, of_direction),
+                gathered(n, of_plane),
+                b.take(of_plane),
+                gathered(k, self.range_error_of[rows]),
+            )
+            linear = model.linearize(x, self.measured[rows], with_pose=with_pose)
+            residual[rows], J = linear.residual, jacobian[rows]
+            J[:, LOCATION], J[:, RANGE_ERROR] = linear.location, linear.range_error
+            for by, tangents, columns in (
+                (linear.direction, gathered(v_basis, of_direction), DIRECTION),
+                (linear.normal, gathered(n_basis, of_plane), NORMAL_COLUMNS),
+            ):
+                np.einsum("ni,nij->nj", by, tangents, out=J[:, columns])
+            J[:, OFFSET_COLUMN] = linear.offset
+            if with_pose:
+                J[:, POSE_COLUMNS] = linear.pose
         if not np.isfinite(residual).all():
             raise SolverError("residual of a range factor is not finite; expected finite values")
         white = residual if self.whitening is None else self.whitening.apply(residual)
         return Evaluation(residual, jacobian, white)
-
-    def _variables(self, values: gtsam.Values) -> _Variables:
-        directions = [values.atUnit3(key).point3() for key in self.directions]
-        planes = [values.atOrientedPlane3(key).planeCoefficients() for key in self.planes]
-        plane, beams = np.array(planes), len(directions)
-        units = np.concatenate((directions, plane[:, :3]))
-        basis = model.tangent_basis(units)
-        R, t = self._hand_poses(values)
-        return _Variables(
-            R=R,
-            t=t,
-            r=np.array([values.atPoint3(key) for key in self.locations]),
-            v=units[:beams],
-            v_basis=basis[:beams],
-            k=self._range_errors(values),
-            n=units[beams:],
-            n_basis=basis[beams:],
-            b=plane[:, 3],
-        )
-
-    def _fill(
-        self, residual: FloatArray, jacobian: FloatArray, rows: slice, now: _Variables
-    ) -> None:
-        """Evaluate `rows` into the arrays of all rows."""
-        direction, plane = self.direction_of[rows], self.plane_of[rows]
-        x = model.Scene(
-            now.R[rows],
-            now.t[rows],
-            gathered(now.r, self.location_of[rows]),
-            gathered(now.v, direction),
-            gathered(now.n, plane),
-            now.b.take(plane),
-            gathered(now.k, self.range_error_of[rows]),
-        )
-        linear = model.linearize(x, self.measured[rows], with_pose=bool(self._posed.size))
-        residual[rows] = linear.residual
-        J = jacobian[rows]
-        J[:, LOCATION] = linear.location
-        np.einsum(
-            "ni,nij->nj",
-            linear.direction,
-            gathered(now.v_basis, direction),
-            out=J[:, DIRECTION],
-        )
-        J[:, RANGE_ERROR] = linear.range_error
-        np.einsum(
-            "ni,nij->nj", linear.normal, gathered(now.n_basis, plane), out=J[:, NORMAL_COLUMNS]
-        )
-        J[:, OFFSET_COLUMN] = linear.offset
-        if len(linear.pose):
-            J[:, POSE_COLUMNS] = linear.pose
 
     def reach(self) -> float:
         """Return the largest coordinate of a known hand position plus the largest reading [m]."""

@@ -464,8 +464,6 @@ class _Search:
             decrement, arrived = decrement[rest], arrived[rest]
             stopping = self.stopping
         trial = self._evaluated(values, self.at.scale)
-        if self._goes_well(trial, decrement, arrived):
-            return
         gain = stopping.gain(decrement, self.at.cost, trial.cost)
         better = gain > 0.0
         level = stopping.is_level(decrement, self.at.cost, better)
@@ -475,20 +473,6 @@ class _Search:
         arrived = (arrived & ~self.tightening) | level
         self.damping = self.options.adapted(self.damping, gain)
         self._leave(arrived | (self.damping > self.options.most_damping), ~arrived)
-
-    def _goes_well(self, trial: _Point, decrement: FloatArray, arrived: BoolArray) -> bool:
-        """Take an undamped step of all problems if it does well for each, as most steps do."""
-        if self.problem.robust is not None or arrived.any() or self.damping.any():
-            return False
-        if not (self.at.cost - trial.cost >= 0.5 * POOR_GAIN * decrement).all():
-            return False
-        if not (decrement > 0.0).all():
-            return False
-        self._tell(decrement, trial.cost, np.ones(len(decrement), dtype=bool))
-        self.iterations += 1
-        self.stopping.is_level(decrement, self.at.cost, better=False)
-        self.at = trial
-        return True
 
     def _tell(self, decrement: FloatArray, cost: FloatArray, accepted: BoolArray) -> None:
         if self.progress is not None:
