@@ -270,13 +270,12 @@ class LeastSquares:
     def picked(self, problems: IntArray) -> "LeastSquares":
         """Return some of the problems."""
         blocks = tuple(block.picked(problems) for block in self.blocks)
-        return LeastSquares(
-            blocks,
-            self.reduction.with_blocks(blocks),
-            self.unit[problems],
-            self.rounding[problems],
-            self.dof,
-            self.robust,
+        return replace(
+            self,
+            blocks=blocks,
+            reduction=self.reduction.with_blocks(blocks),
+            unit=self.unit[problems],
+            rounding=self.rounding[problems],
         )
 
 
