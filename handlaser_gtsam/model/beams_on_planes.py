@@ -195,9 +195,8 @@ class BeamsOnPlanes:
     def facing(self, values: Values) -> Values:
         """Return values with the normals of all planes away from the sensors."""
         beams, planes = values[BEAM.name], values[PLANE.name]
-        turned = np.einsum(
-            "kjic,kjc->kic", self.poses[:, :, :3], self._by_cell(planes[..., OF_NORMAL])
-        )
+        normals = planes[..., OF_NORMAL].transpose(0, 2, 1).take(self.plane, axis=-1)
+        turned = np.einsum("kjic,kjc->kic", self.poses[:, :, :3], normals)
         cosine = np.einsum("kic,kbi->kbc", turned, beams[..., OF_DIRECTION])
         cosine = cosine if self.read is None else cosine * self.read
         ahead = np.add.reduceat(cosine.sum(axis=1), self.first, axis=1)
@@ -253,10 +252,6 @@ class BeamsOnPlanes:
         c = -1.0 / cosine
         heights = planes[..., HEIGHT].take(self.plane, axis=1)[:, None]
         return turned, along, c, (along[:, 0, 0] + heights) * c, grazing
-
-    def _by_cell(self, of_planes: FloatArray) -> FloatArray:
-        """Return what planes (K, P, i) have by cell (K, i, cells)."""
-        return np.asarray(of_planes.transpose(0, 2, 1).take(self.plane, axis=-1))
 
     def _weights(self, whitenings: Sequence[Whitening]) -> Weights:
         shape = self.beams * self.cells // self.slots_of_chunk, self.slots_of_chunk

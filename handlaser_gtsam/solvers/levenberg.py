@@ -9,6 +9,7 @@ and linearised there to (H + lambda diag(H)) delta = -g, which GTSAM eliminates 
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -370,7 +371,11 @@ def require_values(values: gtsam.Values) -> None:
         lambda key: values.atUnit3(key).point3(),
     )
     for key in values.keys():  # noqa: SIM118  (gtsam.Values is no dict)
-        numbers = _numbers(key, readers)
+        numbers = np.empty(0)  # none of a type that range factors do not use
+        for read in readers:
+            with suppress(RuntimeError):  # another type
+                numbers = np.asarray(read(key), dtype=np.float64).ravel()
+                break
         wrong = ~(np.abs(numbers) <= LARGEST_NUMBER)
         if wrong.any():
             name = gtsam.DefaultKeyFormatter(key)
@@ -378,13 +383,3 @@ def require_values(values: gtsam.Values) -> None:
                 f"{numbers[wrong][0]:g} in the value of {name}",
                 f"finite numbers, at most {LARGEST_NUMBER:g}",
             )
-
-
-def _numbers(key: int, readers: tuple[Callable[[int], ArrayLike], ...]) -> FloatArray:
-    """Return the numbers of a value; none where it is of a type that range factors do not use."""
-    for read in readers:
-        try:
-            return np.asarray(read(key), dtype=np.float64).ravel()
-        except RuntimeError:  # another type
-            continue
-    return np.empty(0)
