@@ -132,7 +132,8 @@ def solve_start_to_covariances(readings: Readings) -> tuple[float, int]:
 
 def solve_reference(recording: Recording, start: Parameters) -> tuple[float, int]:
     """Solve with SciPy; return cost and iterations."""
-    solution = minimize(ReferenceProblem(recording, start, TERMS), "2-point")
+    problem = ReferenceProblem(recording, start, TERMS)
+    solution = minimize(problem.residuals, problem.x0, problem.sparsity(), "2-point")
     return float(solution.cost) / SIGMA**2, int(solution.njev)
 
 

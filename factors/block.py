@@ -1,109 +1,29 @@
 """One block of readings as the error function of one GTSAM factor, and the rows that it is made of.
 
-All readings that share their variables form one block: fifty rows cost hardly more than one. This
-is the only place where a `CustomFactor` of ranges is made, and where its Jacobians are filled: a slot
-that is left empty, one-dimensional or short of rows ends the process, not just the solve.
+All readings that share their variables form one block: fifty rows cost hardly more than one. `shared`
+evaluates blocks, one or many. Only here is a `CustomFactor` of ranges made, and are its Jacobians
+filled: a slot that is left empty, one-dimensional or short of rows ends the process, not just the
+solve.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Protocol
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray, frozen_indices
 from handlaser_gtsam.checks import number_array, require_number
 from handlaser_gtsam.data.readings import Regressors
-from handlaser_gtsam.errors import InputError, SolverError
-from handlaser_gtsam.model.families import BEAM, DIRECTION, MOUNT_DIM, PLANE, POSE
+from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.model.weighting import Whitening
 from handlaser_gtsam.quantities import LARGEST_LENGTH
 
 from .keys import BeamKeys, integer_key
-
-PLANE_COLUMNS = slice(BEAM.dim, BEAM.dim + PLANE.dim)
-"""Columns of a row by its plane, after those by its beam; tangents are GTSAM's."""
-NORMAL_COLUMNS, OFFSET_COLUMN = slice(BEAM.dim, PLANE_COLUMNS.stop - 1), PLANE_COLUMNS.stop - 1
-"""Columns of a row by the normal of its plane, and by its offset."""
-POSE_COLUMNS = slice(PLANE_COLUMNS.stop, PLANE_COLUMNS.stop + POSE.dim)
-"""Columns of a row by its hand pose."""
-
-
-@dataclass(frozen=True, slots=True)
-class Evaluation:
-    """Residuals and Jacobians of readings at one Values.
-
-    Attributes
-    ----------
-    residual : (N,)
-        [m].
-    jacobian : (N, 10) or (N, 16)
-        Columns of location, direction (2), range error (2), plane (3) and, where there are pose
-        variables, pose (6), in GTSAM's tangent bases. One array: a block's rows lie together.
-    white : (N,)
-        Whitened residuals [m]; `residual` itself where all readings weigh the same.
-    """
-
-    residual: FloatArray
-    jacobian: FloatArray
-    white: FloatArray
-
-    def rows(self, how: Whitening | None, beam: IntArray) -> FloatArray:
-        """Return whitened derivatives (N, 7 K + 3 or 9): by each of K beams, then plane and pose.
-
-        `beam` (N,) is which of its factor's K beams each reading is of. They are the Jacobian itself,
-        with K = 1, where all readings weigh the same.
-        """
-        if how is None:
-            return self.jacobian
-        rows, K = self.jacobian, int(beam.max()) + 1
-        if K > 1:
-            of_beams = np.zeros((len(rows), K, BEAM.dim))
-            of_beams[np.arange(len(rows)), beam] = rows[:, : BEAM.dim]
-            rows = np.hstack((of_beams.reshape(len(rows), -1), rows[:, BEAM.dim :]))
-        return how.apply_rows(rows)
-
-
-@dataclass(slots=True)
-class Share:
-    """What one factor hands out: whitened residuals [m], and their derivatives by each of its keys."""
-
-    white: FloatArray
-    derivatives: gtsam.JacobianVector
-
-
-def evaluation(residual: FloatArray, jacobian: FloatArray, how: Whitening | None) -> Evaluation:
-    """Return the evaluation of rows (N,) and (N, 10 or 16), whitened where asked for."""
-    return Evaluation(residual, jacobian, residual if how is None else how.apply(residual))
-
-
-def beam_columns(beam: int, terms: int) -> list[slice]:
-    """Return the columns of location, direction and, if any, range error of a beam."""
-    first = BEAM.dim * beam
-    ends = [0, DIRECTION.start, MOUNT_DIM, *([MOUNT_DIM + terms] if terms else [])]
-    return [slice(first + a, first + b) for a, b in pairwise(ends)]
-
-
-def other_columns(beams: int, *, with_pose: bool) -> list[slice]:
-    """Return the columns of the plane and, if any, the pose, which follow the beams."""
-    first = BEAM.dim * beams
-    plane, pose = slice(first, first + 3), slice(first + 3, first + 9)
-    return [plane, pose] if with_pose else [plane]
-
+from .shared import Evaluation, Gathering, Share, SharedEvaluation
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model of the block's dimension, or one standard deviation [m] for every reading."""
-
-
-class Shares(Protocol):
-    """Hands out rows that were evaluated together with others."""
-
-    def share(self, block: "RangeBlock", values: gtsam.Values) -> Share | None:
-        """Return the rows of `block`, or None where it is to evaluate itself."""
 
 
 class RangeBlock:
@@ -137,9 +57,12 @@ class RangeBlock:
         What the next calls hand out instead of evaluating; set by `SharedEvaluation` only.
     gathering
         Who is asked first whether to evaluate; set by `evaluated_together` only.
+    alone
+        How the block evaluates itself; made when it first has to.
     """
 
     __slots__ = (
+        "alone",
         "beam_of",
         "beams",
         "distance",
@@ -179,7 +102,8 @@ class RangeBlock:
         self.world_t_hand = number_array("positions of the hand", world_t_hand)
         self.measured: FloatArray | Regressors
         self.prepared: Share | None = None
-        self.gathering: Shares | None = None
+        self.gathering: Gathering | None = None
+        self.alone: SharedEvaluation | None = None
         require_rows(self.distance, self.world_R_hand, self.world_t_hand)
         self.measured = self.distance if regressors is None else regressors
         self.beam_of = frozen_indices(np.zeros(len(self.distance)) if beam_of is None else beam_of)
@@ -204,6 +128,7 @@ class RangeBlock:
         block.beams, block.plane, block.pose, block.whitening = (beam,), plane, None, whitening
         block.distance, block.world_R_hand, block.world_t_hand, block.beam_of = rows
         block.measured, block.prepared, block.gathering = measured, None, None
+        block.alone = None
         return block
 
     def keys(self) -> list[int]:
@@ -242,43 +167,9 @@ class RangeBlock:
         SolverError
             A value is not finite, or a range error has neither one nor two terms.
         """
-        rows, of = len(self.distance), self.beam_of
-        directions = [values.atUnit3(beam.direction) for beam in self.beams]
-        plane = values.atOrientedPlane3(self.plane)
-        errors = [range_error(values, beam.range_error) for beam in self.beams]
-        R, t = self._poses(values)
-        x = model.Scene(
-            R,
-            t,
-            np.array([values.atPoint3(beam.location) for beam in self.beams])[of],
-            np.array([v.point3() for v in directions])[of],
-            np.broadcast_to(plane.normal().point3(), (rows, 3)),
-            np.full(rows, plane.distance()),
-            np.array([k for _, k in errors])[of],
-        )
-        linear = model.linearize(x, self.measured, with_pose=self.pose is not None)
-        v_basis = np.array([v.basis() for v in directions])[of]
-        blocks = [
-            linear.location,
-            np.einsum("ni,nij->nj", linear.direction, v_basis),
-            linear.range_error,
-        ]
-        blocks += [linear.normal @ plane.normal().basis(), linear.offset[:, None]]
-        jacobian = np.hstack(blocks if self.pose is None else [*blocks, linear.pose])
-        if not (np.isfinite(linear.residual).all() and np.isfinite(jacobian).all()):
-            raise SolverError("residual of a range factor is not finite; expected finite values")
-        columns = []
-        for beam, (terms, _) in enumerate(errors):
-            columns += beam_columns(beam, terms)
-        columns += other_columns(len(self.beams), with_pose=self.pose is not None)
-        return evaluation(linear.residual, jacobian, self.whitening), tuple(columns)
-
-    def _poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
-        if self.pose is None:
-            return self.world_R_hand, self.world_t_hand
-        pose, rows = values.atPose3(self.pose), len(self.distance)
-        R = np.broadcast_to(pose.rotation().matrix(), (rows, 3, 3))
-        return R, np.broadcast_to(pose.translation(), (rows, 3))
+        if self.alone is None:
+            self.alone = SharedEvaluation([self], self.whitening)
+        return self.alone.evaluate(values), self.alone.columns(self)
 
 
 def require_rows(distance: FloatArray, R: FloatArray, t: FloatArray) -> None:
@@ -299,18 +190,6 @@ def require_rows(distance: FloatArray, R: FloatArray, t: FloatArray) -> None:
     if not (np.abs(t).max() <= LARGEST_LENGTH and np.abs(R).max() < 2.0):
         expected = f"rotation matrices, and positions in metres of at most {LARGEST_LENGTH:.0f}"
         raise InputError("a hand pose that is none", expected)
-
-
-def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]:
-    """Return the number of terms under `key`, and (k1, k2); raises SolverError for three or more."""
-    k = np.zeros(2)
-    if key is None:
-        return 0, k
-    vector = values.atVector(key)
-    if not 1 <= vector.size <= 2:
-        raise SolverError(f"range error of {vector.size} terms; expected (k1,) or (k1, k2)")
-    k[: vector.size] = vector
-    return vector.size, k
 
 
 def positive_ranges(ranges: ArrayLike) -> FloatArray:

@@ -134,11 +134,10 @@ def _factor(error: _BlockError) -> gtsam.CustomFactor:
 
 def _parts(family: str) -> Iterator[tuple[Part, slice, slice]]:
     """Yield the parts of a family that move, with their numbers and tangent coordinates."""
-    a = b = 0
-    for part in FAMILIES[family].parts:
+    of = FAMILIES[family]
+    for part, numbers, steps in zip(of.parts, of.places, of.tangents, strict=True):
         if not isinstance(part, Constant):
-            yield part, slice(a, a + part.size), slice(b, b + part.dim)
-        a, b = a + part.size, b + part.dim
+            yield part, numbers, steps
 
 
 def _native(part: Part, x: FloatArray) -> gtsam.Unit3 | gtsam.Pose3 | FloatArray:

@@ -1,4 +1,4 @@
-"""One vectorised evaluation handed out to many factors.
+"""One vectorised evaluation handed out to many factors, or to one.
 
 While Python owns the Values, a driver evaluates every reading at once in NumPy and the factors only
 hand out their rows. The sharing is scoped: it holds inside `with shared.handed_out(evaluation)` and
@@ -13,7 +13,8 @@ from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from typing import TypeVar
+from itertools import accumulate, pairwise
+from typing import TYPE_CHECKING, TypeVar
 
 import gtsam
 import numpy as np
@@ -22,22 +23,19 @@ from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray, IntArray, gathered
 from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.errors import SolverError
-from handlaser_gtsam.model.families import DIRECTION, LOCATION, RANGE_ERROR
+from handlaser_gtsam.model.families import (
+    BEAM,
+    DIRECTION,
+    LOCATION,
+    MOUNT_DIM,
+    PLANE,
+    POSE,
+    RANGE_ERROR,
+)
 from handlaser_gtsam.model.weighting import Whitening, joined
 
-from .block import (
-    NORMAL_COLUMNS,
-    OFFSET_COLUMN,
-    PLANE_COLUMNS,
-    POSE_COLUMNS,
-    Evaluation,
-    RangeBlock,
-    Share,
-    beam_columns,
-    evaluation,
-    other_columns,
-    range_error,
-)
+if TYPE_CHECKING:
+    from .block import RangeBlock
 
 Item = TypeVar("Item", bound=Hashable)
 
@@ -48,19 +46,55 @@ FEW_BLOCKS = 10
 """Blocks that evaluate themselves before all are evaluated together: for few that takes longer."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Variables:
-    """What the values hold: R, t a row; the others a variable, with GTSAM's tangent bases."""
+PLANE_COLUMNS = slice(BEAM.dim, BEAM.dim + PLANE.dim)
+"""Columns of a row by its plane, after those by its beam; tangents are GTSAM's."""
+NORMAL_COLUMNS, OFFSET_COLUMN = slice(BEAM.dim, PLANE_COLUMNS.stop - 1), PLANE_COLUMNS.stop - 1
+"""Columns of a row by the normal of its plane, and by its offset."""
+POSE_COLUMNS = slice(PLANE_COLUMNS.stop, PLANE_COLUMNS.stop + POSE.dim)
+"""Columns of a row by its hand pose."""
 
-    R: FloatArray
-    t: FloatArray
-    r: FloatArray
-    v: FloatArray
-    v_basis: FloatArray
-    k: FloatArray
-    n: FloatArray
-    n_basis: FloatArray
-    b: FloatArray
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Residuals and Jacobians of readings at one Values.
+
+    Attributes
+    ----------
+    residual : (N,)
+        [m].
+    jacobian : (N, 10) or (N, 16)
+        Columns of location, direction (2), range error (2), plane (3) and, where there are pose
+        variables, pose (6), in GTSAM's tangent bases. One array: a block's rows lie together.
+    white : (N,)
+        Whitened residuals [m]; `residual` itself where all readings weigh the same.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    white: FloatArray
+
+    def rows(self, how: Whitening | None, beam: IntArray) -> FloatArray:
+        """Return whitened derivatives (N, 7 K + 3 or 9): by each of K beams, then plane and pose.
+
+        `beam` (N,) is which of its factor's K beams each reading is of. They are the Jacobian itself,
+        with K = 1, where all readings weigh the same.
+        """
+        if how is None:
+            return self.jacobian
+        rows, K = self.jacobian, int(beam.max()) + 1
+        if K > 1:
+            of_beams = np.zeros((len(rows), K, BEAM.dim))
+            of_beams[np.arange(len(rows)), beam] = rows[:, : BEAM.dim]
+            rows = np.hstack((of_beams.reshape(len(rows), -1), rows[:, BEAM.dim :]))
+        return how.apply_rows(rows)
+
+
+@dataclass(slots=True)
+class Share:
+    """What one factor hands out: whitened residuals [m], and their derivatives by each of its keys."""
+
+    white: FloatArray
+    derivatives: gtsam.JacobianVector
 
 
 class SharedEvaluation:
@@ -74,7 +108,7 @@ class SharedEvaluation:
         Of all their rows together, where the blocks have one.
     """
 
-    def __init__(self, blocks: Sequence[RangeBlock], whitening: Whitening | None = None) -> None:
+    def __init__(self, blocks: Sequence["RangeBlock"], whitening: Whitening | None = None) -> None:
         self.blocks, self.whitening = tuple(blocks), whitening
         sizes = np.array([len(block.distance) for block in blocks])
         ends = np.cumsum(sizes)
@@ -106,66 +140,44 @@ class SharedEvaluation:
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
-        now = self._variables(values)
-        rows = len(self.distance)
-        jacobian = np.empty((POSE_COLUMNS.stop if self._posed.size else PLANE_COLUMNS.stop, rows)).T
-        residual = np.empty(rows)
-        for first in range(0, rows, SLAB):
-            self._fill(residual, jacobian, slice(first, min(first + SLAB, rows)), now)
-        if not np.isfinite(residual).all():
-            raise SolverError("residual of a range factor is not finite; expected finite values")
-        return evaluation(residual, jacobian, self.whitening)
-
-    def _variables(self, values: gtsam.Values) -> _Variables:
         directions = [values.atUnit3(key).point3() for key in self.directions]
         planes = [values.atOrientedPlane3(key).planeCoefficients() for key in self.planes]
-        plane, beams = np.array(planes), len(directions)
-        units = np.concatenate((directions, plane[:, :3]))
-        basis = model.tangent_basis(units)
-        R, t = self._hand_poses(values)
-        return _Variables(
-            R=R,
-            t=t,
-            r=np.array([values.atPoint3(key) for key in self.locations]),
-            v=units[:beams],
-            v_basis=basis[:beams],
-            k=self._range_errors(values),
-            n=units[beams:],
-            n_basis=basis[beams:],
-            b=plane[:, 3],
-        )
-
-    def _fill(
-        self, residual: FloatArray, jacobian: FloatArray, rows: slice, now: _Variables
-    ) -> None:
-        """Evaluate `rows` into the arrays of all rows."""
-        direction, plane = self.direction_of[rows], self.plane_of[rows]
-        x = model.Scene(
-            now.R[rows],
-            now.t[rows],
-            gathered(now.r, self.location_of[rows]),
-            gathered(now.v, direction),
-            gathered(now.n, plane),
-            now.b.take(plane),
-            gathered(now.k, self.range_error_of[rows]),
-        )
-        linear = model.linearize(x, self.measured[rows], with_pose=bool(self._posed.size))
-        residual[rows] = linear.residual
-        J = jacobian[rows]
-        J[:, LOCATION] = linear.location
-        np.einsum(
-            "ni,nij->nj",
-            linear.direction,
-            gathered(now.v_basis, direction),
-            out=J[:, DIRECTION],
-        )
-        J[:, RANGE_ERROR] = linear.range_error
-        np.einsum(
-            "ni,nij->nj", linear.normal, gathered(now.n_basis, plane), out=J[:, NORMAL_COLUMNS]
-        )
-        J[:, OFFSET_COLUMN] = linear.offset
-        if len(linear.pose):
-            J[:, POSE_COLUMNS] = linear.pose
+        r = np.array([values.atPoint3(key) for key in self.locations])
+        k, (R, t) = self._range_errors(values), self._hand_poses(values)
+        v, plane = np.array(directions), np.array(planes)
+        n, b = plane[:, :3], plane[:, 3]
+        basis = model.tangent_basis(np.concatenate((v, n)))
+        v_basis, n_basis = basis[: len(v)], basis[len(v) :]
+        size, with_pose = len(self.distance), bool(self._posed.size)
+        jacobian = np.empty((POSE_COLUMNS.stop if with_pose else PLANE_COLUMNS.stop, size)).T
+        residual = np.empty(size)
+        for first in range(0, size, SLAB):
+            rows = slice(first, min(first + SLAB, size))
+            of_direction, of_plane = self.direction_of[rows], self.plane_of[rows]
+            x = model.Scene(
+                R[rows],
+                t[rows],
+                gathered(r, self.location_of[rows]),
+                gathered(v, of_direction),
+                gathered(n, of_plane),
+                b.take(of_plane),
+                gathered(k, self.range_error_of[rows]),
+            )
+            linear = model.linearize(x, self.measured[rows], with_pose=with_pose)
+            residual[rows], J = linear.residual, jacobian[rows]
+            J[:, LOCATION], J[:, RANGE_ERROR] = linear.location, linear.range_error
+            for by, tangents, columns in (
+                (linear.direction, gathered(v_basis, of_direction), DIRECTION),
+                (linear.normal, gathered(n_basis, of_plane), NORMAL_COLUMNS),
+            ):
+                np.einsum("ni,nij->nj", by, tangents, out=J[:, columns])
+            J[:, OFFSET_COLUMN] = linear.offset
+            if with_pose:
+                J[:, POSE_COLUMNS] = linear.pose
+        if not np.isfinite(residual).all():
+            raise SolverError("residual of a range factor is not finite; expected finite values")
+        white = residual if self.whitening is None else self.whitening.apply(residual)
+        return Evaluation(residual, jacobian, white)
 
     def reach(self) -> float:
         """Return the largest coordinate of a known hand position plus the largest reading [m]."""
@@ -199,19 +211,21 @@ class SharedEvaluation:
         matrices. So every block has matrices of GTSAM, which are written through their views.
         """
         self._white, self._rows = np.empty_like(white), np.empty_like(rows)
-        beams, none = int(self.slot.max()) + 1, -1
-        empty: dict[tuple[int, tuple[int, ...], bool], gtsam.JacobianVector] = {}
+        empty: dict[tuple[tuple[int, int], ...], gtsam.JacobianVector] = {}
         for block, of_block in zip(self.blocks, self.slices, strict=True):
-            keys = [none if beam.range_error is None else beam.range_error for beam in block.beams]
-            terms = tuple([self._terms[key] for key in keys])
-            shape = len(block.distance), terms, block.pose is not None
-            columns = _columns_of(terms, beams, block.pose is not None)
-            if shape not in empty:
-                sizes = [(len(block.distance), of_key.stop - of_key.start) for of_key in columns]
-                empty[shape] = gtsam.JacobianVector([np.zeros(size) for size in sizes])
-            derivatives, rows_here = gtsam.JacobianVector(empty[shape]), self._rows[of_block]
-            self._parts += [(derivatives[i], rows_here[:, c]) for i, c in enumerate(columns)]
+            columns, rows_here = self.columns(block), self._rows[of_block]
+            sizes = tuple([(len(block.distance), of.stop - of.start) for of in columns])
+            if sizes not in empty:
+                empty[sizes] = gtsam.JacobianVector([np.zeros(size) for size in sizes])
+            derivatives = gtsam.JacobianVector(empty[sizes])
+            self._parts += [(derivatives[i], rows_here[:, of]) for i, of in enumerate(columns)]
             self._shares.append(Share(self._white[of_block], derivatives))
+
+    def columns(self, block: "RangeBlock") -> tuple[slice, ...]:
+        """Return the columns of each key of a block, once the number of its range errors is known."""
+        keys = [-1 if beam.range_error is None else beam.range_error for beam in block.beams]
+        terms = tuple([self._terms[key] for key in keys])
+        return _columns_of(terms, int(self.slot.max()) + 1, block.pose is not None)
 
     def squared_columns(self, evaluation: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""
@@ -251,9 +265,25 @@ class SharedEvaluation:
 
 @cache
 def _columns_of(terms: tuple[int, ...], beams: int, with_pose: bool) -> tuple[slice, ...]:
-    """Return the columns of a block's keys, given the range-error terms of its beams."""
-    columns = [column for i, count in enumerate(terms) for column in beam_columns(i, count)]
-    return (*columns, *other_columns(beams, with_pose=with_pose))
+    """Return the columns of a block's keys: of its beams with some terms, its plane and its pose."""
+    columns = []
+    for beam, count in enumerate(terms):
+        ends = [0, DIRECTION.start, MOUNT_DIM, *([MOUNT_DIM + count] if count else [])]
+        columns += [slice(BEAM.dim * beam + a, BEAM.dim * beam + b) for a, b in pairwise(ends)]
+    others = accumulate((PLANE.dim, *([POSE.dim] if with_pose else [])), initial=BEAM.dim * beams)
+    return (*columns, *(slice(a, b) for a, b in pairwise(others)))
+
+
+def range_error(values: gtsam.Values, key: int | None) -> tuple[int, FloatArray]:
+    """Return the number of terms under `key`, and (k1, k2); raises SolverError for three or more."""
+    k = np.zeros(2)
+    if key is None:
+        return 0, k
+    vector = values.atVector(key)
+    if not 1 <= vector.size <= 2:
+        raise SolverError(f"range error of {vector.size} terms; expected (k1,) or (k1, k2)")
+    k[: vector.size] = vector
+    return vector.size, k
 
 
 def _unique(items: Sequence[Item]) -> tuple[list[Item], IntArray]:
@@ -266,10 +296,10 @@ def _unique(items: Sequence[Item]) -> tuple[list[Item], IntArray]:
 class Gathering:
     """Counts how many blocks are asked for, and evaluates all of them when they are many."""
 
-    def __init__(self, blocks: Sequence[RangeBlock]) -> None:
+    def __init__(self, blocks: Sequence["RangeBlock"]) -> None:
         self.blocks, self._asked, self._together = blocks, 0, False
 
-    def share(self, block: RangeBlock, values: gtsam.Values) -> Share | None:
+    def share(self, block: "RangeBlock", values: gtsam.Values) -> Share | None:
         """Return the rows of `block`, or None where it is to evaluate itself."""
         self._asked += 1
         if self._asked <= FEW_BLOCKS or len(self.blocks) <= 2 * FEW_BLOCKS:
@@ -290,7 +320,7 @@ class Gathering:
 
 
 @contextmanager
-def evaluated_together(blocks: Sequence[RangeBlock]) -> Iterator[None]:
+def evaluated_together(blocks: Sequence["RangeBlock"]) -> Iterator[None]:
     """Let the blocks evaluate together inside the context; the Values must not change in it."""
     gathering = Gathering(blocks)
     try:

@@ -142,43 +142,62 @@ def test_a_mirror_image_through_two_fixed_hand_positions(still):
     assert mirror_image_fits(truth, readings, 0.0, 1e-4) is still
 
 
-def steps(stopping, decrements, damping=0.0, cost=50.0):
-    return [stopping.arrived(decrement, damping, cost) for decrement in decrements]
+def small(stopping, decrement, damping=0.0, cost=50.0):
+    return bool(stopping.little_left(np.array(decrement), np.array(damping), np.array(cost)))
+
+
+def level(stopping, decrement, better=True, cost=50.0):
+    return bool(stopping.is_level(np.array(decrement), np.array(cost), better))
 
 
 def test_fast_steps_stop_by_what_is_left():
     """Quadratic convergence: the step of 1e-5 leaves about 1e-8 after one of 1e-2."""
     stopping = StoppingRule(2e-7, 0.0, 0.0, 100)
-    assert steps(stopping, [1.0, 1e-4, 1e-10]) == [None, None, "converged"]
+    assert [small(stopping, one) for one in (1.0, 1e-4, 1e-10)] == [False, False, True]
 
 
 def test_slow_steps_do_not_stop_by_their_size():
     """Steps that shrink by one percent leave a hundred times their length."""
     stopping = StoppingRule(2e-7, 0.0, 0.0, 100)
     lengths = 1e-6 * 0.99 ** np.arange(4)
-    assert steps(stopping, [1.0, *(lengths**2)])[2:] == [None] * 3
+    assert [small(stopping, one) for one in (1.0, *(lengths**2))][2:] == [False] * 3
 
 
 def test_a_damped_step_alone_is_no_arrival():
-    assert StoppingRule(2e-7, 0.0, 0.0, 100).arrived(1e-20, 0.1, 50.0) is None
+    assert not small(StoppingRule(2e-7, 0.0, 0.0, 100), 1e-20, damping=0.1)
 
 
 def test_a_level_cost_ends_the_search():
     stopping = StoppingRule(1e-12, 0.0, 0.0, 100)
-    verdicts = [stopping.arrived(1e-9 * 0.999**i, 0.1, 50.0) for i in range(LEVEL_STEPS)]
-    assert verdicts == [None] * (LEVEL_STEPS - 1) + ["the cost is level"]
+    assert not any(small(stopping, 1e-9 * 0.999**i, damping=0.1) for i in range(LEVEL_STEPS))
+    verdicts = [level(stopping, 1e-9 * 0.999**i) for i in range(LEVEL_STEPS)]
+    assert verdicts == [False] * (LEVEL_STEPS - 1) + [True]
 
 
 def test_failed_steps_restart_the_count():
     stopping = StoppingRule(1e-12, 0.0, 0.0, 100)
     for _ in range(LEVEL_STEPS - 1):
-        stopping.arrived(1e-9, 0.1, 50.0)
-    assert stopping.arrived(None, 0.1, 50.0) is None
-    assert stopping.arrived(1e-9, 0.1, 50.0) is None
+        level(stopping, 1e-9)
+    assert not level(stopping, -1.0, better=False)
+    assert not level(stopping, 1e-9)
 
 
 def test_rounding_is_an_arrival():
-    assert StoppingRule(1e-12, 0.0, 1e-15, 100).arrived(1e-16, 0.0, 1e-20) == "converged"
+    assert small(StoppingRule(1e-12, 0.0, 1e-15, 100), 1e-16, cost=1e-20)
+
+
+def test_several_searches_are_judged_as_each_is_alone():
+    rng = np.random.default_rng(0)
+    decrements = 10.0 ** rng.uniform(-16.0, 0.0, (12, 5))
+    damping = np.where(rng.random((12, 5)) < 0.5, 0.0, 0.1)
+    together = StoppingRule(2e-7, 0.0, np.full(5, 1e-15), 100)
+    alone = [StoppingRule(2e-7, 0.0, 1e-15, 100) for _ in range(5)]
+    cost = np.full(5, 50.0)
+    for e, at in zip(decrements, damping, strict=True):
+        mine = [small(rule, *one) for rule, one in zip(alone, zip(e, at, strict=True), strict=True)]
+        assert together.little_left(e, at, cost).tolist() == mine
+        mine = [level(rule, one) for rule, one in zip(alone, e, strict=True)]
+        assert together.is_level(e, cost, True).tolist() == mine
 
 
 @pytest.mark.parametrize("name", ["rms", "location_sigma", "direction_sigma"])

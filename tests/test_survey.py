@@ -21,6 +21,7 @@ from handlaser_gtsam.files.points_table import COLUMNS
 from handlaser_gtsam.model import known
 from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.ranges import PoseVariables, Ranges
+from handlaser_gtsam.model.relations import Relation
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
 from handlaser_gtsam.model.shots import condensed_shots
@@ -313,6 +314,12 @@ def test_rows_of_relations_are_derivatives(case):
             slope = (sides[0] - sides[1]) / 2e-6
             mine = columns[slot.columns.start + c]
             assert np.abs(mine - slope).max() < 1e-5 * max(np.abs(slope).max(), 1e3)
+
+
+def test_a_rule_that_returns_derivatives_is_refused():
+    relation = Relation((("sphere", 0),), lambda x: (x, [np.eye(4)]))
+    with pytest.raises(hl.InputError, match="a rule that returns a tuple; expected the residuals"):
+        relation.evaluate({"sphere": np.zeros((1, 1, 4))})
 
 
 def test_parallel_planes_have_right_derivatives_where_they_are_parallel():

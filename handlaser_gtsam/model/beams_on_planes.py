@@ -131,17 +131,8 @@ class BeamsOnPlanes:
         """Return the rows of all readings [m]."""
         beams, planes = values[BEAM.name], values[PLANE.name]
         K = max(len(beams), len(self.poses))
-        v_basis, n_basis = bases(beams[..., OF_DIRECTION]), bases(planes[..., OF_NORMAL])
-        axes = np.concatenate((planes[..., OF_NORMAL, None], n_basis), axis=3)
-        turned = self._turned(planes, axes)
-        arms = np.zeros((len(beams), 4, self.beams, 4))
-        arms[:, 0, :, :3], arms[:, 0, :, 3] = beams[..., OF_LOCATION], 1.0
-        arms[:, 1, :, :3] = beams[..., OF_DIRECTION]
-        arms[:, 2:, :, :3] = v_basis.transpose(0, 3, 1, 2)
-        along = arms.reshape(len(beams), 1, -1, 4) @ turned
-        along = along.reshape(K, 3, 4, self.beams, self.cells)
-        c, grazing = self._stretch(along[:, 0, 1])
-        s = (along[:, 0, 0] + self._heights(planes)) * c
+        arms = bases(beams[..., OF_DIRECTION]).transpose(0, 3, 1, 2)
+        turned, along, c, s, grazing = self._met(beams, planes, arms)
         columns = np.empty((BEAM.dim + PLANE.dim + 1, K, self.beams, self.cells))
         np.multiply(c, turned[:, 0, :3].transpose(1, 0, 2)[:, :, None], out=columns[:3])
         np.multiply(s * c, along[:, 0, 2:].transpose(1, 0, 2, 3), out=columns[3:5])
@@ -149,10 +140,8 @@ class BeamsOnPlanes:
         spot = s[:, None] * along[:, 1:, 1]
         spot += along[:, 1:, 0]
         np.multiply(c, spot.transpose(1, 0, 2, 3), out=columns[BEAM.dim : BEAM.dim + 2])
-        columns[-2], columns[-1] = (
-            c,
-            s - corrected(self.measured, beams[:, :, None, OF_RANGE_ERROR]),
-        )
+        columns[-2] = c
+        columns[-1] = s - corrected(self.measured, beams[:, :, None, OF_RANGE_ERROR])
         if self.read is not None:
             columns *= self.read
         shape = K, -1, self.slots_of_chunk
@@ -188,16 +177,7 @@ class BeamsOnPlanes:
     def centred(self, values: Values) -> Values:
         """Return the same planes about centres amid their laser spots, where offsets are well known."""
         beams, planes = values[BEAM.name], values[PLANE.name]
-        basis = bases(planes[..., OF_NORMAL])
-        axes = np.concatenate((planes[..., OF_NORMAL, None], basis), axis=3)
-        turned = self._turned(planes, axes)
-        arms = np.zeros((len(beams), 2, self.beams, 4))
-        arms[:, 0, :, :3], arms[:, 0, :, 3] = beams[..., OF_LOCATION], 1.0
-        arms[:, 1, :, :3] = beams[..., OF_DIRECTION]
-        along = arms.reshape(len(beams), 1, -1, 4) @ turned
-        along = along.reshape(len(turned), 3, 2, self.beams, self.cells)
-        c, grazing = self._stretch(along[:, 0, 1])
-        s = (along[:, 0, 0] + self._heights(planes)) * c
+        _, along, _, s, grazing = self._met(beams, planes, np.empty((len(beams), 0, self.beams, 3)))
         spot = (along[:, 1:, 0] + s[:, None] * along[:, 1:, 1]).transpose(1, 0, 2, 3)
         counted = np.ones(s.shape, dtype=bool) if self.read is None else self.read
         if grazing is not None:
@@ -206,18 +186,17 @@ class BeamsOnPlanes:
         size = np.add.reduceat(np.broadcast_to(counted, s.shape).sum(axis=1), self.first, axis=1)
         middle = (sums / np.maximum(size, 1)).transpose(1, 2, 0)[..., None]
         moved = planes.copy()
-        moved[..., CENTRE] += (basis @ middle)[..., 0] - planes[..., [HEIGHT]] * planes[
-            ..., OF_NORMAL
-        ]
+        moved[..., CENTRE] += (bases(planes[..., OF_NORMAL]) @ middle)[..., 0] - planes[
+            ..., [HEIGHT]
+        ] * planes[..., OF_NORMAL]
         moved[..., HEIGHT] = 0.0
         return {**values, PLANE.name: moved}
 
     def facing(self, values: Values) -> Values:
         """Return values with the normals of all planes away from the sensors."""
         beams, planes = values[BEAM.name], values[PLANE.name]
-        turned = np.einsum(
-            "kjic,kjc->kic", self.poses[:, :, :3], self._by_cell(planes[..., OF_NORMAL])
-        )
+        normals = planes[..., OF_NORMAL].transpose(0, 2, 1).take(self.plane, axis=-1)
+        turned = np.einsum("kjic,kjc->kic", self.poses[:, :, :3], normals)
         cosine = np.einsum("kic,kbi->kbc", turned, beams[..., OF_DIRECTION])
         cosine = cosine if self.read is None else cosine * self.read
         ahead = np.add.reduceat(cosine.sum(axis=1), self.first, axis=1)
@@ -232,31 +211,47 @@ class BeamsOnPlanes:
         reach: FloatArray = positions + np.abs(self.distance).max(axis=(1, 2))
         return reach
 
-    def _turned(self, planes: FloatArray, axes: FloatArray) -> FloatArray:
-        """Return (R'a, (t - c) . a) (K, q, 4, cells) for axes a (K, P, 3, q) of the planes."""
-        by_axis = axes.transpose(0, 2, 3, 1)
-        turned = np.einsum("kjic,kjac->kaic", self.poses, by_axis.take(self.plane, axis=-1))
-        centre = np.einsum("kpj,kpja->kap", planes[..., CENTRE], axes)
-        turned[:, :, 3] -= centre.take(self.plane, axis=-1)
-        return np.asarray(turned)
+    def _met(
+        self, beams: FloatArray, planes: FloatArray, arms: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray | None]:
+        """Return where the beams meet the planes.
 
-    def _heights(self, planes: FloatArray) -> FloatArray:
-        heights: FloatArray = planes[..., HEIGHT].take(self.plane, axis=1)[:, None]
-        return heights
+        Parameters
+        ----------
+        beams, planes : (K, B, 8), (K, P, 7)
+        arms : (K, q, B, 3)
+            Further vectors of the beams.
 
-    def _by_cell(self, of_planes: FloatArray) -> FloatArray:
-        """Return what planes (K, P, i) have by cell (K, i, cells)."""
-        return np.asarray(of_planes.transpose(0, 2, 1).take(self.plane, axis=-1))
-
-    def _stretch(self, cosine: FloatArray) -> tuple[FloatArray, BoolArray | None]:
-        """Return -1 / cosine (K, B, cells), and which readings graze their planes, if any do."""
-        if self.read is not None:
-            cosine = np.where(self.read, cosine, 1.0)
-        steep = np.abs(cosine)
-        if steep.min() >= GRAZING_LIMIT:
-            return -1.0 / cosine, None
-        grazing = ~(steep >= GRAZING_LIMIT)
-        return -1.0 / np.where(grazing, GRAZING_LIMIT, cosine), grazing
+        Returns
+        -------
+        turned : (K, 3, 4, cells)
+            (R'a, (t - c) . a) for the axes a of the planes, the normal and its tangents.
+        along : (K, 3, 2 + q, B, cells)
+            Location, direction and the further vectors of the beams along these axes.
+        c, s : (K, B, cells)
+            -1 / cosine, and the range [m].
+        grazing : (K, B, cells) of bool, or None
+            Readings that graze their planes, if any do.
+        """
+        n, centre = planes[..., OF_NORMAL], planes[..., CENTRE]
+        axes = np.concatenate((n[..., None], bases(n)), axis=3)
+        by_axis = axes.transpose(0, 2, 3, 1).take(self.plane, axis=-1)
+        turned = np.einsum("kjic,kjac->kaic", self.poses, by_axis)
+        offsets = np.einsum("kpj,kpja->kap", centre, axes)
+        turned[:, :, 3] -= offsets.take(self.plane, axis=-1)
+        vectors = np.zeros((len(beams), 2 + arms.shape[1], self.beams, 4))
+        vectors[:, 0, :, :3], vectors[:, 0, :, 3] = beams[..., OF_LOCATION], 1.0
+        vectors[:, 1, :, :3], vectors[:, 2:, :, :3] = beams[..., OF_DIRECTION], arms
+        along = vectors.reshape(len(beams), 1, -1, 4) @ turned
+        along = along.reshape(len(along), 3, -1, self.beams, self.cells)
+        cosine = along[:, 0, 1] if self.read is None else np.where(self.read, along[:, 0, 1], 1.0)
+        steep, grazing = np.abs(cosine), None
+        if not steep.min() >= GRAZING_LIMIT:
+            grazing = ~(steep >= GRAZING_LIMIT)
+            cosine = np.where(grazing, GRAZING_LIMIT, cosine)
+        c = -1.0 / cosine
+        heights = planes[..., HEIGHT].take(self.plane, axis=1)[:, None]
+        return turned, along, c, (along[:, 0, 0] + heights) * c, grazing
 
     def _weights(self, whitenings: Sequence[Whitening]) -> Weights:
         shape = self.beams * self.cells // self.slots_of_chunk, self.slots_of_chunk

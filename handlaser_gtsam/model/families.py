@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import BoolArray, FloatArray
 from ..data.readings import Readings
 from ..errors import InputError
-from .geometry import tangent_basis
+from .geometry import skew, tangent_basis
 
 
 class Part(Protocol):
@@ -37,6 +37,9 @@ class Part(Protocol):
 
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Return points (..., size) moved by steps (..., dim)."""
+
+    def tangents_at(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives (..., size, dim) of the numbers of points by a step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +57,10 @@ class Vector:
         """Add."""
         return x + step
 
+    def tangents_at(self, x: FloatArray) -> FloatArray:
+        """Return the unit matrix."""
+        return np.broadcast_to(np.eye(self.dim), (*x.shape, self.dim))
+
 
 @dataclass(frozen=True, slots=True)
 class Direction:
@@ -67,6 +74,10 @@ class Direction:
         moved = x + (bases(x) @ step[..., None])[..., 0]
         moved /= np.sqrt(np.einsum("...i,...i->...", moved, moved))[..., None]
         return moved
+
+    def tangents_at(self, x: FloatArray) -> FloatArray:
+        """Return `bases`."""
+        return bases(x)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +97,15 @@ class Motion:
         shift = (R @ step[..., 3:, None])[..., 0]
         return np.concatenate(((R @ turn).reshape(*x.shape[:-1], 9), x[..., 9:] + shift), axis=-1)
 
+    def tangents_at(self, x: FloatArray) -> FloatArray:
+        """Return how the matrix turns about each of its axes, and the axes themselves."""
+        R = x[..., :9].reshape(*x.shape[:-1], 3, 3)
+        tangents = np.zeros((*x.shape, self.dim))
+        turned = np.einsum("...ab,jbc->...acj", R, skew(np.eye(3)))
+        tangents[..., :9, :3] = turned.reshape(*x.shape[:-1], 9, 3)
+        tangents[..., 9:, 3:] = R
+        return tangents
+
 
 @dataclass(frozen=True, slots=True)
 class Constant:
@@ -97,6 +117,10 @@ class Constant:
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:  # noqa: ARG002  (it is empty)
         """Stay."""
         return x
+
+    def tangents_at(self, x: FloatArray) -> FloatArray:
+        """Return that there are none."""
+        return np.empty((*x.shape, 0))
 
 
 @dataclass(frozen=True)
@@ -171,6 +195,13 @@ class Family:
         cuts = zip(self.parts, self.places, self.tangents, strict=True)
         moved = [part.retract(x[..., a], step[..., b]) for part, a, b in cuts]
         return moved[0] if len(moved) == 1 else np.concatenate(moved, axis=-1)
+
+    def tangents_at(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives (..., size, dim) of the numbers of members by a step."""
+        tangents = np.zeros((*x.shape, self.dim))
+        for part, a, b in zip(self.parts, self.places, self.tangents, strict=True):
+            tangents[..., a, b] = part.tangents_at(x[..., a])
+        return tangents
 
     def natural_units(self, length: float) -> FloatArray:
         """Return the natural units (dim,) of the tangent coordinates for a typical range [m]."""

@@ -3,53 +3,35 @@ r"""Relations that are known beside the readings: between planes, of a sphere, a
 Each returns a `Relation` whose rows are in standard deviations. Planes are n . (x - c) + h = 0 with the
 normal n away from the sensors; p = c - h n is the foot of the centre c on the plane. sigma is a length
 [m] and sigma_angle an angle [rad].
+
+A unit vector that is to lie along another has two rows: its components along the tangents of the
+other. Where both are variables, the tangents T of the first are held, and the part of the second along
+the first is taken out: T' (m - (m . n) n).
 """
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from .families import (
-    BEAM,
-    DIRECTION,
-    LOCATION,
-    MOUNT_DIM,
-    OF_DIRECTION,
-    PLANE,
-    POSE,
-    Family,
-    Motion,
-    bases,
-    register,
-)
+from .families import BEAM, OF_DIRECTION, PLANE, POSE, Family, Motion, bases, register
 from .geometry import skew
-from .relations import Relation
+from .relations import Numbers, Relation
 from .sensors.mounted import SENSOR
-from .targets.point import POINT
 from .targets.sphere import SPHERE
 
 BODY = register(Family("body", (Motion(),), POSE.coordinates, POSE.powers))
 """The pose of a rigid body whose planes are known in its own frame."""
 DIRECTIONS = {PLANE.name: PLANE.places[0], BEAM.name: OF_DIRECTION}
 """Where the unit vector stands among the numbers of a variable."""
-TURNS = {PLANE.name: PLANE.tangents[0], BEAM.name: DIRECTION}
-"""Its tangent coordinates."""
-CENTRES = {SPHERE.name: SPHERE.dim, POINT.name: POINT.dim}
-"""Families whose first three numbers are a position, and their dimension."""
 
 
 def at_an_angle(family: str, first: int, second: int, angle: float, sigma: float) -> Relation:
     """Return that two planes, or two beams, are at an angle [rad], neither 0 nor 180 degrees."""
-    at, turn = DIRECTIONS[family], TURNS[family]
-    dim = {PLANE.name: PLANE.dim, BEAM.name: BEAM.dim}[family]
+    at = DIRECTIONS[family]
 
-    def rule(x: FloatArray, y: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        n, m, scale = x[:, at], y[:, at], sigma * np.sin(angle)
-        by_n, by_m = np.zeros((2, len(n), 1, dim))
-        by_n[:, 0, turn] = np.einsum("ki,kij->kj", m, bases(n))
-        by_m[:, 0, turn] = np.einsum("ki,kij->kj", n, bases(m))
-        e = np.einsum("ki,ki->k", n, m)[:, None] - np.cos(angle)
-        return e / scale, (by_n / scale, by_m / scale)
+    def rule(x: Numbers, y: Numbers) -> Numbers:
+        off = _dot(x[..., at], y[..., at]) - np.cos(angle)
+        return np.asarray(off[..., None] / (sigma * np.sin(angle)))
 
     return Relation(((family, first), (family, second)), rule)
 
@@ -59,25 +41,13 @@ def parallel(
 ) -> Relation:
     """Return that two planes are parallel at a distance [m], seen from one side or from two."""
 
-    def rule(x: FloatArray, y: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        n, h, c = x[:, :3], x[:, 3], x[:, 4:]
-        m, g, b = y[:, :3], y[:, 3], y[:, 4:]
-        N, M = bases(n), bases(m)
-        off = c - h[:, None] * n - b
-        q = np.einsum("ki,ki->k", m, off) + g
-        side = np.where(q < 0.0, -1.0, 1.0)
-        turn = np.einsum("kij,ki->kj", N, m)
-        cosine = np.einsum("ki,ki->k", n, m)
-        by_x, by_y = np.zeros((2, len(n), 3, 3))
-        by_x[:, :2, :2] = -cosine[:, None, None] * np.eye(2) / sigma_angle
-        by_y[:, :2, :2] = np.einsum("kij,kil->kjl", N, M) / sigma_angle
-        scale = (side / sigma)[:, None]
-        by_x[:, 2, :2] = -h[:, None] * turn * scale
-        by_x[:, 2, 2] = -cosine * scale[:, 0]
-        by_y[:, 2, :2] = np.einsum("kij,ki->kj", M, off) * scale
-        by_y[:, 2, 2] = scale[:, 0]
-        e = np.column_stack((turn / sigma_angle, (side * q - distance) / sigma))
-        return e, (by_x, by_y)
+    def rule(x: Numbers, y: Numbers) -> Numbers:
+        n, m = x[..., :3], y[..., :3]
+        across = m - _dot(n, m)[..., None] * n
+        turn = (across[..., None, :] @ bases(n.real))[..., 0, :]
+        q = _dot(m, _foot(x) - y[..., 4:]) + y[..., 3]
+        apart = np.where(q.real < 0.0, -q, q) - distance
+        return _joined(turn / sigma_angle, apart[..., None] / sigma)
 
     return Relation(((PLANE.name, first), (PLANE.name, second)), rule)
 
@@ -85,25 +55,13 @@ def parallel(
 def along(plane: int, direction: FloatArray, sigma: float) -> Relation:
     """Return that the normal of a plane, a floor say, lies along a direction in the world."""
     T = bases(direction / np.linalg.norm(direction))
-
-    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        by_n = np.zeros((len(x), 2, 3))
-        by_n[..., :2] = T.T @ bases(x[:, :3]) / sigma
-        return x[:, :3] @ T / sigma, (by_n,)
-
-    return Relation(((PLANE.name, plane),), rule)
+    return Relation(((PLANE.name, plane),), lambda x: x[..., :3] @ T / sigma)
 
 
 def upright(plane: int, direction: FloatArray, sigma: float) -> Relation:
     """Return that a plane, a wall say, contains a direction in the world."""
     g = direction / np.linalg.norm(direction)
-
-    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        by_n = np.zeros((len(x), 1, 3))
-        by_n[:, 0, :2] = np.einsum("i,kij->kj", g, bases(x[:, :3])) / sigma
-        return (x[:, :3] @ g / sigma)[:, None], (by_n,)
-
-    return Relation(((PLANE.name, plane),), rule)
+    return Relation(((PLANE.name, plane),), lambda x: x[..., :3] @ g[:, None] / sigma)
 
 
 def plane_at(
@@ -114,38 +72,21 @@ def plane_at(
     m, b = normal / length, offset / length
     T = bases(m)
 
-    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        n, h, c = x[:, :3], x[:, 3:4], x[:, 4:]
-        N = bases(n)
-        by = np.zeros((len(x), 3, 3))
-        by[:, :2, :2] = T.T @ N / sigma_angle
-        by[:, 2, :2] = -h * np.einsum("i,kij->kj", m, N) / sigma
-        by[:, 2, 2] = -(n @ m) / sigma
-        e = np.column_stack((n @ T / sigma_angle, ((c - h * n) @ m + b) / sigma))
-        return e, (by,)
+    def rule(x: Numbers) -> Numbers:
+        off = _foot(x) @ m[:, None] + b
+        return _joined(x[..., :3] @ T / sigma_angle, off / sigma)
 
     return Relation(((PLANE.name, plane),), rule)
 
 
 def radius(sphere: int, value: float, sigma: float) -> Relation:
     """Return that a sphere has a radius [m]."""
-
-    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        by = np.zeros((len(x), 1, SPHERE.dim))
-        by[:, 0, 3] = 1.0 / sigma
-        return (x[:, 3:4] - value) / sigma, (by,)
-
-    return Relation(((SPHERE.name, sphere),), rule)
+    return Relation(((SPHERE.name, sphere),), lambda x: (x[..., 3:4] - value) / sigma)
 
 
 def position(family: str, member: int, place: FloatArray, sigma: float) -> Relation:
     """Return that a point, or the centre of a sphere, is at a place [m] in the world."""
-
-    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        by = np.broadcast_to(np.eye(3, CENTRES[family]) / sigma, (len(x), 3, CENTRES[family]))
-        return (x[:, :3] - place) / sigma, (by,)
-
-    return Relation(((family, member),), rule)
+    return Relation(((family, member),), lambda x: (x[..., :3] - place) / sigma)
 
 
 def distance(
@@ -153,13 +94,9 @@ def distance(
 ) -> Relation:
     """Return that two points, or centres of spheres, are at a distance [m]."""
 
-    def rule(x: FloatArray, y: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        off = x[:, :3] - y[:, :3]
-        length = np.linalg.norm(off, axis=1)
-        u = off / length[:, None] / sigma
-        by_x, by_y = (np.zeros((len(x), 1, CENTRES[f])) for f, _ in (first, second))
-        by_x[:, 0, :3], by_y[:, 0, :3] = u, -u
-        return ((length - value) / sigma)[:, None], (by_x, by_y)
+    def rule(x: Numbers, y: Numbers) -> Numbers:
+        off = x[..., :3] - y[..., :3]
+        return np.asarray((np.sqrt(_dot(off, off))[..., None] - value) / sigma)
 
     return Relation((first, second), rule)
 
@@ -172,21 +109,10 @@ def face(
     m, d = normal / length, offset / length
     T = bases(m)
 
-    def rule(x: FloatArray, y: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        n, h, c = x[:, :3], x[:, 3:4], x[:, 4:]
-        R, t = y[:, :9].reshape(-1, 3, 3), y[:, 9:]
-        N, q = bases(n), np.einsum("kij,ki->kj", R, n)
-        foot = np.einsum("kij,ki->kj", R, c - h * n - t)
-        RN = np.einsum("kij,kil->kjl", R, N)
-        by_plane, by_body = np.zeros((len(x), 3, 3)), np.zeros((len(x), 3, 6))
-        by_plane[:, :2, :2] = T.T @ RN / sigma_angle
-        by_plane[:, 2, :2] = -h * np.einsum("i,kil->kl", m, RN) / sigma
-        by_plane[:, 2, 2] = -(q @ m) / sigma
-        by_body[:, :2, :3] = T.T @ skew(q) / sigma_angle
-        by_body[:, 2, :3] = m @ skew(foot) / sigma
-        by_body[:, 2, 3:] = -m / sigma
-        e = np.column_stack((q @ T / sigma_angle, (foot @ m - d) / sigma))
-        return e, (by_plane, by_body)
+    def rule(x: Numbers, y: Numbers) -> Numbers:
+        R, t = _pose(y)
+        off = _seen(R, _foot(x) - t) @ m[:, None] - d
+        return _joined(_seen(R, x[..., :3]) @ T / sigma_angle, off / sigma)
 
     return Relation(((PLANE.name, plane), (BODY.name, body)), rule)
 
@@ -215,30 +141,22 @@ def held(body: int, pose: FloatArray, faces: FloatArray, sigma: float) -> Relati
     open_ = axes[size < 1e-6]
     if not len(open_):
         return None
-    R0, t0 = pose[:9].reshape(3, 3), pose[9:]
+    at, place = pose[:9].reshape(3, 3), pose[9:]
 
-    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        E = R0.T @ x[:, :9].reshape(-1, 3, 3)
-        turn = Rotation.from_matrix(E).as_rotvec()
-        by = np.zeros((len(x), 6, 6))
-        by[:, :3, :3], by[:, 3:, 3:] = _turned_by(turn), E
-        e = np.concatenate((turn, (x[:, 9:] - t0) @ R0), axis=1)
-        return e @ open_.T / sigma, (open_ @ by / sigma,)
+    def rule(x: Numbers) -> Numbers:
+        R, t = _pose(x)
+        return np.asarray(_joined(_turn(at.T @ R), (t - place) @ at) @ open_.T / sigma)
 
     return Relation(((BODY.name, body),), rule)
 
 
 def mounted_at(sensor: int, pose: FloatArray, sigma: float, sigma_angle: float) -> Relation:
     """Return that a sensor sits where a drawing has it: hand_T_sensor (4, 4)."""
+    at, place = pose[:3, :3], pose[:3, 3]
 
-    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        R, t = x[:, :9].reshape(-1, 3, 3), x[:, 9:12]
-        turn = Rotation.from_matrix(pose[:3, :3].T @ R).as_rotvec()
-        by = np.zeros((len(x), 6, SENSOR.dim))
-        by[:, :3, :3] = _turned_by(turn) / sigma_angle
-        by[:, 3:, 3:6] = pose[:3, :3].T @ R / sigma
-        e = np.concatenate((turn / sigma_angle, (t - pose[:3, 3]) @ pose[:3, :3] / sigma), axis=1)
-        return e, (by,)
+    def rule(x: Numbers) -> Numbers:
+        R, t = _pose(x)
+        return _joined(_turn(at.T @ R) / sigma_angle, (t - place) @ at / sigma)
 
     return Relation(((SENSOR.name, sensor),), rule)
 
@@ -248,18 +166,10 @@ def mounted_together(
 ) -> Relation:
     """Return that two sensors sit at a known pose to each other: first_T_second (4, 4)."""
 
-    def rule(x: FloatArray, y: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        R, Q = (z[:, :9].reshape(-1, 3, 3) for z in (x, y))
-        E = np.swapaxes(R, 1, 2) @ Q
-        t = np.einsum("kij,ki->kj", R, y[:, 9:12] - x[:, 9:12])
-        turn = Rotation.from_matrix(pose[:3, :3].T @ E).as_rotvec()
-        by_x, by_y = np.zeros((2, len(x), 6, SENSOR.dim))
-        by_y[:, :3, :3] = _turned_by(turn) / sigma_angle
-        by_x[:, :3, :3] = -by_y[:, :3, :3] @ np.swapaxes(E, 1, 2)
-        by_x[:, 3:, :3], by_x[:, 3:, 3:6] = skew(t) / sigma, -np.eye(3) / sigma
-        by_y[:, 3:, 3:6] = E / sigma
-        e = np.concatenate((turn / sigma_angle, (t - pose[:3, 3]) / sigma), axis=1)
-        return e, (by_x, by_y)
+    def rule(x: Numbers, y: Numbers) -> Numbers:
+        (R, t), (Q, s) = _pose(x), _pose(y)
+        turn = _turn(pose[:3, :3].T @ np.swapaxes(R, -1, -2) @ Q)
+        return _joined(turn / sigma_angle, (_seen(R, s - t) - pose[:3, 3]) / sigma)
 
     return Relation(((SENSOR.name, first), (SENSOR.name, second)), rule)
 
@@ -268,24 +178,50 @@ def beam_at(
     beam: int, location: FloatArray, direction: FloatArray, sigma: float, sigma_angle: float
 ) -> Relation:
     """Return that a beam sits where a drawing has it: location [m] and direction in the hand."""
-    u = direction / np.linalg.norm(direction)
-    T = bases(u)
+    T = bases(direction / np.linalg.norm(direction))
 
-    def rule(x: FloatArray) -> tuple[FloatArray, tuple[FloatArray, ...]]:
-        by = np.zeros((len(x), MOUNT_DIM, BEAM.dim))
-        by[:, LOCATION, LOCATION] = np.eye(3) / sigma
-        by[:, DIRECTION, DIRECTION] = T.T @ bases(x[:, 3:6]) / sigma_angle
-        e = np.concatenate(((x[:, :3] - location) / sigma, x[:, 3:6] @ T / sigma_angle), axis=1)
-        return e, (by,)
+    def rule(x: Numbers) -> Numbers:
+        return _joined((x[..., :3] - location) / sigma, x[..., 3:6] @ T / sigma_angle)
 
     return Relation(((BEAM.name, beam),), rule)
 
 
-def _turned_by(turn: FloatArray) -> FloatArray:
-    """Return the derivatives (K, 3, 3) of rotation vectors (K, 3) by a turn in their own frame."""
-    angle = np.linalg.norm(turn, axis=1)[:, None, None]
+def _dot(a: Numbers, b: Numbers) -> Numbers:
+    return np.asarray((a * b).sum(axis=-1))
+
+
+def _joined(*parts: Numbers | FloatArray) -> Numbers:
+    return np.concatenate(parts, axis=-1, dtype=complex)
+
+
+def _foot(plane: Numbers) -> Numbers:
+    return np.asarray(plane[..., 4:] - plane[..., 3:4] * plane[..., :3])
+
+
+def _pose(x: Numbers) -> tuple[Numbers, Numbers]:
+    return x[..., :9].reshape(*x.shape[:-1], 3, 3), x[..., 9:12]
+
+
+def _seen(R: Numbers, vectors: Numbers) -> Numbers:
+    """Return R' v for rotations (..., 3, 3) and vectors (..., 3)."""
+    return np.asarray((vectors[..., None, :] @ R)[..., 0, :])
+
+
+def _turn(E: Numbers) -> Numbers:
+    """Return the rotation vectors (..., 3) of rotations, by their derivative in the own frame.
+
+    With a = |v|, a turn by w in the own frame changes the vector v by
+
+        (I + V / 2 + (1 - (a / 2) / tan(a / 2)) / a^2 V V) w.
+    """
+    R = E.real
+    v = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1])
+    by_turn = np.swapaxes(R, -1, -2) @ E.imag
+    w = np.stack((by_turn[..., 2, 1], by_turn[..., 0, 2], by_turn[..., 1, 0]), axis=-1)
+    angle = np.linalg.norm(v, axis=-1)[..., None, None]
     small = angle < 1e-4
     half = 0.5 * np.where(small, 1.0, angle)
     factor = np.where(small, 1.0 / 12.0, (1.0 - half / np.tan(half)) / (4.0 * half**2))
-    W = skew(turn)
-    return np.asarray(np.eye(3) + 0.5 * W + factor * W @ W)
+    V = skew(v)
+    J = np.eye(3) + 0.5 * V + factor * V @ V
+    return np.asarray(v + 1j * (J @ w[..., None])[..., 0])

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from .block import Rows, Slot, Values, Weights
-from .families import FAMILIES
+from .families import BEAM, FAMILIES, OF_DIRECTION, bases
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,16 +82,20 @@ class Hits:
     impossible: BoolArray
 
 
-class Sensor(Protocol):
-    """Rays in the hand; `member` (G,) says of which member each group of readings is."""
+class OfVariable(Protocol):
+    """A part of a block whose numbers are the members of a family."""
 
     @property
     def family(self) -> str:
-        """The family of its variable."""
+        """The family of its variable, or nothing where it has none."""
 
     @property
     def member(self) -> IntArray:
-        """Which member each group is of."""
+        """Which member each group of readings has (G,)."""
+
+
+class Sensor(OfVariable, Protocol):
+    """Rays in the hand."""
 
     def rays(self, values: Values, reading: FloatArray) -> Rays:
         """Return the rays of readings (K, G, S)."""
@@ -103,16 +107,8 @@ class Sensor(Protocol):
         """
 
 
-class Target(Protocol):
-    """What rays meet; `member` (G,) says which member each group sees."""
-
-    @property
-    def family(self) -> str:
-        """The family of its variable."""
-
-    @property
-    def member(self) -> IntArray:
-        """Which member each group sees."""
+class Target(OfVariable, Protocol):
+    """What rays meet."""
 
     def hit(self, values: Values, origin: FloatArray, direction: FloatArray) -> Hits:
         """Return where rays (3, K, G, S), in the world, meet it."""
@@ -121,16 +117,8 @@ class Target(Protocol):
         """Return the directions (3, K, G, S) in which it is nearest to points in the world."""
 
 
-class Robot(Protocol):
+class Robot(OfVariable, Protocol):
     """Where the hand is; `family` is empty where its poses are given."""
-
-    @property
-    def family(self) -> str:
-        """The family of its variable, or nothing."""
-
-    @property
-    def member(self) -> IntArray:
-        """Which member each group has."""
 
     def pose(self, values: Values) -> tuple[FloatArray, FloatArray]:
         """Return R (3, 3, K, G, S) and t (3, K, G, S) of the hand in the world."""
@@ -189,10 +177,7 @@ class Ranges:
             columns.append(by_error)
         columns.append(hits.columns)
         if self.robot.family:
-            spot = rays.origin + s * rays.direction
-            spot, covector = np.broadcast_arrays(spot, a)
-            turns = cross(spot, covector)
-            columns.append(self.robot.pull(np.concatenate((turns, covector))))
+            columns.append(self.robot.pull(by_motion(rays.origin + s * rays.direction, a)))
         if slope is not None:
             columns = [c if c is by_error else c * slope for c in columns]
         shape = np.broadcast_shapes(e.shape, d.shape)
@@ -278,6 +263,25 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.stack(
         (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
     )
+
+
+def by_motion(spot: FloatArray, a: FloatArray) -> FloatArray:
+    """Return derivatives (6, ...) by a turn and a shift, for covectors a at spots (3, ...)."""
+    spot, a = np.broadcast_arrays(spot, a)
+    return np.concatenate((cross(spot, a), a))
+
+
+def by_beam(
+    values: Values, member: IntArray, a: FloatArray, turning: FloatArray, s: FloatArray
+) -> FloatArray:
+    """Return derivatives of ranges s by location and direction of beams.
+
+    The covectors (3, K, G, S) are `a` of the origin of each ray, and s `turning` of its direction.
+    """
+    basis = bases(values[BEAM.name][..., OF_DIRECTION])[:, member].transpose(2, 3, 0, 1)
+    turned = s * np.einsum("ijkg,ikgs->jkgs", basis, turning)
+    shape = np.broadcast_shapes(a.shape[1:], s.shape)
+    return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in (a, turned)])
 
 
 def turned(R: FloatArray, x: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ Problems are K recordings of one shape, or K candidates for one recording.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,10 +38,10 @@ LEVEL_STEPS = 6
 
 
 class StoppingRule:
-    """Follows the steps of one search.
+    """Follows the steps of one search, or of K searches at once: numbers are single ones, or (K,).
 
     The length of a step is measured by its decrement -g . delta: twice the cost it should save, in
-    squared standard deviations for unit weights.
+    squared standard deviations for unit weights. It is NaN, or negative, for no step.
 
     Parameters
     ----------
@@ -48,52 +49,73 @@ class StoppingRule:
         Standard deviations that may be left to go.
     least_damping : float
         Damping at which a step counts as undamped.
-    rounding_cost : float
+    rounding_cost : float or (K,)
         What rounding of the residuals alone adds to the cost.
     dof : int
         Degrees of freedom, for the variance of the residuals.
     """
 
     def __init__(
-        self, tolerance: float, least_damping: float, rounding_cost: float, dof: int
+        self,
+        tolerance: float,
+        least_damping: float,
+        rounding_cost: float | FloatArray,
+        dof: int,
     ) -> None:
         self.tolerance, self.least_damping = tolerance, least_damping
-        self.rounding_cost, self.dof = rounding_cost, dof
-        self._level = 0
-        self._damping, self._decrement = -1.0, np.inf
+        self.rounding_cost, self.dof = np.asarray(rounding_cost), dof
+        shape = self.rounding_cost.shape
+        self._before, self._damped = np.full(shape, np.inf), np.full(shape, np.nan)
+        self._level = np.zeros(shape, dtype=np.intp)
 
-    def resolution(self, cost: float) -> float:
+    def picked(self, searches: IntArray) -> "StoppingRule":
+        """Return the rule of some of the searches."""
+        new = copy(self)
+        for name in ("rounding_cost", "_before", "_damped", "_level"):
+            setattr(new, name, getattr(self, name)[searches])
+        return new
+
+    def resolution(self, cost: FloatArray) -> FloatArray:
         """Return the smallest change that shows in `cost`."""
-        return COST_RESOLUTION * cost + self.rounding_cost
+        return np.asarray(COST_RESOLUTION * cost + self.rounding_cost)
 
-    def arrived(self, decrement: float | None, damping: float, cost: float) -> str | None:
-        """Say why the search is over after a step, or None; `decrement` is None for no step."""
-        if decrement is None:
-            self._level = 0
-            return None
-        if self._little_left(decrement, damping, cost):
-            return "converged"
-        self._level = self._level + 1 if decrement <= self.resolution(cost) else 0
-        # Where the model does not fit (large residuals), steps shrink slowly.
-        return "the cost is level" if self._level >= LEVEL_STEPS else None
+    def gain(self, decrement: FloatArray, cost: FloatArray, trial: FloatArray) -> FloatArray:
+        """Return what part of the promised saving a step from `cost` to `trial` achieved.
 
-    def _little_left(self, decrement: float, damping: float, cost: float) -> bool:
+        It is -1 of a failed step. A change too small to show in the cost counts as half: accept, and
+        leave the damping.
+        """
+        resolution, saved = self.resolution(cost), cost - trial
+        level = (np.abs(decrement) <= resolution) & (saved > -resolution)
+        gain = np.where(decrement >= 0.0, saved / np.maximum(0.5 * decrement, TINY), -1.0)
+        return np.where(level, 0.5, np.where(np.isfinite(gain), gain, -1.0))
+
+    def little_left(
+        self, decrement: FloatArray, damping: FloatArray, cost: FloatArray
+    ) -> BoolArray:
         """Tell whether what is left after the step is below the tolerance.
 
         A step that is q times the one before it, at the same damping, leaves q / (1 - q) of its length.
         """
-        before, self._decrement = self._decrement, decrement
-        same, self._damping = damping == self._damping, damping
-        if decrement <= self.rounding_cost:
-            return True
-        if same and decrement < before:
-            shrink = float(np.sqrt(decrement / before))
-        elif damping <= self.least_damping:
-            shrink = 0.5
-        else:
-            return False
-        left = np.sqrt(decrement) * shrink / (1.0 - shrink)
-        return bool(left <= self.tolerance * np.sqrt(2.0 * cost / self.dof))
+        with np.errstate(all="ignore"):  # a step may be as long as the one before, or none
+            length = np.sqrt(decrement)
+            same = (damping == self._damped) & (length < self._before)
+            left = np.where(same, decrement / (self._before - length), length)
+        small = left <= self.tolerance * np.sqrt(2.0 / self.dof * cost)
+        small &= same | (damping <= self.least_damping)
+        self._before, self._damped = length, damping
+        return np.asarray(small | (np.abs(decrement) <= self.rounding_cost))
+
+    def is_level(
+        self, decrement: FloatArray, cost: FloatArray, better: BoolArray | bool
+    ) -> BoolArray:
+        """Tell whether the last few steps were all accepted and too short to show in the cost.
+
+        Where the model does not fit (large residuals), steps shrink slowly.
+        """
+        short = (np.abs(decrement) <= self.resolution(cost)) & better
+        self._level = np.where(short, self._level + 1, 0)
+        return np.asarray(self._level >= LEVEL_STEPS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,13 +270,12 @@ class LeastSquares:
     def picked(self, problems: IntArray) -> "LeastSquares":
         """Return some of the problems."""
         blocks = tuple(block.picked(problems) for block in self.blocks)
-        return LeastSquares(
-            blocks,
-            self.reduction.with_blocks(blocks),
-            self.unit[problems],
-            self.rounding[problems],
-            self.dof,
-            self.robust,
+        return replace(
+            self,
+            blocks=blocks,
+            reduction=self.reduction.with_blocks(blocks),
+            unit=self.unit[problems],
+            rounding=self.rounding[problems],
         )
 
 
@@ -351,14 +372,22 @@ class _Search:
         self._tighten(np.ones(K, dtype=bool))
         self.index: IntArray = np.arange(K)
         self.damping = np.full(K, options.least_damping)
-        self.before, self.damped = np.full(K, np.inf), np.full(K, np.nan)
+        self.stopping = StoppingRule(
+            options.step_tolerance, options.least_damping, problem.rounding, problem.dof
+        )
         self.trials = 0
-        self.iterations, self.level = np.zeros((2, K), dtype=np.intp)
-        self.ended: list[tuple[IntArray, Searched]] = []
+        self.iterations = np.zeros(K, dtype=np.intp)
+        self.found = Searched(
+            {name: np.empty_like(x) for name, x in values.items()},
+            np.empty(K),
+            np.empty(K, dtype=bool),
+            np.empty(K, dtype=np.intp),
+            np.empty(K),
+        )
 
     def run(self) -> Searched:
         """Take steps until all problems have arrived, or no step helps."""
-        impossible = ~np.isfinite(self.at.cost)
+        impossible, interrupted = ~np.isfinite(self.at.cost), False
         self._leave(impossible, impossible)
         try:
             while self.index.size and self.trials < self.options.max_iterations:
@@ -367,10 +396,10 @@ class _Search:
         except KeyboardInterrupt:
             if self.progress is None:
                 raise
-            self._leave_all()
-            return replace(_in_order(self.ended), interrupted=True)
-        self._leave_all()
-        return _in_order(self.ended)
+            interrupted = True
+        every = np.ones(len(self.index), dtype=bool)
+        self._leave(every, every)
+        return replace(self.found, interrupted=interrupted)
 
     def _evaluated(self, values: Values, scale: FloatArray | None) -> _Point:
         """Return the rows and costs at some values; the scale of a robust loss stays, if given."""
@@ -416,10 +445,10 @@ class _Search:
         saved += np.einsum("kmi,kmi->k", normal.local_gradient, local)
         decrement = saved / -(self.problem.unit**2)
         values = self.problem.reduction.moved(self.at.values, step, local)
-        arrived = self._little_left(decrement)
-        resolution = self._resolution()
+        stopping = self.stopping
+        arrived = stopping.little_left(decrement, self.damping, self.at.cost)
         # A step too short to show in the cost is the last, and is not evaluated again.
-        last = arrived & (decrement >= 0.0) & (decrement <= resolution)
+        last = arrived & (decrement >= 0.0) & (decrement <= stopping.resolution(self.at.cost))
         if last.any():
             self.at.values = _chosen(last, values, self.at.values)
             self.at.cost = np.where(
@@ -432,34 +461,17 @@ class _Search:
                 return
             values = {name: x[rest] for name, x in values.items()}
             decrement, arrived = decrement[rest], arrived[rest]
-            resolution = resolution[rest]
+            stopping = self.stopping
         trial = self._evaluated(values, self.at.scale)
-        if self._goes_well(trial, decrement, arrived):
-            return
-        gain = self._gain(decrement, trial.cost)
+        gain = stopping.gain(decrement, self.at.cost, trial.cost)
         better = gain > 0.0
-        level = np.abs(decrement) <= resolution
-        self.level = np.where(level & better, self.level + 1, 0)
+        level = stopping.is_level(decrement, self.at.cost, better)
         self.iterations += better
         self._tell(decrement, trial.cost, better)
         self._accept(better, trial)
-        arrived = (arrived & ~self.tightening) | (self.level >= LEVEL_STEPS)
+        arrived = (arrived & ~self.tightening) | level
         self.damping = self.options.adapted(self.damping, gain)
         self._leave(arrived | (self.damping > self.options.most_damping), ~arrived)
-
-    def _goes_well(self, trial: _Point, decrement: FloatArray, arrived: BoolArray) -> bool:
-        """Take an undamped step of all problems if it does well for each, as most steps do."""
-        if self.problem.robust is not None or arrived.any() or self.damping.any():
-            return False
-        if not (self.at.cost - trial.cost >= 0.5 * POOR_GAIN * decrement).all():
-            return False
-        if not (decrement > 0.0).all():
-            return False
-        self._tell(decrement, trial.cost, np.ones(len(decrement), dtype=bool))
-        self.iterations += 1
-        self.level[:] = 0
-        self.at = trial
-        return True
 
     def _tell(self, decrement: FloatArray, cost: FloatArray, accepted: BoolArray) -> None:
         if self.progress is not None:
@@ -484,75 +496,24 @@ class _Search:
                 at.normal = at.normal.replaced(better, trial.normal)
         self._tighten(better)
 
-    def _resolution(self) -> FloatArray:
-        """Return the smallest change that shows in each cost."""
-        return COST_RESOLUTION * self.at.cost + self.problem.rounding
-
-    def _gain(self, decrement: FloatArray, cost: FloatArray) -> FloatArray:
-        """Return what part of the promised saving each step achieved, -1 of a failed one.
-
-        A change too small to show in the cost counts as half: accept, and leave the damping.
-        """
-        resolution = self._resolution()
-        saved = self.at.cost - cost
-        level = (np.abs(decrement) <= resolution) & (saved > -resolution)
-        gain = np.where(decrement >= 0.0, saved / np.maximum(0.5 * decrement, TINY), -1.0)
-        gain = np.where(np.isfinite(gain), gain, -1.0)
-        return np.where(level, 0.5, gain)
-
-    def _little_left(self, decrement: FloatArray) -> BoolArray:
-        """Tell which steps leave less than the tolerance; see `StoppingRule`."""
-        length = np.sqrt(decrement)
-        same = (self.damping == self.damped) & (length < self.before)
-        left = np.where(same, decrement / (self.before - length), length)
-        deviation = np.sqrt(2.0 / self.problem.dof * self.at.cost)
-        small = left <= self.options.step_tolerance * deviation
-        small &= same | (self.damping <= self.options.least_damping)
-        self.before, self.damped = length, self.damping
-        return np.asarray(small | (np.abs(decrement) <= self.problem.rounding))
-
-    def _leave_all(self) -> None:
-        """Let the problems end that are still on their way."""
-        if self.index.size:
-            every = np.ones(len(self.index), dtype=bool)
-            self._leave(every, every)
-
     def _leave(self, which: BoolArray, failed: BoolArray) -> IntArray:
         """Let problems end; return those that go on."""
         rest = np.flatnonzero(~which)
         if len(rest) == len(which):
             return rest
         gone, at = np.flatnonzero(which), self.at
-        ended = Searched(
-            {name: x[gone] for name, x in at.values.items()},
-            at.cost[gone],
-            ~failed[gone] & np.isfinite(at.cost[gone]),
-            self.iterations[gone],
-            at.scale[gone],
-        )
-        self.ended.append((self.index[gone], ended))
+        found, of = self.found, self.index[gone]
+        for name, x in at.values.items():
+            found.values[name][of] = x[gone]
+        found.cost[of], found.scale[of] = at.cost[gone], at.scale[gone]
+        found.converged[of] = ~failed[gone] & np.isfinite(at.cost[gone])
+        found.iterations[of] = self.iterations[gone]
         if rest.size:
             self.at, self.problem = at.picked(rest), self.problem.picked(rest)
-        counted = ("index", "iterations", "level", "tightening")
-        for name in (*counted, "damping", "before", "damped"):
+        self.stopping = self.stopping.picked(rest)
+        for name in ("index", "iterations", "tightening", "damping"):
             setattr(self, name, getattr(self, name)[rest])
         return rest
-
-
-def _in_order(ended: Sequence[tuple[IntArray, Searched]]) -> Searched:
-    """Return the ends of all problems in their order."""
-    parts = [part for _, part in ended]
-    if len(parts) == 1:
-        return parts[0]
-    order = np.argsort(np.concatenate([index for index, _ in ended]))
-    names = ("cost", "converged", "iterations", "scale")
-    arrays = (np.concatenate([getattr(part, name) for part in parts])[order] for name in names)
-    cost, converged, iterations, scale = arrays
-    values = {
-        name: np.concatenate([part.values[name] for part in parts])[order]
-        for name in parts[0].values
-    }
-    return Searched(values, cost, converged, iterations, scale)
 
 
 def _chosen(

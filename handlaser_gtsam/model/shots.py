@@ -101,10 +101,7 @@ class _Plane:
     """q . p = 1, for rays through the origin: 1 / s = q . u, in the axes that the rays span."""
 
     axes: tuple[int, ...]
-
-    @property
-    def size(self) -> int:
-        return len(self.axes)
+    size: int
 
     def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
         return _solved(rays.direction[..., self.axes], 1.0 / reading)
@@ -126,10 +123,7 @@ class _Sphere:
     """A centre in the axes that the rays span, and the radius: a circle for rays of one plane."""
 
     axes: tuple[int, ...]
-
-    @property
-    def size(self) -> int:
-        return len(self.axes) + 1
+    size: int
 
     def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
         p = (rays.origin + reading[..., None] * rays.direction)[..., self.axes]
@@ -160,8 +154,8 @@ class _Sphere:
 def shape_of(kind: Kind, target: str) -> Shape:
     """Return what a target, `plane` or `sphere`, looks like to a kind of sensor."""
     if target == "sphere":
-        return _Sphere(kind.axes)
-    return _Line() if kind.parallel else _Plane(kind.axes)
+        return _Sphere(kind.axes, len(kind.axes) + 1)
+    return _Line() if kind.parallel else _Plane(kind.axes, len(kind.axes))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,7 +233,7 @@ def condensed_shots(
         for first in range(0, len(alike), share):
             some = alike[first : first + share].tolist()
             rays = kind.rays(np.concatenate([shots[i][0] for i in some]))
-            rays = _reshaped(rays, (len(some), n, 3))
+            rays = _rows(rays, np.arange(len(some) * n).reshape(len(some), n))
             reading = np.stack([shots[i][1] for i in some])
             ends = _condensed(shape, rays, reading, few, ratio, sigma, sorted_out)
             for i, end in zip(some, ends, strict=True):
@@ -316,7 +310,7 @@ def _as_they_are(shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArra
     rays, d = _rows(rays, kept), reading[kept]
     n, found = len(d), np.full(shape.size, np.nan)
     if n >= shape.size:
-        every = _reshaped(rays, (1, n, 3))
+        every = _rows(rays, None)
         refined, fits = _refined(
             shape, shape.through(every, d[None]), every, d[None], np.ones((1, n), dtype=bool)
         )
@@ -490,15 +484,12 @@ def _refined(
     return found, fits
 
 
-def _rows(rays: Rayset, which: int | IntArray | BoolArray | tuple[slice, IntArray]) -> Rayset:
-    """Return some of the rays."""
+def _rows(
+    rays: Rayset, which: int | IntArray | BoolArray | tuple[slice, IntArray] | None
+) -> Rayset:
+    """Return some of the rays, or all of them as those of one shot (1, n)."""
     parts = rays.origin, rays.direction, rays.origin_by_scale, rays.direction_by_scale
     return Rayset(*(part[which] for part in parts))
-
-
-def _reshaped(rays: Rayset, shape: tuple[int, ...]) -> Rayset:
-    parts = rays.origin, rays.direction, rays.origin_by_scale, rays.direction_by_scale
-    return Rayset(*(part.reshape(shape) for part in parts))
 
 
 def _solved(rows: FloatArray, right: FloatArray) -> FloatArray:

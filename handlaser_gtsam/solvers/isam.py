@@ -14,6 +14,7 @@ eliminates little else again. What was measured of GTSAM 4.3, and how it is met:
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from threading import RLock
 
@@ -248,9 +249,7 @@ class IncrementalGraph:
             return self._isam.calculateEstimatePose3(key)
 
     def _copy(self) -> "IncrementalGraph":
-        new = object.__new__(IncrementalGraph)
-        new.beams, new.terms, new._keys, new._lock = self.beams, self.terms, self._keys, self._lock
-        new._thresholds, new._unit = self._thresholds, self._unit
+        new = copy(self)
         new._factors, new._blocks = dict(self._factors), dict(self._blocks)
         new._isam = gtsam.ISAM2(self._isam)
         new._view = new._isam.getLinearizationPoint()

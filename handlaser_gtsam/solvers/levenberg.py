@@ -9,6 +9,7 @@ and linearised there to (H + lambda diag(H)) delta = -g, which GTSAM eliminates 
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
@@ -304,29 +305,26 @@ def _minimised(
         solver = point.linearized()
         while len(history) < options.max_iterations:
             step = solver(damping)
-            decrement = None if step is None else step[1]
+            decrement = np.array(-1.0 if step is None else step[1])  # negative for no step
             trial = None if step is None else _tried(objective, point.values.retract(step[0]))
-            # The share of the promised saving that the step achieved; -1 for a failed step.
-            gain = -1.0
-            if decrement is not None and trial is not None:
-                saved, resolution = point.cost - trial.cost, stopping.resolution(point.cost)
-                # A change too small to show in the cost counts as half: accept, and leave the damping.
-                level = decrement <= resolution and saved > -resolution
-                gain = 0.5 if level else saved / (0.5 * decrement)
-            better = trial is not None and gain > 0.0
-            cost = np.inf if trial is None else trial.cost
-            length = np.inf if decrement is None else float(np.sqrt(decrement))
-            history.append(Trial(len(history) + 1, cost, damping, length, better))
+            cost = np.array(np.inf if trial is None else trial.cost)
+            gain = stopping.gain(decrement, np.array(point.cost), cost)
+            better = trial is not None and bool(gain > 0.0)
+            length = np.inf if step is None else float(np.sqrt(decrement))
+            history.append(Trial(len(history) + 1, float(cost), damping, length, better))
             if progress is not None:
                 progress(history[-1])
             if better and trial is not None:
                 point = trial
                 accepted += 1
-            reason = stopping.arrived(decrement, damping, point.cost)
+            now = np.array(point.cost)
+            reason = "the cost is level" if stopping.is_level(decrement, now, better) else None
+            if step is not None and stopping.little_left(decrement, np.array(damping), now):
+                reason = "converged"
             if reason is not None:
                 status, message = "converged", f"{reason} after {count(accepted, 'step')}"
                 break
-            damping = float(options.adapted(np.array(damping), np.array(gain)))
+            damping = float(options.adapted(np.array(damping), gain))
             if damping > options.most_damping:
                 status = "stalled"
                 message = f"no step lowers the cost after {count(accepted, 'step')}"
@@ -373,7 +371,11 @@ def require_values(values: gtsam.Values) -> None:
         lambda key: values.atUnit3(key).point3(),
     )
     for key in values.keys():  # noqa: SIM118  (gtsam.Values is no dict)
-        numbers = _numbers(key, readers)
+        numbers = np.empty(0)  # none of a type that range factors do not use
+        for read in readers:
+            with suppress(RuntimeError):  # another type
+                numbers = np.asarray(read(key), dtype=np.float64).ravel()
+                break
         wrong = ~(np.abs(numbers) <= LARGEST_NUMBER)
         if wrong.any():
             name = gtsam.DefaultKeyFormatter(key)
@@ -381,13 +383,3 @@ def require_values(values: gtsam.Values) -> None:
                 f"{numbers[wrong][0]:g} in the value of {name}",
                 f"finite numbers, at most {LARGEST_NUMBER:g}",
             )
-
-
-def _numbers(key: int, readers: tuple[Callable[[int], ArrayLike], ...]) -> FloatArray:
-    """Return the numbers of a value; none where it is of a type that range factors do not use."""
-    for read in readers:
-        try:
-            return np.asarray(read(key), dtype=np.float64).ravel()
-        except RuntimeError:  # another type
-            continue
-    return np.empty(0)

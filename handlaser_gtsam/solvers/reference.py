@@ -18,7 +18,7 @@ they make the readings longer; what an error of size 1 does is held and updated 
 (`reference_errors`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -47,43 +47,79 @@ POSE_STEP = 1e-6
 the rounding of doubles."""
 
 
-@dataclass(frozen=True, slots=True)
-class UnitVectors:
-    """Unit vectors (K, 3) as two components each: which are kept, which one follows, its sign."""
+UNIT = {"beam": slice(3, 6), "plane": slice(0, 3)}
+"""Where a unit vector stands among the numbers of a variable."""
 
-    kept: IntArray
-    follows: IntArray
-    sign: FloatArray
 
-    @classmethod
-    def of(cls, start: FloatArray) -> "UnitVectors":
-        """Return how unit vectors near `start` (K, 3) are written."""
-        follows = np.abs(start).argmax(axis=1)
-        kept = np.array([[i for i in range(3) if i != f] for f in follows], dtype=np.intp)
-        kept = kept.reshape(-1, 2)
-        return cls(kept, follows, np.sign(start[np.arange(len(start)), follows]))
+class Unknowns:
+    """Variables as the unknowns of SciPy; of a unit vector one component follows from the others.
 
-    def pack(self, vectors: FloatArray) -> FloatArray:
-        """Return the pairs (K, 2) of vectors (K, 3)."""
-        return np.take_along_axis(vectors, self.kept, axis=1)
+    Parameters
+    ----------
+    start : mapping of str to (n, width)
+        Numbers of the variables of each kind: they choose which component of each unit vector follows.
+    free : mapping of str to (n, width) or (width,) of bool, optional
+        Which numbers are unknown, the others being zero; all of a kind where it is not given.
 
-    def unpack(self, pairs: FloatArray) -> FloatArray:
-        """Return the vectors (K, 3) of pairs (K, 2)."""
-        vectors = np.zeros((len(pairs), 3))
-        np.put_along_axis(vectors, self.kept, pairs, axis=1)
-        third = np.sqrt(np.maximum(1.0 - (pairs**2).sum(axis=1), 0.0))
-        vectors[np.arange(len(pairs)), self.follows] = self.sign * third
-        return vectors
+    Attributes
+    ----------
+    x0 : (q,)
+        The unknowns at the start.
+    place : mapping of str to (n, width)
+        Where each number stands among the unknowns; -1 for none.
+    """
 
-    def derivative(self, vectors: FloatArray) -> FloatArray:
-        """Return d vector / d pair, (K, 3, 2)."""
-        rows = np.arange(len(vectors))
-        D = np.zeros((len(vectors), 3, 2))
-        for column in range(2):
-            D[rows, self.kept[:, column], column] = 1.0
-        third = vectors[rows, self.follows]
-        D[rows, self.follows] = -self.pack(vectors) / third[:, None]
-        return D
+    def __init__(
+        self, start: Mapping[str, FloatArray], free: Mapping[str, BoolArray] | None = None
+    ) -> None:
+        self.place: dict[str, IntArray] = {}
+        self._follows: dict[str, tuple[IntArray, IntArray, FloatArray]] = {}
+        count = 0
+        for kind, table in start.items():
+            kept = np.array(np.broadcast_to((free or {}).get(kind, np.True_), table.shape))
+            if kind in UNIT:
+                rows = np.arange(len(table))
+                follows = UNIT[kind].start + np.abs(table[:, UNIT[kind]]).argmax(axis=1)
+                kept[rows, follows] = False
+                self._follows[kind] = rows, follows, np.sign(table[rows, follows])
+            self.place[kind] = np.where(kept, count + np.cumsum(kept).reshape(kept.shape) - 1, -1)
+            count += int(kept.sum())
+        self.x0 = np.concatenate([start[kind][at >= 0] for kind, at in self.place.items()])
+
+    def at(self, x: FloatArray) -> dict[str, FloatArray]:
+        """Return the numbers (n, width) of each kind at a vector of unknowns."""
+        x = np.append(x, 0.0)
+        tables = {kind: x[place] for kind, place in self.place.items()}
+        for kind, (rows, follows, sign) in self._follows.items():
+            square = 1.0 - (tables[kind][:, UNIT[kind]] ** 2).sum(axis=1)
+            tables[kind][rows, follows] = sign * np.sqrt(np.maximum(square, 0.0))
+        return tables
+
+    def covariances(self, x: FloatArray, inverse: FloatArray) -> dict[str, FloatArray]:
+        """Return the covariances (n, width, width) of the variables, from that of the unknowns."""
+        padded, found = np.pad(inverse, (0, 1)), {}
+        for kind, table in self.at(x).items():
+            place = self.place[kind]
+            lift = np.eye(table.shape[1]) * (place >= 0)[:, None]
+            if kind in UNIT:
+                rows, follows, _ = self._follows[kind]
+                by_others = -table / table[rows, follows][:, None] * (place >= 0)
+                lift[rows, follows, UNIT[kind]] = by_others[:, UNIT[kind]]
+            own = padded[place[:, :, None], place[:, None]]
+            found[kind] = lift @ own @ np.swapaxes(lift, 1, 2)
+        return found
+
+
+def by_poses(
+    residuals: Callable[[FloatArray, FloatArray], FloatArray], R: FloatArray, t: FloatArray
+) -> FloatArray:
+    """Return derivatives (N, 6) of residuals (N,) by hand poses (M, 3, 3), (M, 3), in their frames."""
+    columns = []
+    for step in POSE_STEP * np.eye(6):
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        ahead = residuals(R @ turn, t + R @ step[3:])
+        columns.append((ahead - residuals(R @ turn.T, t - R @ step[3:])) / (2.0 * POSE_STEP))
+    return np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +201,8 @@ class ReferenceProblem:
         errors: Mapping[str, float] | None = None,
         used: BoolArray | None = None,
     ) -> None:
-        self.beams, self.planes = len(recording.beam_names), len(recording.plane_names)
-        self.terms = (terms,) * self.beams if isinstance(terms, int) else terms
+        beams = len(recording.beam_names)
+        terms = (terms,) * beams if isinstance(terms, int) else terms
         used = ~np.isnan(recording.ranges) if used is None else used
         low, high = recording.ranges[used].min(), recording.ranges[used].max()
         seen = (recording.ranges >= low) & (recording.ranges <= high)
@@ -178,184 +214,139 @@ class ReferenceProblem:
             np.ones(recording.ranges.shape) if recording.samples is None else recording.samples
         )
         self.samples = samples[self.station, self.beam]
-        self.directions = UnitVectors.of(start.directions)
-        self.normals = UnitVectors.of(start.normals)
-        self.active = np.array([[True] * 5 + [n > 0, n > 1] for n in self.terms])
-        beam = (start.locations, self.directions.pack(start.directions), start.range_errors)
-        plane_part = np.column_stack((self.normals.pack(start.normals), start.offsets))
         self.errors = ReferenceErrors(errors or {}, recording, seen)
-        none = np.zeros_like(self.errors.sigma)
-        self.x0 = np.concatenate((np.hstack(beam)[self.active], plane_part.ravel(), none))
-        self.split = int(self.active.sum())
-        self.last = self.split + 3 * self.planes
-        self.per_size = np.zeros((len(self.d), len(none)))
+        active = [[True] * 6 + [n > 0, n > 1] for n in terms]
+        tables = {
+            "beam": np.hstack(start.beams),
+            "plane": np.column_stack((start.normals, start.offsets)),
+            "size": np.zeros((len(self.errors.sigma), 1)),
+        }
+        self.unknowns = Unknowns(tables, {"beam": np.array(active)})
+        self.x0 = self.unknowns.x0
+        self.per_size = np.zeros((len(self.d), len(self.errors.sigma)))
         self.whiten: csr_array | None = None
         self.base = self.level = self.d
         # One more row for every range error of which something is known: k / its sigma.
-        known = self.active[:, 5:] & (prior is not None)
-        self.number = np.full((self.beams, 7), -1)
-        self.number[self.active] = np.arange(self.split)
-        self.prior_at = self.number[:, 5:][known]
-        sigma = np.ones((self.beams, 2)) if prior is None else prior.sigma
+        of_errors = self.unknowns.place["beam"][:, 6:]
+        known = (of_errors >= 0) & (prior is not None)
+        self.prior_at = of_errors[known]
+        sigma = np.ones((beams, 2)) if prior is None else prior.sigma
         self.prior_sigma = sigma[known]
-
-    def _beams(self, x: FloatArray) -> FloatArray:
-        full = np.zeros((self.beams, 7))
-        full[self.active] = x[: self.split]
-        return full
-
-    def _planes(self, x: FloatArray) -> FloatArray:
-        return x[self.split : self.last].reshape(self.planes, 3)
 
     def unpack(self, x: FloatArray) -> Parameters:
         """Return the parameter vector as beams and planes."""
-        beam, plane = self._beams(x), self._planes(x)
-        directions = self.directions.unpack(beam[:, 3:5])
-        return Parameters(
-            beam[:, :3],
-            directions,
-            beam[:, 5:],
-            self.normals.unpack(plane[:, :2]),
-            plane[:, 2],
-        )
+        at = self.unknowns.at(x)
+        r, v, k = np.split(at["beam"], (3, 6), axis=1)
+        return Parameters(r, v, k, at["plane"][:, :3], at["plane"][:, 3])
+
+    def sizes(self, x: FloatArray) -> FloatArray:
+        """Return the sizes (q,) of the systematic errors."""
+        return x[len(x) - len(self.errors.sigma) :]
 
     def residuals(self, x: FloatArray) -> FloatArray:
         """Return predicted less corrected ranges of the readings used.
 
         In metres, or in sigmas, with rows of the priors, once there are weights.
         """
-        beam = self._beams(x)[self.beam]
-        s = self._ranges(x, *self._poses(x))[0]
-        longer = self.per_size @ x[self.last :]
+        k, size = self.unknowns.at(x)["beam"][self.beam, 6:], self.sizes(x)
+        s = self._ranges(x, *self.errors.hands(size))[0]
+        longer = self.per_size @ size
         level = self.level - longer
-        residual = s - (self.base - longer + level * (beam[:, 5] + beam[:, 6] * level))
+        residual = s - (self.base - longer + level * (k[:, 0] + k[:, 1] * level))
         residual = residual[self.used]
         if self.whiten is None:
             return np.asarray(residual)
-        of_errors = x[self.last :] / self.errors.sigma
         known = x[self.prior_at] / self.prior_sigma
-        return np.concatenate((self.whiten @ residual, known, of_errors))
-
-    def _poses(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the true hand poses of all readings, at the sizes of errors that move the hand."""
-        R, t = self.errors.hands(x[self.last :])
-        return R[self.station], t[self.station]
+        return np.concatenate((self.whiten @ residual, known, size / self.errors.sigma))
 
     def _ranges(self, x: FloatArray, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return ranges [m] and cosines of incidence from given hand poses."""
-        beam, plane = self._beams(x), self._planes(x)
-        n = self.normals.unpack(plane[:, :2])[self.plane]
-        v = self.directions.unpack(beam[:, 3:5])[self.beam]
-        origin = np.matmul(R, beam[self.beam, :3, None])[..., 0] + t
-        cosine = (n * np.matmul(R, v[:, :, None])[..., 0]).sum(axis=1)
-        s: FloatArray = -((n * origin).sum(axis=1) + plane[self.plane, 2]) / cosine
+        """Return ranges [m] and cosines of incidence from hand poses (M, 3, 3), (M, 3)."""
+        at = self.unknowns.at(x)
+        beam, plane, R = at["beam"][self.beam], at["plane"][self.plane], R[self.station]
+        n = plane[:, :3]
+        origin = np.matmul(R, beam[:, :3, None])[..., 0] + t[self.station]
+        cosine = (n * np.matmul(R, beam[:, 3:6, None])[..., 0]).sum(axis=1)
+        s: FloatArray = -((n * origin).sum(axis=1) + plane[:, 3]) / cosine
         return s, cosine
 
     def weigh(self, x: FloatArray, noise: ReferenceNoise) -> None:
         """Weigh the readings of each station together, at `x`."""
-        beam = self._beams(x)[self.beam]
-        R, t = self._poses(x)
+        beam, size = self.unknowns.at(x)["beam"][self.beam], self.sizes(x)
+        k1, k2 = beam[:, 6], beam[:, 7]
+        R, t = self.errors.hands(size)
         s, cosine = self._ranges(x, R, t)
-        slope = 1.0 + beam[:, 5] + 2.0 * beam[:, 6] * self.d
-        expected = self.d + (s - self.d * (1.0 + beam[:, 5] + beam[:, 6] * self.d)) / slope
-        v = self.directions.unpack(self._beams(x)[:, 3:5])[self.beam]
-        spot = np.matmul(R, (beam[:, :3] + s[:, None] * v)[:, :, None])[..., 0] + t
+        slope = 1.0 + k1 + 2.0 * k2 * self.d
+        expected = self.d + (s - self.d * (1.0 + k1 + k2 * self.d)) / slope
+        spot = beam[:, :3] + s[:, None] * beam[:, 3:6]
+        spot = np.matmul(R[self.station], spot[:, :, None])[..., 0] + t[self.station]
         self.per_size = self.errors.longer(self.d, expected, cosine, slope, spot)
-        longer = self.per_size @ x[self.last :]
+        longer = self.per_size @ size
         d = self.d - longer
-        slope = (1.0 + beam[:, 5] + 2.0 * beam[:, 6] * d) / np.sqrt(self.samples)
+        slope = (1.0 + k1 + 2.0 * k2 * d) / np.sqrt(self.samples)
         tangent = np.sqrt(np.maximum(cosine**-2 - 1.0, 0.0))
-        of_reading = slope * noise.range_sigma[self.beam] ** 2 / np.sqrt(self.samples)
-        variance = (slope * noise.range_sigma[self.beam]) ** 2
-        variance += (noise.incidence_sigma * tangent) ** 2
-        true = d * (1.0 + beam[:, 5] + beam[:, 6] * d)
+        sigma = noise.range_sigma[self.beam]
+        of_reading = slope * sigma**2 / np.sqrt(self.samples)
+        variance = (slope * sigma) ** 2 + (noise.incidence_sigma * tangent) ** 2
+        true = d * (1.0 + k1 + k2 * d)
         residual = s - true
         level = d.copy()
-        J = np.zeros((len(self.d), 6))
-        for axis in range(6 if noise.pose is not None else 0):
-            step = np.eye(6)[axis] * POSE_STEP
-            sides = []
-            for sign in (1.0, -1.0):
-                turn = Rotation.from_rotvec(sign * step[:3]).as_matrix()
-                moved = t + sign * np.matmul(R, step[3:])
-                sides.append(self._ranges(x, R @ turn, moved)[0])
-            J[:, axis] = (sides[0] - sides[1]) / (2.0 * POSE_STEP)
+        J = None
+        if noise.pose is not None:
+            J = by_poses(lambda R, t: self._ranges(x, R, t)[0], R, t)
         blocks, order = [], []
         for station in np.unique(self.station[self.used]):
             rows = np.flatnonzero((self.station == station) & self.used)
             C = np.diag(variance[rows])
-            if noise.pose is not None:
+            if J is not None and noise.pose is not None:
                 C += J[rows] @ noise.pose[station] @ J[rows].T
             blocks.append(csr_array(np.linalg.inv(np.linalg.cholesky(C))))
             order.append(rows)
             noise_of = of_reading[rows] * np.linalg.solve(C, residual[rows])
-            most = NOISE_LIMIT * noise.range_sigma[self.beam[rows]]
-            level[rows] += np.clip(noise_of, -most, most)
-        self.base = true - level * (beam[:, 5] + beam[:, 6] * level) + longer
+            level[rows] += np.clip(noise_of, -NOISE_LIMIT * sigma[rows], NOISE_LIMIT * sigma[rows])
+        self.base = true - level * (k1 + k2 * level) + longer
         self.level = level + longer
         inverse = np.argsort(np.concatenate(order))
         self.whiten = csr_array(block_diag(blocks, format="csr")[:, inverse])
 
-    def sparsity(self) -> csr_array:
-        """Return which unknowns each residual depends on."""
-        of_plane = self.split + self.plane[:, None] * 3 + np.arange(3)
-        errors = self.last + np.arange(len(self.errors.sigma))
-        columns = np.hstack((self.number[self.beam], of_plane, np.tile(errors, (len(self.d), 1))))
-        columns = columns[self.used]
-        rows = np.repeat(np.arange(len(columns)), columns.shape[1])
-        seen = columns.ravel() >= 0
-        shape = (len(columns), len(self.x0))
-        depends = csr_array((np.ones(seen.sum()), (rows[seen], columns.ravel()[seen])), shape=shape)
+    def sparsity(self) -> csr_array | None:
+        """Return which unknowns each residual depends on; None where they are few."""
+        if len(self.x0) <= DENSE_UNKNOWNS:
+            return None
+        place = self.unknowns.place
+        sizes = place["size"][:, 0]
+        parts = place["beam"][self.beam], place["plane"][self.plane]
+        columns = np.hstack((*parts, np.tile(sizes, (len(self.d), 1))))[self.used]
+        rows = np.broadcast_to(np.arange(len(columns))[:, None], columns.shape)
+        depends = self._pattern(rows[columns >= 0], columns[columns >= 0], len(columns))
         if self.whiten is None:
             return depends
-        known = np.concatenate((self.prior_at, errors))
-        more = np.arange(len(known))
-        prior = csr_array((np.ones(len(more)), (more, known)), shape=(len(more), len(self.x0)))
+        known = np.concatenate((self.prior_at, sizes))
+        prior = self._pattern(np.arange(len(known)), known, len(known))
         return csr_array(vstack((abs(self.whiten) @ depends, prior)))
 
-    def covariances(
-        self, x: FloatArray, inverse: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return ambient covariances of beams (B, 8, 8) and planes (P, 4, 4), and of errors (q, q).
-
-        At the unknowns x with their covariance `inverse`: for a sigma of 1 m, or of the weights where
-        there are any.
-        """
-        optimum = self.unpack(x)
-        beams, planes = np.zeros((self.beams, 8, 8)), np.zeros((self.planes, 4, 4))
-        Dv = self.directions.derivative(optimum.directions)
-        Dn = self.normals.derivative(optimum.normals)
-        first = np.cumsum([0, *self.active.sum(axis=1)])
-        for i in range(self.beams):
-            lift = np.zeros((8, 7))
-            lift[:3, :3], lift[3:6, 3:5], lift[6:, 5:] = np.eye(3), Dv[i], np.eye(2)
-            lift = lift[:, self.active[i]]
-            block = slice(first[i], first[i + 1])
-            beams[i] = lift @ inverse[block, block] @ lift.T
-        for p in range(self.planes):
-            lift = np.zeros((4, 3))
-            lift[:3, :2], lift[3, 2] = Dn[p], 1.0
-            block = slice(self.split + 3 * p, self.split + 3 * p + 3)
-            planes[p] = lift @ inverse[block, block] @ lift.T
-        return beams, planes, inverse[self.last :, self.last :]
+    def _pattern(self, rows: IntArray, columns: IntArray, count: int) -> csr_array:
+        return csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, len(self.x0)))
 
 
 def minimize(
-    problem: ReferenceProblem, differences: Literal["2-point", "3-point"]
+    residuals: Callable[[FloatArray], FloatArray],
+    x0: FloatArray,
+    sparsity: csr_array | None = None,
+    differences: Literal["2-point", "3-point"] = "3-point",
+    tolerance: float = TOLERANCE,
 ) -> OptimizeResult:
-    """Return SciPy's least-squares solution of `problem`, derivatives by differences."""
-    large = len(problem.x0) > DENSE_UNKNOWNS
+    """Return SciPy's least-squares solution from `x0`, derivatives by differences."""
     return least_squares(
-        problem.residuals,
-        problem.x0,
+        residuals,
+        x0,
         jac=differences,
-        jac_sparsity=problem.sparsity() if large else None,
+        jac_sparsity=sparsity,
         method="trf",
         x_scale="jac",
-        tr_options={"atol": INNER_TOLERANCE, "btol": INNER_TOLERANCE} if large else {},
-        ftol=TOLERANCE,
-        xtol=TOLERANCE,
-        gtol=TOLERANCE,
+        tr_options={} if sparsity is None else {"atol": INNER_TOLERANCE, "btol": INNER_TOLERANCE},
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=tolerance,
     )
 
 
@@ -393,22 +384,21 @@ def solve_reference(
     problem = ReferenceProblem(recording, start, terms, prior, errors, used)
     if errors and noise is not None:
         problem.weigh(problem.x0, noise)
-    solution = minimize(problem, "3-point")
+    solution = minimize(problem.residuals, problem.x0, problem.sparsity())
     if noise is not None:
         for _ in range(REWEIGHTINGS):
             problem.weigh(solution.x, noise)
-            problem.x0 = solution.x
-            solution = minimize(problem, "3-point")
+            solution = minimize(problem.residuals, solution.x, problem.sparsity())
     best, inverse = gauss_newton_end(solution)
-    beams, planes, of_errors = problem.covariances(solution.x, inverse)
-    sigmas = np.sqrt(np.diagonal(of_errors))
+    covariances = problem.unknowns.covariances(solution.x, inverse)
+    sigmas = np.sqrt(covariances["size"].ravel())
     return ReferenceSolution(
         problem.unpack(best),
-        beams,
-        planes,
+        covariances["beam"],
+        covariances["plane"],
         2.0 * float(solution.cost),
         int(solution.njev),
         str(solution.message),
-        dict(zip(problem.errors.members, best[problem.last :].tolist(), strict=True)),
+        dict(zip(problem.errors.members, problem.sizes(best).tolist(), strict=True)),
         dict(zip(problem.errors.members, sigmas.tolist(), strict=True)),
     )

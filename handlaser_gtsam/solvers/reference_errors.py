@@ -70,23 +70,16 @@ class ReferenceErrors:
         self.plane = recording.plane_of_station[self.station]
         self.stations = np.unique(self.station)
         self.time = np.arange(len(seen)) / max(int(self.stations.max()), 1)
-        poses, readings = np.zeros((len(seen), 6)), np.zeros(len(self.station))
-        members = [
-            *(
-                (code, subject, step, readings)
-                for code in sigmas
-                for subject, step in self._moves(code)
-            ),
-            *(
-                (code, subject, poses, part)
-                for code in sigmas
-                for subject, part in self._parts(code)
-            ),
-        ]
-        self.members = tuple((code, subject) for code, subject, *_ in members)
+        moves = [(code, *one) for code in sigmas for one in self._moves(code)]
+        parts = [(code, *one) for code in sigmas for one in self._parts(code)]
+        self.members = tuple((code, subject) for code, subject, _ in (*moves, *parts))
         self.sigma = np.array([sigmas[code] for code, _ in self.members])
-        self.steps = np.array([step for *_, step, _ in members]).reshape(-1, *poses.shape)
-        self.parts = np.array([part for *_, part in members]).reshape(-1, *readings.shape).T
+        self.steps = np.zeros((len(self.members), len(seen), 6))
+        self.parts = np.zeros((len(self.members), len(self.station))).T
+        for i, (*_, step) in enumerate(moves):
+            self.steps[i] = step
+        for i, (*_, part) in enumerate(parts, len(moves)):
+            self.parts[:, i] = part
 
     def hands(self, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the true hand poses (M, 3, 3) and (M, 3) at sizes (q,)."""

@@ -15,25 +15,22 @@ values. Weights are held while SciPy runs, and updated at its solution.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
 from ..data.survey import RAY_ERRORS, Known, Survey
-from .reference import POSE_STEP, REWEIGHTINGS, UnitVectors, gauss_newton_end
+from .reference import POSE_STEP, REWEIGHTINGS, UNIT, Unknowns, by_poses, gauss_newton_end, minimize
 
 START_OFF = 0.005
 """All unknowns begin so far [m], [rad] from the start: far more than their standard deviations."""
 SETTLED = 1e-11
 """Tolerance of SciPy's; a Gauss-Newton step at the end takes it beyond."""
-ERRORS_BEFORE = dict(zip(RAY_ERRORS, (0.05, 0.02, 0.1, 0.05), strict=True))
-"""Standard deviations of range errors before any reading; stated again, for nothing is shared."""
-
-
-UNIT = {"beam": slice(3, 6), "plane": slice(0, 3)}
-"""Where the unit vector stands among the numbers of a variable."""
+ERRORS_BEFORE = (0.05, 0.02, 0.1, 0.05)
+"""Standard deviations of `RAY_ERRORS` before any reading; stated again, for nothing is shared."""
 MOTIONS = "sensor", "body"
 """Variables that are rigid motions, with six unknowns."""
 
@@ -126,102 +123,30 @@ class SurveySolution:
     evaluations: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _At:
-    """Variables at one vector of unknowns: poses of sensors and bodies, and what is in `start` else."""
+class _At(NamedTuple):
+    """Variables at one vector of unknowns.
 
-    rotation: Mapping[str, list[FloatArray]]
-    origin: Mapping[str, list[FloatArray]]
-    errors: list[dict[str, float]]
-    beam: FloatArray
-    plane: FloatArray
-    sphere: FloatArray
-    point: FloatArray
+    `table` has the numbers of every kind, of sensors and bodies their turns and shifts from the start,
+    then range errors; `R` and `t` have the poses of these two.
+    """
 
-
-class _Unknowns:
-    """Where each variable stands among the unknowns, and how it is written."""
-
-    def __init__(self, of: SurveyProblem) -> None:
-        self.of = of
-        self.units = {kind: UnitVectors.of(of.start[kind][:, at]) for kind, at in UNIT.items()}
-        self.place: dict[tuple[str, int], slice] = {}
-        first = 0
-        for kind, start in of.start.items():
-            for i in range(len(start)):
-                width = 6 if kind in MOTIONS else start.shape[1] - (kind in UNIT)
-                width += len(of.survey.shots[i].free) if kind == "sensor" else 0
-                self.place[kind, i] = slice(first, first + width)
-                first += width
-        self.size = first
-
-    def start(self) -> FloatArray:
-        """Return the unknowns at the start."""
-        x = np.zeros(self.size)
-        for kind in (kind for kind in self.of.start if kind not in MOTIONS):
-            for i, row in enumerate(self.of.start[kind]):
-                value, unit = row, UNIT.get(kind)
-                if unit is not None:
-                    kept = row[unit][self.units[kind].kept[i]]
-                    value = np.concatenate((row[: unit.start], kept, row[unit.stop :]))
-                x[self.place[kind, i]] = value
-        return x
-
-    def at(self, x: FloatArray) -> _At:
-        """Return the variables."""
-        rotation: dict[str, list[FloatArray]] = {}
-        origin: dict[str, list[FloatArray]] = {}
-        for kind in MOTIONS:
-            rotation[kind], origin[kind] = [], []
-            for i, row in enumerate(self.of.start[kind]):
-                R, step = row[:9].reshape(3, 3), x[self.place[kind, i]]
-                rotation[kind].append(R @ Rotation.from_rotvec(step[:3]).as_matrix())
-                origin[kind].append(row[9:12] + R @ step[3:6])
-        errors = [
-            dict.fromkeys(RAY_ERRORS, 0.0)
-            | dict(zip(shots.free, x[self.place["sensor", i]][6:].tolist(), strict=True))
-            for i, shots in enumerate(self.of.survey.shots)
-        ]
-        beam, plane = self._rows("beam", x), self._rows("plane", x)
-        beam = np.hstack((beam[:, :3], self.units["beam"].unpack(beam[:, 3:5]), beam[:, 5:]))
-        plane = np.hstack((self.units["plane"].unpack(plane[:, :2]), plane[:, 2:]))
-        return _At(
-            rotation, origin, errors, beam, plane, self._rows("sphere", x), self._rows("point", x)
-        )
-
-    def _rows(self, kind: str, x: FloatArray) -> FloatArray:
-        given = self.of.start[kind]
-        width = given.shape[1] - (kind in self.units)
-        rows = [x[self.place[kind, i]] for i in range(len(given))]
-        return np.array(rows).reshape(-1, width)
-
-    def solution(
-        self, x: FloatArray, inverse: FloatArray
-    ) -> tuple[dict[tuple[str, int], FloatArray], dict[tuple[str, int], FloatArray]]:
-        """Return values and covariances of each variable, given the covariance of the unknowns."""
-        at = self.at(x)
-        tables = {"beam": at.beam, "plane": at.plane}
-        values, covariances = {}, {}
-        for (kind, i), place in self.place.items():
-            value, lift = x[place], np.eye(place.stop - place.start)
-            if kind in tables:
-                value = tables[kind][i]
-                unit = UNIT[kind]
-                D = self.units[kind].derivative(tables[kind][:, unit])[i]
-                lift = np.zeros((len(value), len(value) - 1))
-                lift[: unit.start, : unit.start] = np.eye(unit.start)
-                lift[unit, unit.start : unit.start + 2] = D
-                lift[unit.stop :, unit.start + 2 :] = np.eye(len(value) - unit.stop)
-            values[kind, i] = value
-            covariances[kind, i] = lift @ inverse[place, place] @ lift.T
-        return values, covariances
+    table: Mapping[str, FloatArray]
+    R: Mapping[str, FloatArray]
+    t: Mapping[str, FloatArray]
 
 
 class _Residuals:
     """Residuals of a survey in standard deviations."""
 
     def __init__(self, of: SurveyProblem) -> None:
-        self.of, self.unknowns = of, _Unknowns(of)
+        self.of = of
+        steps = {
+            "sensor": np.zeros((len(of.start["sensor"]), 6 + len(RAY_ERRORS))),
+            "body": np.zeros((len(of.start["body"]), 6)),
+        }
+        free = [[True] * 6 + [x in shots.free for x in RAY_ERRORS] for shots in of.survey.shots]
+        of_sensors = np.array(free, dtype=bool).reshape(steps["sensor"].shape)
+        self.unknowns = Unknowns({**of.start, **steps}, {"sensor": of_sensors})
         self.hands = of.survey.stations.world_R_hand, of.survey.stations.world_t_hand
         self.inflated = [np.ones(len(one.reading)) for one in of.observed]
         self.level = [one.reading for one in of.observed]
@@ -240,32 +165,33 @@ class _Residuals:
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return all residuals, relations and priors last."""
-        at = self.unknowns.at(x)
+        at = self._at(x)
         e = self._readings(at, *self.hands)
         for rows, U, shrink in self.weights:
             e[rows] -= U @ (shrink * (U.T @ e[rows]))
         # What is known of range errors before any reading.
         of = self.of
-        k = (at.beam[:, 6:] * [1.0, of.length] / of.survey.linearity).ravel()
-        priors = [
-            errors[name] / ERRORS_BEFORE[name]
-            for shots, errors in zip(of.survey.shots, at.errors, strict=True)
-            for name in shots.free
+        k = (at.table["beam"][:, 6:] * [1.0, of.length] / of.survey.linearity).ravel()
+        of_sensors = (at.table["sensor"][:, 6:] / ERRORS_BEFORE)[
+            self.unknowns.place["sensor"][:, 6:] >= 0
         ]
-        return np.concatenate((e, *_known(of, at), k, priors))
+        return np.concatenate((e, *_known(of, at), k, of_sensors))
+
+    def _at(self, x: FloatArray) -> _At:
+        table, R, t = self.unknowns.at(x), {}, {}
+        for kind in MOTIONS:
+            start, step = self.of.start[kind], table[kind]
+            begun = start[:, :9].reshape(-1, 3, 3)
+            R[kind] = begun @ Rotation.from_rotvec(step[:, :3]).as_matrix()
+            t[kind] = start[:, 9:12] + (begun @ step[:, 3:6, None])[..., 0]
+        return _At(table, R, t)
 
     def weigh(self, x: FloatArray) -> None:
         """Update the weights at a vector of unknowns."""
-        of, at = self.of, self.unknowns.at(x)
+        of, at = self.of, self._at(x)
         self.inflated = [self._inflated(one, at) for one in of.observed]
         self.level = [self._levelled(one, at) for one in of.observed]
-        A, (R, t) = np.zeros((len(self.station), 6)), self.hands
-        for axis in range(6):
-            step, sides = np.eye(6)[axis] * POSE_STEP, []
-            for sign in (1.0, -1.0):
-                turn = Rotation.from_rotvec(sign * step[:3]).as_matrix()
-                sides.append(self._readings(at, R @ turn, t + sign * R @ step[3:]))
-            A[:, axis] = (sides[0] - sides[1]) / (2.0 * POSE_STEP)
+        A = by_poses(partial(self._readings, at), *self.hands)
         self.weights = []
         stations, first = np.unique(self.station[self.order], return_index=True)
         for one, rows in zip(stations, np.split(self.order, first[1:]), strict=True):
@@ -281,7 +207,7 @@ class _Residuals:
             o, u = self._rays(one, at, R, t)
             true = _true(one, at, level)
             if one.kind == "point":
-                e = o + true[:, None] * u - at.point[one.target]
+                e = o + true[:, None] * u - at.table["point"][one.target]
                 across = np.cross(e, u) / self.of.aiming_sigma
                 parts += [(e * u).sum(axis=1) / one.sigma, *across.T]
             else:
@@ -293,12 +219,12 @@ class _Residuals:
     ) -> tuple[FloatArray, FloatArray]:
         """Return origins and directions in the world, with x `shifted` [m]."""
         if one.across is None:
-            beam = at.beam[one.sensor]
+            beam = at.table["beam"][one.sensor]
             o, u = beam[:, :3], beam[:, 3:6]
         else:
             number = int(one.sensor)
-            error, shape = at.errors[number], self.of.survey.shots[number].kind
-            larger, n = 1.0 + error["scale"], len(one.reading)
+            shape = self.of.survey.shots[number].kind
+            larger, n = 1.0 + at.table["sensor"][number, -1], len(one.reading)
             o, u = np.zeros((n, 3)), np.zeros((n, 3))
             if shape == "profiler":
                 o[:, 0], u[:, 2] = one.across[:, 0] * larger + shifted, 1.0
@@ -308,8 +234,8 @@ class _Residuals:
             else:
                 u = one.across * [larger, larger, 1.0]
                 u /= np.linalg.norm(u, axis=1)[:, None]
-            mount = at.rotation["sensor"][number]
-            o, u = o @ mount.T + at.origin["sensor"][number], u @ mount.T
+            mount = at.R["sensor"][number]
+            o, u = o @ mount.T + at.t["sensor"][number], u @ mount.T
         hand = R[one.station]
         o = np.einsum("nij,nj->ni", hand, o) + t[one.station]
         return o, np.einsum("nij,nj->ni", hand, u)
@@ -337,10 +263,10 @@ class _Residuals:
 def _true(one: Observed, at: _At, level: FloatArray) -> FloatArray:
     """Return corrected readings, whose range errors multiply `level`."""
     if one.across is None:
-        k = at.beam[one.sensor, 6:]
+        k = at.table["beam"][one.sensor, 6:]
         return np.asarray(one.reading + level * (k[:, 0] + k[:, 1] * level))
-    error = at.errors[int(one.sensor)]
-    return one.reading + error["k0"] + level * (error["k1"] + error["k2"] * level)
+    k0, k1, k2, _ = at.table["sensor"][int(one.sensor), 6:]
+    return np.asarray(one.reading + k0 + level * (k1 + k2 * level))
 
 
 def _range(at: _At, one: Observed, o: FloatArray, u: FloatArray) -> FloatArray:
@@ -350,13 +276,15 @@ def _range(at: _At, one: Observed, o: FloatArray, u: FloatArray) -> FloatArray:
     the rest of it.
     """
     if one.kind == "plane":
-        n, b = at.plane[one.target, :3], at.plane[one.target, 3]
+        plane = at.table["plane"][one.target]
+        n, b = plane[:, :3], plane[:, 3]
         height, cosine = (o * n).sum(axis=1) + b, (u * n).sum(axis=1)
         if one.half_angle:
             rest = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0)) - one.half_angle
             return np.asarray(np.abs(height) / np.cos(np.maximum(rest, 0.0)))
         return np.asarray(-height / cosine)
-    w, q = o - at.sphere[one.target, :3], at.sphere[one.target, 3]
+    sphere = at.table["sphere"][one.target]
+    w, q = o - sphere[:, :3], sphere[:, 3]
     half = (w * u).sum(axis=1)
     if one.half_angle:
         away = np.linalg.norm(w, axis=1)
@@ -380,13 +308,13 @@ def _relation(
     of: SurveyProblem, at: _At, one: Known, variables: Sequence[tuple[str, int]]
 ) -> FloatArray | float:
     (kind, a), (other, b) = variables[0], variables[-1]
-    units = at.plane[:, :3] if kind == "plane" else at.beam[:, 3:6]
+    units = at.table[kind][:, UNIT[kind]] if kind in UNIT else np.empty((0, 3))
     given = np.zeros(3) if one.direction is None else one.direction
     size = np.linalg.norm(given)
     if one.relation == "angle":
         return float(np.arccos(units[a] @ units[b]) - one.value) / one.sigma_angle
     if one.relation == "parallel":
-        apart = abs(_foot(of, at, a) @ units[b] + at.plane[b, 3])
+        apart = abs(_foot(of, at, a) @ units[b] + at.table["plane"][b, 3])
         turn = np.cross(units[a], units[b]) / one.sigma_angle
         return np.append(turn, (apart - one.value) / one.sigma)
     if one.relation == "along":
@@ -397,40 +325,39 @@ def _relation(
         off = (_foot(of, at, a) @ given + one.value) / (size * one.sigma)
         return np.append(np.cross(units[a], given / size) / one.sigma_angle, off)
     if one.relation == "radius":
-        return float(at.sphere[a, 3] - one.value) / one.sigma
+        return float(at.table["sphere"][a, 3] - one.value) / one.sigma
     if one.relation in ("position", "distance"):
-        centres = {"sphere": at.sphere, "point": at.point}
-        second = given if one.relation == "position" else centres[other][b, :3]
-        off = centres[kind][a, :3] - second
+        second = given if one.relation == "position" else at.table[other][b, :3]
+        off = at.table[kind][a, :3] - second
         if one.relation == "distance":
             return float(np.linalg.norm(off) - one.value) / one.sigma
         return np.asarray(off / one.sigma)
     assert one.pose is not None
     if kind == "beam":
         turn = np.cross(units[a], one.pose[:3, 2]) / one.sigma_angle
-        return np.append((at.beam[a, :3] - one.pose[:3, 3]) / one.sigma, turn)
-    R, t = at.rotation["sensor"][a], at.origin["sensor"][a]
+        return np.append((at.table["beam"][a, :3] - one.pose[:3, 3]) / one.sigma, turn)
+    R, t = at.R["sensor"][a], at.t["sensor"][a]
     if one.relation == "mounts":
-        t = R.T @ (at.origin["sensor"][b] - t)
-        R = R.T @ at.rotation["sensor"][b]
+        t = R.T @ (at.t["sensor"][b] - t)
+        R = R.T @ at.R["sensor"][b]
     turn = Rotation.from_matrix(one.pose[:3, :3].T @ R).as_rotvec() / one.sigma_angle
     return np.append(turn, one.pose[:3, :3].T @ (t - one.pose[:3, 3]) / one.sigma)
 
 
 def _foot(of: SurveyProblem, at: _At, plane: int) -> FloatArray:
     """Return the foot, on a plane, of where it was measured."""
-    n, c = at.plane[plane, :3], of.middle[plane]
-    return np.asarray(c - n * (n @ c + at.plane[plane, 3]))
+    (*n, b), c = at.table["plane"][plane], of.middle[plane]
+    return np.asarray(c - np.array(n) * (n @ c + b))
 
 
 def _body(
     of: SurveyProblem, at: _At, one: Known, number: int, planes: Sequence[tuple[str, int]]
 ) -> FloatArray:
     assert one.faces is not None
-    R, t, rows = at.rotation["body"][number], at.origin["body"][number], []
+    R, t, rows = at.R["body"][number], at.t["body"][number], []
     for (_, i), face in zip(planes, one.faces, strict=True):
         m, d = face[:3] / np.linalg.norm(face[:3]), face[3] / np.linalg.norm(face[:3])
-        rows.append(np.cross(R.T @ at.plane[i, :3], m) / one.sigma_angle)
+        rows.append(np.cross(R.T @ at.table["plane"][i, :3], m) / one.sigma_angle)
         rows.append(np.atleast_1d(((_foot(of, at, i) - t) @ R @ m - d) / one.sigma))
     return np.concatenate(rows)
 
@@ -441,28 +368,24 @@ def solve_survey(problem: SurveyProblem) -> SurveySolution:
     Central differences, and a Gauss-Newton step at the end beyond what SciPy's stopping rule sees.
     """
     residuals = _Residuals(problem)
-    first = residuals.unknowns.start()
+    unknowns = residuals.unknowns
+    first = unknowns.x0
     beside = first + START_OFF * (-1.0) ** np.arange(len(first))
-    found = _minimum(residuals, beside)
+    found = minimize(residuals, beside, tolerance=SETTLED)
     if 2.0 * found.cost > (residuals(first) ** 2).sum():  # caught where rays miss a sphere, say
-        found = _minimum(residuals, first)
+        found = minimize(residuals, first, tolerance=SETTLED)
     evaluations = int(found.nfev)
     for _ in range(REWEIGHTINGS if residuals.vary else 0):
         residuals.weigh(np.asarray(found.x))
-        found = _minimum(residuals, np.asarray(found.x))
+        found = minimize(residuals, np.asarray(found.x), tolerance=SETTLED)
         evaluations += int(found.nfev)
-    values, covariances = residuals.unknowns.solution(*gauss_newton_end(found))
-    return SurveySolution(values, covariances, 2.0 * float(found.cost), evaluations)
-
-
-def _minimum(residuals: _Residuals, x: FloatArray) -> OptimizeResult:
-    return least_squares(
-        residuals,
-        x,
-        jac="3-point",
-        method="trf",
-        x_scale="jac",
-        ftol=SETTLED,
-        xtol=SETTLED,
-        gtol=SETTLED,
-    )
+    best, inverse = gauss_newton_end(found)
+    tables, covariances = unknowns.at(best), unknowns.covariances(best, inverse)
+    values, spread = {}, {}
+    for kind, place in unknowns.place.items():
+        for i, own in enumerate(place):
+            # Of a sensor, what is unknown; a unit vector has a component that follows.
+            shown = np.flatnonzero((own >= 0) | (kind in UNIT))
+            values[kind, i] = tables[kind][i, shown]
+            spread[kind, i] = covariances[kind][i][np.ix_(shown, shown)]
+    return SurveySolution(values, spread, 2.0 * float(found.cost), evaluations)

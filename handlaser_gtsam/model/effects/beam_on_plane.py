@@ -6,6 +6,7 @@ is then the location of the beam along itself, or the offset of the plane.
 
 import numpy as np
 
+from .cubic import CUBIC
 from .effect import Effect, OnPlanes, SeenStations
 
 
@@ -21,19 +22,7 @@ def members(stations: SeenStations) -> OnPlanes:
 
 BEAM_ON_PLANE = Effect(
     code="beam-on-plane",
-    phrase="a bias of {size} of {subject}",
-    remedy="check the surface of that plane under the beam, or remove these readings",
-    reveal="add a plane of the same surface",
-    confounded="the offset of the plane or the location of the beam: it takes two beams that see the "
-    "same two planes",
-    anywhere="one beam on one plane",
     members=members,
-    of_sensor={
-        "triangulation": 0.002,
-        "time-of-flight": 0.01,
-        "confocal": 0.0005,
-        "ultrasonic": 0.01,
-        "other": 0.0,
-    },
+    of_sensor=CUBIC.of_sensor,
 )
 """Colours err as linearity does: see `cubic`."""

@@ -25,10 +25,6 @@ def column(stations: SeenStations, _largest: float) -> FloatArray:
 
 CARRY_OVER = Effect(
     code="carry-over",
-    phrase="a carry-over of {size} from one channel to the next",
-    remedy="sample slower, put a buffer before the converter, or use a converter for each sensor",
-    reveal="cover one sensor while another reads a fixed distance; state carry_over_percent = 0 in "
-    "the rig file's [plausible] where every sensor has a converter of its own",
     unit="1",
     of_readings=column,
     least_beams=2,

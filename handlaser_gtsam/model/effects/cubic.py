@@ -11,10 +11,6 @@ def column(stations: SeenStations, largest: float) -> FloatArray:
 
 CUBIC = Effect(
     code="cubic",
-    phrase="a third-order range error of {size} at the largest reading",
-    remedy="measure over a shorter span of ranges around the working distance, or linearise the "
-    "sensor",
-    reveal="add stations over the whole span of ranges at the same angles of incidence",
     of_readings=column,
     power=3,
     of_sensor={

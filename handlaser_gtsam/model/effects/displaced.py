@@ -32,10 +32,6 @@ def members(stations: SeenStations) -> OnPlanes:
 
 DISPLACED = Effect(
     code="displaced",
-    phrase="a displacement by {size} of {subject}",
-    remedy="fix the plate, and give the stations after the displacement a plane label of their own",
-    reveal="record more stations before each plane, and repeat the first ones at the end",
-    anywhere="one plane from some station on",
     members=members,
     of_cell=1e-3,
 )

@@ -17,9 +17,6 @@ def members(stations: SeenStations) -> Everywhere:
 
 DRIFT = Effect(
     code="drift",
-    phrase="a drift of the readings by {size} over the recording",
-    remedy="let the sensor warm up, and record in a shorter time",
-    reveal="repeat the first stations at the end",
     members=members,
     in_order=True,
     of_sensor={

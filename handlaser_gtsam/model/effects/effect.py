@@ -1,4 +1,6 @@
-"""What a systematic error is: its column of derivatives, its plausible size, and the words for it.
+"""What a systematic error is: its column of derivatives, and its plausible size.
+
+The words for all of them stand in `words.toml`, by their codes.
 
 A column is the derivative of the residuals e = s - g(d) (`model`) by the size of the error, at zero.
 With n the normal that points away from the sensor and c = -1 / (n_H . v), a surface that lies h farther
@@ -13,6 +15,8 @@ move the poses themselves; all others make the readings longer, by their column 
 readings that are too long.
 """
 
+import pkgutil
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -26,7 +30,14 @@ from ...data.readings import Readings
 from ..equation import Linearization, Scene, linearize, residuals, scene
 from ..weighting import slopes
 
-UNKNOWNS = "the unknowns of the calibration in this recording"
+WORDS = tomllib.loads((pkgutil.get_data(__name__, "words.toml") or b"").decode())
+"""The words for each systematic error by its code."""
+UNSAID = {
+    "reveal": "",
+    "confounded": "the unknowns of the calibration in this recording",
+    "anywhere": "",
+}
+"""Words where `WORDS` has none."""
 
 
 class SeenStations:
@@ -183,17 +194,8 @@ class Effect:
     Attributes
     ----------
     code : str
-    phrase : str
-        The error, with {size} and {subject} to be filled in.
-    remedy : str
-    reveal : str
-        What would show an error that may be there unseen.
     unit : str
         Of its size: "m", or "1" for a part.
-    confounded : str
-        What it is confounded with.
-    anywhere : str
-        The subject where no member is meant.
     of_sensor : mapping of str to float
         Its largest plausible size by kind of sensor, as a part of the measuring range.
     of_cell : float, optional
@@ -217,15 +219,17 @@ class Effect:
         Whether a location of the beam that is off to the side by its size is the same.
     in_order : bool
         Whether the order counts in which stations of different planes were recorded.
+    phrase, remedy, reveal, confounded, anywhere : str
+        The words for it, from `WORDS`.
     """
 
     code: str
-    phrase: str
-    remedy: str
-    reveal: str = ""
+    phrase: str = field(init=False)
+    remedy: str = field(init=False)
+    reveal: str = field(init=False)
+    confounded: str = field(init=False)
+    anywhere: str = field(init=False)
     unit: str = "m"
-    confounded: str = UNKNOWNS
-    anywhere: str = ""
     of_sensor: Mapping[str, float] = field(default_factory=dict)
     of_cell: float | None = None
     members: Callable[[SeenStations], Everywhere | OnPlanes] | None = None
@@ -236,6 +240,10 @@ class Effect:
     is_k1: bool = False
     across: bool = False
     in_order: bool = False
+
+    def __post_init__(self) -> None:
+        for name, words in (UNSAID | WORDS[self.code]).items():
+            object.__setattr__(self, name, words)
 
     def at(self, stations: SeenStations) -> Everywhere | OnPlanes | None:
         """Return its members at the stations; None where no recording can show it."""

@@ -12,9 +12,6 @@ def column(stations: SeenStations, _largest: float) -> FloatArray:
 
 INCIDENCE = Effect(
     code="incidence",
-    phrase="a range error of {size} at an incidence of 45 deg that grows with its squared tangent",
-    remedy="measure at smaller angles of incidence, or give the sensor's largest incidence",
-    reveal="add stations at 50 to 60 deg of incidence, where the sensor reads there",
     of_readings=column,
     of_sensor={
         "triangulation": 0.015,

@@ -36,9 +36,6 @@ def twists(stations: SeenStations) -> FloatArray:
 
 LAG = Effect(
     code="lag",
-    phrase="a lag between poses and readings by {size} of the step to the next station",
-    remedy="let the hand come to rest before reading, and synchronise the clocks of robot and sensor",
-    reveal="reach some stations again from another side",
     unit="1",
     twists=twists,
     of_cell=0.1,

@@ -15,9 +15,6 @@ def members(stations: SeenStations) -> Everywhere:
 
 SAG = Effect(
     code="sag",
-    phrase="a curvature of the plate by {size} from the middle of its spots to the farthest one",
-    remedy="use a flatter plate, support it evenly, or measure a smaller part of it",
-    reveal="add stations that look at the middle and at the edges of the plate from several sides",
     members=members,
     of_cell=2e-4,
 )

@@ -68,10 +68,6 @@ def members(stations: SeenStations) -> Everywhere:
 
 TOOL_DISPLACED = Effect(
     code="tool-displaced",
-    phrase="a displacement of the tool frame by {size} {subject}",
-    remedy="fasten the bracket of the sensors and the tool, let the robot warm up, and record again",
-    reveal="repeat the first stations at the end, before the same planes",
-    anywhere="while recording",
     members=members,
     twists=twists,
     in_order=True,

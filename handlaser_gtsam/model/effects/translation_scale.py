@@ -18,12 +18,7 @@ def twists(stations: SeenStations) -> FloatArray:
 
 TRANSLATION_SCALE = Effect(
     code="translation-scale",
-    phrase="a scale error of the robot's translations by {size}",
-    remedy="check the robot's translations against a known length, or calibrate without range errors "
-    "if the scale of the sensor is known",
-    reveal="measure a known length with the robot",
     unit="1",
-    confounded="k1 of all beams, because every length scales together",
     is_k1=True,
     twists=twists,
     of_cell=1e-3,

@@ -15,9 +15,6 @@ def twists(stations: SeenStations) -> FloatArray:
 
 TURN_SCALE = Effect(
     code="turn-scale",
-    phrase="a scale error of the robot's turns by {size}",
-    remedy="have the robot's joints calibrated, and check the unit and the convention of its angles",
-    reveal="turn the hand further, and about other axes",
     unit="1",
     twists=twists,
     of_cell=1e-3,

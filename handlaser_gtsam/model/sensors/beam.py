@@ -10,8 +10,8 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ..block import Values
-from ..families import BEAM, bases
-from ..ranges import Rays, members
+from ..families import BEAM
+from ..ranges import Rays, by_beam, members
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,7 +31,4 @@ class Beam:
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
         """Return ds by location and direction."""
         del rays
-        basis = bases(values[self.family][..., 3:6])[:, self.member].transpose(2, 3, 0, 1)
-        turned = s * np.einsum("ijkg,ikgs->jkgs", basis, a)
-        shape = np.broadcast_shapes(a.shape[1:], s.shape)
-        return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in (a, turned)])
+        return by_beam(values, self.member, a, a, s)

@@ -16,8 +16,8 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...quantities import TINY
 from ..block import Values
-from ..families import BEAM, bases
-from ..ranges import Rays, dot, members
+from ..families import BEAM
+from ..ranges import Rays, by_beam, dot, members
 from .beam import Beam
 
 
@@ -51,9 +51,6 @@ class Cone:
         """Return ds by location and direction: a turn of v by w turns the ray u by w, too."""
         axis = members(values, self.family, self.member)[3:6]
         u = rays.direction
-        basis = bases(values[self.family][..., 3:6])[:, self.member].transpose(2, 3, 0, 1)
         # (v x dv) x u = dv (v . u) - v (dv . u), for dv along both tangent vectors.
         turning = dot(axis, u) * a - dot(axis, a) * u
-        turned = s * np.einsum("ijkg,ikgs->jkgs", basis, turning)
-        shape = np.broadcast_shapes(a.shape[1:], s.shape)
-        return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in (a, turned)])
+        return by_beam(values, self.member, a, turning, s)

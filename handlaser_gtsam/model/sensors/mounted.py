@@ -15,7 +15,7 @@ from ...data.survey import RAY_ERRORS
 from ...quantities import TINY
 from ..block import Values
 from ..families import POSE, Family, Motion, Vector, register
-from ..ranges import Rays, cross, members, turned, turned_back
+from ..ranges import Rays, by_motion, members, turned, turned_back
 
 LEAST_SLOPE = 0.05
 """A true range grows with its reading by at least this part; below it a search has gone astray."""
@@ -74,5 +74,4 @@ class Mounted:
         del rays
         x = members(values, self.family, self.member)
         a = turned_back(x[:9].reshape(3, 3, *x.shape[1:]), a)
-        spot, a = np.broadcast_arrays(self.origin + s * self.direction, a)
-        return np.concatenate((cross(spot, a), a))
+        return by_motion(self.origin + s * self.direction, a)

@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ..block import Rows, Slot, Values, Weights
 from ..families import Family, Vector, bases, register
-from ..ranges import Robot, Sensor, cross, dot, members, slots_of, turned, turned_back
+from ..ranges import Robot, Sensor, by_motion, dot, members, slots_of, turned, turned_back
 
 POINT = register(Family("point", (Vector(3),), ("x", "y", "z"), (1, 1, 1)))
 """A position, world frame."""
@@ -63,9 +63,7 @@ class SpotsOnPoints:
             columns.append(rays.by_error * dot(a, rays.direction))
         columns.append(-turned(R, a))
         if self.robot.family:
-            point, covector = np.broadcast_arrays(-to_hand, a)
-            turns = cross(point, covector)
-            columns.append(self.robot.pull(np.concatenate((turns, covector))))
+            columns.append(self.robot.pull(by_motion(-to_hand, a)))
         whole = [np.broadcast_to(c, (len(c), *e.shape)) for c in (*columns, e[None])]
         return Rows(np.concatenate(whole))
 
