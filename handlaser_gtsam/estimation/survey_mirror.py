@@ -29,14 +29,10 @@ from ..observability.poor_motion import COUNTED_TURN, PoorMotion, poor_motion
 from ..observability.rank import ObservabilityOptions
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS
 from .estimate import Estimate, descended
-from .survey_rows import Rows
+from .survey_rows import Entity, Rows
 
 if TYPE_CHECKING:
     from .survey import SurveyState
-
-Entity = tuple[str, int]
-"""A family, and the number of a member."""
-
 
 SAME_CHI2 = 0.01
 """An image whose chi2 differs by less is that of a minimum, where all that counts is symmetric: it is
@@ -158,8 +154,7 @@ def with_images(
 
 
 def _chi2(state: "SurveyState") -> float:
-    problem, _ = state.problem()
-    _, e = problem.rows(problem.blocks, state.values).whitened()
+    _, e = state.dense()[0].whitened()
     return float(e @ e)
 
 
@@ -170,10 +165,10 @@ def _images(
     seen: dict[Entity, set[Entity]] = {}
     stations: dict[Entity, list[int]] = {}
     for item in rows.items:
-        seen.setdefault(item.target, set()).add((item.family, item.member))
+        seen.setdefault(item.target, set()).add(item.mount)
         stations.setdefault(item.target, []).append(item.station)
     upright = {target: motion.upright[n] for target, n in numbers_of(rows).items()}
-    groups = [{mount} for mount in dict.fromkeys((i.family, i.member) for i in rows.items)]
+    groups = [{mount} for mount in dict.fromkeys(i.mount for i in rows.items)]
     for (family, member), mounts in seen.items():
         n, a = values[family][0, member, :3], upright[family, member]
         if family != PLANE.name or abs(n @ a) > np.sin(COUNTED_TURN):
