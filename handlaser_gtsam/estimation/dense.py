@@ -96,14 +96,7 @@ def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRo
     parts: list[tuple[FloatArray, ...]] = []
     where: list[slice] = []
     shapes: list[tuple[int, int]] = []
-    first, own = (
-        0,
-        1
-        + max(
-            (int(b.weights.station.max()) for b in blocks if b.weights.station is not None),
-            default=-1,
-        ),
-    )
+    first = 0
     width = max((len(b.weights.common) for b in blocks if b.weights.common is not None), default=0)
     for block in blocks:
         columns = whitened(block.evaluate(values), block.weights)[:, 0]
@@ -121,8 +114,7 @@ def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRo
             U = np.moveaxis(np.broadcast_to(block.weights.common[:, 0], (width, G, S)), 0, 2)
         station = block.weights.station
         if station is None:
-            station = own + np.arange(G * S).reshape(G, S)
-            own += G * S
+            station = 2**31 + np.arange(first, first + G * S)  # its own, behind all stations
         numbers = (J, columns[-1], P, U, station.astype(float))
         parts.append(tuple(a.reshape(G * S, -1) for a in numbers))
         where.append(slice(first, first + G * S))
