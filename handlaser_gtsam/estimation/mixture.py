@@ -25,11 +25,11 @@ within and between, and quantiles of its components.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 from scipy.sparse import csr_array
 from scipy.special import logsumexp, ndtr
 
 from ..arrays import FloatArray, IntArray, evenly
-from ..model.distributions import gaussian_quantile
 from ..model.elimination import LARGE_MATRIX, inverse_and_log_det
 from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, ROUNDING, TINY
 from .information import Information
@@ -75,33 +75,19 @@ def mixture_quantiles(
 ) -> FloatArray:
     """Return quantiles (m,) of mixtures of Gaussians: weights (C,), means and sigmas (C, m).
 
-    Newton's steps on the distribution function, from the quantile of the one Gaussian that has the
-    mean and the variance of the mixture. A step that leaves the interval known to hold the quantile,
-    or that is not half as long as the one before, halves the interval instead. Newton's steps gain
-    digits quadratically: the one from where the probability is right to `ROUNDING` is the last.
+    Where the distribution function, bracketed, has the probability; the bracket is narrowed until the
+    probability is right to `ROUNDING` (Chandrupatla's method).
     """
     reach = 12.0 * sigmas.max(axis=0) + TINY
-    low, high = means.min(axis=0) - reach, means.max(axis=0) + reach
+    bracket = means.min(axis=0) - reach, means.max(axis=0) + reach
     safe, tail = np.maximum(sigmas, TINY), min(probability, 1.0 - probability)
-    mean = weight @ means
-    spread = np.sqrt(weight @ (sigmas**2 + (means - mean) ** 2))
-    quantiles: FloatArray = mean + gaussian_quantile(probability) * spread
-    step = high - low
-    for _ in range(2 * np.finfo(float).nmant):  # enough, were every other step a halving
-        z = (quantiles - means) / safe
-        excess = weight @ ndtr(z) - probability
-        low, high = np.where(excess < 0.0, quantiles, low), np.where(excess < 0.0, high, quantiles)
-        with np.errstate(over="ignore"):  # far from a component that is a point
-            density = weight @ (np.exp(-0.5 * z**2) / safe) / np.sqrt(2.0 * np.pi)
-        newton = np.clip(quantiles - excess / np.maximum(density, TINY), low, high)
-        last = np.abs(excess) <= ROUNDING * tail
-        shorter = np.abs(newton - quantiles) <= 0.5 * np.abs(step)
-        inside = (low < newton) & (newton < high)
-        after = np.where(last | (shorter & inside), newton, 0.5 * (low + high))
-        quantiles, step = after, after - quantiles
-        if last.all():
-            break
-    return quantiles
+
+    def excess(x: FloatArray, i: IntArray) -> FloatArray:
+        return weight @ ndtr((x - means[:, i]) / safe[:, i]) - probability
+
+    each = np.arange(means.shape[1])
+    found = find_root(excess, bracket, args=(each,), tolerances={"fatol": ROUNDING * tail})
+    return np.asarray(found.x)
 
 
 class BeamPosterior:
