@@ -19,7 +19,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from ..data.readings import Readings
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, bases
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -54,20 +53,8 @@ def motion_of(rows: Rows) -> PoorMotion | None:
     """Return the kind of a motion that is poor before any targets; None of any other."""
     # A reading for each target and station only says where the hand was before it.
     numbers = numbers_of(rows)
-    seen = sorted({(numbers[item.target], item.station) for item in rows.items})
-    plane, station = np.array(seen).T
-    of = rows.survey.stations
-    readings = Readings(
-        station,
-        np.zeros_like(station),
-        plane,
-        np.full(len(seen), rows.length),
-        of.world_R_hand[station],
-        of.world_t_hand[station],
-        1,
-        len(numbers),
-    )
-    return poor_motion(readings)
+    seen = {(numbers[item.target], 0, item.station, rows.length) for item in rows.items}
+    return poor_motion(rows.readings(seen, 1))
 
 
 def best_image(

@@ -1,12 +1,13 @@
 """A survey as rows: shots condensed, targets and sensors numbered, blocks put together."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices, gathered
+from ..data.readings import Readings
 from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
 from ..model import known as relations
 from ..model.block import Block, Values, VectorPrior, Weights
@@ -163,6 +164,22 @@ class Rows:
         """Return the hand poses as values (1, M, 12)."""
         of = self.survey.stations
         return np.hstack((of.world_R_hand.reshape(-1, 9), of.world_t_hand))[None]
+
+    def readings(self, entries: Iterable[tuple[int, int, int, float]], beams: int) -> Readings:
+        """Return (plane, beam, station, reading), sorted; planes are those that were read."""
+        plane, beam, station, reading = zip(*sorted(entries), strict=True)
+        planes, number = np.unique(plane, return_inverse=True)
+        of = self.survey.stations
+        return Readings(
+            frozen_indices(station),
+            frozen_indices(beam),
+            frozen_indices(number),
+            frozen(reading),
+            gathered(of.world_R_hand, np.array(station)),
+            gathered(of.world_t_hand, np.array(station)),
+            beams,
+            len(planes),
+        )
 
     def label(self, target: Entity) -> str:
         """Return the label of a target."""

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray, IntArray, frozen, frozen_indices, gathered
+from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.readings import Readings
 from ..errors import HandlaserError
@@ -168,7 +168,7 @@ def _from_planes(rows: Rows, *, among_outliers: bool) -> dict[Entity, FloatArray
         count += len(origin)
     if not entries:
         return {}
-    readings = _readings(rows, entries, count)
+    readings = rows.readings(entries, count)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     try:
         if among_outliers:
@@ -178,24 +178,6 @@ def _from_planes(rows: Rows, *, among_outliers: bool) -> dict[Entity, FloatArray
     except HandlaserError:
         return {}
     return {entity: _member(entity, *of, found, readings) for entity, of in virtual.items()}
-
-
-def _readings(rows: Rows, entries: list[tuple[int, int, int, float]], beams: int) -> Readings:
-    """Return readings sorted by plane, beam and station; planes are those that were read."""
-    table = sorted(entries)
-    planes, plane = np.unique([row[0] for row in table], return_inverse=True)
-    station = np.array([row[2] for row in table])
-    of = rows.survey.stations
-    return Readings(
-        frozen_indices(station),
-        frozen_indices([row[1] for row in table]),
-        frozen_indices(plane),
-        frozen([row[3] for row in table]),
-        gathered(of.world_R_hand, station),
-        gathered(of.world_t_hand, station),
-        beams,
-        len(planes),
-    )
 
 
 def _virtual_across(across: FloatArray) -> FloatArray:
