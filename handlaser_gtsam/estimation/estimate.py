@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..arrays import BoolArray, FloatArray
 from ..data.value import Value
@@ -136,9 +137,7 @@ class Estimate(Value):
             There is none of this name.
         """
         if name not in self.names:
-            raise InputError(
-                f"an unknown named {name!r}", f"one of {', '.join(self.names[:8])} ..."
-            )
+            raise InputError(f"an unknown named {name!r}", self._some_names())
         index = self.names.index(name)
         return float(np.sqrt(self.covariance[index, index]))
 
@@ -153,10 +152,11 @@ class Estimate(Value):
         first = f"{family}[{member}]."
         rows = [i for i, name in enumerate(self.names) if name.startswith(first)]
         if not rows:
-            raise InputError(
-                f"no unknowns of {first[:-1]}", f"one of {', '.join(self.names[:8])} ..."
-            )
+            raise InputError(f"no unknowns of {first[:-1]}", self._some_names())
         return np.asarray(self.covariance[np.ix_(rows, rows)])
+
+    def _some_names(self) -> str:
+        return f"one of {', '.join(self.names[:8])} ..."
 
     def to_dict(self) -> dict[str, object]:
         """Return what JSON can hold; what is not known is None.
@@ -525,15 +525,9 @@ def _finished(
     sums = eliminated_sums(task.normal(values), 1.0)
     moved = task.reduction.moved(values, sums.step[None], sums.local_step[None])
     n, d = of.size, of.width
-    whole = np.zeros((n + of.members * d,) * 2)
-    follow = -sums.response.reshape(of.members * d, n)
-    whole[:n, :n] = sums.covariance
-    whole[n:, :n] = follow @ sums.covariance
-    whole[:n, n:] = whole[n:, :n].T
-    whole[n:, n:] = whole[n:, :n] @ follow.T
-    for i in range(of.members):
-        own = slice(n + i * d, n + (i + 1) * d)
-        whole[own, own] += sums.known[i]
+    follow = np.vstack((np.eye(n), -sums.response.reshape(of.members * d, n)))
+    whole = follow @ sums.covariance @ follow.T
+    whole += block_diag(np.zeros((n, n)), *sums.known)
     order = []
     for family, columns in of.free.items():
         stays = of.place[family] >= 0

@@ -144,8 +144,7 @@ def _beam_covariances(
     bases = model.tangent_basis(np.concatenate([p.directions for p in solved.parameters]))
     lifts = beam_lifts(bases)[:, :, :width]
     lifts = lifts.reshape(copies, beams, 8, width).swapaxes(0, 1)
-    covariances: FloatArray = (lifts @ blocks @ lifts.swapaxes(-1, -2)).swapaxes(0, 1)
-    return covariances
+    return np.asarray((lifts @ blocks @ lifts.swapaxes(-1, -2)).swapaxes(0, 1))
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:

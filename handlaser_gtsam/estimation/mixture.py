@@ -31,7 +31,7 @@ from scipy.special import logsumexp, ndtr
 
 from ..arrays import FloatArray, IntArray, evenly
 from ..model.elimination import LARGE_MATRIX, inverse_and_log_det
-from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, ROUNDING, TINY
+from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, TINY
 from .information import Information
 from .range_error_grid import Contrasts, RangeErrorGrid, worst_known
 
@@ -75,19 +75,18 @@ def mixture_quantiles(
 ) -> FloatArray:
     """Return quantiles (m,) of mixtures of Gaussians: weights (C,), means and sigmas (C, m).
 
-    Where the distribution function, bracketed, has the probability; the bracket is narrowed until the
-    probability is right to `ROUNDING` (Chandrupatla's method).
+    That is where the distribution function has the probability; SciPy narrows a bracket of it to the
+    last digits (Chandrupatla's method).
     """
     reach = 12.0 * sigmas.max(axis=0) + TINY
     bracket = means.min(axis=0) - reach, means.max(axis=0) + reach
-    safe, tail = np.maximum(sigmas, TINY), min(probability, 1.0 - probability)
+    safe = np.maximum(sigmas, TINY)
 
     def excess(x: FloatArray, i: IntArray) -> FloatArray:
         return weight @ ndtr((x - means[:, i]) / safe[:, i]) - probability
 
     each = np.arange(means.shape[1])
-    found = find_root(excess, bracket, args=(each,), tolerances={"fatol": ROUNDING * tail})
-    return np.asarray(found.x)
+    return np.asarray(find_root(excess, bracket, args=(each,)).x)
 
 
 class BeamPosterior:
@@ -205,8 +204,7 @@ class BeamPosterior:
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""
-        marginal: FloatArray = logsumexp(self.log_evidence_of(grid) + grid.log_prior, axis=1)
-        return marginal
+        return np.asarray(logsumexp(self.log_evidence_of(grid) + grid.log_prior, axis=1))
 
     def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean (n,) and covariance (n, n) of the first set, every beam's k ~ N(0, scale^2)."""
@@ -308,8 +306,7 @@ def _log_evidence(
 
 def _roots(spread: FloatArray, widest: FloatArray) -> FloatArray:
     """Return the roots (C, K) of the information of priors (C, K) beyond the widest prior."""
-    roots: FloatArray = np.sqrt(np.maximum(spread**-2 - widest**-2, 0.0))
-    return roots
+    return np.asarray(np.sqrt(np.maximum(spread**-2 - widest**-2, 0.0)))
 
 
 def _times(stack: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -321,8 +318,7 @@ def _times(stack: FloatArray, matrix: FloatArray) -> FloatArray:
 def _semidefinite(V: FloatArray) -> FloatArray:
     """Return covariances (J, K, K) without what rounding made negative."""
     values, axes = np.linalg.eigh(0.5 * (V + np.swapaxes(V, 1, 2)))
-    semidefinite: FloatArray = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
-    return semidefinite
+    return np.asarray((axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2))
 
 
 def _inverse_roots(matrix: FloatArray, widest: FloatArray) -> tuple[FloatArray, FloatArray]:

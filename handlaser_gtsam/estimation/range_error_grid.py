@@ -78,8 +78,7 @@ class RangeErrorGrid(Value):
         squares = self.individual**2
         if self.turned.any():
             squares[self.turned] = squares[self.turned] @ (axes(self.angles) ** 2).mean(axis=0)
-        total: FloatArray = np.sqrt(squares + self.common[:, None] ** 2)
-        return total
+        return np.asarray(np.sqrt(squares + self.common[:, None] ** 2))
 
     def typical(self, weight: FloatArray, angles: FloatArray | None) -> "RangeErrorGrid":
         """Return a point for beams that share nothing, on the most probable axes.
@@ -205,8 +204,7 @@ def _alike(sides: Sequence[FloatArray]) -> FloatArray:
     density = SHARED_STEP * _half_cauchy(shared)
     for side in sides:  # what is shared stays the last axis; 1 / (1 + scale^2) is uniform
         density = density[..., None, :] * 0.5 / np.cosh(side[:, None] - shared) ** 2
-    total: FloatArray = density.sum(axis=-1)
-    return total
+    return np.asarray(density.sum(axis=-1))
 
 
 def _least_and_best_known(worst: FloatArray, best: FloatArray) -> FloatArray:
@@ -219,8 +217,7 @@ def _least_and_best_known(worst: FloatArray, best: FloatArray) -> FloatArray:
 
 def _half_cauchy(x: FloatArray) -> FloatArray:
     """Return the density of the logarithm x of a half-Cauchy variable of scale 1: |x| below 700."""
-    density: FloatArray = 1.0 / (np.pi * np.cosh(x))
-    return density
+    return np.asarray(1.0 / (np.pi * np.cosh(x)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,8 +275,7 @@ class Contrasts:
             return np.ones((len(grid.common), len(self.terms)))
         count = np.sqrt(self.is_mean.size / max(int(self.is_mean.sum()), 1))
         shared = np.where(self.is_mean, count, 0.0) * grid.common[:, None]
-        total: FloatArray = np.hypot(grid.individual[:, self.terms], shared)
-        return total
+        return np.asarray(np.hypot(grid.individual[:, self.terms], shared))
 
 
 def worst_known(V: FloatArray) -> FloatArray | None:
@@ -299,5 +295,4 @@ def worst_known(V: FloatArray) -> FloatArray | None:
     mean = 0.5 * float(np.angle(double))
     # Axes have no sign: let the axes of all beams point the same way.
     off = np.where(long, (angles - mean + 0.5 * math.pi) % math.pi - 0.5 * math.pi, 0.0)
-    turned: FloatArray = mean + off
-    return turned
+    return np.asarray(mean + off)
