@@ -12,13 +12,13 @@ Each sensor, and each beam, is searched by itself from all its starts together; 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+from operator import itemgetter
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
-from ..data.parameters import Parameters
-from ..data.readings import Readings
 from ..errors import HandlaserError
 from ..model.block import whitened
 from ..model.families import BEAM, FAMILIES, PLANE, POSE
@@ -177,7 +177,17 @@ def _from_planes(rows: Rows, *, among_outliers: bool) -> dict[Entity, FloatArray
             found = find_start(readings, None, 0, effort="quick", certain=False).parameters
     except HandlaserError:
         return {}
-    return {entity: _member(entity, *of, found, readings) for entity, of in virtual.items()}
+    starts, d = {}, np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
+    for entity, (beams, origin, direction) in virtual.items():
+        r, v = found.locations[beams], found.directions[beams]
+        if entity[0] == BEAM.name:
+            starts[entity] = np.concatenate((r[0], v[0], np.zeros(2)))
+            continue
+        # The motion that brings the points a of the sensor to those of its beams, b, best.
+        a, b = (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
+        R = nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+        starts[entity] = _mount(R, b.mean(axis=0) - R @ a.mean(axis=0))
+    return starts
 
 
 def _virtual_across(across: FloatArray) -> FloatArray:
@@ -189,29 +199,6 @@ def _virtual_across(across: FloatArray) -> FloatArray:
     aside = tangent_basis(mean[None])[0] * max(float(np.linalg.norm(spread)), 0.05)
     corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])[: VIRTUAL + 1]
     return np.asarray(mean + corners @ aside.T)
-
-
-def _member(
-    entity: Entity,
-    beams: list[int],
-    origin: FloatArray,
-    direction: FloatArray,
-    found: Parameters,
-    readings: Readings,
-) -> FloatArray:
-    """Return the numbers of a beam, or of the sensor whose rays are some beams."""
-    r, v = found.locations[beams], found.directions[beams]
-    x = np.zeros(FAMILIES[entity[0]].size)
-    if entity[0] == BEAM.name:
-        x[:3], x[3:6] = r[0], v[0]
-        return x
-    d = np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
-    # The motion that brings the points a of the sensor to those of its beams, b, best.
-    a, b = (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
-    R = nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
-    t = b.mean(axis=0) - R @ a.mean(axis=0)
-    x[:9], x[9:12] = R.ravel(), t
-    return x
 
 
 # --- all other starts ------------------------------------------------------------------------------
@@ -276,48 +263,32 @@ def _from_spheres(rows: Rows, member: int, items: Sequence[Item]) -> Iterator[Fl
         X, y, _ = _linear_mount(R, t, shapes[:, :3], fixed)
         yield _mount(X, y[:3])
         return
-    rng = np.random.default_rng(len(items))
-    for part in RADII:
-        square = np.zeros(len(items))
-        for s in np.unique(sphere):
-            radii = np.sort(shapes[sphere == s, 2])
-            largest = radii[max(len(radii) - 2, 0)] * part
-            square[sphere == s] = np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0)
-        centres = np.zeros((len(items), 3))
-        centres[:, kind.axes] = shapes[:, :2]
-        yield _signed(R, t, centres, kind.across, np.sqrt(square), fixed, rng)
+    across, rng = kind.across, np.random.default_rng(len(items))
+    centres = np.zeros((len(items), 3))
+    centres[:, kind.axes] = shapes[:, :2]
 
-
-def _signed(
-    R: FloatArray,
-    t: FloatArray,
-    centres: FloatArray,
-    across: int,
-    aside: FloatArray,
-    fixed: FloatArray,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return the best mount where each centre (n, 3) is `aside` of its profile, on either side.
-
-    The axis `across` is at right angles to all rays.
-    """
-    best, least = np.zeros(SENSOR.size), np.inf
-    for trial in range(SIGNS):
-        side = np.ones(len(R)) if trial == 0 else rng.choice([-1.0, 1.0], len(R))
+    def settled(side: FloatArray, aside: FloatArray) -> tuple[float, FloatArray]:
+        """Return misfit and mount for centres so far `aside`; signs and mount alternate."""
         for _ in range(ALTERNATIONS):
-            m = centres.copy()
-            m[:, across] = side * aside
-            X, y, e = _linear_mount(R, t, m, fixed)
+            centres[:, across] = side * aside
+            X, y, e = _linear_mount(R, t, centres, fixed)
             left = e - (R @ X[:, across]) * (side * aside)[:, None]
             new = -np.sign(np.einsum("ni,nij,j->n", left, R, X[:, across]))
             new[new == 0.0] = 1.0
             if (new == side).all():
                 break
             side = new
-        rms = float(np.sqrt((e**2).mean()))
-        if rms < least:
-            best, least = _mount(X, y[:3]), rms
-    return best
+        return float(np.sqrt((e**2).mean())), _mount(X, y[:3])
+
+    for part in RADII:
+        square = np.zeros(len(items))
+        for s in np.unique(sphere):
+            radii = np.sort(shapes[sphere == s, 2])
+            largest = radii[max(len(radii) - 2, 0)] * part
+            square[sphere == s] = np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0)
+        drawn = (rng.choice([-1.0, 1.0], len(items)) for _ in range(SIGNS - 1))
+        sides = chain([np.ones(len(items))], drawn)
+        yield min((settled(side, np.sqrt(square)) for side in sides), key=itemgetter(0))[1]
 
 
 def _linear_mount(
