@@ -357,9 +357,10 @@ def _read(block: Block) -> Block:
 
 
 def _kept(block: Block, out: BoolArray) -> Block:
-    """Return a block without some readings."""
+    """Return a block without some of its readings (G, S), or as many in one row."""
     if not isinstance(block, Ranges) or not out.any():
         return block
+    out = out.reshape(block.reading.shape[1:])
     root = np.ones((1, *out.shape)) if block.weights.root is None else block.weights.root
     return replace(block, weights=replace(block.weights, root=np.where(out, 0.0, root)))
 
@@ -385,9 +386,8 @@ def _without_worst(
     if np.sqrt(found[worst]) <= -float(gaussian_quantile(0.5 * FAMILY_LEVEL / len(found))):
         return None
     worst = int(np.flatnonzero(tested)[worst])
-    outs = (np.arange(part.start, part.stop) == worst for part in rows.where)
-    of_blocks = zip(blocks, outs, rows.shapes, strict=True)
-    return [_kept(block, out.reshape(shape)) for block, out, shape in of_blocks]
+    outs = [np.arange(part.start, part.stop) == worst for part in rows.where]
+    return [_kept(block, out) for block, out in zip(blocks, outs, strict=True)]
 
 
 def judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Estimate:

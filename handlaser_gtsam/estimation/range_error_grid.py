@@ -15,7 +15,7 @@ diagonal.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -100,13 +100,8 @@ class RangeErrorGrid(Value):
     def part(self, rows: IntArray) -> "RangeErrorGrid":
         """Return some of the points."""
         individual, common = self.individual[rows], self.common[rows]
-        return replace(
-            self,
-            individual=individual,
-            common=common,
-            turned=self.turned[rows],
-            log_prior=self.log_prior[rows],
-        )
+        turned, log_prior = self.turned[rows], self.log_prior[rows]
+        return RangeErrorGrid(individual, common, turned, log_prior, self.angles)
 
 
 def near_largest(value: FloatArray) -> IntArray:
@@ -148,19 +143,13 @@ def refined_grid(
     kept = grid.part(near_largest(log_evidence + grid.log_prior))
     for turned, rows in kept.bases():
         some = kept.part(rows)
-        points = np.column_stack((some.individual, some.common))[
-            :, : terms + int(some.common.any())
-        ]
+        shared = [some.common] if some.common.any() else []
+        points = np.column_stack((some.individual, *shared))
         near = np.log(points / linearity)
-        sides = [
-            np.linspace(
-                max(low - 0.5 * SCALE_STEP, -SCALE_SPAN),
-                min(high + 0.5 * SCALE_STEP, most),
-                REFINED_POINTS,
-            )
-            for low, high in zip(near.min(axis=0), near.max(axis=0), strict=True)
-        ]
-        grids.append(_grid(sides, linearity, terms, turned=turned))
+        low = np.maximum(near.min(axis=0) - 0.5 * SCALE_STEP, -SCALE_SPAN)
+        high = np.minimum(near.max(axis=0) + 0.5 * SCALE_STEP, most)
+        sides = np.linspace(low, high, REFINED_POINTS, axis=1)
+        grids.append(_grid(list(sides), linearity, terms, turned=turned))
     return _joined(grids, grid.angles)
 
 

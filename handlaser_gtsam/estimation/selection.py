@@ -140,13 +140,14 @@ class _Learning:
             before, self.used = solution, self.point
             solution = task.reweighted(parameters, self._use(self.used))
             parameters, status = solution.parameters, solution.at.status
-            if status == "interrupted":
-                break
+            if self.learns and status == "interrupted":
+                return solution
             # Where the solver does not arrive there is no optimum to expand about.
             if self.learns and (not solution.observability.full or status == "max_iterations"):
                 break
             # Of what is undetermined, weights are taken twice.
-            if before.whitening is not None and not before.observability.full:
+            twice = before.whitening is not None and not before.observability.full
+            if twice or status == "interrupted":
                 break
             self._learn(solution)
             settled = _near(self.point, self.used)

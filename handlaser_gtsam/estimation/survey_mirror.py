@@ -125,9 +125,8 @@ def with_images(
                 turned_by = float(np.linalg.norm(difference)) if part == TURNS.get(family) else 0.0
                 far = turned_by > FAR_SIGMAS * ObservabilityOptions().most_sigma
             if far:
-                first = f"{family}[{member}]."
-                start = next(i for i, n in enumerate(found.names) if n.startswith(first))
-                index = np.arange(start + part.start, start + part.stop)
+                own = [n.startswith(f"{family}[{member}].") for n in found.names]
+                index = np.flatnonzero(own)[part]
                 C[index], C[:, index] = np.nan, np.nan
                 if part == TURNS.get(family):
                     turned[family, member] = float(np.linalg.norm(difference))
