@@ -92,8 +92,8 @@ def start_of(
         return {}, tuple(without)
     values = _empty(rows)
     # Each target as the sensor has it that fits best for its size.
-    for _, found_there in sorted(ends, key=lambda end: -end[0]):
-        for (family, member), x in found_there.items():
+    for _, there in sorted(ends, key=lambda end: -end[0]):
+        for (family, member), x in there.items():
             values[family][0, member] = x
     _complete_bodies(rows, values)
     return values, ()
