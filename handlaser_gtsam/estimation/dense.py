@@ -68,7 +68,6 @@ class DenseRows:
         Of each row; a number of its own where it has none.
     where : list of slice
         The rows of each block.
-    shapes : list of (G, S)
     """
 
     derivatives: FloatArray
@@ -77,7 +76,6 @@ class DenseRows:
     common: FloatArray
     station: IntArray
     where: list[slice]
-    shapes: list[tuple[int, int]]
 
     @property
     def how(self) -> Whitening:
@@ -95,15 +93,7 @@ def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRo
     """Return the rows of blocks at the values of one problem."""
     parts: list[tuple[FloatArray, ...]] = []
     where: list[slice] = []
-    shapes: list[tuple[int, int]] = []
-    first, own = (
-        0,
-        1
-        + max(
-            (int(b.weights.station.max()) for b in blocks if b.weights.station is not None),
-            default=-1,
-        ),
-    )
+    first = 0
     width = max((len(b.weights.common) for b in blocks if b.weights.common is not None), default=0)
     for block in blocks:
         columns = whitened(block.evaluate(values), block.weights)[:, 0]
@@ -121,16 +111,14 @@ def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRo
             U = np.moveaxis(np.broadcast_to(block.weights.common[:, 0], (width, G, S)), 0, 2)
         station = block.weights.station
         if station is None:
-            station = own + np.arange(G * S).reshape(G, S)
-            own += G * S
+            station = 2**31 + np.arange(first, first + G * S)  # its own, behind all stations
         numbers = (J, columns[-1], P, U, station.astype(float))
         parts.append(tuple(a.reshape(G * S, -1) for a in numbers))
         where.append(slice(first, first + G * S))
-        shapes.append((G, S))
         first += G * S
     J, e, P, U, station = (np.concatenate(some) for some in zip(*parts, strict=True))
     number = np.unique(station[:, 0], return_inverse=True)[1].ravel()
-    return DenseRows(J, e[:, 0], P, U, number, where, shapes)
+    return DenseRows(J, e[:, 0], P, U, number, where)
 
 
 def with_pose_errors(

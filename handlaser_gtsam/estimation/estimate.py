@@ -9,11 +9,12 @@ tests, so that a problem may have some thousand rows and some hundred unknowns.
 """
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ..arrays import BoolArray, FloatArray
 from ..data.value import Value
@@ -136,9 +137,7 @@ class Estimate(Value):
             There is none of this name.
         """
         if name not in self.names:
-            raise InputError(
-                f"an unknown named {name!r}", f"one of {', '.join(self.names[:8])} ..."
-            )
+            raise InputError(f"an unknown named {name!r}", self._some_names())
         index = self.names.index(name)
         return float(np.sqrt(self.covariance[index, index]))
 
@@ -153,10 +152,11 @@ class Estimate(Value):
         first = f"{family}[{member}]."
         rows = [i for i, name in enumerate(self.names) if name.startswith(first)]
         if not rows:
-            raise InputError(
-                f"no unknowns of {first[:-1]}", f"one of {', '.join(self.names[:8])} ..."
-            )
+            raise InputError(f"no unknowns of {first[:-1]}", self._some_names())
         return np.asarray(self.covariance[np.ix_(rows, rows)])
+
+    def _some_names(self) -> str:
+        return f"one of {', '.join(self.names[:8])} ..."
 
     def to_dict(self) -> dict[str, object]:
         """Return what JSON can hold; what is not known is None.
@@ -200,7 +200,7 @@ def estimate(problem: BlockProblem) -> Estimate:
     ended = minimum(problem, blocks, problem.start)
     if ended is None:
         return _failed(problem, blocks)
-    total = sum(_rows(block, ended) for block in blocks if isinstance(block, Ranges))
+    total = _rows(_readings(blocks), ended)
     for _ in range(int(MOST_REJECTED * total)):
         rest = _without_worst(problem, blocks, ended)
         if rest is None:
@@ -297,7 +297,7 @@ def minimum(
     """Return the values (1, n, size) at the best minimum from a start; None where there is none."""
     K = max(len(x) for x in start.values())
     first = {name: x[:1] for name, x in start.items()}
-    share = max(ROWS_AT_ONCE // max(sum(_rows(block, first) for block in blocks), 1), 1)
+    share = max(ROWS_AT_ONCE // max(_rows(blocks, first), 1), 1)
     best, least = None, np.inf
     for a in range(0, K, share):
         some = {name: x if len(x) == 1 else x[a : a + share] for name, x in start.items()}
@@ -329,15 +329,23 @@ def _least_squares(
 ) -> LeastSquares:
     reduction = Reduction(blocks, problem.counts(), problem.unknown)
     size = reduction.structure.size + reduction.structure.members * reduction.structure.width
-    dof = max(sum(_rows(block, values) for block in blocks) - size, 1)
+    dof = max(_rows(blocks, values) - size, 1)
     return LeastSquares(tuple(blocks), reduction, np.ones(K), np.zeros(K), dof)
 
 
-def _rows(block: Block, values: Values) -> int:
-    """Return how many rows of a block weigh anything."""
-    shape = block.evaluate(values).columns.shape[2:]
-    root = block.weights.root
-    return int(np.prod(shape) if root is None else (np.broadcast_to(root[0], shape) > 0.0).sum())
+def _counted(block: Block, values: Values) -> BoolArray:
+    """Return which rows (G, S) of a block weigh anything."""
+    shape, root = block.evaluate(values).columns.shape[2:], block.weights.root
+    return np.broadcast_to(True if root is None else root[0] > 0.0, shape)
+
+
+def _rows(blocks: Iterable[Block], values: Values) -> int:
+    """Return how many rows of some blocks weigh anything."""
+    return sum(int(_counted(block, values).sum()) for block in blocks)
+
+
+def _readings(blocks: Iterable[Block]) -> list[Ranges]:
+    return [block for block in blocks if isinstance(block, Ranges)]
 
 
 def _read(block: Block) -> Block:
@@ -349,9 +357,10 @@ def _read(block: Block) -> Block:
 
 
 def _kept(block: Block, out: BoolArray) -> Block:
-    """Return a block without some readings."""
+    """Return a block without some of its readings (G, S), or as many in one row."""
     if not isinstance(block, Ranges) or not out.any():
         return block
+    out = out.reshape(block.reading.shape[1:])
     root = np.ones((1, *out.shape)) if block.weights.root is None else block.weights.root
     return replace(block, weights=replace(block.weights, root=np.where(out, 0.0, root)))
 
@@ -377,14 +386,8 @@ def _without_worst(
     if np.sqrt(found[worst]) <= -float(gaussian_quantile(0.5 * FAMILY_LEVEL / len(found))):
         return None
     worst = int(np.flatnonzero(tested)[worst])
-    rest = []
-    for block, part in zip(blocks, rows.where, strict=True):
-        if part.start <= worst < part.stop and isinstance(block, Ranges):
-            out = np.zeros(part.stop - part.start, dtype=bool)
-            out[worst - part.start] = True
-            block = _kept(block, out.reshape(block.reading.shape[1:]))
-        rest.append(block)
-    return rest
+    outs = [np.arange(part.start, part.stop) == worst for part in rows.where]
+    return [_kept(block, out) for block, out in zip(blocks, outs, strict=True)]
 
 
 def judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Estimate:
@@ -397,9 +400,11 @@ def judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Es
             values, covariance = _finished(problem, blocks, values)
     _, e = problem.rows(blocks, values).whitened()
     chi2, open_ = float(e @ e), open_axes.shape[1]
-    dof = sum(_rows(block, values) for block in blocks) - len(names) + open_
-    out = tuple(_out(b, left, values) for b, left in zip(problem.blocks, blocks, strict=True))
-    readings = sum(_rows(_read(b), values) for b in problem.blocks if isinstance(b, Ranges))
+    dof = _rows(blocks, values) - len(names) + open_
+    read = [_read(block) for block in problem.blocks]
+    pairs = zip(read, blocks, strict=True)
+    out = tuple(_counted(b, values) & ~_counted(left, values) for b, left in pairs)
+    readings = _rows(_readings(read), values)
     many = sum(int(rows.sum()) for rows in out) >= int(MOST_REJECTED * readings) > 0
     status: Literal["converged", "undetermined", "contradicted"] = "converged"
     message = f"chi2 {chi2:.4g} at {dof} degrees of freedom"
@@ -520,15 +525,9 @@ def _finished(
     sums = eliminated_sums(task.normal(values), 1.0)
     moved = task.reduction.moved(values, sums.step[None], sums.local_step[None])
     n, d = of.size, of.width
-    whole = np.zeros((n + of.members * d,) * 2)
-    follow = -sums.response.reshape(of.members * d, n)
-    whole[:n, :n] = sums.covariance
-    whole[n:, :n] = follow @ sums.covariance
-    whole[:n, n:] = whole[n:, :n].T
-    whole[n:, n:] = whole[n:, :n] @ follow.T
-    for i in range(of.members):
-        own = slice(n + i * d, n + (i + 1) * d)
-        whole[own, own] += sums.known[i]
+    follow = np.vstack((np.eye(n), -sums.response.reshape(of.members * d, n)))
+    whole = follow @ sums.covariance @ follow.T
+    whole += block_diag(np.zeros((n, n)), *sums.known)
     order = []
     for family, columns in of.free.items():
         stays = of.place[family] >= 0
@@ -536,16 +535,6 @@ def _finished(
         order.append((first[:, None] + np.arange(len(columns))).ravel())
     index = np.concatenate(order)
     return moved, whole[np.ix_(index, index)]
-
-
-def _out(block: Block, left: Block, values: Values) -> BoolArray:
-    """Return which readings (G, S) of a block are rejected."""
-    shape = left.evaluate(values).columns.shape[2:]
-    read = _read(block)
-    if not isinstance(read, Ranges) or left.weights.root is None:
-        return np.zeros(shape, dtype=bool)
-    root = np.ones(shape) if read.weights.root is None else read.weights.root[0]
-    return np.asarray((np.broadcast_to(root, shape) > 0.0) & (left.weights.root[0] == 0.0))
 
 
 def _failed(problem: BlockProblem, blocks: Sequence[Block]) -> Estimate:
@@ -569,6 +558,6 @@ def _failed(problem: BlockProblem, blocks: Sequence[Block]) -> Estimate:
         np.full((len(names), len(names)), np.nan),
         (),
         np.inf,
-        sum(_rows(block, first) for block in blocks) - len(names),
-        tuple(_out(block, block, first) for block in blocks),
+        _rows(blocks, first) - len(names),
+        tuple(np.zeros_like(_counted(block, first)) for block in blocks),
     )

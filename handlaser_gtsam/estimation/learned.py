@@ -1,6 +1,5 @@
 """Learning unknown scales of noise and range errors from readings about a solution."""
 
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -124,6 +123,7 @@ _AtMode = tuple[RangeErrorGrid, FloatArray, BeamPosterior, ReducedInformation]
 """Scales of the range errors that are probable at a mode, their weights (G,), beams and planes."""
 
 
+@dataclass(eq=False)
 class ScaleProblem:
     """Unknown scales, and readings linearised at a solution.
 
@@ -146,30 +146,23 @@ class ScaleProblem:
         The typical range [m]; the median of the readings where not given.
     """
 
-    def __init__(
-        self,
-        parameters: Parameters,
-        readings: Readings,
-        terms: int,
-        base: Variances,
-        scales: Scales,
-        linearity: float | None,
-        known: Information | None = None,
-        members: IntArray | None = None,
-        length: float | None = None,
-    ) -> None:
-        self.known, self.members = known, members
-        self.parameters, self.readings, self.terms, self.scales = (
-            parameters,
-            readings,
-            terms,
-            scales,
-        )
-        self.base, self.linearity = base, linearity
-        self.length = length or readings.typical_range()
-        self.k = parameters.range_errors[:, :terms] * np.array([1.0, self.length])[:terms]
-        self.wide = self._widest(readings.beams)
-        self.rows = LinearReadings(parameters, readings, terms, self.length, base)
+    parameters: Parameters
+    readings: Readings
+    terms: int
+    base: Variances
+    scales: Scales
+    linearity: float | None
+    known: Information | None = None
+    members: IntArray | None = None
+    length: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.length = self.length or self.readings.typical_range()
+        unit = np.array([1.0, self.length])[: self.terms]
+        self.k = self.parameters.range_errors[:, : self.terms] * unit
+        self.wide = self._widest(self.readings.beams)
+        of = self.parameters, self.readings, self.terms, self.length, self.base
+        self.rows = LinearReadings(*of)
         self._last: tuple[FloatArray, _AtMode] | None = None
 
     @cached_property
@@ -188,8 +181,7 @@ class ScaleProblem:
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
         """Return geometric posterior means (T,) of the sigmas of k1 and k2 D of a beam, noise known."""
         grid, w = self._weighed(mode)
-        mean: FloatArray = np.exp(w @ np.log(grid.total()))
-        return mean
+        return np.asarray(np.exp(w @ np.log(grid.total())))
 
     def _weighed(self, mode: FloatArray) -> tuple[RangeErrorGrid, FloatArray]:
         """Return scales of the range errors, and their posterior weights (G,), noise known."""
@@ -257,13 +249,8 @@ class ScaleProblem:
             planes=len(planes),
         )
         parameters = self.parameters.part(beams, planes)
-        part = copy(self)
-        part.parameters, part.readings = parameters, readings
-        part.k = (
-            parameters.range_errors[:, : self.terms] * np.array([1.0, self.length])[: self.terms]
-        )
-        part.rows = LinearReadings(parameters, readings, self.terms, self.length, self.base)
-        part.wide, part._part, part._last = self._widest(readings.beams), part, None
+        part = replace(self, parameters=parameters, readings=readings)
+        part._part = part
         return part
 
     def _widest(self, beams: int, angles: FloatArray | None = None) -> RangeErrorGrid:

@@ -144,8 +144,7 @@ def _beam_covariances(
     bases = model.tangent_basis(np.concatenate([p.directions for p in solved.parameters]))
     lifts = beam_lifts(bases)[:, :, :width]
     lifts = lifts.reshape(copies, beams, 8, width).swapaxes(0, 1)
-    covariances: FloatArray = (lifts @ blocks @ lifts.swapaxes(-1, -2)).swapaxes(0, 1)
-    return covariances
+    return np.asarray((lifts @ blocks @ lifts.swapaxes(-1, -2)).swapaxes(0, 1))
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:
@@ -164,19 +163,12 @@ def _of_one_shape(recordings: Sequence[Recording]) -> list[Readings]:
         raise InputError("no recordings", "a sequence of one or more")
     for recording in recordings:
         require_kind("a recording", recording, Recording)
-    first, readings = recordings[0], [recording.readings() for recording in recordings]
-    for recording, of_recording in zip(recordings, readings, strict=True):
-        same = (
-            recording.beam_names == first.beam_names and recording.plane_names == first.plane_names
-        )
-        if not same or any(
-            not np.array_equal(getattr(of_recording, name), getattr(readings[0], name))
-            for name in ("station", "beam", "plane")
-        ):
-            raise InputError(
-                "recordings of different shapes",
-                "the same beams, planes, stations and places of readings in all",
-            )
+    readings = [recording.readings() for recording in recordings]
+    names = {(recording.beam_names, recording.plane_names) for recording in recordings}
+    places = {(r.station.tobytes(), r.beam.tobytes(), r.plane.tobytes()) for r in readings}
+    if len(names) > 1 or len(places) > 1:
+        expected = "the same beams, planes, stations and places of readings in all"
+        raise InputError("recordings of different shapes", expected)
     return readings
 
 

@@ -25,13 +25,13 @@ within and between, and quantiles of its components.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 from scipy.sparse import csr_array
 from scipy.special import logsumexp, ndtr
 
 from ..arrays import FloatArray, IntArray, evenly
-from ..model.distributions import gaussian_quantile
 from ..model.elimination import LARGE_MATRIX, inverse_and_log_det
-from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, ROUNDING, TINY
+from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, REPRESENTATIVE_BEAMS, TINY
 from .information import Information
 from .range_error_grid import Contrasts, RangeErrorGrid, worst_known
 
@@ -75,33 +75,18 @@ def mixture_quantiles(
 ) -> FloatArray:
     """Return quantiles (m,) of mixtures of Gaussians: weights (C,), means and sigmas (C, m).
 
-    Newton's steps on the distribution function, from the quantile of the one Gaussian that has the
-    mean and the variance of the mixture. A step that leaves the interval known to hold the quantile,
-    or that is not half as long as the one before, halves the interval instead. Newton's steps gain
-    digits quadratically: the one from where the probability is right to `ROUNDING` is the last.
+    That is where the distribution function has the probability; SciPy narrows a bracket of it to the
+    last digits (Chandrupatla's method).
     """
     reach = 12.0 * sigmas.max(axis=0) + TINY
-    low, high = means.min(axis=0) - reach, means.max(axis=0) + reach
-    safe, tail = np.maximum(sigmas, TINY), min(probability, 1.0 - probability)
-    mean = weight @ means
-    spread = np.sqrt(weight @ (sigmas**2 + (means - mean) ** 2))
-    quantiles: FloatArray = mean + gaussian_quantile(probability) * spread
-    step = high - low
-    for _ in range(2 * np.finfo(float).nmant):  # enough, were every other step a halving
-        z = (quantiles - means) / safe
-        excess = weight @ ndtr(z) - probability
-        low, high = np.where(excess < 0.0, quantiles, low), np.where(excess < 0.0, high, quantiles)
-        with np.errstate(over="ignore"):  # far from a component that is a point
-            density = weight @ (np.exp(-0.5 * z**2) / safe) / np.sqrt(2.0 * np.pi)
-        newton = np.clip(quantiles - excess / np.maximum(density, TINY), low, high)
-        last = np.abs(excess) <= ROUNDING * tail
-        shorter = np.abs(newton - quantiles) <= 0.5 * np.abs(step)
-        inside = (low < newton) & (newton < high)
-        after = np.where(last | (shorter & inside), newton, 0.5 * (low + high))
-        quantiles, step = after, after - quantiles
-        if last.all():
-            break
-    return quantiles
+    bracket = means.min(axis=0) - reach, means.max(axis=0) + reach
+    safe = np.maximum(sigmas, TINY)
+
+    def excess(x: FloatArray, i: IntArray) -> FloatArray:
+        return weight @ ndtr((x - means[:, i]) / safe[:, i]) - probability
+
+    each = np.arange(means.shape[1])
+    return np.asarray(find_root(excess, bracket, args=(each,)).x)
 
 
 class BeamPosterior:
@@ -219,8 +204,7 @@ class BeamPosterior:
 
     def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
         """Return the logarithm of the likelihood (J,) of the noise scales."""
-        marginal: FloatArray = logsumexp(self.log_evidence_of(grid) + grid.log_prior, axis=1)
-        return marginal
+        return np.asarray(logsumexp(self.log_evidence_of(grid) + grid.log_prior, axis=1))
 
     def conditional(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean (n,) and covariance (n, n) of the first set, every beam's k ~ N(0, scale^2)."""
@@ -322,8 +306,7 @@ def _log_evidence(
 
 def _roots(spread: FloatArray, widest: FloatArray) -> FloatArray:
     """Return the roots (C, K) of the information of priors (C, K) beyond the widest prior."""
-    roots: FloatArray = np.sqrt(np.maximum(spread**-2 - widest**-2, 0.0))
-    return roots
+    return np.asarray(np.sqrt(np.maximum(spread**-2 - widest**-2, 0.0)))
 
 
 def _times(stack: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -335,8 +318,7 @@ def _times(stack: FloatArray, matrix: FloatArray) -> FloatArray:
 def _semidefinite(V: FloatArray) -> FloatArray:
     """Return covariances (J, K, K) without what rounding made negative."""
     values, axes = np.linalg.eigh(0.5 * (V + np.swapaxes(V, 1, 2)))
-    semidefinite: FloatArray = (axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2)
-    return semidefinite
+    return np.asarray((axes * np.maximum(values, 0.0)[:, None]) @ np.swapaxes(axes, 1, 2))
 
 
 def _inverse_roots(matrix: FloatArray, widest: FloatArray) -> tuple[FloatArray, FloatArray]:

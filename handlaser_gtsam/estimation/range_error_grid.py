@@ -15,7 +15,7 @@ diagonal.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -78,8 +78,7 @@ class RangeErrorGrid(Value):
         squares = self.individual**2
         if self.turned.any():
             squares[self.turned] = squares[self.turned] @ (axes(self.angles) ** 2).mean(axis=0)
-        total: FloatArray = np.sqrt(squares + self.common[:, None] ** 2)
-        return total
+        return np.asarray(np.sqrt(squares + self.common[:, None] ** 2))
 
     def typical(self, weight: FloatArray, angles: FloatArray | None) -> "RangeErrorGrid":
         """Return a point for beams that share nothing, on the most probable axes.
@@ -101,13 +100,8 @@ class RangeErrorGrid(Value):
     def part(self, rows: IntArray) -> "RangeErrorGrid":
         """Return some of the points."""
         individual, common = self.individual[rows], self.common[rows]
-        return replace(
-            self,
-            individual=individual,
-            common=common,
-            turned=self.turned[rows],
-            log_prior=self.log_prior[rows],
-        )
+        turned, log_prior = self.turned[rows], self.log_prior[rows]
+        return RangeErrorGrid(individual, common, turned, log_prior, self.angles)
 
 
 def near_largest(value: FloatArray) -> IntArray:
@@ -149,19 +143,13 @@ def refined_grid(
     kept = grid.part(near_largest(log_evidence + grid.log_prior))
     for turned, rows in kept.bases():
         some = kept.part(rows)
-        points = np.column_stack((some.individual, some.common))[
-            :, : terms + int(some.common.any())
-        ]
+        shared = [some.common] if some.common.any() else []
+        points = np.column_stack((some.individual, *shared))
         near = np.log(points / linearity)
-        sides = [
-            np.linspace(
-                max(low - 0.5 * SCALE_STEP, -SCALE_SPAN),
-                min(high + 0.5 * SCALE_STEP, most),
-                REFINED_POINTS,
-            )
-            for low, high in zip(near.min(axis=0), near.max(axis=0), strict=True)
-        ]
-        grids.append(_grid(sides, linearity, terms, turned=turned))
+        low = np.maximum(near.min(axis=0) - 0.5 * SCALE_STEP, -SCALE_SPAN)
+        high = np.minimum(near.max(axis=0) + 0.5 * SCALE_STEP, most)
+        sides = np.linspace(low, high, REFINED_POINTS, axis=1)
+        grids.append(_grid(list(sides), linearity, terms, turned=turned))
     return _joined(grids, grid.angles)
 
 
@@ -205,8 +193,7 @@ def _alike(sides: Sequence[FloatArray]) -> FloatArray:
     density = SHARED_STEP * _half_cauchy(shared)
     for side in sides:  # what is shared stays the last axis; 1 / (1 + scale^2) is uniform
         density = density[..., None, :] * 0.5 / np.cosh(side[:, None] - shared) ** 2
-    total: FloatArray = density.sum(axis=-1)
-    return total
+    return np.asarray(density.sum(axis=-1))
 
 
 def _least_and_best_known(worst: FloatArray, best: FloatArray) -> FloatArray:
@@ -219,8 +206,7 @@ def _least_and_best_known(worst: FloatArray, best: FloatArray) -> FloatArray:
 
 def _half_cauchy(x: FloatArray) -> FloatArray:
     """Return the density of the logarithm x of a half-Cauchy variable of scale 1: |x| below 700."""
-    density: FloatArray = 1.0 / (np.pi * np.cosh(x))
-    return density
+    return np.asarray(1.0 / (np.pi * np.cosh(x)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,8 +264,7 @@ class Contrasts:
             return np.ones((len(grid.common), len(self.terms)))
         count = np.sqrt(self.is_mean.size / max(int(self.is_mean.sum()), 1))
         shared = np.where(self.is_mean, count, 0.0) * grid.common[:, None]
-        total: FloatArray = np.hypot(grid.individual[:, self.terms], shared)
-        return total
+        return np.asarray(np.hypot(grid.individual[:, self.terms], shared))
 
 
 def worst_known(V: FloatArray) -> FloatArray | None:
@@ -299,5 +284,4 @@ def worst_known(V: FloatArray) -> FloatArray | None:
     mean = 0.5 * float(np.angle(double))
     # Axes have no sign: let the axes of all beams point the same way.
     off = np.where(long, (angles - mean + 0.5 * math.pi) % math.pi - 0.5 * math.pi, 0.0)
-    turned: FloatArray = mean + off
-    return turned
+    return np.asarray(mean + off)

@@ -88,13 +88,12 @@ def settle(
     scales, base = unknown_scales(readings, noise, options, task.sigma)
     known = start_of(scales, max(task.sigma, LEAST_SIGMA), task.length)
     alike = base.pose is None and base.incidence_sigma == 0.0 and not options.range_sigma_by_beam
-    if task.learns or (scales.unknown and not alike):
-        learning = _Learning(task, scales, base, known)
-        return Solved(task, learning.solved(first), learning)
-    if alike and not unequal(base, task.terms, readings):
-        return Solved(task, first)
     # A common sigma is found by sigma0 without any effort.
-    return Solved(task, task.weighted(first, with_scales(scales, base, known)))
+    learns = task.learns or bool(scales.unknown and not alike)
+    if not learns and alike and not unequal(base, task.terms, readings):
+        return Solved(task, first)
+    learning = _Learning(task, scales, base, known, learns)
+    return Solved(task, learning.solved(first), learning)
 
 
 _Point = tuple[FloatArray, FloatArray]
@@ -108,7 +107,7 @@ def _near(one: _Point, other: _Point) -> bool:
 
 
 class _Learning:
-    """Finds the most probable scales and the solution for them, and then integrates over the scales.
+    """Finds weights, the most probable scales and their solution, and integrates over the scales.
 
     Parameters
     ----------
@@ -118,12 +117,14 @@ class _Learning:
         Its pose covariances are multiplied by the scales.
     start : (d,)
         Logarithms of the scales of the noise to begin with.
+    learns : bool
+        Whether scales are learned; else only the weights settle, which depend on the solution.
     """
 
     def __init__(
-        self, task: SolutionTask, scales: Scales, base: Variances, start: FloatArray
+        self, task: SolutionTask, scales: Scales, base: Variances, start: FloatArray, learns: bool
     ) -> None:
-        self.task, self.scales, self.base = task, scales, base
+        self.task, self.scales, self.base, self.learns = task, scales, base, learns
         self.point: _Point = start, np.full(task.terms, task.options.linearity or 1.0)
         self.used = self.point
         self.problem: ScaleProblem | None = None
@@ -136,13 +137,17 @@ class _Learning:
         elif first.observability.full:
             self._learn(first)
         for _ in range(MOST_ROUNDS):
-            self.used = self.point
+            before, self.used = solution, self.point
             solution = task.reweighted(parameters, self._use(self.used))
-            parameters = solution.parameters
-            if solution.at.status == "interrupted":
+            parameters, status = solution.parameters, solution.at.status
+            if self.learns and status == "interrupted":
                 return solution
             # Where the solver does not arrive there is no optimum to expand about.
-            if not solution.observability.full or solution.at.status == "max_iterations":
+            if self.learns and (not solution.observability.full or status == "max_iterations"):
+                break
+            # Of what is undetermined, weights are taken twice.
+            twice = before.whitening is not None and not before.observability.full
+            if twice or status == "interrupted":
                 break
             self._learn(solution)
             settled = _near(self.point, self.used)
@@ -171,7 +176,7 @@ class _Learning:
 
     def _ahead(self, first: Solution) -> Parameters:
         """Settle the scales by linear steps from a solution; return where they lead."""
-        parameters, before = first.parameters, None
+        parameters, before = first.parameters, None if self.learns else self.point
         for _ in range(MOST_ROUNDS):
             self._learn(first, parameters)
             ahead = self.task.step_ahead(first, parameters, self._use(self.point))
@@ -185,7 +190,9 @@ class _Learning:
         return parameters
 
     def _learn(self, solution: Solution, parameters: Parameters | None = None) -> None:
-        """Take the most probable scales at a solution, or at parameters beside it."""
+        """Take the most probable scales at a solution, or at parameters, if any are learned."""
+        if not self.learns:
+            return
         self.problem = self._scale_problem(solution, parameters)
         u, k = self.point
         u = self.problem.mode(u)

@@ -27,14 +27,14 @@ from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MM, MOST_ROUNDS
-from .dense import dense_rows, tests_of, with_pose_errors
+from .dense import DenseRows, dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, descended, judged, minimum
 from .survey_mirror import best_image, numbers_of, with_images
 from .survey_noise import Components, Inside, components
 from .survey_rows import (
     AIMING,
     AIMING_SIGMA,
-    Item,
+    Entity,
     Rows,
     blocks_of,
     priors_of,
@@ -166,25 +166,15 @@ class SurveyEstimate:
 
     def at(self, values: Mapping[str, FloatArray], sizes: Components) -> "SurveyState":
         """Return the same shots at other values and sizes of the noise, which are not learned."""
-        relations, nothing = relations_of(self.rows), np.zeros_like(sizes.sigma)
-        return SurveyState(
-            self.rows,
-            self.given,
-            dict(values),
-            sizes,
-            self.used,
-            relations,
-            (nothing, nothing),
-            sizes,
-        )
+        known, relations = dict(values), relations_of(self.rows)
+        return SurveyState(self.rows, self.given, known, sizes, self.used, relations, sizes)
 
 
 @dataclass(slots=True)
 class SurveyState:
     """The values and sizes so far, and which items count.
 
-    `inside` is what shots tell of the noise inside them, and `stated` what is stated of it; what is not
-    is NaN.
+    `stated` is what is stated of the noise; what is not is NaN.
     """
 
     rows: Rows
@@ -193,7 +183,6 @@ class SurveyState:
     sizes: Components
     used: BoolArray
     relations: Sequence[tuple[Known, Relation]]
-    inside: Inside
     stated: Components
 
     @property
@@ -201,16 +190,24 @@ class SurveyState:
         """Whether sizes of the noise are learned."""
         return bool(np.isnan([*self.stated.sigma, *self.stated.pose]).any())
 
-    def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, list[list[Item]]]:
-        """Return the problem of the items that count, and the items of the groups of its blocks."""
-        items = [i for i, used in zip(self.rows.items, self.used, strict=True) if used]
-        blocks, groups = blocks_of(items, self.sigmas(), self.values)
+    def dense(self, *, pose_errors: bool = True) -> tuple[DenseRows, IntArray]:
+        """Return the rows of the problem, and the number of each one's item: -1 for what has none."""
+        problem, owner = self.problem(pose_errors=pose_errors)
+        rows = problem.rows(problem.blocks, self.values)
+        more = len(rows.residuals) - len(owner)
+        return rows, np.append(owner, np.full(more, -1))
+
+    def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, IntArray]:
+        """Return the problem of the items that count, and the number of the item of each row."""
+        used = np.flatnonzero(self.used)
+        items = [self.rows.items[i] for i in used]
+        blocks, owner = blocks_of(items, self.sigmas(), self.values)
         if pose_errors:
             blocks = with_pose_errors(blocks, self.values, self.pose_covariance())
         more: list[Block] = [*priors_of(self.rows), *self._held()]
         more += [relation for _, relation in self.relations]
-        unknown = self.rows.unknown()
-        return BlockProblem([*blocks, *more], self.values, unknown, self.rows.length), groups
+        unknown, length = self.rows.unknown(), self.rows.length
+        return BlockProblem([*blocks, *more], self.values, unknown, length), used[owner]
 
     def minimize(self, iterations: int | None = None) -> bool:
         """Go to the minimum of what counts, or so many steps towards it; tell whether there is one.
@@ -220,7 +217,7 @@ class SurveyState:
         """
         self.used = self.used & ~grazing(self.rows)
         problem, _ = self.problem()
-        blocks = list(problem.blocks)
+        blocks = problem.blocks
 
         def ended(values: dict[str, FloatArray]) -> dict[str, FloatArray] | None:
             if iterations is None:
@@ -268,12 +265,18 @@ class SurveyState:
         S = np.diag([turn**2] * 3 + [shift**2] * 3)
         return np.broadcast_to(S, (count, 6, 6))
 
-    def sources(self, item: Item, rows: int) -> list[int]:
-        """Return whose noise each row of an item has: sensors, then all beams, then the aiming."""
-        own = len(self.rows.survey.shots) if item.family == BEAM.name else item.member
-        if item.target[0] != POINT.name:
-            return [own] * rows
-        return [own, *[len(self.sizes.sigma) - 1] * (rows - 1)]
+    def stations(self, owner: IntArray) -> IntArray:
+        """Return the stations of rows of items; any of rows that have none."""
+        return np.array([item.station for item in self.rows.items])[owner]
+
+    def sources(self, owner: IntArray) -> IntArray:
+        """Return whose noise rows of items have: sensors, beams, then the aiming; -1 of none."""
+        items, beams = self.rows.items, len(self.rows.survey.shots)
+        source = [beams if item.family == BEAM.name else item.member for item in items]
+        on_point = np.array([item.target[0] == POINT.name for item in items])
+        # Of a spot on a point the first row is along the ray.
+        aimed = (owner == np.roll(owner, 1)) & on_point[owner]
+        return np.where(owner < 0, -1, np.where(aimed, beams + 1, np.array(source)[owner]))
 
 
 def estimate_survey(
@@ -301,7 +304,7 @@ def estimate_survey(
     if doubtful and state.relations and _blames_relations(state):
         doubtful = _doubtful(state)
     problem, _ = state.problem()
-    found = judged(problem, list(problem.blocks), dict(state.values))
+    found = judged(problem, problem.blocks, dict(state.values))
     # A mirror image that fits better than the first state is none of its misfit.
     misfit = not first.fits and (not settled or (again is None and found.status != "converged"))
     if misfit or (not settled and found.status != "undetermined"):
@@ -324,8 +327,7 @@ def estimate_survey(
         most = f"more than {IN_PERCENT * MOST_REJECTED:.0f} % of the shots of {names}"
         message = f"{most} contradict the others"
         found = replace(found, status="contradicted", message=message)
-    tests = _tested(state, problem)
-    spread = _spread(state, found)
+    tests, spread = _tested(state), _spread(state, found)
     found = replace(found, covariance=found.covariance * np.outer(spread, spread))
     found, images = with_images(found, others)
     sizes, stated, used = state.sizes, state.stated, state.used
@@ -370,18 +372,13 @@ def first_state(
             found = f"no profile of {rows.edgeless[0]} with an edge between two straight sides"
             raise InputError(found, "profiles of both sides at once, or the label of a plane")
         raise InputError("no shot with enough points on its target", "a few points a shot")
-    inside = _inside(rows)
-    stated = _stated(rows, noise)
-    squares, dof = inside
-    own = np.where(
-        dof > 0.0, np.maximum(np.sqrt(squares / np.maximum(dof, 1.0)), FINEST), FIRST_SIGMA
-    )
+    stated, (squares, dof) = _stated(rows, noise), _inside(rows)
+    within = np.maximum(np.sqrt(squares / np.maximum(dof, 1.0)), FINEST)
+    own = np.where(dof > 0.0, within, FIRST_SIGMA)
     own[-1] = AIMING_SIGMA
     sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
-    prior = noise.pose_rotation_prior, noise.pose_translation_prior
-    turn, shift = (p if np.isnan(s) else float(s) for s, p in zip(stated.pose, prior, strict=True))
-    sizes, used = Components(sigma, (turn, shift)), np.ones(len(rows.items), dtype=bool)
-    state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), inside, stated)
+    sizes, used = Components(sigma, _usual(noise, stated)), np.ones(len(rows.items), dtype=bool)
+    state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), stated)
     if earlier is not None and earlier.estimate.status == "converged":
         values = start_beside(rows, earlier.rows, earlier.estimate.values)
         if values is not None:
@@ -391,7 +388,7 @@ def first_state(
                 return beside
     state.values, without = start_of(rows, state.sigmas())
     if without:
-        names = ", ".join(_name(rows, *entity) for entity in without)
+        names = ", ".join(_name(rows, entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
     _leave_out_gross(state)
     if halves and np.median(misfits(state)) > GROSS and _started_from_halves(state):
@@ -403,7 +400,7 @@ def _doubtful(state: SurveyState) -> list[str]:
     """Return the sensors, beams and targets of which too many shots were rejected to be trusted."""
     shares: dict[str, list[bool]] = {}
     for item, used in zip(state.rows.items, state.used, strict=True):
-        for name in (_name(state.rows, item.family, item.member), state.rows.label(item.target)):
+        for name in (_name(state.rows, item.mount), state.rows.label(item.target)):
             shares.setdefault(name, []).append(bool(used))
     return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
 
@@ -418,24 +415,15 @@ def _blames_relations(state: SurveyState) -> bool:
     if not _settle(free) or free.used.sum() <= state.used.sum():
         return False
     tied = replace(state, values=dict(state.values), sizes=free.sizes, used=free.used)
-    if not tied.minimize():
+    if not tied.minimize() or not any(test.contradicted for test in _tested(tied)):
         return False
-    problem, _ = tied.problem()
-    if not any(test.contradicted for test in _tested(tied, problem)):
-        return False
-    state.rows, state.values, state.sizes, state.used = (
-        tied.rows,
-        tied.values,
-        tied.sizes,
-        tied.used,
-    )
+    state.rows, state.values = tied.rows, tied.values
+    state.sizes, state.used = tied.sizes, tied.used
     return True
 
 
-def _name(rows: Rows, family: str, member: int) -> str:
-    if family == BEAM.name:
-        return f"beam {rows.survey.beam_names[member]}"
-    return f"sensor {rows.survey.shots[member].name}"
+def _name(rows: Rows, mount: Entity) -> str:
+    return f"{mount[0]} {rows.names(mount[0])[mount[1]]}"
 
 
 def _inside(rows: Rows) -> Inside:
@@ -466,6 +454,13 @@ def _stated(rows: Rows, noise: Noise) -> Components:
         turn = shift = 1.0
     pose = np.nan if turn is None else turn, np.nan if shift is None else shift
     return Components(np.array(sigma), pose)
+
+
+def _usual(noise: Noise, stated: Components) -> tuple[float, float]:
+    """Return the pose sizes as stated, or as is usual."""
+    prior = noise.pose_rotation_prior, noise.pose_translation_prior
+    turn, shift = np.where(np.isnan(stated.pose), prior, stated.pose).tolist()
+    return turn, shift
 
 
 def _leave_out_gross(state: SurveyState) -> None:
@@ -537,18 +532,12 @@ def grazing(rows: Rows) -> BoolArray:
 
 def misfits(state: SurveyState) -> FloatArray:
     """Return the root mean square misfit of every item, used or not, in standard deviations."""
-    blocks, groups = blocks_of(state.rows.items, state.sigmas(), state.values)
-    of = {id(item): i for i, item in enumerate(state.rows.items)}
+    blocks, owner = blocks_of(state.rows.items, state.sigmas(), state.values)
     blocks = with_pose_errors(blocks, state.values, state.pose_covariance())
     rows = dense_rows(blocks, state.values, BlockProblem([], state.values, {}).places())
-    _, e = rows.whitened()
-    squares, count = np.zeros((2, len(state.rows.items)))
-    for part, shape, some in zip(rows.where, rows.shapes, groups, strict=True):
-        index = [of[id(item)] for item in some]
-        square = e[part].reshape(shape) ** 2
-        np.add.at(squares, index, square.sum(axis=1))
-        np.add.at(count, index, (square > 0.0).sum(axis=1))
-    return np.sqrt(squares / np.maximum(count, 1.0))
+    square = rows.whitened()[1] ** 2
+    total, count = (np.bincount(owner, x, len(state.used)) for x in (square, square > 0.0))
+    return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
 
 
 def first_fit(state: SurveyState) -> FirstFit:
@@ -593,7 +582,6 @@ def _settle_sorted(state: SurveyState) -> bool:
         if again is None:
             break
         state.rows, state.used = again
-        state.inside = _inside(state.rows)
     return _settle(state) and _settle_grazing(state)
 
 
@@ -621,36 +609,25 @@ def _by_hand(state: SurveyState) -> float:
 
     Readings of anything else than their target look like errors of the hand, if these are learned.
     """
-    if state.noise.pose_covariance is not None:
-        C = state.pose_covariance()
-        turn, shift = (
-            float(np.trace(C[:, at, at], axis1=1, axis2=2).mean()) / 3.0
-            for at in (slice(0, 3), slice(3, 6))
-        )
-        return float(np.sqrt(shift + turn * state.rows.length**2))
-    prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
-    turn, shift = (p if np.isnan(s) else s for p, s in zip(prior, state.stated.pose, strict=True))
-    return float(np.hypot(shift, turn * state.rows.length))
+    sizes = Components(state.sizes.sigma, _usual(state.noise, state.stated))
+    variances = np.einsum("mii->mi", replace(state, sizes=sizes).pose_covariance()).mean(axis=0)
+    turn, shift = variances.reshape(2, 3).mean(axis=1)
+    return float(np.sqrt(shift + turn * state.rows.length**2))
 
 
 def _learned(state: SurveyState) -> bool:
     """Learn the sizes of the noise at the values; tell whether one has changed."""
     if not state.learning:
         return False
-    problem, groups = state.problem(pose_errors=False)
-    rows = problem.rows(problem.blocks, state.values)
-    source = np.full(len(rows.residuals), -1)
-    by_pose = rows.by_pose
-    root = covariance_roots(state.pose_covariance())
-    for part, shape, some in zip(rows.where, rows.shapes, groups, strict=False):
-        source[part] = np.concatenate([state.sources(item, shape[1]) for item in some])
-        if state.noise.pose_covariance is not None:  # in standard deviations of what is stated
-            station = np.repeat([item.station for item in some], shape[1])
-            by_pose[part] = np.einsum("ri,rij->rj", by_pose[part], root[station])
+    rows, owner = state.dense(pose_errors=False)
+    if state.noise.pose_covariance is not None:  # in standard deviations of what is stated
+        root = covariance_roots(state.pose_covariance())[state.stations(owner)]
+        rows.by_pose[:] = np.einsum("ri,rij->rj", rows.by_pose, root)
     finest = np.full(len(state.sizes.sigma), FINEST)
     finest[-1] = FINEST_AIMING
     prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
-    new = components(rows, source, state.inside, state.sizes, state.stated, prior, finest)
+    source, inside = state.sources(owner), _inside(state.rows)
+    new = components(rows, source, inside, state.sizes, state.stated, prior, finest)
     before = np.array([*state.sizes.sigma, *state.sizes.pose])
     after = np.array([*new.sigma, *new.pose])
     state.sizes = new
@@ -659,20 +636,14 @@ def _learned(state: SurveyState) -> bool:
 
 def _worst_changed(state: SurveyState) -> bool:
     """Leave out the shot that the others contradict most, or take one back; tell whether any was."""
-    problem, groups = state.problem()
-    rows = problem.rows(problem.blocks, state.values)
-    numbers = {id(item): i for i, item in enumerate(state.rows.items)}
-    group = np.full(len(rows.residuals), -1)
-    for part, shape, some in zip(rows.where, rows.shapes, groups, strict=False):
-        group[part] = np.repeat([numbers[id(item)] for item in some], shape[1])
+    rows, group = state.dense()
     tested, number = np.unique(group[group >= 0], return_inverse=True)
     group[group >= 0] = number
     chi2, dof = tests_of(rows, group)
     p = _by_chance(chi2, dof, len(rows.residuals) - rows.derivatives.shape[1], state)
     worst = _most_contradicted(p, chi2)
     if p[worst] < FAMILY_LEVEL / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
-        state.used = state.used.copy()
-        state.used[tested[worst]] = False
+        state.used = state.used & (np.arange(len(state.used)) != tested[worst])
         return True
     out = np.flatnonzero(~state.used & ~grazing(state.rows))
     if not len(out):
@@ -683,8 +654,7 @@ def _worst_changed(state: SurveyState) -> bool:
     size = 1 if shot is None else len(shot.reading)
     if misfit[best] ** 2 * size > chi2_quantile(TAKEN_BACK, size):
         return False
-    state.used = state.used.copy()
-    state.used[out[best]] = True
+    state.used = state.used | (np.arange(len(state.used)) == out[best])
     return True
 
 
@@ -726,12 +696,8 @@ def _spread(state: SurveyState, found: Estimate) -> FloatArray:
     if found.status not in ("converged", "contradicted") or not rough:
         return ones
     slack = max(slackness(state.rows, state.values, member) for member in rough)
-    problem, groups = state.problem()
-    rows = problem.rows(problem.blocks, state.values)
-    J, e = rows.whitened()
-    station = np.full(len(e), -1)
-    for part, shape, some in zip(rows.where, rows.shapes, groups, strict=False):
-        station[part] = np.repeat([item.station for item in some], shape[1])
+    rows, owner = state.dense()
+    (J, e), station = rows.whitened(), np.where(owner < 0, -1, state.stations(owner))
     stations = np.unique(station[station >= 0])
     if J.shape[1] != len(ones) or len(stations) <= len(ones):
         return slack * ones
@@ -741,17 +707,17 @@ def _spread(state: SurveyState, found: Estimate) -> FloatArray:
     return np.asarray(slack * np.sqrt(np.maximum(variance / np.diagonal(inverse), 1.0)))
 
 
-def _tested(state: SurveyState, problem: BlockProblem) -> tuple[RelationTest, ...]:
+def _tested(state: SurveyState) -> tuple[RelationTest, ...]:
     """Test each relation against the readings and all relations that are not contradicted."""
     if not state.relations:
         return ()
-    rows = problem.rows(problem.blocks, state.values)
-    group = np.full(len(rows.residuals), -1)
-    first = len(rows.where) - len(state.relations)
-    number: dict[int, int] = {}
-    for part, (known, _) in zip(rows.where[first:], state.relations, strict=True):
-        group[part] = number.setdefault(id(known), len(number))
+    rows, group = state.dense()
+    group[:] = -1
+    # A body has a relation a face.
     different = list({id(known): known for known, _ in state.relations}.values())
+    number = {id(known): i for i, known in enumerate(different)}
+    for part, (known, _) in zip(reversed(rows.where), reversed(state.relations), strict=False):
+        group[part] = number[id(known)]
     p_value, contradicted = np.ones(len(different)), np.zeros(len(different), dtype=bool)
     while not contradicted.all():
         # What a false relation does to true ones must not count against them: without those found.

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from ..data.readings import Readings
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, bases
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -29,14 +28,10 @@ from ..observability.poor_motion import COUNTED_TURN, PoorMotion, poor_motion
 from ..observability.rank import ObservabilityOptions
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS
 from .estimate import Estimate, descended
-from .survey_rows import Rows
+from .survey_rows import Entity, Rows
 
 if TYPE_CHECKING:
     from .survey import SurveyState
-
-Entity = tuple[str, int]
-"""A family, and the number of a member."""
-
 
 SAME_CHI2 = 0.01
 """An image whose chi2 differs by less is that of a minimum, where all that counts is symmetric: it is
@@ -58,20 +53,8 @@ def motion_of(rows: Rows) -> PoorMotion | None:
     """Return the kind of a motion that is poor before any targets; None of any other."""
     # A reading for each target and station only says where the hand was before it.
     numbers = numbers_of(rows)
-    seen = sorted({(numbers[item.target], item.station) for item in rows.items})
-    plane, station = np.array(seen).T
-    of = rows.survey.stations
-    readings = Readings(
-        station,
-        np.zeros_like(station),
-        plane,
-        np.full(len(seen), rows.length),
-        of.world_R_hand[station],
-        of.world_t_hand[station],
-        1,
-        len(numbers),
-    )
-    return poor_motion(readings)
+    seen = {(numbers[item.target], 0, item.station, rows.length) for item in rows.items}
+    return poor_motion(rows.readings(seen, 1))
 
 
 def best_image(
@@ -142,9 +125,8 @@ def with_images(
                 turned_by = float(np.linalg.norm(difference)) if part == TURNS.get(family) else 0.0
                 far = turned_by > FAR_SIGMAS * ObservabilityOptions().most_sigma
             if far:
-                first = f"{family}[{member}]."
-                start = next(i for i, n in enumerate(found.names) if n.startswith(first))
-                index = np.arange(start + part.start, start + part.stop)
+                own = [n.startswith(f"{family}[{member}].") for n in found.names]
+                index = np.flatnonzero(own)[part]
                 C[index], C[:, index] = np.nan, np.nan
                 if part == TURNS.get(family):
                     turned[family, member] = float(np.linalg.norm(difference))
@@ -158,8 +140,7 @@ def with_images(
 
 
 def _chi2(state: "SurveyState") -> float:
-    problem, _ = state.problem()
-    _, e = problem.rows(problem.blocks, state.values).whitened()
+    _, e = state.dense()[0].whitened()
     return float(e @ e)
 
 
@@ -170,10 +151,10 @@ def _images(
     seen: dict[Entity, set[Entity]] = {}
     stations: dict[Entity, list[int]] = {}
     for item in rows.items:
-        seen.setdefault(item.target, set()).add((item.family, item.member))
+        seen.setdefault(item.target, set()).add(item.mount)
         stations.setdefault(item.target, []).append(item.station)
     upright = {target: motion.upright[n] for target, n in numbers_of(rows).items()}
-    groups = [{mount} for mount in dict.fromkeys((i.family, i.member) for i in rows.items)]
+    groups = [{mount} for mount in dict.fromkeys(i.mount for i in rows.items)]
     for (family, member), mounts in seen.items():
         n, a = values[family][0, member, :3], upright[family, member]
         if family != PLANE.name or abs(n @ a) > np.sin(COUNTED_TURN):

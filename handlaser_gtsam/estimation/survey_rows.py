@@ -1,12 +1,13 @@
 """A survey as rows: shots condensed, targets and sensors numbered, blocks put together."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices, gathered
+from ..data.readings import Readings
 from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
 from ..model import known as relations
 from ..model.block import Block, Values, VectorPrior, Weights
@@ -48,6 +49,10 @@ AIMING_SIGMA = 0.5 * MM
 """Its first value [m]: about the width of a spot."""
 
 
+Entity = tuple[str, int]
+"""A family, and the number of a member."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Item:
     """One shot of a sensor, or one reading of a beam.
@@ -82,6 +87,11 @@ class Item:
     half_angle: float = 0.0
     grazing: bool = False
     whole: tuple[Condensed, IntArray] | None = None
+
+    @property
+    def mount(self) -> Entity:
+        """Whose reading it is."""
+        return self.family, self.member
 
     @property
     def numbers(self) -> int:
@@ -155,9 +165,39 @@ class Rows:
         of = self.survey.stations
         return np.hstack((of.world_R_hand.reshape(-1, 9), of.world_t_hand))[None]
 
-    def label(self, target: tuple[str, int]) -> str:
+    def readings(self, entries: Iterable[tuple[int, int, int, float]], beams: int) -> Readings:
+        """Return (plane, beam, station, reading), sorted; planes are those that were read."""
+        plane, beam, station, reading = zip(*sorted(entries), strict=True)
+        planes, number = np.unique(plane, return_inverse=True)
+        of = self.survey.stations
+        return Readings(
+            frozen_indices(station),
+            frozen_indices(beam),
+            frozen_indices(number),
+            frozen(reading),
+            gathered(of.world_R_hand, np.array(station)),
+            gathered(of.world_t_hand, np.array(station)),
+            beams,
+            len(planes),
+        )
+
+    def label(self, target: Entity) -> str:
         """Return the label of a target."""
         return self.targets[target[0]][target[1]]
+
+    def names(self, family: str) -> list[str]:
+        """Return the names of sensors or beams, or the labels of targets, in their order."""
+        if family == SENSOR.name:
+            return [shots.name for shots in self.survey.shots]
+        return list(self.survey.beam_names if family == BEAM.name else self.targets.get(family, ()))
+
+    def entities(self, known: Known) -> list[Entity]:
+        """Return what a relation is of: families and numbers of their members."""
+        numbers: dict[str, Entity] = {}
+        for family in self.counts():
+            prefix = f"{family}:" if family in (SENSOR.name, BEAM.name) else ""
+            numbers |= {prefix + name: (family, i) for i, name in enumerate(self.names(family))}
+        return [numbers.get(label) or numbers[normal_label(label)] for label in known.of]
 
 
 def rows_of(survey: Survey) -> Rows:
@@ -251,47 +291,28 @@ def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows |
     left out before count again only where all are judged `anew`.
     """
     items = list(rows.items)
+    exact = {name: x.copy() if name == SENSOR.name else x for name, x in values.items()}
+    if SENSOR.name in exact:  # of errors of the readings the way of the rays knows nothing
+        exact[SENSOR.name][..., -len(RAY_ERRORS) :] = 0.0
     for i, item in enumerate(items):
-        if item.target[0] != SPHERE.name or (item.grazing and not anew):
+        shot, points = (anew and item.whole) or (item.shot, item.points)
+        single = shot is None or of_single_readings(shot)
+        if item.target[0] != SPHERE.name or not single or (item.grazing and not anew):
             continue
-        if item.shot is None:
-            grazing = _grazes(item, values)
-            if grazing != item.grazing:
-                items[i] = replace(item, grazing=grazing)
-            continue
-        assert item.points is not None
-        whole = item.whole or (item.shot, item.points)
-        shot, points = whole if anew else (item.shot, item.points)
-        if not of_single_readings(shot):
-            continue
-        sensor, rays = values[SENSOR.name][0, item.member], shot.rays
-        X, place = sensor[:9].reshape(3, 3), sensor[9:12]
-        R, t = rows.survey.stations.world_R_hand[item.station], rows.survey.stations.world_t_hand
-        origin, direction = rays.origin @ X.T + place, rays.direction @ X.T
-        origin, direction = origin @ R.T + t[item.station], direction @ R.T
-        hits = Sphere(np.array([item.target[1]])).hit(
-            values, origin.T[:, None, None], direction.T[:, None, None]
-        )
-        steep = np.linalg.norm(hits.covector, axis=0)[0, 0] < MOST_SLANTED
-        steep &= ~hits.impossible[0, 0]
-        if steep.any() and not np.array_equal(points[steep], item.points):
-            some = some_of(shot, steep)
+        (block,), _ = blocks_of([replace(item, shot=shot)], {item.mount: 1.0}, exact)
+        met = (block.ranges if isinstance(block, Mixed) else block).evaluate(exact)
+        # By the translation of the hand.
+        steep = np.linalg.norm(met.columns[-4:-1], axis=0)[0, 0] < MOST_SLANTED
+        if met.impossible is not None:
+            steep &= ~met.impossible[0, 0]
+        if shot is None or points is None or item.points is None:
+            if item.grazing == steep[0]:
+                items[i] = replace(item, grazing=not item.grazing)
+        elif steep.any() and not np.array_equal(points[steep], item.points):
+            some, whole = some_of(shot, steep), item.whole or (shot, points)
             items[i] = replace(item, shot=some, points=points[steep], whole=whole)
     same = all(one is other for one, other in zip(items, rows.items, strict=True))
     return None if same else replace(rows, items=tuple(items))
-
-
-def _grazes(item: Item, values: Values) -> bool:
-    """Tell whether a beam, or the nearest ray of a cone, grazes or misses its sphere."""
-    block = Ranges(
-        _beam_or_cone(np.array([item.member]), item.half_angle),
-        Sphere(np.array([item.target[1]])),
-        PoseVariables(np.array([item.station])),
-        np.full((1, 1, 1), item.reading),
-    )
-    rows = block.evaluate(values)
-    by_location = rows.columns[:3, 0, 0, 0]
-    return rows.impossible is not None or bool(np.linalg.norm(by_location) >= MOST_SLANTED)
 
 
 def _beam_or_cone(member: IntArray, half_angle: float) -> Beam | Cone:
@@ -300,8 +321,8 @@ def _beam_or_cone(member: IntArray, half_angle: float) -> Beam | Cone:
 
 def blocks_of(
     items: Sequence[Item], sigmas: Mapping[tuple[str, int], float], values: Values
-) -> tuple[list[Block], list[list[Item]]]:
-    """Return the blocks of some items, and the item of each of their groups.
+) -> tuple[list[Block], IntArray]:
+    """Return the blocks of some items, and the number of the item of each of their rows.
 
     Parameters
     ----------
@@ -311,88 +332,53 @@ def blocks_of(
     values : mapping
         Where spots on points are seen along their rays.
     """
-    alike: dict[tuple[str, str, int], list[Item]] = defaultdict(list)
-    for item in items:
+    alike: dict[tuple[str, str, int], list[int]] = defaultdict(list)
+    for number, item in enumerate(items):
         size = 1 if item.shot is None else len(item.shot.reading)
-        alike[item.family, item.target[0], size].append(item)
+        alike[item.family, item.target[0], size].append(number)
     blocks: list[Block] = []
-    groups: list[list[Item]] = []
-    for (family, target, _), some in alike.items():
-        member = np.array([item.member for item in some])
-        station = np.array([item.station for item in some])
-        seen = np.array([item.target[1] for item in some])
-        sigma = np.array([sigmas[item.family, item.member] for item in some])
-        robot = PoseVariables(station)
-        if family == BEAM.name:
-            reading = np.array([item.reading for item in some])[None, :, None]
+    owners: list[IntArray] = []
+
+    def weights(root: FloatArray) -> Weights:
+        """Weigh rows (G, S) of a station together."""
+        return Weights(root[None], None, np.repeat(station[:, None], root.shape[1], axis=1))
+
+    for (family, target, _), numbers in alike.items():
+        some = [items[i] for i in numbers]
+        member, station, seen = np.array([(i.member, i.station, i.target[1]) for i in some]).T
+        root = 1.0 / np.array([[sigmas[family, item.member]] for item in some])  # (G, 1)
+        robot, shots = PoseVariables(station), [i.shot for i in some if i.shot is not None]
+        reading = np.array([[item.reading] for item in some])[None]
+        if target == POINT.name:
+            root = np.hstack((root, np.full((len(some), 2), 1.0 / sigmas[AIMING])))
+            axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), Beam(member)
+            blocks.append(SpotsOnPoints(beam, robot, seen, reading, axes, weights(root)))
+        elif not shots:
             sensor = _beam_or_cone(member, some[0].half_angle)
-            if target == POINT.name:
-                across = sigmas[AIMING]
-                blocks.append(_on_points(Beam(member), robot, seen, reading, sigma, across, values))
-            else:
-                weights = _weights(sigma, station, 1)
-                blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights))
-            groups.append(some)
-            continue
-        blocks += _of_shots(some, member, station, seen, sigma, robot, TARGETS[target])
-        groups.append(some)
-        if isinstance(blocks[-1], Unexplained):
-            groups.append([item for item in some if item.shot is not None and item.shot.rest.size])
-    return blocks, groups
-
-
-def _of_shots(
-    some: Sequence[Item],
-    member: IntArray,
-    station: IntArray,
-    seen: IntArray,
-    sigma: FloatArray,
-    robot: PoseVariables,
-    target: type[Plane] | type[Sphere],
-) -> list[Block]:
-    shots = [item.shot for item in some if item.shot is not None]
-    origin = np.stack([s.rays.origin for s in shots])  # (G, r, 3)
-    direction = np.stack([s.rays.direction for s in shots])
-    by_error = np.stack([s.by_error for s in shots], axis=1)[:, None]
-    sensor = Mounted(
-        member, np.moveaxis(origin, 2, 0)[:, None], np.moveaxis(direction, 2, 0)[:, None], by_error
-    )
-    reading = np.stack([s.reading for s in shots])[None]
-    mix = np.stack([s.mix for s in shots])
-    ranges = Ranges(sensor, target(seen), robot, reading)
-    blocks: list[Block] = [Mixed(ranges, mix, _weights(sigma, station, mix.shape[2]))]
-    many = np.array([len(s.rest) for s in shots])
-    if many.any():
-        few = np.flatnonzero(many)
-        residual = np.zeros((len(few), many.max()))
-        beside = np.zeros((*residual.shape, len(RAY_ERRORS)))
-        root = np.zeros((1, *residual.shape))
-        for g, i in enumerate(few):
-            residual[g, : many[i]] = shots[i].rest
-            beside[g, : many[i]] = shots[i].rest_by_error
-            root[0, g, : many[i]] = 1.0 / sigma[i]
-        blocks.append(Unexplained(member[few], residual, beside, Weights(root)))
-    return blocks
-
-
-def _on_points(
-    sensor: Beam,
-    robot: PoseVariables,
-    seen: IntArray,
-    reading: FloatArray,
-    sigma: FloatArray,
-    across: float,
-    values: Values,
-) -> SpotsOnPoints:
-    directions = values[BEAM.name][0, sensor.member, 3:6]
-    root = np.stack((1.0 / sigma, *[np.full(len(sigma), 1.0 / across)] * 2), axis=1)[None]
-    weights = Weights(root, None, np.repeat(robot.member[:, None], 3, axis=1))
-    return SpotsOnPoints(sensor, robot, seen, reading, axes_along(directions), weights)
-
-
-def _weights(sigma: FloatArray, station: IntArray, rows: int) -> Weights:
-    root = np.repeat(1.0 / sigma[:, None], rows, axis=1)[None]
-    return Weights(root, None, np.repeat(station[:, None], rows, axis=1))
+            blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
+        else:
+            origin = np.stack([s.rays.origin for s in shots])  # (G, r, 3)
+            direction = np.stack([s.rays.direction for s in shots])
+            origin, direction = (np.moveaxis(x, 2, 0)[:, None] for x in (origin, direction))
+            by_error = np.stack([s.by_error for s in shots], axis=1)[:, None]
+            mounted = Mounted(member, origin, direction, by_error)
+            reading = np.stack([s.reading for s in shots])[None]
+            ranges = Ranges(mounted, TARGETS[target](seen), robot, reading)
+            mix = np.stack([s.mix for s in shots])
+            root = np.repeat(root, mix.shape[2], axis=1)
+            blocks.append(Mixed(ranges, mix, weights(root)))
+        owners.append(np.repeat(numbers, root.shape[1]))
+        many = np.array([len(s.rest) for s in shots])
+        if many.any():
+            few = np.flatnonzero(many)
+            counted = np.arange(many.max()) < many[few, None]
+            residual, beside = np.zeros(counted.shape), np.zeros((*counted.shape, len(RAY_ERRORS)))
+            residual[counted] = np.concatenate([s.rest for s in shots])
+            beside[counted] = np.concatenate([shots[i].rest_by_error for i in few])
+            alone = Weights((counted * root[few, :1])[None])
+            blocks.append(Unexplained(member[few], residual, beside, alone))
+            owners.append(np.repeat(np.array(numbers)[few], many.max()))
+    return blocks, np.concatenate(owners) if owners else np.zeros(0, dtype=np.intp)
 
 
 def rays_on(
@@ -447,28 +433,17 @@ def rays_on(
 
 def relations_of(rows: Rows) -> list[tuple[Known, Relation]]:
     """Return the relations of a survey, each face of a body as one."""
-    numbers = {
-        label: (family, i)
-        for family, labels in rows.targets.items()
-        for i, label in enumerate(labels)
-    }
-    numbers |= {
-        f"sensor:{shots.name}": (SENSOR.name, i) for i, shots in enumerate(rows.survey.shots)
-    }
-    numbers |= {f"beam:{name}": (BEAM.name, i) for i, name in enumerate(rows.survey.beam_names)}
     found = []
     for known in rows.known:
-        of = [numbers.get(label) or numbers[normal_label(label)] for label in known.of]
-        if known.relation == "body":
-            body = rows.bodies.index(known)
-            assert known.faces is not None
-            for (_, plane), row in zip(of, known.faces, strict=True):
-                face = relations.face(
-                    plane, body, row[:3], float(row[3]), known.sigma, known.sigma_angle
-                )
-                found.append((known, face))
-        else:
+        of = rows.entities(known)
+        if known.relation != "body":
             found.append((known, _relation(known, of)))
+            continue
+        body, sigmas = rows.bodies.index(known), (known.sigma, known.sigma_angle)
+        assert known.faces is not None
+        for (_, plane), (*normal, offset) in zip(of, known.faces, strict=True):
+            face = relations.face(plane, body, np.array(normal), float(offset), *sigmas)
+            found.append((known, face))
     return found
 
 

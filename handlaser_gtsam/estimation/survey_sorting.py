@@ -12,7 +12,7 @@ else. Where errors of the hand are larger than those of a reading, a shot sorts 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -35,15 +35,6 @@ is not all noise, and errors of one station are alike."""
 BESIDE_REACH = 0.2
 """The density of distances at the reach of the noise is the mean of so large a part of it on each side:
 a tenth of a hundred readings are enough for it."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Table:
-    """The readings of a small shot before a plane: their rows in the table of the sensor (n,)."""
-
-    station: int
-    plane: int
-    rows: IntArray
 
 
 def sortable(rows: Rows, sigma: FloatArray, by_hand: float) -> list[int]:
@@ -90,15 +81,14 @@ def sorted_again(
     changed = False
     for member in members:
         shots, tables = rows.survey.shots[member], list(_small_shots(rows, member))
-        misses = [misses_of(rows, values, member, one.plane, one.rows) for one in tables]
-        reach = reach_of_noise(np.concatenate(misses), float(np.median(shots.reading)))
-        for table, e in zip(tables, misses, strict=True):
+        misses, reach = _misses_and_reach(rows, values, member)
+        for (station, plane, table), e in zip(tables, misses, strict=True):
             near = np.abs(e) <= reach
-            at = place.get((member, table.station))
+            at = place.get((member, station))
             before = items[at].points if at is not None and counts[at] else None
             if not near.any() or (before is None and near.mean() < 0.5):
                 continue
-            points = table.rows[near]
+            points = table[near]
             one = [(shots.across[points], shots.reading[points])]
             (shot,) = condensed_shots(KINDS[shots.kind], PLANE.name, one, sorted_out=True)
             if shot is None:
@@ -107,12 +97,11 @@ def sorted_again(
             if before is not None and np.array_equal(points, before):
                 continue
             changed = True
-            target = PLANE.name, table.plane
-            item = Item(SENSOR.name, member, table.station, target, shot, points=points)
+            item = Item(SENSOR.name, member, station, (PLANE.name, plane), shot, points=points)
             if at is None:
                 items.append(item)
                 counts.append(True)
-                lost.remove((member, table.station))
+                lost.remove((member, station))
             else:
                 items[at], counts[at] = item, True
     if not changed:
@@ -122,7 +111,7 @@ def sorted_again(
 
 def of_others(rows: Rows, member: int) -> float:
     """Return the part of the readings of an array before planes that are not on their plane."""
-    tables = {table.station: table.rows for table in _small_shots(rows, member)}
+    tables = {station: table for station, _, table in _small_shots(rows, member)}
     many = sum(map(len, tables.values()))
     kept = sum(
         len(item.points)
@@ -139,15 +128,20 @@ def slackness(rows: Rows, values: Values, member: int) -> float:
     other, and pull them along. For the density f of the distances, and the part P within the reach, the
     mean derivative of the influence is P - c (f(c) + f(-c)) (Huber, Robust Statistics, 1981, page 45).
     """
-    e = np.concatenate(
-        [misses_of(rows, values, member, one.plane, one.rows) for one in _small_shots(rows, member)]
-    )
-    reach = reach_of_noise(e, float(np.median(rows.survey.shots[member].reading)))
-    size = np.abs(e)
+    misses, reach = _misses_and_reach(rows, values, member)
+    size = np.abs(np.concatenate(misses))
     inside = float((size <= reach).sum())
     low, high = (1.0 - BESIDE_REACH) * reach, (1.0 + BESIDE_REACH) * reach
     at_reach = float(((size > low) & (size <= high)).sum()) / (2.0 * BESIDE_REACH)
     return inside / max(inside - at_reach, 0.5 * inside) if inside else 1.0
+
+
+def _misses_and_reach(rows: Rows, values: Values, member: int) -> tuple[list[FloatArray], float]:
+    """Return `misses_of` the readings of each small shot of an array, and the reach of their noise."""
+    shots = _small_shots(rows, member)
+    misses = [misses_of(rows, values, member, plane, table) for _, plane, table in shots]
+    length = float(np.median(rows.survey.shots[member].reading))
+    return misses, reach_of_noise(np.concatenate(misses), length)
 
 
 def reach_of_noise(e: FloatArray, length: float) -> float:
@@ -175,8 +169,8 @@ def reach_of_noise(e: FloatArray, length: float) -> float:
     return float(sigma * np.sqrt(2.0 * np.log(max(odds, 1.0))))
 
 
-def _small_shots(rows: Rows, member: int) -> Iterator[_Table]:
-    """Yield the shots of few readings that an array took of planes."""
+def _small_shots(rows: Rows, member: int) -> Iterator[tuple[int, int, IntArray]]:
+    """Yield station, plane and rows (n,) of the table of each small shot of an array before planes."""
     shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
     planes = {label: i for i, label in enumerate(rows.targets.get(PLANE.name, ()))}
     if shots.kind != "array":
@@ -185,7 +179,7 @@ def _small_shots(rows: Rows, member: int) -> Iterator[_Table]:
         table = np.flatnonzero(shots.station == station)
         label = normal_label(labels[station])
         if kind_of(label) == PLANE.name and label in planes and len(table) < MANY:
-            yield _Table(station, planes[label], table)
+            yield station, planes[label], table
 
 
 def misses_of(rows: Rows, values: Values, member: int, plane: int, some: IntArray) -> FloatArray:

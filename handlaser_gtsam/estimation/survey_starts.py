@@ -12,14 +12,15 @@ Each sensor, and each beam, is searched by itself from all its starts together; 
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+from operator import itemgetter
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray, frozen, frozen_indices, gathered
-from ..data.parameters import Parameters
-from ..data.readings import Readings
+from ..arrays import FloatArray, IntArray
 from ..errors import HandlaserError
+from ..model.block import whitened
 from ..model.families import BEAM, FAMILIES, PLANE, POSE
 from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
@@ -32,9 +33,9 @@ from ..model.targets.sphere import SPHERE
 from ..outliers.consensus import find_consensus
 from ..quantities import SINGULAR
 from ..starts import find_start
+from ..starts.directions import least_squares
 from ..starts.search import FINALISTS, FIRST_STEPS, LAST_STEPS
-from .dense import dense_rows, unknowns_of
-from .survey_rows import Item, Rows, blocks_of, priors_of, relations_of
+from .survey_rows import Entity, Item, Rows, blocks_of, priors_of, relations_of
 
 VIRTUAL = 3
 """Rays of a flat sensor that serve as beams; a sensor in space has one more."""
@@ -58,44 +59,43 @@ TRIMMED = 0.75
 """Part of the shots, those that fit best, by which the ends of searches are compared."""
 ASIDE = 0.95
 """Rays pass the centre of a sphere at a start within this part of its radius, and so meet it."""
+HARMLESS = {SENSOR.name: [0, 4, 8], BEAM.name: [5], PLANE.name: [2], SPHERE.name: [3]}
+"""Numbers that are one where nothing is known yet: no turn, directions along z, a radius of 1 m."""
 FAR_AND_NEAR = (0.1, 0.9)
 """Quantiles of readings between which points on a virtual beam stand for it."""
 
 
 def start_of(
-    rows: Rows, sigmas: Mapping[tuple[str, int], float], *, last_resort: bool = True
-) -> tuple[dict[str, FloatArray], tuple[tuple[str, int], ...]]:
+    rows: Rows, sigmas: Mapping[Entity, float], *, last_resort: bool = True
+) -> tuple[dict[str, FloatArray], tuple[Entity, ...]]:
     """Return the best start of all sensors, beams and targets, and which sensors and beams have none.
 
     Where some have none, there are no values. Starts that fit all shots but gross outliers, and random
     mounts where nothing else leads to a good fit, are the `last_resort`.
     """
-    entities = list(dict.fromkeys((item.family, item.member) for item in rows.items))
+    entities = list(dict.fromkeys(item.mount for item in rows.items))
     from_planes = _from_planes(rows, among_outliers=last_resort)
-    best: dict[tuple[str, int], FloatArray] = {}
-    ends: dict[tuple[str, int], tuple[float, dict[tuple[str, int], FloatArray]]] = {}
+    ends: list[tuple[float, dict[Entity, FloatArray]]] = []
+    without = []
     for entity in entities:
-        own = [item for item in rows.items if (item.family, item.member) == entity]
+        own = [item for item in rows.items if item.mount == entity]
         candidates = [from_planes[entity]] if entity in from_planes else []
         candidates += _others(rows, entity, own)
         found = _searched(rows, entity, own, candidates, sigmas, thorough=last_resort)
-        poor = found is None or found[1] > POOR
-        if last_resort and entity[0] == SENSOR.name and poor:
+        if last_resort and entity[0] == SENSOR.name and (found is None or found[0] > POOR):
             more = _searched(rows, entity, own, _random_mounts(), sigmas, thorough=True)
-            if more is not None and (found is None or more[1] < found[1]):
+            if more is not None and (found is None or more[0] < found[0]):
                 found = more
-        if found is not None:
-            best[entity], cost, targets = found
-            ends[entity] = cost / len(own), targets
-    without = tuple(entity for entity in entities if entity not in best)
+        if found is None:
+            without.append(entity)
+        else:
+            ends.append((found[0] / len(own), found[1]))
     if without:
-        return {}, without
+        return {}, tuple(without)
     values = _empty(rows)
-    for (family, member), x in best.items():
-        values[family][0, member] = x
     # Each target as the sensor has it that fits best for its size.
-    for _, (_, targets) in sorted(ends.items(), key=lambda end: -end[1][0]):
-        for (family, member), x in targets.items():
+    for _, there in sorted(ends, key=lambda end: -end[0]):
+        for (family, member), x in there.items():
             values[family][0, member] = x
     _complete_bodies(rows, values)
     return values, ()
@@ -111,86 +111,66 @@ def start_beside(
     """
     values = _empty(rows)
     for family in (SENSOR.name, BEAM.name):
-        now, before = _names_of(rows, family), _names_of(earlier, family)
+        now, before = rows.names(family), earlier.names(family)
         if not set(now) <= set(before):
             return None
         if now:
             values[family][0] = found[family][[before.index(name) for name in now]]
     for family, labels in rows.targets.items():
-        there = earlier.targets.get(family, ())
+        there = earlier.names(family)
         for member, label in enumerate(labels):
             if label in there:
                 values[family][0, member] = found[family][there.index(label)]
                 continue
             seen = [item for item in rows.items if item.target == (family, member)]
-            entity = seen[0].family, seen[0].member
-            own = [item for item in seen if (item.family, item.member) == entity]
-            _complete(rows, own, values, entity)
+            own = [item for item in seen if item.mount == seen[0].mount]
+            _complete(rows, own, values)
     _complete_bodies(rows, values)
     return values
-
-
-def _names_of(rows: Rows, family: str) -> list[str]:
-    if family == BEAM.name:
-        return list(rows.survey.beam_names)
-    return [shots.name for shots in rows.survey.shots]
 
 
 def _empty(rows: Rows) -> dict[str, FloatArray]:
     values = {
         name: np.zeros((1, count, FAMILIES[name].size)) for name, count in rows.counts().items()
     }
+    for name, place in HARMLESS.items():
+        if name in values:
+            values[name][..., place] = 1.0
     values[POSE.name] = rows.poses()
-    if SENSOR.name in values:
-        values[SENSOR.name][..., :9] = np.eye(3).ravel()
-    if BEAM.name in values:
-        values[BEAM.name][..., 5] = 1.0
-    if PLANE.name in values:
-        values[PLANE.name][..., 2] = 1.0
-    if SPHERE.name in values:
-        values[SPHERE.name][..., 3] = 1.0
     return values
 
 
 # --- sensors and beams on planes -------------------------------------------------------------------
 
 
-def _from_planes(rows: Rows, *, among_outliers: bool) -> dict[tuple[str, int], FloatArray]:
+def _from_planes(rows: Rows, *, among_outliers: bool) -> dict[Entity, FloatArray]:
     """Return starts of what sees planes, by the ordinary search over beams and virtual beams."""
     entries: list[tuple[int, int, int, float]] = []  # plane, beam, station, reading
-    virtual: dict[tuple[str, int], tuple[list[int], FloatArray, FloatArray]] = {}
+    virtual: dict[Entity, tuple[list[int], FloatArray, FloatArray]] = {}
     count = 0
-    entities = list(
-        dict.fromkeys((i.family, i.member) for i in rows.items if i.target[0] == PLANE.name)
-    )
-    for entity in entities:
-        own = [
-            i for i in rows.items if (i.family, i.member) == entity and i.target[0] == PLANE.name
-        ]
+    before_planes = [item for item in rows.items if item.target[0] == PLANE.name]
+    for entity in dict.fromkeys(item.mount for item in before_planes):
+        own = [item for item in before_planes if item.mount == entity]
         if entity[0] == BEAM.name:
-            entries += [(i.target[1], count, i.station, i.reading) for i in own]
-            virtual[entity] = ([count], np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
-            count += 1
-            continue
-        shots = rows.survey.shots[entity[1]]
-        kind = KINDS[shots.kind]
-        rays, shape = kind.rays(_virtual_across(shots.across)), shape_of(kind, PLANE.name)
-        for item in filter(_shaped, own):
-            assert item.shot is not None
-            d = shape.ranges(item.shot.shape[None], rays)[0]
-            entries += [
-                (item.target[1], count + j, item.station, float(d[j]))
-                for j in np.flatnonzero(np.isfinite(d)).tolist()
-            ]
-        virtual[entity] = (
-            list(range(count, count + len(rays.origin))),
-            rays.origin,
-            rays.direction,
-        )
-        count += len(rays.origin)
+            origin, direction = np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]])
+            read = [(item, np.array([item.reading])) for item in own]
+        else:
+            shots = rows.survey.shots[entity[1]]
+            kind = KINDS[shots.kind]
+            rays, shape = kind.rays(_virtual_across(shots.across)), shape_of(kind, PLANE.name)
+            origin, direction = rays.origin, rays.direction
+            shaped = [(item, item.shot) for item in filter(_shaped, own) if item.shot is not None]
+            read = [(item, shape.ranges(shot.shape[None], rays)[0]) for item, shot in shaped]
+        entries += [
+            (item.target[1], count + j, item.station, float(d[j]))
+            for item, d in read
+            for j in np.flatnonzero(np.isfinite(d)).tolist()
+        ]
+        virtual[entity] = (list(range(count, count + len(origin))), origin, direction)
+        count += len(origin)
     if not entries:
         return {}
-    readings = _readings(rows, entries, count)
+    readings = rows.readings(entries, count)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     try:
         if among_outliers:
@@ -199,25 +179,17 @@ def _from_planes(rows: Rows, *, among_outliers: bool) -> dict[tuple[str, int], F
             found = find_start(readings, None, 0, effort="quick", certain=False).parameters
     except HandlaserError:
         return {}
-    return {entity: _member(entity, *of, found, readings) for entity, of in virtual.items()}
-
-
-def _readings(rows: Rows, entries: list[tuple[int, int, int, float]], beams: int) -> Readings:
-    """Return readings sorted by plane, beam and station; planes are those that were read."""
-    table = sorted(entries)
-    planes, plane = np.unique([row[0] for row in table], return_inverse=True)
-    station = np.array([row[2] for row in table])
-    of = rows.survey.stations
-    return Readings(
-        frozen_indices(station),
-        frozen_indices([row[1] for row in table]),
-        frozen_indices(plane),
-        frozen([row[3] for row in table]),
-        gathered(of.world_R_hand, station),
-        gathered(of.world_t_hand, station),
-        beams,
-        len(planes),
-    )
+    starts, d = {}, np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
+    for entity, (beams, origin, direction) in virtual.items():
+        r, v = found.locations[beams], found.directions[beams]
+        if entity[0] == BEAM.name:
+            starts[entity] = np.concatenate((r[0], v[0], np.zeros(2)))
+            continue
+        # The motion that brings the points a of the sensor to those of its beams, b, best.
+        a, b = (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
+        R = nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
+        starts[entity] = _mount(R, b.mean(axis=0) - R @ a.mean(axis=0))
+    return starts
 
 
 def _virtual_across(across: FloatArray) -> FloatArray:
@@ -231,33 +203,10 @@ def _virtual_across(across: FloatArray) -> FloatArray:
     return np.asarray(mean + corners @ aside.T)
 
 
-def _member(
-    entity: tuple[str, int],
-    beams: list[int],
-    origin: FloatArray,
-    direction: FloatArray,
-    found: Parameters,
-    readings: Readings,
-) -> FloatArray:
-    """Return the numbers of a beam, or of the sensor whose rays are some beams."""
-    r, v = found.locations[beams], found.directions[beams]
-    x = np.zeros(FAMILIES[entity[0]].size)
-    if entity[0] == BEAM.name:
-        x[:3], x[3:6] = r[0], v[0]
-        return x
-    d = np.quantile(readings.distance, FAR_AND_NEAR)[:, None, None]
-    # The motion that brings the points a of the sensor to those of its beams, b, best.
-    a, b = (origin + d * direction).reshape(-1, 3), (r + d * v).reshape(-1, 3)
-    R = nearest_rotation((b - b.mean(axis=0)).T @ (a - a.mean(axis=0)))
-    t = b.mean(axis=0) - R @ a.mean(axis=0)
-    x[:9], x[9:12] = R.ravel(), t
-    return x
-
-
 # --- all other starts ------------------------------------------------------------------------------
 
 
-def _others(rows: Rows, entity: tuple[str, int], own: Sequence[Item]) -> list[FloatArray]:
+def _others(rows: Rows, entity: Entity, own: Sequence[Item]) -> list[FloatArray]:
     """Return starts by other ways."""
     seen = {item.target[0] for item in own}
     if entity[0] == BEAM.name:
@@ -281,11 +230,9 @@ def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
         return
     planes = np.bincount([item.target[1] for item in items])
     items = [item for item in items if item.target[1] == int(planes.argmax())]
-    of = rows.survey.stations
-    station = np.array([item.station for item in items])
     points = np.stack([_nodes_of(item) for item in items])  # (n, r, 3)
     axes = [a for a in range(3) if points[..., a].any()]
-    R, t = of.world_R_hand[station], of.world_t_hand[station]
+    R, t = _hand_at(rows, items)
     t = t - t.mean(axis=0)
     normals = _hemisphere(SWEPT)
     m = np.einsum("kc,nca->kna", normals, R)  # R'n
@@ -294,12 +241,12 @@ def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     rows_ += [np.broadcast_to(m[:, :, None], shape), np.ones((*shape[:3], 1))]
     A = np.concatenate(rows_, axis=3).reshape(SWEPT, -1, 3 * len(axes) + 4)
     right = -np.repeat(normals @ t.T, points.shape[1], axis=1)
-    x = _ridged(A, right)
+    x = least_squares(A, right, SINGULAR**0.75)
     X = nearest_rotation(_columns(x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3), axes))
     turned = np.einsum("kab,nrb->knra", X, points)
     offset = np.einsum("kna,knra->knr", m, turned).reshape(SWEPT, -1)
     B = A[..., -4:]
-    y = _ridged(B, right - offset)
+    y = least_squares(B, right - offset, SINGULAR**0.75)
     e = (B @ y[..., None])[..., 0] + offset - right
     for k in np.argsort((e**2).sum(axis=1))[:BEST]:
         yield _mount(X[k], y[k, :3])
@@ -309,63 +256,41 @@ def _from_spheres(rows: Rows, member: int, items: Sequence[Item]) -> Iterator[Fl
     """Yield mounts from the centres that shots of spheres show."""
     if len(items) < 3:
         return
-    of = rows.survey.stations
-    station = np.array([item.station for item in items])
-    R, t = of.world_R_hand[station], of.world_t_hand[station]
+    R, t = _hand_at(rows, items)
     shapes = np.stack([item.shot.shape for item in items if item.shot is not None])
-    _, sphere = np.unique([item.target[1] for item in items], return_inverse=True)
-    spheres = int(sphere.max()) + 1
-    fixed = np.zeros((len(items), 3, 3 + 3 * spheres))
-    fixed[..., :3] = R
-    for i, s in enumerate(sphere):
-        fixed[i, :, 3 + 3 * s : 6 + 3 * s] = -np.eye(3)
+    sphere, places = _unknown_places(items)
+    fixed = np.concatenate((R, places), axis=2)
     kind = KINDS[rows.survey.shots[member].kind]
     if not kind.flat:
         X, y, _ = _linear_mount(R, t, shapes[:, :3], fixed)
         yield _mount(X, y[:3])
         return
-    rng = np.random.default_rng(len(items))
-    for part in RADII:
-        square = np.zeros(len(items))
-        for s in range(spheres):
-            radii = np.sort(shapes[sphere == s, 2])
-            largest = radii[max(len(radii) - 2, 0)] * part
-            square[sphere == s] = np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0)
-        centres = np.zeros((len(items), 3))
-        centres[:, kind.axes] = shapes[:, :2]
-        yield _signed(R, t, centres, kind.across, np.sqrt(square), fixed, rng)
+    across, rng = kind.across, np.random.default_rng(len(items))
+    centres = np.zeros((len(items), 3))
+    centres[:, kind.axes] = shapes[:, :2]
 
-
-def _signed(
-    R: FloatArray,
-    t: FloatArray,
-    centres: FloatArray,
-    across: int,
-    aside: FloatArray,
-    fixed: FloatArray,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return the best mount where each centre (n, 3) is `aside` of its profile, on either side.
-
-    The axis `across` is at right angles to all rays.
-    """
-    best, least = np.zeros(SENSOR.size), np.inf
-    for trial in range(SIGNS):
-        side = np.ones(len(R)) if trial == 0 else rng.choice([-1.0, 1.0], len(R))
+    def settled(side: FloatArray, aside: FloatArray) -> tuple[float, FloatArray]:
+        """Return misfit and mount for centres so far `aside`; signs and mount alternate."""
         for _ in range(ALTERNATIONS):
-            m = centres.copy()
-            m[:, across] = side * aside
-            X, y, e = _linear_mount(R, t, m, fixed)
+            centres[:, across] = side * aside
+            X, y, e = _linear_mount(R, t, centres, fixed)
             left = e - (R @ X[:, across]) * (side * aside)[:, None]
             new = -np.sign(np.einsum("ni,nij,j->n", left, R, X[:, across]))
             new[new == 0.0] = 1.0
             if (new == side).all():
                 break
             side = new
-        rms = float(np.sqrt((e**2).mean()))
-        if rms < least:
-            best, least = _mount(X, y[:3]), rms
-    return best
+        return float(np.sqrt((e**2).mean())), _mount(X, y[:3])
+
+    for part in RADII:
+        square = np.zeros(len(items))
+        for s in np.unique(sphere):
+            radii = np.sort(shapes[sphere == s, 2])
+            largest = radii[max(len(radii) - 2, 0)] * part
+            square[sphere == s] = np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0)
+        drawn = (rng.choice([-1.0, 1.0], len(items)) for _ in range(SIGNS - 1))
+        sides = chain([np.ones(len(items))], drawn)
+        yield min((settled(side, np.sqrt(square)) for side in sides), key=itemgetter(0))[1]
 
 
 def _linear_mount(
@@ -395,19 +320,26 @@ def _columns(rows: FloatArray, axes: Sequence[int]) -> FloatArray:
 
 def _beam_on_points(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     """Yield the beam that solves R (r + d v) + t = C linearly."""
-    of = rows.survey.stations
-    station = np.array([item.station for item in items])
-    R, t = of.world_R_hand[station], of.world_t_hand[station]
+    R, t = _hand_at(rows, items)
     d = np.array([item.reading for item in items])
-    _, point = np.unique([item.target[1] for item in items], return_inverse=True)
-    A = np.zeros((len(items), 3, 6 + 3 * (int(point.max()) + 1)))
-    A[..., :3], A[..., 3:6] = R, d[:, None, None] * R
-    for i, p in enumerate(point):
-        A[i, :, 6 + 3 * p : 9 + 3 * p] = -np.eye(3)
+    A = np.concatenate((R, d[:, None, None] * R, _unknown_places(items)[1]), axis=2)
     x = np.linalg.lstsq(A.reshape(3 * len(items), -1), -t.ravel(), rcond=None)[0]
     length = float(np.linalg.norm(x[3:6]))
     if length > 0.0:
         yield np.concatenate((x[:3], x[3:6] / length, np.zeros(2)))
+
+
+def _hand_at(rows: Rows, items: Sequence[Item]) -> tuple[FloatArray, FloatArray]:
+    """Return the rotations (n, 3, 3) and translations (n, 3) of the hand where items were read."""
+    of, station = rows.survey.stations, [item.station for item in items]
+    return of.world_R_hand[station], of.world_t_hand[station]
+
+
+def _unknown_places(items: Sequence[Item]) -> tuple[IntArray, FloatArray]:
+    """Return which of k targets each item sees, and minus their places as columns (n, 3, 3 k)."""
+    number = np.unique([item.target[1] for item in items], return_inverse=True)[1].ravel()
+    columns = np.kron(np.eye(int(number.max()) + 1)[number], -np.eye(3))
+    return number, np.asarray(columns.reshape(len(items), 3, -1))
 
 
 def _random_beams() -> list[FloatArray]:
@@ -428,14 +360,6 @@ def _mount(R: FloatArray, t: FloatArray) -> FloatArray:
     return np.concatenate((R.ravel(), t, np.zeros(SENSOR.size - 12)))
 
 
-def _ridged(A: FloatArray, right: FloatArray) -> FloatArray:
-    """Return least-squares solutions of systems (K, N, q) that may be singular."""
-    N = np.swapaxes(A, 1, 2) @ A
-    size = N.shape[1]
-    N = N + SINGULAR**0.75 * np.einsum("kii->k", N)[:, None, None] * np.eye(size)
-    return np.asarray(np.linalg.solve(N, np.swapaxes(A, 1, 2) @ right[..., None])[..., 0])
-
-
 def _hemisphere(count: int) -> FloatArray:
     """Return unit vectors that cover half a sphere evenly (a Fibonacci lattice)."""
     i = np.arange(count) + 0.5
@@ -449,14 +373,14 @@ def _hemisphere(count: int) -> FloatArray:
 
 def _searched(
     rows: Rows,
-    entity: tuple[str, int],
+    entity: Entity,
     own: Sequence[Item],
     candidates: Sequence[FloatArray],
-    sigmas: Mapping[tuple[str, int], float],
+    sigmas: Mapping[Entity, float],
     *,
     thorough: bool,
-) -> tuple[FloatArray, float, dict[tuple[str, int], FloatArray]] | None:
-    """Return one sensor or beam at its best minimum, how well it fits, and its targets."""
+) -> tuple[float, dict[Entity, FloatArray]] | None:
+    """Return how well one sensor or beam fits at its best minimum, and where it and its targets are."""
     if not candidates:
         return None
     K = len(candidates)
@@ -465,7 +389,7 @@ def _searched(
         values[entity[0]][k, entity[1]] = x
     targets = list(dict.fromkeys(item.target for item in own))
     for target in targets:
-        _complete(rows, [item for item in own if item.target == target], values, entity)
+        _complete(rows, [item for item in own if item.target == target], values)
     values = {**values, POSE.name: rows.poses()}
     start = {name: x[:1] for name, x in values.items()}
     blocks, _ = blocks_of(own, sigmas, start)
@@ -484,49 +408,35 @@ def _searched(
         values = {name: x if len(x) == 1 else x[some] for name, x in ended.values.items()}
         options = LevenbergOptions(LAST_STEPS, least_damping=SINGULAR)
         ended = search(task.picked(some), values, options)
-    of = unknowns_of(rows.counts(), unknown)
-    best: tuple[float, int] | None = None
-    for k in np.flatnonzero(np.isfinite(ended.cost)).tolist():
-        at = {name: x[k : k + 1] for name, x in ended.values.items()}
-        dense = dense_rows(blocks, {**at, POSE.name: rows.poses()}, of)
-        q = np.concatenate(
-            [
-                (dense.residuals[part].reshape(shape) ** 2).mean(axis=1)
-                for part, shape in zip(dense.where, dense.shapes, strict=True)
-            ]
-        )
-        cost = float(np.sort(q)[: max(int(np.ceil(TRIMMED * len(q))), 1)].mean())
-        if best is None or cost < best[0]:
-            best = cost, k
-    if best is None:
+    # The mean square misfits of the shots, those that fit worst left out.
+    white = (whitened(block.evaluate(ended.values), block.weights)[-1] for block in blocks)
+    q = np.sort(np.concatenate([(e**2).mean(axis=2) for e in white], axis=1), axis=1)
+    cost = q[:, : max(int(np.ceil(TRIMMED * q.shape[1])), 1)].mean(axis=1)
+    cost = np.where(np.isfinite(ended.cost), cost, np.inf)
+    k = int(cost.argmin())
+    if not np.isfinite(cost[k]):
         return None
-    cost, k = best
-    ends = {target: ended.values[target[0]][k, target[1]] for target in targets}
-    return ended.values[entity[0]][k, entity[1]], cost, ends
+    return float(cost[k]), {e: ended.values[e[0]][k, e[1]] for e in (entity, *targets)}
 
 
-def _complete(
-    rows: Rows, items: Sequence[Item], values: dict[str, FloatArray], entity: tuple[str, int]
-) -> None:
-    """Put the target of some items where the spots of each start are."""
-    of, (family, member) = rows.survey.stations, items[0].target
-    x = values[entity[0]][:, entity[1]]
-    station = np.array([item.station for item in items])
-    R, t = of.world_R_hand[station], of.world_t_hand[station]
-    if entity[0] == BEAM.name:
+def _complete(rows: Rows, items: Sequence[Item], values: dict[str, FloatArray]) -> None:
+    """Put the target of some items of one sensor or beam where the spots of each start are."""
+    (mount, number), (family, member) = items[0].mount, items[0].target
+    x = values[mount][:, number]
+    R, t = _hand_at(rows, items)
+    if mount == BEAM.name:
         d = np.array([item.reading for item in items])
         hand = x[:, None, :3] + d[:, None] * x[:, None, 3:6]
-        R_all, t_all = R, t
         towards = np.einsum("nij,kj->kni", R, x[:, 3:6])
     else:
         points = [_nodes_of(item) for item in items]
         many = [len(p) for p in points]
         X = x[:, :9].reshape(-1, 3, 3)
         hand = np.einsum("kab,nb->kna", X, np.concatenate(points)) + x[:, None, 9:12]
-        R_all, t_all = np.repeat(R, many, axis=0), np.repeat(t, many, axis=0)
+        R, t = np.repeat(R, many, axis=0), np.repeat(t, many, axis=0)
         ahead = np.concatenate([i.shot.rays.direction for i in items if i.shot is not None])
-        towards = np.einsum("nij,kja,na->kni", R_all, X, ahead)
-    spots = np.einsum("nij,knj->kni", R_all, hand) + t_all
+        towards = np.einsum("nij,kja,na->kni", R, X, ahead)
+    spots = np.einsum("nij,knj->kni", R, hand) + t
     for k, p in enumerate(spots):
         x = _target_through(family, p, towards[k].mean(axis=0))
         if family == SPHERE.name:
@@ -568,8 +478,7 @@ def _complete_bodies(rows: Rows, values: dict[str, FloatArray]) -> None:
     """Put bodies where their planes are: turned by Wahba's rotation, shifted by least squares."""
     for index, known in enumerate(rows.bodies):
         assert known.faces is not None
-        labels = rows.targets[PLANE.name]
-        planes = [labels.index(label if ":" in label else f"plane:{label}") for label in known.of]
+        planes = [plane for _, plane in rows.entities(known)]
         x = values[PLANE.name][0, planes]
         length = np.linalg.norm(known.faces[:, :3], axis=1)
         m, d = known.faces[:, :3] / length[:, None], known.faces[:, 3] / length

@@ -115,25 +115,6 @@ class SolutionTask:
         """Tell whether residuals are rounding, and not because there are unknowns for all of them."""
         return self.redundancy > 0 and self.sigma < EXACT * self.readings.largest_range()
 
-    def weighted(self, first: Solution, variances: Variances) -> Solution:
-        """Solve with the weights that follow from `variances`, again until they settle."""
-        parameters, solution = first.parameters, first
-        ahead = first.observability.full and self.loss == GAUSSIAN
-        for _ in range(MOST_ROUNDS if ahead else 0):
-            step = self.step_ahead(first, parameters, variances)
-            parameters, away = (first.parameters, 0.0) if step is None else step
-            if away < STEPS_SETTLED:
-                break
-        for _ in range(MOST_ROUNDS):
-            done = solution.whitening is not None and not solution.observability.full
-            solution = self.reweighted(parameters, variances)
-            parameters = solution.parameters
-            if done or solution.at.status == "interrupted":
-                break
-            if self.away(solution, variances) < WEIGHTS_SETTLED:
-                break
-        return self.with_poses(replace(solution, variances=variances), variances)
-
     def weighed(self, parameters: Parameters, variances: Variances) -> tuple[Readings, Whitening]:
         """Return the readings with the regressors of the range errors, and their weights."""
         return weighed(self.readings, parameters, variances, self.terms)

@@ -179,5 +179,4 @@ def _weights(away: FloatArray, readings: Readings) -> FloatArray:
 def _nearer(away: FloatArray) -> FloatArray:
     """Return the distance (C,) within which the nearer part of distances (C, N) are."""
     rank = min(int(MAJORITY * away.shape[1]), away.shape[1] - 1)
-    distance: FloatArray = np.partition(away, rank, axis=1)[:, rank]
-    return distance
+    return np.asarray(np.partition(away, rank, axis=1)[:, rank])

@@ -312,12 +312,10 @@ def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> Surv
             values[kind][0, [labels.index(label) for label in found.rows.targets[kind]]] = x
         elif kind != POSE.name:
             values[kind][0, : len(x)] = x
-    problem, groups = whole.at(values, found.noise).problem()
-    rows = problem.rows(problem.blocks, values)
+    state = whole.at(values, found.noise)
+    rows, owner = state.dense()
     J, e = rows.whitened()
-    predicted = np.zeros(len(e), dtype=bool)
-    for part, shape, items in zip(rows.where, rows.shapes, groups, strict=False):
-        predicted[part] = np.repeat([out[item.station] for item in items], shape[1])
+    predicted = (owner >= 0) & out[state.stations(owner)]
     both, rank = _squares(J, e)
     known, known_rank = _squares(J[~predicted], e[~predicted])
     dof = int(predicted.sum()) - (rank - known_rank)
