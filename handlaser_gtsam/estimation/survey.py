@@ -295,7 +295,7 @@ def estimate_survey(
         that nothing leads to a start of.
     """
     rows = rows_of(survey)
-    state = first_state(rows, noise, earlier=earlier)
+    state = first_state(rows, noise, earlier)
     first = first_fit(state)
     settled = _settle_sorted(state)
     again, others = best_image(state, _settle_sorted)
@@ -353,13 +353,11 @@ def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
     return best_image(state, settle)[1]
 
 
-def first_state(
-    rows: Rows, noise: Noise, *, halves: bool = True, earlier: SurveyEstimate | None = None
-) -> SurveyState:
+def first_state(rows: Rows, noise: Noise, earlier: SurveyEstimate | None = None) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
     Sizes of the noise are as stated, else as shots show them inside, or as is usual. Where most shots
-    do not agree, starts are looked for from `halves` of the shots. No start is sought where most shots
+    do not agree, starts are looked for from halves of the shots. No start is sought where most shots
     agree beside an `earlier` estimate of the same sensors.
 
     Raises
@@ -391,7 +389,7 @@ def first_state(
         names = ", ".join(_name(rows, entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
     _leave_out_gross(state)
-    if halves and np.median(misfits(state)) > GROSS and _started_from_halves(state):
+    if np.median(misfits(state)) > GROSS and _started_from_halves(state):
         _leave_out_gross(state)
     return state
 

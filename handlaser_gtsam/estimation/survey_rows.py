@@ -288,7 +288,8 @@ def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows |
 
     These are readings of beams, and of shots with few readings, whose own shape does not say which of
     them graze. Near the minimum one whose ray just misses the sphere ends the search. Those that were
-    left out before count again only where all are judged `anew`.
+    left out before count again only where all are judged `anew`; then cones stay as they are, whose
+    nearest ray is no ray of a slanted sphere.
     """
     items = list(rows.items)
     exact = {name: x.copy() if name == SENSOR.name else x for name, x in values.items()}
@@ -297,7 +298,8 @@ def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows |
     for i, item in enumerate(items):
         shot, points = (anew and item.whole) or (item.shot, item.points)
         single = shot is None or of_single_readings(shot)
-        if item.target[0] != SPHERE.name or not single or (item.grazing and not anew):
+        settled = bool(item.half_angle) if anew else item.grazing
+        if item.target[0] != SPHERE.name or not single or settled:
             continue
         (block,), _ = blocks_of([replace(item, shot=shot)], {item.mount: 1.0}, exact)
         met = (block.ranges if isinstance(block, Mixed) else block).evaluate(exact)

@@ -259,6 +259,7 @@ def _condensed(
         found, fits = _refined(shape, shape.through(rays, reading), rays, reading, kept)
     else:
         found, fits, kept = _robust(shape, rays, reading, sigma)
+    fits &= ~_flat(shape, found, rays, reading)
     kept &= _steep(shape, found, rays)
     many = kept.sum(axis=1)
     whole = np.flatnonzero(fits & (many > few) & (many >= shape.size))
@@ -410,11 +411,7 @@ def _robust(
     voters = rng.permutation(n)[:VOTING]
     trials = shape.through(_rows(rays, (slice(None), sets)), reading[:, sets])
     e = _misses(reading[:, None, voters], shape.ranges(trials, _rows(rays, (slice(None), voters))))
-    if isinstance(shape, _Sphere):  # a wall behind it would be the largest of all
-        largest = np.maximum(
-            np.abs(reading).max(axis=1), np.abs(rays.origin).reshape(G, -1).max(axis=1)
-        )
-        e[trials[..., -1] > LARGEST_BALL * largest[:, None]] = np.inf
+    e[_flat(shape, trials, rays, reading)] = np.inf
     share, to_sigma = share_of(n)
     place = int(share * (len(voters) - 1))
     best = np.partition(e, place, axis=2)[..., place].argmin(axis=1)
@@ -447,6 +444,16 @@ def share_of(points: int) -> tuple[float, float]:
     """
     share = 0.5 if points < MANY else OF_MANY
     return share, 1.0 / float(gaussian_quantile(0.5 + 0.5 * share))
+
+
+def _flat(shape: Shape, found: FloatArray, rays: Rayset, reading: FloatArray) -> BoolArray:
+    """Tell which shapes (G, ..., size) are spheres so large that a wall looks like them."""
+    if not isinstance(shape, _Sphere):
+        return np.zeros(found.shape[:-1], dtype=bool)
+    origin = np.abs(rays.origin).reshape(len(reading), -1)
+    largest = np.maximum(np.abs(reading).max(axis=1), origin.max(axis=1))
+    radius: FloatArray = found[..., -1]
+    return np.asarray(radius > LARGEST_BALL * largest.reshape(-1, *[1] * (radius.ndim - 1)))
 
 
 def _misses(reading: FloatArray, s: FloatArray) -> FloatArray:

@@ -265,7 +265,7 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     stations = replace(survey.stations, plane_labels=changed)
     rows = rows_of(replace(survey, stations=stations, known=known))
     try:
-        state = first_state(rows, noise, halves=False)
+        state = first_state(rows, noise)
     except InputError:
         return {}
     misfit = misfits(state)

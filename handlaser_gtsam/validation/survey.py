@@ -39,8 +39,7 @@ FITS = "converged", "contradicted"
 LARGEST_DIFFERENCE = 0.5
 """A parameter may differ from SciPy's by this many of its standard deviations, and a standard deviation
 by this part. Shots are condensed to first order in their noise: of balls that are read with a noise of
-2 % of the range they differ by up to 0.47, which makes errors a tenth larger than is stated. An array
-of 16 zones with a noise of 1 mm before two balls differs by 1.1."""
+2 % of the range they differ by up to 0.47, which makes errors a tenth larger than is stated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
