@@ -44,7 +44,8 @@ class CalibrationOptions:
         Whether every beam has a range sigma of its own, which is estimated.
     estimate_noise : bool
         Whether the sigmas of ranges, hand translations and hand rotations are estimated though they are
-        given; the given values are then the scales of their priors.
+        given. Given sigmas of the hand are then the scales of their priors; a given range sigma is
+        not used in its prior.
     free : tuple of str
         Codes of systematic errors that are unknowns, such as `lag` and `incidence`: estimated beside
         everything else, under a zero-mean prior whose sigma is the plausible size. All others are

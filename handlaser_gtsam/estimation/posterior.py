@@ -4,8 +4,9 @@ The solution stands at the most probable scales; here the scales are integrated 
 `mixture`), at the linearisation of the solution. Planes follow the beams.
 
 The joint covariance of the solution at the most probable scales comes from GTSAM where everything is
-determined and the loss is least squares: poses and planes are eliminated from the linear graph, and
-what is left is the information of the beams. What a calibration states is the mean over all scales and
+determined and the loss is least squares: poses and planes are eliminated from the linear graph, or from
+the sums of the reduction where that would be very large (`solvers.sums`), and what is left is the
+information of the beams. What a calibration states is the mean over all scales and
 the scatter between them. Where rank is short or the loss robust, or where GTSAM's Cholesky calls a
 sound system indeterminate (it compares pivots of different units), it comes from the reduced
 information of `observability.rank`, restricted to what is determined: the covariance of a determined

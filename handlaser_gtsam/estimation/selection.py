@@ -8,7 +8,8 @@ differ in weight or are correlated, or where scales of noise or range errors are
 from that solution settle weights and scales, and the reduction solves the readings with them. If that
 ends elsewhere than the linear steps said, both are repeated. Hand poses that are variables come next,
 from the solution in which they were eliminated beforehand. At last GTSAM solves the factor graph from
-there, and the scales are integrated over.
+there, or eliminates the sums of the reduction where the graph would be very large, and the scales are
+integrated over.
 """
 
 from dataclasses import dataclass, replace
@@ -256,7 +257,7 @@ def select(
 ) -> Selection:
     """Choose readings and solve them jointly, from a start or from one that is sought.
 
-    The first solution from a given start takes the readings `taken` (N,), or all.
+    The first solution from a given start takes the readings `taken` (N,), or all that it can predict.
 
     Raises
     ------

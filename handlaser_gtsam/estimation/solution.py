@@ -106,7 +106,8 @@ class Solution:
         The estimate with the scales integrated over; None where none but a common sigma is unknown,
         under a robust loss, and where the solution is not fully determined or fits exactly.
     scales : tuple of ScaleEstimate
-        Scales of the noise that were estimated, beside a common one of all readings.
+        Scales of the noise that were learned. Empty where a common range sigma alone is unknown and
+        range errors have no learned prior: then the residuals tell it.
     joint : JointCovariance or None
         GTSAM's covariance for `at.sigma`, offsets in the frames of the readings; None where GTSAM has
         not eliminated: something is undetermined, the loss is robust, its last search did not

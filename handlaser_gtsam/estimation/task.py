@@ -129,7 +129,7 @@ class SolutionTask:
     ) -> tuple[Parameters, float] | None:
         """Return what `step` does; None where that leads away from the solution begun with.
 
-        Undamped steps may, where the readings do not fit: then the graph's solver has to find the way.
+        Undamped steps may, where the readings do not fit: then the damped search has to find the way.
         """
         try:
             there, away = self.step(parameters, variances)
@@ -143,7 +143,8 @@ class SolutionTask:
     def away(self, solution: Solution, variances: Variances) -> float:
         """Return by how many standard deviations the weights at a solution would move it.
 
-        The weights of a robust loss are not followed: the length of its first step stands for the move.
+        The weights of a robust loss, or of a solution of short rank, are not followed: the length of
+        its first step stands for the move.
         """
         if self.loss == GAUSSIAN and solution.observability.full:
             return self.step(solution.parameters, variances)[1]

@@ -112,7 +112,8 @@ class IncrementalOptions:
         1 rad, the typical range, 1 for k1 and the inverse of the range for k2.
     compare_every : int
         Changes after which a session compares itself with the batch solution, at most a quarter of the
-        number of planes; it also does when the estimate has moved far. Zero: never.
+        number of planes and not after fewer than four; it also does when the estimate has moved far.
+        Zero: never.
     """
 
     relinearize: float = 2e-4

@@ -201,7 +201,8 @@ class Effect:
     of_cell : float, optional
         Its largest plausible size with any sensor.
     members : callable, optional
-        Returns its columns at the stations; None for an error that no recording can show.
+        Returns its columns at the stations; None where `of_readings` or `twists` give them. An error
+        that has none of the three is one that no recording can show.
     of_readings : callable, optional
         Instead of `members`, for an error that a reading has by itself, whenever it is taken: returns
         its column (N,) for the stations and the reading [m] at which its size is meant.
