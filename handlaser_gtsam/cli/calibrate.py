@@ -83,7 +83,7 @@ class Output:
     verbose : bool
         Print all tables: planes, intervals, spots.
     report_date : str, optional
-        Date of the report, as 2026-03-31; default: that of the recording's file.
+        Date of the report, as 2026-03-31; default: the date of the recording's file.
     """
 
     out: OutOption = None

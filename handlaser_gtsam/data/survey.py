@@ -268,8 +268,8 @@ class Known(Value):
     Raises
     ------
     InputError
-        A relation that is none, or not of so many variables or of their kinds; a field that it needs
-        and has not, or that says nothing of it.
+        An unknown relation, a wrong number or a wrong kind of variables; a field that the relation
+        needs and has not, or that it does not know.
     """
 
     relation: str
@@ -509,7 +509,7 @@ class Survey(Value):
         return replace(part, known=tuple(known for known in of_these if known is not None))
 
     def joined(self, other: "Survey") -> "Survey":
-        """Return these stations, then those of another survey; sensors and beams go by their names.
+        """Return these stations and then the other survey's; sensors and beams go by their names.
 
         Raises
         ------

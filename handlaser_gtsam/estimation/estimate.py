@@ -314,7 +314,7 @@ def minimum(
 def descended(
     problem: BlockProblem, blocks: Sequence[Block], start: Values, iterations: int
 ) -> dict[str, FloatArray] | None:
-    """Return where a search of at most so many iterations ends, at rest or not; None where nowhere.
+    """Return where a search of at most `iterations` ends, at rest or not; None where it fails.
 
     Along what is undetermined a search may wander without end, while chi2 has settled long before.
     """

@@ -210,7 +210,7 @@ class SurveyState:
         return BlockProblem([*blocks, *more], self.values, unknown, length), used[owner]
 
     def minimize(self, iterations: int | None = None) -> bool:
-        """Go to the minimum of what counts, or so many steps towards it; tell whether there is one.
+        """Go to the minimum of what counts, or `iterations` steps towards it; say whether one exists.
 
         Where a single reading that grazes or misses its sphere ends the search, such readings do not
         count. Readings of a sphere have the square of its radius only: it is taken above zero.
@@ -584,10 +584,10 @@ def _settle_sorted(state: SurveyState) -> bool:
 
 
 def _settle_grazing(state: SurveyState) -> bool:
-    """Let those single readings of spheres count that meet them steeply where all has settled.
+    """Judge at the minimum which single readings graze their sphere, and keep all the others.
 
-    On the way readings were left out that grazed a sphere there; which do at the end must not depend on
-    the way. What settles no more stays as it was.
+    The search rejected readings that grazed a sphere on the way to the minimum. Which readings count at
+    the end must not depend on that way. Where the judgement does not settle, nothing changes.
     """
     for _ in range(MOST_GRAZING_ROUNDS):
         rows = without_grazing(state.rows, state.values, anew=True)

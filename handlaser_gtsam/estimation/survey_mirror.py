@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from .survey import SurveyState
 
 SAME_CHI2 = 0.01
-"""An image whose chi2 differs by less is that of a minimum, where all that counts is symmetric: it is
-one itself, and to search for it would only wander along undetermined heights. A relation that tells
+"""An image whose chi2 differs by less is a minimum itself, because all that counts is symmetric: to
+search for it would only wander along undetermined heights. A relation that tells
 images apart makes chi2 differ by the square of standard deviations."""
 STEPS_TO_AN_IMAGE = 100
 """Walls that noise makes lean a little are not quite their own images: a search from the image of one

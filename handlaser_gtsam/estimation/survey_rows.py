@@ -287,8 +287,8 @@ def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows |
     """Return the rows without single readings that graze or miss their sphere; None for no change.
 
     These are readings of beams, and of shots with few readings, whose own shape does not say which of
-    them graze. Near the minimum one whose ray just misses the sphere ends the search. Those that were
-    left out before count again only where all are judged `anew`; then cones stay as they are, whose
+    them graze. Near the minimum one whose ray just misses the sphere ends the search. With `anew`,
+    readings that were rejected before are judged again; cones then stay as they are, because their
     nearest ray is no ray of a slanted sphere.
     """
     items = list(rows.items)

@@ -35,7 +35,7 @@ class FileRecord(BaseModel):
     def in_si(self) -> dict[str, Any]:
         """Return the fields that are given, in SI units, by their names without the unit.
 
-        rms_mm = 0.1 is rms = 1e-4, and numbers in an array with a unit become those of an array.
+        rms_mm = 0.1 is rms = 1e-4, and an array of numbers with a unit becomes a NumPy array.
         """
         found: dict[str, Any] = {}
         for name, value in self:

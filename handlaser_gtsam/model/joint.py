@@ -12,7 +12,7 @@ for known beams is added.
 Coordinates are tangent (location 3, direction 2, range-error terms a beam; normal 2, offset a plane)
 or ambient (x, y, z, vx, vy, vz, k1, k2 a beam; nx, ny, nz, b a plane), B S B' with the bases B.
 
-Unknowns of beams whose correlation is strong are hardly told apart (`strong_correlations`).
+Unknowns of beams whose correlation is strong can hardly be separated (`strong_correlations`).
 """
 
 from collections.abc import Sequence

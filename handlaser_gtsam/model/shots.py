@@ -494,7 +494,7 @@ def _refined(
 def _rows(
     rays: Rayset, which: int | IntArray | BoolArray | tuple[slice, IntArray] | None
 ) -> Rayset:
-    """Return some of the rays, or all of them as those of one shot (1, n)."""
+    """Return some of the rays, or all of them as the rays of one shot (1, n)."""
     parts = rays.origin, rays.direction, rays.origin_by_scale, rays.direction_by_scale
     return Rayset(*(part[which] for part in parts))
 

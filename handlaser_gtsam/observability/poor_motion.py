@@ -65,8 +65,8 @@ class PoorMotion(NamedTuple):
 def poor_motion(readings: Readings) -> PoorMotion | None:
     """Recognise a motion that is poor by its kind; None for any other.
 
-    A hand that turns about two axes may determine everything, and one that turns without moving is told
-    by the rank alone.
+    A hand that turns about two axes may determine everything, and the rank alone shows a hand that
+    turns without moving.
     """
     R, t = readings.world_R_hand, readings.world_t_hand
     first = np.searchsorted(readings.plane, np.arange(readings.planes))

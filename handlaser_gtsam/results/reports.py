@@ -216,7 +216,7 @@ class NoiseComponent(Value):
     """What a sigma is of, its estimate, and the standard deviation of that [m], or [rad] to turn.
 
     `quantity` is `range`, `pose translation` or `pose rotation`; `beam` is the name of the beam where a
-    range sigma is that of one beam. `prior_carries` says that the recording hardly tells the sigma:
+    range sigma belongs to one beam. `prior_carries` says that the recording hardly tells the sigma:
     what is expected of such a robot or sensor decides about it. With a robust loss the error is not
     known, and NaN.
     """

@@ -55,7 +55,7 @@ class BatchProblem:
 
     @cached_property
     def recording(self) -> Recording:
-        """Planes in the order of the contents, beams in that of the config, with rejected readings."""
+        """Planes as the contents order them, beams as the config does, with rejected readings."""
         whole = join([self.contents.planes[name].recording for name in self.contents.numbers])
         columns = [whole.beam_names.index(name) for name in self.config.names]
         return replace(whole, ranges=whole.ranges[:, columns], beam_names=self.config.names)

@@ -2,7 +2,7 @@
 
 Every plane changes the sizes of these errors, and a size changes the readings or the poses of all
 planes. So nothing that single planes knew of the beams stays as it was, and no graph can grow: at every
-change all planes that their readings determine are calibrated at once. The beams are those of a batch
+change all planes that their readings determine are calibrated at once. The beams agree with a batch
 calibration to the last digit, and a change takes as long as one.
 """
 
@@ -159,7 +159,7 @@ class FreedState:
         return FreedState.of(batch, contents, SessionConfig.of(batch, self.config.given))
 
     def _apart(self, batch: Calibration) -> Comparison:
-        """Compare the beams with those of another calibration."""
+        """Compare the beams with the beams of another calibration."""
         return Comparison(*self.config.apart(self.integrated, batch))
 
 

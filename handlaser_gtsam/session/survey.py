@@ -2,7 +2,7 @@
 
 Every target that is added changes what the shots say of the noise, and which of them contradict the
 others. So everything is calibrated again at every change, from where the calibration before ended: the
-result is that of all stations at once, and takes less time, because no start is sought.
+result equals a calibration of all stations at once, and takes less time, because no start is sought.
 """
 
 import math
@@ -57,8 +57,8 @@ class SurveySession:
         As for `calibrate`; one pose covariance for all stations. A range sigma counts once there are
         single beams.
     known : sequence of Known
-        Relations that count whenever all that they are of is there: a survey can state only those of
-        its own targets.
+        Relations that count as soon as all their variables are there: a survey can state only relations
+        between its own targets.
 
     Raises
     ------

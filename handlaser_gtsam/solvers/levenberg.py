@@ -176,7 +176,7 @@ class LevenbergResult:
         `converged`, `max_iterations`, `stalled` or `interrupted`, and the same in words.
     cost : float
         What was minimised, at `values`: half the sum of squared residuals in standard deviations, or
-        their robust loss, and that of priors and further factors.
+        their robust loss, with priors and further factors.
     iterations : int
         Accepted steps.
     history : tuple of Trial

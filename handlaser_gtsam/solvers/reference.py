@@ -96,7 +96,7 @@ class Unknowns:
         return tables
 
     def covariances(self, x: FloatArray, inverse: FloatArray) -> dict[str, FloatArray]:
-        """Return the covariances (n, width, width) of the variables, from that of the unknowns."""
+        """Return the covariances (n, width, width) of the variables; `inverse` is the unknowns'."""
         padded, found = np.pad(inverse, (0, 1)), {}
         for kind, table in self.at(x).items():
             place = self.place[kind]

@@ -53,7 +53,7 @@ def read_bag_points(
     clouds: list[tuple[array[float], list[FloatArray]]] = [(array("d"), []) for _ in sensors]
 
     def add(sensor: int, number: int, message: Any, time: float) -> None:
-        """Add the points of a message, if it has any, to those of its sensor."""
+        """Add the points of a message, if it has any, to the points of its sensor."""
         rows = READ_FROM[sensors[sensor][1]][1](message, number)
         if len(rows):
             clouds[sensor][0].append(time)

@@ -118,7 +118,7 @@ def _refuse_other_pose(
     whose: Sequence[str],
     expected: str,
 ) -> None:
-    """Refuse rows (K,) whose poses are not those of others (K,); `whose` poses they are, in words."""
+    """Refuse rows (K,) whose poses differ from the poses of rows `like` (K,); `whose` names them."""
     R, t = poses_of(poses.posed, convention_of(given))
     between = Rotation.from_matrix(np.swapaxes(R[like], 1, 2) @ R[rows])
     angle = np.atleast_1d(between.magnitude())

@@ -62,7 +62,7 @@ SECTIONS: dict[str, str] = STYLE["sections"]
 """The sections of the page in their order, each with its name in the list of links."""
 LIVE_SECTIONS = {name: SECTIONS[name] for name in ("verdict", "next", "mounts")}
 LIVE_SECTIONS |= STYLE["sections of a survey"] | SECTIONS
-"""Those of a live page, which shows surveys, too: what a report does not have stays empty there."""
+"""The sections of a live page, which shows surveys, too: what a report does not have stays empty."""
 
 
 def write_report(
