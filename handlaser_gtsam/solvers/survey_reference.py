@@ -182,7 +182,8 @@ class _Residuals:
         for kind in MOTIONS:
             start, step = self.of.start[kind], table[kind]
             begun = start[:, :9].reshape(-1, 3, 3)
-            R[kind] = begun @ Rotation.from_rotvec(step[:, :3]).as_matrix()
+            # SciPy 1.15 takes no empty array of rotations.
+            R[kind] = begun @ Rotation.from_rotvec(step[:, :3]).as_matrix() if len(step) else begun
             t[kind] = start[:, 9:12] + (begun @ step[:, 3:6, None])[..., 0]
         return _At(table, R, t)
 
