@@ -91,6 +91,8 @@ def test_a_file_without_header_is_told_from_one_with_names(tmp_path, log):
     path = written(tmp_path, log)
     path.write_text(path.read_text().split("\n", 1)[1])
     refused(path, ("numbers in the first line", "--header"))
+    with pytest.raises(hl.InputError, match="numbers in the first line"):
+        hl.read_recording(path)
 
 
 def test_decimal_commas_between_commas_are_named(tmp_path, log):

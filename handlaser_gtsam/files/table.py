@@ -207,6 +207,12 @@ def table_of(text: str, path: Path, separator: str) -> Table:
     numbers = [i for i, line in enumerate(lines, 1) if line.strip(BLANK + separator)]
     if not numbers:
         raise InputError("an empty file", "a header and one row a station", path)
+    first = first_cells(lines[numbers[0] - 1], separator)
+    values = [cell for cell in first if NUMBER.fullmatch(cell)]
+    if len(values) > 1 and len(first) - len(values) < 2:  # numbers, and no two names: no header
+        found = f"numbers in the first line ({shown(values[0])[1:-1]}, ...)"
+        expected = "names of columns; state them by --header where the file has none"
+        raise InputError(found, expected, path, numbers[0])
     if len(numbers) < 2:
         raise InputError("a header but no station", "one row a station", path)
     cells, ended = [], numbers[-1] < len(lines)

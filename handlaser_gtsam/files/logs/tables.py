@@ -31,11 +31,9 @@ from ..table import (
     COMMA,
     MOST_LOOKED_AT,
     MOST_TITLES,
-    NUMBER,
     POINT,
     SEPARATORS,
     Table,
-    first_cells,
     require_columns,
     table_of,
     table_text,
@@ -109,14 +107,6 @@ def _of_text(path: Path, given: LogFormat) -> Table:
         table = replace(table, header_line=0, lines=table.lines - 1)
     else:
         text, warnings = without_titles(text, separator, path)
-        # A first line that has numbers, and no two names, is no header.
-        line = next((line for line in text.split("\n") if line.strip()), "")
-        cells = first_cells(line, separator)
-        numbers = [cell for cell in cells if NUMBER.fullmatch(cell)]
-        if len(numbers) > 1 and len(cells) - len(numbers) < 2:
-            found = f"numbers in the first line ({shown(numbers[0])[1:-1]}, ...)"
-            expected = "names of columns; state them by --header where the file has none"
-            raise InputError(found, expected, path, 1)
         table = replace(table_of(text, path, separator), warnings=warnings)
     if '"' in text or given.decimal == "comma" or (separator != "," and "," in text):
         table = _with_points(table, given)
