@@ -75,12 +75,13 @@ def test_target_by_target_is_all_at_once(handlaser):
     given = ("calibrate", profiler / "poses.csv", "--rig", profiler / "rig.toml")
     code, out, err = handlaser(*given, "--incremental")
     assert (code, err) == (0, "")
-    (plate,) = [
-        line for line in out.splitlines() if line.startswith("plane:plate") and "-  " in line
-    ]
-    taught = next(line for line in out.splitlines() if line.startswith("sphere:ball      "))
-    assert float(taught.split()[1]) > 1.0
-    assert "-" in plate.split()
+    lines = out.split("target by target\n")[1].splitlines()[1:4]
+    table = {name: cells for name, *cells in map(str.split, lines)}
+    (nothing, before, _), (learnt, after, _) = table["plane:plate"], table["sphere:ball"]
+    assert nothing == "-"
+    assert float(learnt) > 1.0
+    assert float(after) < 0.5 * float(before)
+    assert table["result"][1:] == table["sphere:ball"][1:]
     (agree,) = re.findall(r"all at once agree to (\S+) standard deviations", out)
     assert float(agree) < 0.01
     assert handlaser(*given, "--incremental", "--json")[1] == handlaser(*given, "--json")[1]

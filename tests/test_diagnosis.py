@@ -190,14 +190,23 @@ def test_several_searches_are_judged_as_each_is_alone():
     rng = np.random.default_rng(0)
     decrements = 10.0 ** rng.uniform(-16.0, 0.0, (12, 5))
     damping = np.where(rng.random((12, 5)) < 0.5, 0.0, 0.1)
+    steps = np.arange(12.0)
+    decrements[:, 0] = 1e-9 * 0.999**steps  # too short to show, and slowly shrinking
+    decrements[:, 1] = 1e-2 ** (4.0 + steps)  # fast, at a constant damping
+    damping[:, :2] = 0.1
+    decrements[:, 2], damping[:, 2] = 1e-14, 0.1 * 1.5**steps  # small because it is damped
     together = StoppingRule(2e-7, 0.0, np.full(5, 1e-15), 100)
     alone = [StoppingRule(2e-7, 0.0, 1e-15, 100) for _ in range(5)]
-    cost = np.full(5, 50.0)
+    cost, ended = np.full(5, 50.0), []
     for e, at in zip(decrements, damping, strict=True):
         mine = [small(rule, *one) for rule, one in zip(alone, zip(e, at, strict=True), strict=True)]
         assert together.little_left(e, at, cost).tolist() == mine
-        mine = [level(rule, one) for rule, one in zip(alone, e, strict=True)]
-        assert together.is_level(e, cost, True).tolist() == mine
+        still = [level(rule, one) for rule, one in zip(alone, e, strict=True)]
+        assert together.is_level(e, cost, True).tolist() == still
+        ended.append((*mine, *still))
+    both = np.array(ended).any(axis=0) & ~np.array(ended).all(axis=0)
+    assert both[1]
+    assert both[5]
 
 
 @pytest.mark.parametrize("name", ["rms", "location_sigma", "direction_sigma"])

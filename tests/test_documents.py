@@ -111,13 +111,12 @@ def test_words_hold_what_their_call_gives_and_each_is_used():
     from handlaser_gtsam.results.dependence import Dependence
     from handlaser_gtsam.results.messages import MESSAGES
 
-    given = {"checks", "survey-checks"}
-    used = {
-        one
-        for one in MESSAGES["sentences"]
-        if one.startswith(("best:", "checks", "survey-checks", "table:"))
-    }
-    for path in (ROOT / "handlaser_gtsam" / "results").rglob("*.py"):
+    package, given, tables = ROOT / "handlaser_gtsam", {"checks"}, set()
+    used = {"checks", "survey-checks"}  # one stands in others, one is a constant of its module
+    for path in (
+        *(package / "results").rglob("*.py"),
+        *(package / "files" / "report").glob("*.py"),
+    ):
         tree = ast.parse(path.read_text())
         constants = {
             node.targets[0].id: node.value.value
@@ -136,25 +135,33 @@ def test_words_hold_what_their_call_gives_and_each_is_used():
             }
             for call in ast.walk(function):
                 called = getattr(getattr(call, "func", None), "id", "")
-                if called not in ("warned", "said", "_best") or path.name == "messages.py":
+                if called not in ("warned", "said", "_best", "table_of", "listed"):
                     continue
-                table = MESSAGES["warnings" if called == "warned" else "sentences"]
                 first = call.args[0]
+                words = ast.unparse(first)
+                if words in ("name", "sentence", "f'best:{message}'", "f'table:{name}'"):
+                    continue  # what the calls of these functions name
+                table = MESSAGES["warnings" if called == "warned" else "sentences"]
                 parts = first.values if isinstance(first, ast.JoinedStr) else [first]
                 pattern = "best:" if called == "_best" else ""
+                if called in ("table_of", "listed"):
+                    pattern = "table:"
+                    tables.add(first.value)
+                if words == "worst":
+                    pattern, parts = "best:(poses|range-span|motion:.*)", []
                 for part in parts:
                     if isinstance(part, ast.FormattedValue):
                         part = part.value
                     text = getattr(part, "value", constants.get(getattr(part, "id", "")))
                     pattern += "[a-z:_ -]+" if text is None else re.escape(text)
                 here = {one for one in table if re.fullmatch(pattern, one)}
-                assert here, (path.name, call.lineno)
+                assert here or pattern.startswith("table:"), (path.name, call.lineno)
                 used |= here
-                if ast.unparse(first) in ("worst", "f'best:{message}'", "f'table:{name}'"):
-                    continue  # of several, whose words are given elsewhere, or the same
                 named = {word.arg for word in call.keywords}
+                if pattern.startswith("without:"):
+                    named = {*(named - {None}), *"xyzABC"}
                 if None in named and called == "said":
-                    continue  # of a mapping that is made elsewhere
+                    continue  # of a mapping of places or sigmas, which a target has
                 words = named | keys | given
                 words |= {"number"} if len(call.args) > 1 else set()
                 if path.name == "dependence.py":
@@ -163,3 +170,4 @@ def test_words_hold_what_their_call_gives_and_each_is_used():
                     fields = {name for _, name, _, _ in Formatter().parse(table[message]) if name}
                     assert fields <= words, (path.name, message, fields - words)
     assert used == {*MESSAGES["warnings"], *MESSAGES["sentences"]}
+    assert tables == {*MESSAGES["tables"]}

@@ -14,7 +14,7 @@ import handlaser_gtsam as hl
 from benchmarks import rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import RELATIONS as STATED_RELATIONS
 from benchmarks.rigs import body_of, errors_of, stated_relation, survey_of
-from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, TARGETS
+from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, TARGETS, normal_label
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.files.logs.bag_points import READ_FROM
 from handlaser_gtsam.files.points_table import COLUMNS
@@ -468,7 +468,7 @@ def test_a_relation_takes_variables_of_its_kinds_and_no_others(relation):
     assert right < set(others)
     for of in others:
         if of in right:
-            assert hl.Known(relation, of, **fields).of == of
+            assert hl.Known(relation, of, **fields).of == tuple(map(normal_label, of))
         else:
             with pytest.raises(hl.InputError, match=rf"found {relation} of .*; expected .*:NAME"):
                 hl.Known(relation, of, **fields)

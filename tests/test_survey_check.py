@@ -71,6 +71,13 @@ def vehicle(kind, motion, walls, tilt=20.0):
     return simulate_survey(truth, stations, [fan], hl.simulate.Errors(1e-4), rng)
 
 
+def test_a_station_before_a_target_without_truth_is_named():
+    stations = hl.StationList(np.eye(3)[None], np.zeros((1, 3)), ("sphere:ball",))
+    truth = SurveyTruth({}, {}, {"plane:A": np.array([0.0, 0.0, 1.0, 0.5])})
+    with pytest.raises(hl.InputError, match=r"sphere:ball.*plane:A"):
+        simulate_survey(truth, stations, [], hl.simulate.Errors(), np.random.default_rng(1))
+
+
 VEHICLES = [
     ("profiler", "planar", "vertical", HEIGHT),
     ("profiler", "planar", "one leans", COMMON),

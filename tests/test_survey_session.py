@@ -9,6 +9,7 @@ import handlaser_gtsam as hl
 from benchmarks import rigs
 from handlaser_gtsam.data.survey import normal_label
 from handlaser_gtsam.errors import InputError
+from handlaser_gtsam.estimation import survey as estimation
 from handlaser_gtsam.quantities import SAME_OPTIMUM
 
 KINDS = [
@@ -153,6 +154,69 @@ def test_relations_between_targets_count_as_soon_as_all_are_there():
     assert len(session.add(survey.part(labels == names[0])).calibration.relations) == 1
     whole = hl.calibrate(hl.Survey(survey.stations, survey.shots, known=(known,)))
     assert_alike(session.calibration, whole)
+
+
+def test_a_relation_that_a_survey_states_comes_back_with_it():
+    """Stated with other spellings of the labels, in the session and in a survey, it is one relation."""
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, targets="planes+sphere"), [])
+    names, labels = targets_of(survey)
+    first, second, sphere = "plane:A", "plane:B", next(n for n in names if n.startswith("sphere:"))
+    radius = hl.Known("radius", (sphere,), 0.04, 1.0)
+    angle = hl.Known("angle", (first, second), 1.0, 0.0, 1.0)
+    short = replace(angle, of=("A", "B"))
+    stated = hl.Survey(survey.stations, survey.shots, known=(radius, short))
+    session = hl.SurveySession(known=angle)
+    session.add(stated)
+    assert session.survey.known == (angle, radius)
+    session.remove(sphere)
+    assert session.survey.known == (angle,)
+    session.add(survey.part(labels == sphere))
+    assert session.survey.known == (angle, radius)
+    odd = np.arange(len(labels)) % 2 == 1  # of every target, so that both halves state all
+    both = stated.part(odd), stated.part(~odd)
+    assert both[0].known == both[1].known == (radius, angle)
+    assert both[0].joined(both[1]).known == (radius, angle)
+
+
+@pytest.mark.parametrize(("seed", "zones"), [(3, 5), (11, 5)])
+def test_a_wrong_label_beside_a_ball_is_found_by_sessions_and_at_once(seed, zones):
+    """A start beside the calibration before is no start where its search fails, and shots without a
+    single steep reading count no more than such beams."""
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].array(seed, targets="spheres"), [])
+    (shots,), rng = survey.shots, np.random.default_rng(seed)
+    kept = np.zeros(len(shots.reading), dtype=bool)
+    for station in np.unique(shots.station):
+        kept[rng.permutation(np.flatnonzero(shots.station == station))[:zones]] = True
+    names, labels = targets_of(survey)
+    wrong = labels.copy()
+    out = int(rng.integers(len(labels)))
+    wrong[out] = next(name for name in names if name != labels[out])
+    at = survey.stations
+    stations = hl.StationList(at.world_R_hand, at.world_t_hand, tuple(wrong), at.station_names)
+    survey = replace(survey, stations=stations, shots=(shots.part(kept),))
+    last = np.arange(len(labels)) == out
+    session = hl.SurveySession()
+    session.add(survey.part(~last))
+    together = hl.calibrate(survey)
+    assert together.status == session.add(survey.part(last)).calibration.status == "converged"
+    assert at.station_names[out] in {one.station for one in together.rejected}
+    assert_alike(session.calibration, together)
+
+
+def test_a_start_beside_whose_search_fails_is_none(monkeypatch):
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0), [])
+    names, labels = targets_of(survey)
+    session = hl.SurveySession()
+    session.add(survey.part(labels != names[0]))
+    sought, minimize, start_of = [], estimation.SurveyState.minimize, estimation.start_of
+    monkeypatch.setattr(
+        estimation.SurveyState, "minimize", lambda *given: bool(sought) and minimize(*given)
+    )
+    monkeypatch.setattr(
+        estimation, "start_of", lambda *given: sought.append(given) or start_of(*given)
+    )
+    assert session.add(survey.part(labels == names[0])).calibration.status == "converged"
+    assert len(sought) == 1
 
 
 def test_a_body_that_comes_face_by_face_is_one():

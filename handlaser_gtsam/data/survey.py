@@ -252,7 +252,8 @@ class Known(Value):
         `body`: planes with `faces` (outward normal, offset) in one frame; the `mount` of a sensor or a
         beam as in a drawing (`pose`); two `mounts` to each other (`pose`).
     of : tuple of str
-        Labels of targets (`plane:A`) or names of sensors and beams (`sensor:scanner`, `beam:1`).
+        Labels of targets (`plane:A`; A becomes that) or names of sensors and beams (`sensor:scanner`,
+        `beam:1`).
     value : float
         [m] or [rad]
     sigma : float
@@ -284,13 +285,13 @@ class Known(Value):
     def __post_init__(self) -> None:
         require_word("relation", self.relation, RELATIONS)
         names_of("a label", self.of)
-        object.__setattr__(self, "of", tuple(self.of))
+        object.__setattr__(self, "of", tuple(map(normal_label, self.of)))
         count, groups, fields = RELATIONS[self.relation]
-        kinds = {normal_label(label).partition(":")[0] for label in self.of}
+        kinds = {label.partition(":")[0] for label in self.of}
         right = any(kinds <= set(group) for group in groups)
         if not right or not kinds or (count and len(self.of) != count):
             raise InputError(self.words, _variables_of(self.relation))
-        if first_repeated([normal_label(label) for label in self.of]) is not None:
+        if first_repeated(self.of) is not None:
             raise InputError(self.words, "every label once")
         require_number("value", self.value, -LARGEST_LENGTH, LARGEST_LENGTH)
         for name in ("sigma", "sigma_angle"):
@@ -314,7 +315,7 @@ class Known(Value):
 
     def among(self, labels: Container[str]) -> "Known | None":
         """Return what it says of the variables with some labels; None where that is nothing."""
-        there = [label in labels or normal_label(label) in labels for label in self.of]
+        there = [label in labels for label in self.of]
         if all(there):
             return self
         if self.faces is None or not any(there):
@@ -325,7 +326,7 @@ class Known(Value):
     @property
     def words(self) -> str:
         """What it is of, in words."""
-        return f"{self.relation} of {' and '.join(map(normal_label, self.of)) or 'nothing'}"
+        return f"{self.relation} of {' and '.join(self.of) or 'nothing'}"
 
 
 def _variables_of(relation: str) -> str:
@@ -449,7 +450,7 @@ class Survey(Value):
         there = self.variables()
         for known in self.known:
             for label in known.of:
-                if normal_label(label) not in there:
+                if label not in there:
                     listed = some(sorted(there), 8)
                     raise InputError(f"{known.words}: no {shown(label)}", f"one of {listed}")
 
@@ -510,6 +511,8 @@ class Survey(Value):
 
     def joined(self, other: "Survey") -> "Survey":
         """Return these stations and then the other survey's; sensors and beams go by their names.
+
+        A body whose faces come in several surveys is one only where one of them states all of them.
 
         Raises
         ------

@@ -382,7 +382,7 @@ def first_state(rows: Rows, noise: Noise, earlier: SurveyEstimate | None = None)
         if values is not None:
             beside = replace(state, values=values)
             _leave_out_gross(beside)
-            if np.median(misfits(beside)) <= GROSS:
+            if beside.minimize() and np.median(misfits(beside)) <= GROSS:
                 return beside
     state.values, without = start_of(rows, state.sigmas())
     if without:

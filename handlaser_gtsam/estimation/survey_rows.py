@@ -72,7 +72,8 @@ class Item:
     half_angle : float
         Of the cone of a beam that has one [rad].
     grazing : bool
-        Whether a beam grazes or misses its sphere: it does not count then.
+        Whether a beam, or every single reading of a shot, grazes or misses its sphere: it does not
+        count then.
     whole : (Condensed, (n,)), optional
         The shot and its points with those readings that graze or miss their sphere.
     """
@@ -197,7 +198,7 @@ class Rows:
         for family in self.counts():
             prefix = f"{family}:" if family in (SENSOR.name, BEAM.name) else ""
             numbers |= {prefix + name: (family, i) for i, name in enumerate(self.names(family))}
-        return [numbers.get(label) or numbers[normal_label(label)] for label in known.of]
+        return [numbers[label] for label in known.of]
 
 
 def rows_of(survey: Survey) -> Rows:
@@ -307,10 +308,11 @@ def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows |
         steep = np.linalg.norm(met.columns[-4:-1], axis=0)[0, 0] < MOST_SLANTED
         if met.impossible is not None:
             steep &= ~met.impossible[0, 0]
-        if shot is None or points is None or item.points is None:
-            if item.grazing == steep[0]:
-                items[i] = replace(item, grazing=not item.grazing)
-        elif steep.any() and not np.array_equal(points[steep], item.points):
+        if item.grazing == steep.any():
+            items[i] = replace(item, grazing=not item.grazing)
+        elif shot is None or points is None or item.points is None or not steep.any():
+            continue
+        elif not np.array_equal(points[steep], item.points):
             some, whole = some_of(shot, steep), item.whole or (shot, points)
             items[i] = replace(item, shot=some, points=points[steep], whole=whole)
     same = all(one is other for one, other in zip(items, rows.items, strict=True))

@@ -232,7 +232,8 @@ class Blind(NamedTuple):
     def belief(self, at: Parameters) -> Belief:
         """Return what a calibration would start from about some beams and a plate: next to nothing.
 
-        It does not use the bounds. The bounds of the beams are the `spread`; a plate has its own.
+        It does not use the bounds. The bounds of the beams are the `spread`; those of a plate come with
+        `Belief.before`.
         """
         bounds, plate, sensor = self.bounds, self.bounds.plate, self.sensor
         k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), ROUNDING)])

@@ -200,14 +200,14 @@ def _views(
     workspace: Workspace,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Draw candidates of the sensor of some items, and keep those that see the target of these.
+    """Draw candidates of the sensor of some items; keep those that see their target, None if none does.
 
     Returns
     -------
     R, t : (N, 3, 3), (N, 3)
         Hand poses.
     rows : (N, B, U)
-        What they say, of unit weight, over all unknowns. None in place of all where none sees it.
+        What they say, of unit weight, over all unknowns.
     """
     found, member, (family, number) = calibration._found, items[0].member, items[0].target
     R, t = _drawn(calibration, items, workspace, rng)

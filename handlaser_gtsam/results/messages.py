@@ -46,4 +46,4 @@ def warned(message: str, values: Values | None = None, **words: float | str) -> 
 
 
 def _filled(message: str, words: Values) -> str:
-    return _InUnits().vformat(message, (), {**MESSAGES["sentences"], **words})
+    return _InUnits().vformat(message, (), {"checks": MESSAGES["sentences"]["checks"], **words})

@@ -114,8 +114,7 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     gain = (squares(1.0) - least) / (least / dof)
     if np.isfinite(gain) and f_sf(max(gain, 0.0), 1, dof) < FAMILY_LEVEL / len(tried):
         better = tried[found_at.index(least)] * stated
-        degrees, near = stated * IN_DEG, better * IN_DEG
-        yield warned(HALF_ANGLE, {"half_angle": better}, stated=degrees, near=near)
+        yield warned(HALF_ANGLE, {"half_angle": better}, stated=stated)
 
 
 def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
@@ -261,7 +260,7 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     renamed = {label: f"{kind}:{label.partition(':')[2]}" for label, kind in suspects.items()}
     # One name may stand for a plane and for a sphere: then both labels are one target.
     changed = tuple(renamed.get(label, label) for label in labels)
-    known = tuple(one for one in survey.known if not suspects.keys() & map(normal_label, one.of))
+    known = tuple(one for one in survey.known if not suspects.keys() & set(one.of))
     stations = replace(survey.stations, plane_labels=changed)
     rows = rows_of(replace(survey, stations=stations, known=known))
     try:

@@ -240,7 +240,7 @@ def rival_warnings(
 ) -> Iterator[CalibrationWarning]:
     """Yield warnings of mounts that are nearly as probable, and not within what is stated.
 
-    One of a beam, of the beams for which they are most probable.
+    At most one of each beam, and only of those beams for which they are most probable.
     """
     if joint is None or solution.at.loss != GAUSSIAN:
         return

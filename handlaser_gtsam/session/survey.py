@@ -58,7 +58,7 @@ class SurveySession:
         single beams.
     known : sequence of Known
         Relations that count as soon as all their variables are there: a survey can state only relations
-        between its own targets.
+        between its own targets. A body whose faces come in several surveys belongs here.
 
     Raises
     ------
@@ -69,13 +69,14 @@ class SurveySession:
     def __init__(self, noise: Noise | None = None, known: Sequence[Known] = ()) -> None:
         self.noise = Noise() if noise is None else noise
         require_kind("noise", self.noise, Noise)
+        known = (known,) if isinstance(known, Known) else tuple(known)
         for one in known:
             require_kind("known", one, Known)
         if self.noise.incidence_sigma:
             raise InputError("an incidence sigma with surveys", "it with beams before planes only")
         if self.noise.pose_covariance is not None and self.noise.pose_covariance.ndim == 3:
             raise InputError("a pose covariance a station", "one for all stations to come")
-        self._known = tuple(known)
+        self._known = known
         self._survey: Survey | None = None
         self._calibration: SurveyCalibration | None = None
 

@@ -185,11 +185,13 @@ def cross_check_survey(calibration: SurveyCalibration) -> CrossCheck:
     Raises
     ------
     InputError
-        A calibration that did not converge.
+        A calibration that did not converge, or of a motion that leaves anything undetermined.
     """
     require_kind("calibration", calibration, SurveyCalibration)
     if not _fits(calibration):
-        raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+        status = calibration.status  # a contradiction may hide that anything is undetermined
+        status = calibration._found.estimate.status if status in FITS else status
+        raise InputError(f"a calibration that is {status}", "a converged one")
     found = calibration._found
     theirs = solve_survey(_problem(found))
     return compared(_differences(calibration, theirs), theirs.evaluations)
@@ -240,10 +242,7 @@ def _problem(found: SurveyEstimate) -> SurveyProblem:
     }
     numbers |= {f"sensor:{s.name}": ("sensor", i) for i, s in enumerate(rows.survey.shots)}
     numbers |= {f"beam:{name}": ("beam", i) for i, name in enumerate(rows.survey.beam_names)}
-    known = [
-        (one, [numbers.get(label) or numbers[normal_label(label)] for label in one.of])
-        for one in rows.known
-    ]
+    known = [(one, [numbers[label] for label in one.of]) for one in rows.known]
     return SurveyProblem(
         observed,
         rows.survey,

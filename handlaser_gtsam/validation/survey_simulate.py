@@ -23,6 +23,7 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import OF_MANY
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
+from ..text import shown, some
 from .simulate import Errors, Stations, disturbed, read_back
 
 LEAST_READ, MOST_READ = 0.4, 2.0
@@ -81,9 +82,15 @@ def simulate_survey(
     Raises
     ------
     InputError
-        Range errors that leave no reading for a range, or a sensor that reads nothing.
+        Range errors that leave no reading for a range, a sensor that reads nothing, or a station before
+        a target that `truth` does not have.
     """
     labels = [normal_label(label) for label in stations.plane_labels]
+    unknown = sorted(set(labels) - set(truth.targets))
+    if unknown:
+        raise InputError(
+            f"stations before {shown(unknown[0])}", f"one of {some(sorted(truth.targets), 8)}"
+        )
     at = Stations(stations.world_R_hand, stations.world_t_hand, np.zeros(len(labels), np.intp))
     hand = disturbed(at, errors, rng)
     values = {POSE.name: np.hstack((hand.world_R_hand.reshape(-1, 9), hand.world_t_hand))[None]}
