@@ -87,6 +87,17 @@ def test_target_by_target_is_all_at_once(handlaser):
     assert handlaser(*given, "--incremental", "--json")[1] == handlaser(*given, "--json")[1]
 
 
+def test_a_reading_that_the_others_hardly_predict_comes_back(handlaser, tmp_path):
+    """At once, a beam that few stations see is rejected before the noise is known, being far off."""
+    rig = GRIPPER.parent / "profiler" / "rig.toml"
+    where = ("--beams", 2, "--targets", "plane:A,sphere:b,point:tip", "--stations", 8)
+    assert handlaser("simulate", tmp_path, "--rig", rig, *where)[0] == 0
+    given = ("calibrate", tmp_path / "stations.csv", "--rig", tmp_path / "rig.toml")
+    code, out, err = handlaser(*given, "--incremental")
+    assert (code, err) == (0, "")
+    assert "left out" not in out
+
+
 def test_a_target_without_readings_is_said_so(handlaser, tmp_path):
     for name in ("poses.csv", "rig.toml", "profiles.csv"):
         text = (GRIPPER.parent / "profiler" / name).read_text()

@@ -17,7 +17,7 @@ from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block
-from ..model.distributions import FAMILY_LEVEL, chi2_quantile, chi2_sf, f_sf
+from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
 from ..model.families import BEAM
 from ..model.known import BODY, held
 from ..model.relations import Relation
@@ -55,9 +55,8 @@ SIZES_SETTLED = 0.01
 """Sizes of the noise that change by less than this part have settled."""
 MOST_LEFT_OUT = 0.4
 """Largest part of the shots, of all and of one target, that may be rejected."""
-TAKEN_BACK = 0.5
-"""A rejected shot counts again where it fits as well as the better part, so large, of good
-shots does."""
+TAKEN_BACK = 0.01
+"""A rejected shot counts again where chance puts one so far off with at least this probability."""
 FIRST_OUT = 0.5
 """Of the shots of a target, those go first whose misfit is at least this part of its largest: least
 squares share the error of one among all that see the same target."""
@@ -634,26 +633,30 @@ def _learned(state: SurveyState) -> bool:
 
 def _worst_changed(state: SurveyState) -> bool:
     """Leave out the shot that the others contradict most, or take one back; tell whether any was."""
-    rows, group = state.dense()
-    tested, number = np.unique(group[group >= 0], return_inverse=True)
-    group[group >= 0] = number
-    chi2, dof = tests_of(rows, group)
-    p = _by_chance(chi2, dof, len(rows.residuals) - rows.derivatives.shape[1], state)
+    p, chi2, tested = _agreement(state)
     worst = _most_contradicted(p, chi2)
     if p[worst] < FAMILY_LEVEL / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
         state.used = state.used & (np.arange(len(state.used)) != tested[worst])
         return True
-    out = np.flatnonzero(~state.used & ~grazing(state.rows))
-    if not len(out):
-        return False
-    misfit = misfits(state)[out]
-    best = int(misfit.argmin())
-    shot = state.rows.items[out[best]].shot
-    size = 1 if shot is None else len(shot.reading)
-    if misfit[best] ** 2 * size > chi2_quantile(TAKEN_BACK, size):
-        return False
-    state.used = state.used | (np.arange(len(state.used)) == out[best])
-    return True
+    misfit = np.where(state.used | grazing(state.rows), np.inf, misfits(state))
+    for best in np.argsort(misfit)[: np.isfinite(misfit).sum()]:
+        # How far it may be off depends on how well the others predict it.
+        trial = replace(state, used=state.used | (np.arange(len(state.used)) == best))
+        p, _, tested = _agreement(trial)
+        if p[tested == best] >= TAKEN_BACK:
+            state.used = trial.used
+            return True
+    return False
+
+
+def _agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return how the shots that count agree with all others: p, chi2 and the number of each item."""
+    rows, group = state.dense()
+    tested, number = np.unique(group[group >= 0], return_inverse=True)
+    group[group >= 0] = number
+    chi2, dof = tests_of(rows, group)
+    redundancy = len(rows.residuals) - rows.derivatives.shape[1]
+    return _by_chance(chi2, dof, redundancy, state), chi2, tested
 
 
 def _most_contradicted(p: FloatArray, chi2: FloatArray) -> int:

@@ -11,6 +11,7 @@ from ..data.readings import Readings
 from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
 from ..model import known as relations
 from ..model.block import Block, Values, VectorPrior, Weights
+from ..model.block import Rows as BlockRows
 from ..model.families import BEAM, PLANE, POSE
 from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
@@ -29,7 +30,7 @@ from ..model.shots import (
 )
 from ..model.targets.plane import Plane
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
-from ..model.targets.sphere import SPHERE, Sphere
+from ..model.targets.sphere import SPHERE, Sphere, continued
 from ..quantities import MM
 from .dense import Unknowns, unknowns_of
 
@@ -285,29 +286,27 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
 
 
 def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows | None:
-    """Return the rows without single readings that graze or miss their sphere; None for no change.
+    """Return the rows without readings that graze or miss their sphere; None for no change.
 
-    These are readings of beams, and of shots with few readings, whose own shape does not say which of
-    them graze. Near the minimum one whose ray just misses the sphere ends the search. With `anew`,
-    readings that were rejected before are judged again; cones then stay as they are, because their
-    nearest ray is no ray of a slanted sphere.
+    These are single readings, of beams and of shots with few readings, whose own shape does not say
+    which of them graze, and shots and cones with a ray whose range the sphere continues. With `anew`,
+    readings that were rejected before are judged again.
     """
     items = list(rows.items)
-    exact = {name: x.copy() if name == SENSOR.name else x for name, x in values.items()}
-    if SENSOR.name in exact:  # of errors of the readings the way of the rays knows nothing
-        exact[SENSOR.name][..., -len(RAY_ERRORS) :] = 0.0
-    for i, item in enumerate(items):
-        shot, points = (anew and item.whole) or (item.shot, item.points)
-        single = shot is None or of_single_readings(shot)
-        settled = bool(item.half_angle) if anew else item.grazing
-        if item.target[0] != SPHERE.name or not single or settled:
+    judged = {
+        i: replace(item, shot=shot, points=points)
+        for i, item in enumerate(items)
+        for shot, points in [(anew and item.whole) or (item.shot, item.points)]
+        if item.target[0] == SPHERE.name and (anew or not item.grazing)
+    }
+    by_place = _by_place(list(judged.values()), values)
+    for i, derivative in zip(judged, by_place, strict=True):
+        item, shot, points = items[i], judged[i].shot, judged[i].points
+        if item.half_angle or (shot is not None and not of_single_readings(shot)):
+            if item.grazing != bool(continued(derivative).any()):
+                items[i] = replace(item, grazing=not item.grazing)
             continue
-        (block,), _ = blocks_of([replace(item, shot=shot)], {item.mount: 1.0}, exact)
-        met = (block.ranges if isinstance(block, Mixed) else block).evaluate(exact)
-        # By the translation of the hand.
-        steep = np.linalg.norm(met.columns[-4:-1], axis=0)[0, 0] < MOST_SLANTED
-        if met.impossible is not None:
-            steep &= ~met.impossible[0, 0]
+        steep = np.linalg.norm(derivative, axis=0) < MOST_SLANTED
         if item.grazing == steep.any():
             items[i] = replace(item, grazing=not item.grazing)
         elif shot is None or points is None or item.points is None or not steep.any():
@@ -317,6 +316,25 @@ def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows |
             items[i] = replace(item, shot=some, points=points[steep], whole=whole)
     same = all(one is other for one, other in zip(items, rows.items, strict=True))
     return None if same else replace(rows, items=tuple(items))
+
+
+def _by_place(items: Sequence[Item], values: Values) -> list[FloatArray]:
+    """Return the derivatives (3, S) of the ranges of some items by the place of the hand."""
+    exact = {name: x.copy() if name == SENSOR.name else x for name, x in values.items()}
+    if SENSOR.name in exact:  # of errors of the readings the way of the rays knows nothing
+        exact[SENSOR.name][..., -len(RAY_ERRORS) :] = 0.0
+    blocks, owner = blocks_of(items, defaultdict(lambda: 1.0), exact)
+    found: list[FloatArray] = [np.empty(0)] * len(items)
+    first = 0
+    for block in blocks:
+        ranges = block.ranges if isinstance(block, Mixed) else block
+        columns = ranges.evaluate(exact).columns
+        G, S = columns.shape[2:]
+        if not isinstance(block, Unexplained):
+            for g, number in enumerate(owner[first : first + G * S : S].tolist()):
+                found[number] = columns[-4:-1, 0, g]
+        first += G * S
+    return found
 
 
 def _beam_or_cone(member: IntArray, half_angle: float) -> Beam | Cone:
@@ -429,10 +447,13 @@ def rays_on(
         np.broadcast_to(reading, (1, *shape)),
     )
     rows = block.evaluate(values)
-    missed = np.zeros(shape, dtype=bool)
-    if rows.impossible is not None:
-        missed = np.broadcast_to(rows.impossible, (1, *shape))[0]
-    return rows.columns, missed
+    return rows.columns, missed(target, rows)
+
+
+def missed(target: str, rows: BlockRows) -> BoolArray:
+    """Tell which readings (G, S) before a family of targets graze or miss theirs."""
+    lost = continued(rows.columns[-4:-1, 0]) & (target == SPHERE.name)
+    return lost if rows.impossible is None else lost | rows.impossible[0]
 
 
 def relations_of(rows: Rows) -> list[tuple[Known, Relation]]:

@@ -14,7 +14,7 @@ from ..data.station_list import StationList
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..data.value import Value
 from ..errors import InputError
-from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, rays_on
+from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, missed, rays_on
 from ..model.families import BEAM, PLANE, POSE
 from ..model.ranges import PoseVariables, Ranges
 from ..model.sensors.beam import Beam
@@ -164,8 +164,8 @@ def _ranges_of_rays(
         if family in seen:
             at, target = seen[family]
             before = {**values, POSE.name: values[POSE.name][:, at]}
-            columns, missed = rays_on(before, member, family, target, rays, zero, zero)
-            s[at] = np.where(missed, np.nan, columns[-1, 0])
+            columns, lost = rays_on(before, member, family, target, rays, zero, zero)
+            s[at] = np.where(lost, np.nan, columns[-1, 0])
     s[~((s > LEAST_READ * working) & (s < MOST_READ * working))] = np.nan
     s[np.isfinite(s).mean(axis=1) < OF_MANY] = np.nan
     return s
@@ -194,8 +194,6 @@ def _ranges_of_beams(
             continue
         sensor = Cone(beam, half_angle) if half_angle else Beam(beam)
         rows = Ranges(sensor, TARGETS[family](target), robot, zero).evaluate(values)
-        met = rows.columns[-1, 0, :, 0]
-        if rows.impossible is not None:
-            met = np.where(np.broadcast_to(rows.impossible, zero.shape)[0, :, 0], np.nan, met)
+        met = np.where(missed(family, rows), np.nan, rows.columns[-1, 0])[:, 0]
         s[station, beam] = np.where(met > 0.0, met, np.nan)
     return s

@@ -2,20 +2,25 @@ r"""A sphere, seen from outside: centre C and radius rho in the world.
 
 With w = o - C, b = w . u, a ray (o, u) meets it at s = -b - sqrt(b^2 - w . w + rho^2). At the spot p
 from the centre, ds/do = -p / (p . u), ds/dC = p / (p . u), and ds/drho = rho / (p . u).
+
+A ray that passes the centre farther than `GRAZING_PART` allows has the range that continues these along
+their tangent, linear in the distance at which it passes: the farther it misses the sphere, the longer
+is the range, so that a search is led back to the sphere.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
-from ...quantities import TINY
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...quantities import NEGLIGIBLE, TINY
 from ..block import Values
 from ..families import Family, Vector, register
 from ..ranges import Hits, dot, members
 
-GRAZING_PART = 0.01
-"""A ray that meets the sphere with less than this cosine, or misses it, has no range."""
+GRAZING_PART = 0.1
+"""Ranges of rays that meet the sphere with less than this cosine, or miss it, are continued. With a
+tenth of it searches stall where the slope changes: 7 of 42 surveys with beams on balls."""
 SPHERE = register(Family("sphere", (Vector(4),), ("x", "y", "z", "radius"), (1, 1, 1, 1)))
 """Centre and radius, world frame."""
 
@@ -32,16 +37,24 @@ class Sphere:
         x = members(values, self.family, self.member)
         w, radius = origin - x[:3], x[3]
         b = dot(w, direction)
-        under = b * b - dot(w, w) + radius**2
-        least = (GRAZING_PART * radius) ** 2
-        missed = ~(under > least)
-        q = -np.sqrt(np.where(missed, least, under))
-        s = q - b
-        by_centre = (w + s * direction) / q
-        by_radius = np.broadcast_to(radius / q, by_centre.shape[1:])[None]
-        return Hits(s, -by_centre, np.concatenate((by_centre, by_radius)), missed)
+        past = w - b * direction
+        square, slope = dot(past, past), np.sqrt(1.0 - GRAZING_PART**2) / GRAZING_PART
+        grazes = square > (GRAZING_PART * slope * radius) ** 2
+        distance = np.sqrt(np.where(grazes, square, 1.0))
+        root = np.sqrt(np.where(grazes, 1.0, radius**2 - square))
+        further = np.where(grazes, slope * distance - np.abs(radius) / GRAZING_PART, -root)
+        by_centre = direction - past * np.where(grazes, slope / distance, 1.0 / root)
+        by_radius = np.where(grazes, -np.sign(radius) / GRAZING_PART, -radius / root)
+        by_own = np.concatenate((by_centre, by_radius[None]))
+        return Hits(further - b, -by_centre, by_own, np.zeros(b.shape, dtype=bool))
 
     def nearest(self, values: Values, origin: FloatArray) -> FloatArray:
         """Return the directions (3, K, G, S) to its centre, from points in the world."""
         w = members(values, self.family, self.member)[:3] - origin
         return np.asarray(w / np.maximum(np.sqrt(dot(w, w)), TINY))
+
+
+def continued(by_place: FloatArray) -> BoolArray:
+    """Tell of which rays the range is continued, by its derivatives (3, ...) by the hand's place."""
+    slant = np.sqrt(dot(by_place, by_place))
+    return np.asarray(GRAZING_PART * slant > 1.0 - NEGLIGIBLE)
