@@ -7,11 +7,15 @@ import shlex
 import shutil
 import subprocess
 import sys
+from importlib import import_module
+from inspect import getdoc
+from pkgutil import iter_modules
 
 import pytest
 from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
+from handlaser_gtsam import cli
 from handlaser_gtsam.cli.options import LogLevel, logging_at
 from handlaser_gtsam.cli.verbs import VERBS, examples_of
 
@@ -41,6 +45,13 @@ def folder(tmp_path_factory):
 
 def test_every_verb_has_examples():
     assert all(len(examples_of(verb)) >= 2 for verb in VERBS)
+
+
+def test_every_module_with_examples_is_a_verb():
+    names = [one.name for one in iter_modules(cli.__path__) if not one.name.startswith("_")]
+    of_name = {name: getattr(import_module(f"{cli.__name__}.{name}"), name, None) for name in names}
+    shown = {name for name, one in of_name.items() if "\nExamples\n" in (getdoc(one) or "")}
+    assert shown == set(VERBS)
 
 
 @pytest.mark.parametrize("verb", VERBS)

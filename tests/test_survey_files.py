@@ -197,7 +197,7 @@ def test_tables_of_points_may_be_written_as_sensors_and_spreadsheets_do(folder, 
 def test_a_column_without_a_name_is_no_station(tmp_path):
     """As pandas writes the index of its rows, which may be names of stations."""
     (tmp_path / "points.csv").write_text(",station,x,z\n0,2,1,300\n1,2,2,300\n2,3,1,310\n")
-    (station, *_), _ = read_points({"": tmp_path / "points.csv"}, "profiler", ("0", "1", "2", "3"))
+    (station, *_), *_ = read_points({"": tmp_path / "points.csv"}, "profiler", ("0", "1", "2", "3"))
     assert station.tolist() == [2, 2, 3]
 
 
@@ -475,7 +475,7 @@ def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser):
     shutil.copy(folder / "scans" / "scan_P5.csv", folder / "scans" / "scan_P05.csv")
     code, _, err = handlaser(*given)
     assert code == 2
-    assert "another file of station 5" in err
+    assert "found another file of station 5 beside scan_P05.csv; expected one file a station" in err
 
 
 @pytest.mark.parametrize(
@@ -484,7 +484,7 @@ def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser):
         ("scan_P3.csv", "scan_Q3.csv", "station 'Q3'"),
         ("scan_*.csv", "scn_*.csv", "one a station, as scn_P1.csv"),
         ("x,z", "x_mm,z", "one unit in all files"),
-        ("x,z", "station,x,z", "station 'P4' in the file of P3"),
+        ("x,z", "station,x,z", "rows of P3 only, as the name of the file has it, or no column"),
         ("scan_*.csv", "s*_*.csv", "one *, in the name of the file"),
     ],
 )
@@ -513,6 +513,22 @@ WRONG_POINTS = {
     "a word": ("P3,", "P3,x", "a finite number or an empty cell"),
     "no station": ("P3,", ",", "the name of a station"),
     "a header without a column": ("station,x,z", "station,x,y", "no column 'z'"),
+    "no header": ("station,x,z\n", "", "line 1: found numbers in the first line (-3"),
+    "no header, with decimal commas": (
+        "station,x,z\n",
+        "P1,1,5,2,5\n",
+        "found numbers in the first",
+    ),
+    "a row that is too long": ("\nP3,", "\nP3,1,", "found 4 fields; expected 3, as in the header"),
+    "a row without its last cell": ("\nP3,", "\nP3,5.25\nP3,", "found 2 fields; expected 3"),
+    "a column twice": ("station,x,z", "station,x,x", "column x: found the same name twice"),
+    "two columns that may be one": (
+        "station,x,z",
+        "station,x,X [mm]",
+        "found several columns that may be x: x, X [mm]; expected one of them, and other names for the",
+    ),
+    "a stray quote": ("\nP3,", '\nP"3,', "found a stray quote in"),
+    "a control character": ("\nP3,", "\nP3\x07,", "found the control character"),
 }
 
 
@@ -527,6 +543,69 @@ def test_a_wrong_table_of_points_is_refused_in_one_line(case, folder, handlaser)
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
+
+
+def test_the_first_wrong_row_is_named_however_it_is_wrong(folder):
+    """Rows with quotes are taken apart one by one, others together."""
+    points = folder / "profiles.csv"
+    rows = points.read_text().splitlines()
+    rows[5], rows[7] = '"P1",1,2,3', 'P"1,1,2'
+    points.write_text("\n".join(rows) + "\n")
+    with pytest.raises(hl.InputError, match="line 6: found 4 fields"):
+        hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    rows[5] = '"P1",1,"2"'
+    points.write_text("\n".join(rows) + "\n")
+    with pytest.raises(hl.InputError, match="line 8: found a stray quote"):
+        hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "words"),
+    [("utf-16", "line 1: found UTF-16 text"), ("latin-1", "line 1: found the byte 0xb5")],
+)
+def test_points_in_another_encoding_are_refused_in_one_line(folder, handlaser, encoding, words):
+    points = folder / "profiles.csv"
+    points.write_text(points.read_text().replace("x,z", "x,z,\xb5", 1), encoding=encoding)
+    code, out, err = handlaser("check", folder / "poses.csv", "--rig", folder / "rig.toml")
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.endswith("expected a file saved as UTF-8\n")
+    assert err.count("\n") == 1
+
+
+def test_commas_of_decimals_and_of_cells_are_told_apart(folder, handlaser):
+    points = folder / "profiles.csv"
+    points.write_text(points.read_text().replace(".", ","))
+    code, out, err = handlaser("check", folder / "poses.csv", "--rig", folder / "rig.toml")
+    assert (code, out) == (2, "")
+    assert "found 5 fields; expected 3, as in the header; decimal commas need another" in err
+
+
+def test_titles_above_tables_are_passed_over_and_said(folder, handlaser):
+    plain = hl.read_survey(folder / "poses.csv", folder / "rig.toml").shots[0]
+    points = folder / "profiles.csv"
+    points.write_text("Line 3; cell 2\nby night; 4 degrees\n\n" + points.read_text())
+    survey = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    assert survey.shots[0] == plain
+    words = "profiles.csv: passed over 2 lines above the header: 'Line 3; cell 2', ..."
+    assert survey.lines[-1] == words
+    _, out, _ = handlaser("check", folder / "poses.csv", "--rig", folder / "rig.toml")
+    assert words in " ".join(out.split())
+    shutil.copy(FOLDER / "profiles.csv", points)
+    in_files(folder, "scan_*.csv")
+    for one in ("P3", "P7", "P9"):
+        path = folder / f"scan_{one}.csv"
+        path.write_text(f"Scan {one}\n" + path.read_text())
+    (line,) = hl.read_survey(folder / "poses.csv", folder / "rig.toml").lines[2:]
+    assert line.startswith("scan_P3.csv: passed over 1 line above the header: 'Scan P3'")
+    assert line.endswith(", and likewise in 2 other tables")
+
+
+def test_a_table_with_a_header_alone_is_of_a_sensor_that_saw_nothing(folder):
+    in_files(folder, "scan_*.csv")
+    (folder / "scan_P3.csv").write_text("x,z\n")
+    shots = hl.read_survey(folder / "poses.csv", folder / "rig.toml").shots[0]
+    assert set(range(24)) - set(shots.station.tolist()) == {2}
 
 
 def test_options_of_beams_are_refused(folder, handlaser):

@@ -9,6 +9,7 @@ from test_survey_files import in_files
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.options import CalibrationOptions
+from handlaser_gtsam.files.rig_survey import SurveyTables
 from handlaser_gtsam.files.watch.watched import Watched
 from handlaser_gtsam.files.watch.worker import Calibrator
 
@@ -96,12 +97,87 @@ def test_what_is_missing_or_wrong_is_said_of_the_file_itself(folder):
     answer = one.answer(settled=True)
     assert answer.waiting
     assert answer.note == "waiting for profiles.csv, which is not there"
-    (folder / "profiles.csv").write_text(points + "P99,1,2\n")
+    (folder / "profiles.csv").write_text(points + "P99,1,2,3\n")
     answer = one.answer(settled=True)
     assert str(folder / "profiles.csv") in answer.error
-    assert "station 'P99'" in answer.error
+    assert "4 fields" in answer.error
     (folder / "profiles.csv").write_text(points)
     assert one.answer(settled=True).messages
+
+
+@pytest.fixture
+def read(monkeypatch):
+    """What a calibrator reads; it calibrates nothing."""
+    found = []
+    monkeypatch.setattr(Calibrator, "_of_survey", lambda _, *read: found.append(read) or {})
+    return found
+
+
+def stations(survey):
+    of = survey.stations.station_names
+    return {of[at] for at in set(survey.shots[0].station.tolist())}
+
+
+def test_points_that_come_before_their_pose_wait_for_it(folder, read):
+    one = calibrator(folder)
+    first(folder, 4)
+    points = folder / "profiles.csv"
+    points.write_text(points.read_text() + "P5,1,200\nP5,2,201\n")
+    answer = one.answer(settled=True)
+    assert (answer.error, answer.waiting) == ("", False)
+    assert answer.note == "waiting for the poses of P5, whose points are there"
+    assert stations(read[-1][0]) == {"P1", "P2", "P3", "P4"}
+    first(folder, 5)
+    answer = one.answer(settled=True)
+    assert (answer.error, answer.note) == ("", "")
+    assert stations(read[-1][0]) == {"P1", "P2", "P3", "P4", "P5"}
+    # Points of none of the stations are no matter of time.
+    points.write_text(points.read_text().replace("P", "Q"))
+    assert "station 'Q1', 'Q2', 'Q3', 'Q4' and 1 more" in one.answer(settled=True).error
+
+
+def test_scans_that_come_before_their_pose_wait_for_it(folder, read):
+    in_files(folder, "scans/scan_*.csv")
+    scans = {path.name: path.read_bytes() for path in (folder / "scans").iterdir()}
+    for name in scans:
+        (folder / "scans" / name).unlink()
+    one = calibrator(folder)
+    answer = one.answer(settled=True)
+    assert (answer.error, answer.waiting) == ("", True)
+    assert answer.note == "waiting for scan_*.csv, of which there is none"
+    assert answer.beside == (folder / "scans",)
+    rows = (FOLDER / "poses.csv").read_text().splitlines(keepends=True)
+    (folder / "poses.csv").write_text("".join(rows[:3]))  # P1 and P2
+    for name in ("scan_P1.csv", "scan_P3.csv"):
+        (folder / "scans" / name).write_bytes(scans[name])
+    answer = one.answer(settled=True)
+    assert (answer.error, answer.waiting) == ("", False)
+    assert answer.note == "waiting for the poses of P3, whose points are there"
+    assert stations(read[-1][0]) == {"P1"}
+
+
+def test_the_first_scan_may_come_while_files_are_copied(folder, read, monkeypatch):
+    """It was not there when the files were listed, and is when they are read."""
+    in_files(folder, "scan_*.csv")
+    monkeypatch.setattr(SurveyTables, "files", ())
+    answer = calibrator(folder).answer(settled=True)
+    assert not read
+    assert "found no such file; expected one a station, as scan_P1.csv" in answer.error
+
+
+def test_directions_of_zones_are_followed(folder):
+    (folder / "poses.csv").write_text("plane,station,x,y,z,qx,qy,qz,qw\nA,s,0,0,0,0,0,0,1\n")
+    (folder / "d.csv").write_text("station,zone,reading\ns,0,100\ns,1,110\n")
+    (folder / "zones.csv").write_text("zone,x_deg,y_deg\n0,-10,0\n")
+    (folder / "rig.toml").write_text(
+        '[[sensors]]\nname = "tof"\nkind = "array"\npoints = "d.csv"\nzones = "zones.csv"\n'
+    )
+    answer = calibrator(folder).answer(settled=True)
+    assert answer.beside == (folder / "d.csv", folder / "zones.csv")
+    assert (
+        answer.error
+        == f"{folder / 'zones.csv'}: found no zone 1; expected a row for every zone that reads"
+    )
 
 
 def test_options_of_beams_are_refused(folder):

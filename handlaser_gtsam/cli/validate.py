@@ -29,10 +29,10 @@ def validate(
     r"""Leave planes and stations out of RECORDING and predict them; or test a calibration on it.
 
     Exit codes: 0 good; 2 bad input; 3 no calibration, or, of sensors of many rays, SciPy finds another
-    one; 4 not usable: outside the limits of the rig
-    file (its rms holds for planes held out, too), a plane held out contradicts the beams found without
-    it (1 in 100 good recordings exits so), a systematic error larger than what the result states; with
-    --calibration or --hold-out, the calibration does not hold (p below 0.001).
+    one; 4 not usable: outside the limits of the rig file (its rms holds for planes held out, too), a
+    plane held out contradicts the beams found without it (1 in 100 good recordings exits so), a
+    systematic error larger than what the result states; with --calibration or --hold-out, the
+    calibration does not hold (p below 0.001).
 
     Parameters
     ----------

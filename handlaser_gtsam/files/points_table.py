@@ -7,6 +7,7 @@ where a zone has several. Letters of names count in either case.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,11 +16,11 @@ import polars as pl
 
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
-from ..text import shown, some
+from ..text import count, shown, some
 from .logs.columns import plain, unit_of
 from .logs.tables import PARQUET
 from .recording_csv import known_numbers
-from .table import Table
+from .table import MOST_TITLES, Table, table_below_titles, table_text, without_separator_line
 
 COLUMNS = {
     "profiler": ("x", "z"),
@@ -33,6 +34,8 @@ Points = tuple[IntArray, FloatArray, FloatArray]
 """The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
 of an array at the station, NaN for that reading itself and for other kinds."""
 
+AWAITED = "waiting for the poses of"
+"""Begins the line that says which stations have points, and no pose yet."""
 DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
 """A number with a decimal comma; a name of a station that holds one stays as it is."""
 
@@ -43,8 +46,12 @@ def read_points(
     stations: Sequence[str],
     echo: Echo = "all",
     station_column: str = "",
-) -> tuple[Points, dict[str, str]]:
-    """Return points as they stand, and the unit in the name of each of their columns, empty for none.
+    *,
+    growing: bool = False,
+) -> tuple[Points, dict[str, str], tuple[str, ...]]:
+    """Return points as they stand, the units of their columns, and what was passed over, in lines.
+
+    The unit is that in the name of the column, empty for none.
 
     Parameters
     ----------
@@ -57,6 +64,8 @@ def read_points(
         Which readings of a zone count, where it has several at a station.
     station_column : str
         What the log of poses calls that column; a table of points may call it so, too.
+    growing : bool
+        Whether the pose of a station may come after its points: these are passed over until then.
 
     Raises
     ------
@@ -65,17 +74,43 @@ def read_points(
         are in one unit in one file, and in another in the next.
     """
     place = {name: i for i, name in enumerate(stations)}
+    of_recording = f"of the recording, such as {some(list(place), 4)}"
     parts: list[Points] = []
     units: dict[str, str] = {}
     seen: dict[str, Path] = {}
+    awaited: list[str] = []
+    titles: list[str] = []
     for own, path in files.items():
         name = _station_of(own, place)
         if name in seen:
-            raise InputError(f"another file of station {name}: {seen[name].name}", "one", path)
+            found = f"another file of station {name} beside {seen[name].name}"
+            raise InputError(found, "one file a station: move the other elsewhere", path)
         seen[name] = path
+        if name and name not in place:
+            if not growing:
+                found = f"a file of station {shown(name)}, by its name"
+                raise InputError(found, f"files of stations {of_recording}", path)
+            awaited.append(name)
+            continue
         if name and path.is_file() and not path.stat().st_size:
             continue  # the sensor saw nothing there
-        points, named = _read_table(path, kind, place, name, echo, station_column)
+        table = _read_table(path, kind, name)
+        titles += [one.message for one in table.warnings]
+        if name:
+            _require_station(table, name, place)
+            station = np.full(len(table.frame), place[name], dtype=np.intp)
+        else:
+            column, names = _stations(table, station_column)
+            foreign = [one for one in names.unique(maintain_order=True) if one not in place]
+            if foreign and not (growing and len(foreign) < names.n_unique()):
+                found = f"station {some([shown(one) for one in foreign], 4)}"
+                raise InputError(found, f"stations {of_recording}", path, None, column)
+            if foreign:
+                awaited += foreign
+                there = ~names.is_in(foreign)
+                table, names = table.where(there.to_numpy()), names.filter(there)
+            station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
+        points, named = _points(table, kind, station, echo)
         if parts and named != units:
             found = f"columns in {_words(named)}, after others in {_words(units)}"
             raise InputError(found, "one unit in all files", path)
@@ -83,10 +118,19 @@ def read_points(
         units = named
     if parts:
         station, numbers, before = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if awaited and not parts:
+        found = f"points of station {some([shown(one) for one in awaited], 4)} only"
+        raise InputError(found, f"some of stations {of_recording}", next(iter(files.values())))
     if not parts or not len(station):
         expected = f"rows with {', '.join(COLUMNS[kind])}"
         raise InputError("no reading at all", expected, next(iter(files.values())))
-    return (station, numbers, before), units
+    lines = []
+    if titles:
+        more = f", and likewise in {count(len(titles) - 1, 'other table')}" * (len(titles) > 1)
+        lines.append(f"{titles[0]}{more}")
+    if awaited:
+        lines.append(f"{AWAITED} {some(awaited, 4)}, whose points are there")
+    return (station, numbers, before), units, tuple(lines)
 
 
 def _station_of(name: str, place: Mapping[str, int]) -> str:
@@ -100,35 +144,46 @@ def _words(units: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {unit or 'without a unit'}" for name, unit in units.items())
 
 
-def _read_table(
-    path: Path, kind: str, place: Mapping[str, int], name: str, echo: Echo, station_column: str
-) -> tuple[Points, dict[str, str]]:
-    """Return the points of one table, of the station `name` where that is not empty."""
+def _read_table(path: Path, kind: str, name: str) -> Table:
+    """Return a table of points, of the station `name` where that is not empty."""
     wanted = COLUMNS[kind]
-    table = read_frame(path, "a table of points, CSV with a header or Parquet")
+    expected = "a table of points, CSV with a header or Parquet"
+    table = read_frame(path, expected, ", ".join(wanted if name else ("station", *wanted)))
     names_there = {plain(one) for one in table.frame.columns}
     others = [one for one, columns in COLUMNS.items() if names_there.issuperset(columns)]
     if others and kind not in others:
         found_so = f"columns of kind = {' or '.join(map(shown, others))}: {table.names}"
         raise table.fault(found_so, f"{', '.join(wanted)} of kind = {shown(kind)}", wanted[0])
+    return table
+
+
+def _require_station(table: Table, name: str, place: Mapping[str, int]) -> None:
+    """Refuse a table of one station in whose rows another one is named."""
+    for column in [one for one in table.frame.columns if plain(one) == "station"]:
+        cells = table.frame[column].cast(pl.String)
+        others = [
+            one for one in cells.unique() if one is not None and _station_of(one, place) != name
+        ]
+        expected = f"rows of {name} only, as the name of the file has it, or no column {column}"
+        table.refuse(cells.is_in(others).fill_null(value=False).to_numpy(), column, expected)
+
+
+def _stations(table: Table, station_column: str) -> tuple[str, pl.Series]:
+    """Return the column of the stations, and their names."""
+    column = station_column
+    if not column or column not in table.frame.columns:
+        column = _column(table, "station")
+    names = table.frame[column].cast(pl.String)
+    table.refuse(names.is_null().to_numpy(), column, "the name of a station")
+    return column, names
+
+
+def _points(
+    table: Table, kind: str, station: IntArray, echo: Echo
+) -> tuple[Points, dict[str, str]]:
+    """Return the points of a table whose rows are of these stations, and the units of its columns."""
+    wanted = COLUMNS[kind]
     found = [_column(table, one) for one in wanted]
-    if name:
-        names, column = pl.Series([name]).new_from_index(0, len(table.frame)), None
-        inside = [one for one in table.frame.columns if plain(one) == "station"]
-        for one in table.frame.select(inside).cast(pl.String).unpivot()["value"].unique():
-            if one is not None and _station_of(one, place) != name:
-                raise InputError(f"station {shown(one)} in the file of {name}", "one", path)
-    else:
-        column = station_column
-        if not column or column not in table.frame.columns:
-            column = _column(table, "station")
-        names = table.frame[column].cast(pl.String)
-        table.refuse(names.is_null().to_numpy(), column, "the name of a station")
-    foreign = [shown(one) for one in names.unique(maintain_order=True) if one not in place]
-    if foreign:
-        expected = f"stations of the recording, such as {some(list(place), 4)}"
-        raise InputError(f"station {some(foreign, 4)}", expected, path, None, column)
-    station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
     numbers = np.column_stack([known_numbers(table, one)[0] for one in found])
     good = np.isfinite(numbers).all(axis=1)
     if kind != "profiler":
@@ -153,41 +208,48 @@ def _read_table(
 def _column(table: Table, name: str) -> str:
     """Return the column of a name, in letters of either case; behind it a unit may stand."""
     alike = [one for one in table.frame.columns if plain(one) == name]
-    if name in table.frame.columns or not alike:
+    if not alike:
         table.require(name)
-        return name
     if len(alike) > 1:
-        raise table.fault(f"several columns that may be {name}: {', '.join(alike)}", "one")
+        found = f"several columns that may be {name}: {', '.join(alike)}"
+        raise table.fault(found, "one of them, and other names for the others")
     return alike[0]
 
 
-def read_frame(path: Path, expected: str) -> Table:
+def read_frame(path: Path, expected: str, header: str) -> Table:
     """Return a table as it stands: of CSV the texts of the cells, of Parquet what they are.
 
-    It is read by Polars alone, because it may have millions of rows. Semicolons or tabs in the header
-    separate the cells; then commas in these are decimal.
+    Semicolons or tabs in most of its first lines separate the cells; then commas in these are decimal.
+
+    Parameters
+    ----------
+    path : Path
+    expected : str
+        What kind of file it is.
+    header : str
+        The names of its columns, in words.
 
     Raises
     ------
     InputError
         No readable file, or no table.
     """
-    if not path.is_file():
-        raise InputError("no readable file", expected, path)
-    try:
-        if path.suffix.lower() in PARQUET:
+    if path.suffix.lower() in PARQUET:
+        if not path.is_file():
+            raise InputError("no readable file", expected, path)
+        try:
             frame = pl.read_parquet(path)
-        else:
-            with path.open(encoding="utf-8", errors="replace") as file:
-                header = file.readline()
-            separator = next((mark for mark in ";\t" if mark in header), ",")
-            texts = pl.selectors.all().str.strip_chars()
-            if separator != ",":
-                texts = texts.str.replace(DECIMAL_COMMA, "${1}.${2}")
-            frame = pl.read_csv(path, infer_schema_length=0, separator=separator).select(
-                pl.when(texts != "").then(texts)
-            )
-    except (pl.exceptions.PolarsError, OSError) as error:
-        what = str(error).splitlines()[0][:120]
-        raise InputError(f"no table ({what})", expected, path) from error
-    return Table(frame, path, 1, np.arange(2, len(frame) + 2, dtype=np.intp), False)
+        except (pl.exceptions.PolarsError, OSError) as error:
+            what = str(error).splitlines()[0][:120]
+            raise InputError(f"no table ({what})", expected, path) from error
+        return Table(frame, path, 0, np.arange(1, len(frame) + 1, dtype=np.intp), False)
+    text, stated = without_separator_line(table_text(path, expected))
+    first = [line for line in text.split("\n", MOST_TITLES)[:MOST_TITLES] if line.strip()]
+    often = [one for one in ";\t" if 2 * sum(one in line for line in first) > len(first)]
+    separator = stated or (often[0] if often else ",")
+    names = f"a header with {header}"
+    table = table_below_titles(text, path, separator, header=names, may_be_empty=True)
+    if separator == "," or "," not in text:
+        return table
+    points = pl.all().str.replace(DECIMAL_COMMA, "${1}.${2}")
+    return replace(table, frame=table.frame.select(points))

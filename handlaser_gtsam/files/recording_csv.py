@@ -336,5 +336,7 @@ def _word_codes(column: pl.Series) -> BoolArray:
     """Return which cells say in a word, or as no finite number, that there is no reading."""
     if column.dtype != pl.String:
         return np.asarray((~column.is_finite()).fill_null(value=False).to_numpy(), dtype=bool)
-    word = column.str.to_lowercase().str.strip_chars_start("+-")
-    return np.asarray(word.is_in(NO_READING).fill_null(value=False).to_numpy(), dtype=bool)
+    found = ~column.cast(pl.Float64, strict=False).is_finite().fill_null(value=False).to_numpy()
+    word = column.filter(found).str.to_lowercase().str.strip_chars_start("+-")
+    found[found] = word.is_in(NO_READING).fill_null(value=False).to_numpy()
+    return np.asarray(found, dtype=bool)

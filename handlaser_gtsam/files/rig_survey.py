@@ -34,6 +34,7 @@ from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
 from .points_table import Echo, Points, read_frame, read_points
 from .recording_csv import known_numbers
+from .writing import same_file
 
 SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
 """All lengths below a millimetre, or readings of more than a hundred metres, are a wrong unit [m]."""
@@ -87,7 +88,8 @@ class SurveyTables:
     folder : Path
         Where the rig file stands, from which tables of points are named.
     copies : mapping of Path to Path
-        Copies of tables of points, which are read instead of these.
+        Copies of the files, taken at one moment, which are read instead of them: the files are being
+        written, and points of a station may be there before its pose is.
     """
 
     sensors: tuple[SensorTable, ...]
@@ -98,7 +100,7 @@ class SurveyTables:
     def shots(
         self, stations: tuple[str, ...], station_column: str = ""
     ) -> tuple[tuple[Shots, ...], tuple[str, ...]]:
-        """Return what the sensors read at named stations, and in which units, a line a sensor.
+        """Return what the sensors read at named stations, and lines of how their tables were read.
 
         The column of the stations is `station`, or is called as in the log of poses.
 
@@ -109,7 +111,7 @@ class SurveyTables:
             not those that are stated.
         """
         read = [self._read(table, stations, station_column) for table in self.sensors]
-        return tuple(shots for shots, _ in read), tuple(line for _, line in read)
+        return tuple(shots for shots, _ in read), tuple(line for _, lines in read for line in lines)
 
     def bag(self, path: Path, given: LogFormat) -> tuple[StationList, tuple[Shots, ...]]:
         """Return the stops of the hand in a bag, and what the sensors published there.
@@ -133,12 +135,12 @@ class SurveyTables:
             shots = []
             for table, (station, numbers) in zip(self.sensors, points, strict=True):
                 own = station, numbers, np.full(len(numbers), np.nan)
-                shots.append(_shots(table, self.folder, own, 1.0, 1.0))
+                shots.append(self._shots(table, own, 1.0, 1.0))
         return stations, tuple(shots)
 
     def _read(
         self, table: SensorTable, stations: tuple[str, ...], station_column: str
-    ) -> tuple[Shots, str]:
+    ) -> tuple[Shots, tuple[str, ...]]:
         if table.topics or not table.points:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
@@ -147,20 +149,55 @@ class SurveyTables:
             raise InputError(
                 f"points = {shown(table.points)}", f"one {EACH}, in the name of the file"
             )
-        if not files:
-            example = path.name.replace("*", stations[0])
-            raise InputError("no such file", f"one a station, as {example} of the first", path)
-        there = files
         if self.copies:  # a file that has come since is of the next look
-            there = {name: self.copies[one] for name, one in files.items() if one in self.copies}
-        points, named = read_points(there, table.kind, stations, table.echo, station_column)
+            files = {name: self.copies[one] for name, one in files.items() if one in self.copies}
+        if not files:
+            example = path.name.replace(EACH, stations[0])
+            raise InputError("no such file", f"one a station, as {example} of the first", path)
+        growing = bool(self.copies)
+        points, named, lines = read_points(
+            files, table.kind, stations, table.echo, station_column, growing=growing
+        )
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
         with in_file(path):
             length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
             angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
-            shots = _shots(table, self.folder, points, LENGTHS[length], ANGLES[angle])
-        return shots, f"{table.name} in {words}{f' and {more}' if turns else ''}"
+            shots = self._shots(table, points, LENGTHS[length], ANGLES[angle])
+        return shots, (f"{table.name} in {words}{f' and {more}' if turns else ''}", *lines)
+
+    def _shots(self, table: SensorTable, points: Points, length: float, angle: float) -> Shots:
+        """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
+
+        They come with the station (N,) of each point, and with the nearest echo (N,) that a zone read
+        before it, NaN for none.
+        """
+        station, numbers, before = points
+        several, name = bool(np.isfinite(before).any()), table.name
+        if table.clear_mm and not several:
+            found = f"clear_mm of {name}, none of whose readings stands behind another"
+            raise InputError(found, "an array with several readings a zone, and echo not near")
+        if (table.zones is None) == (table.kind == "array"):
+            found = f"{'no ' if table.zones is None else ''}zones of {name}"
+            raise InputError(found, "the file of zones of an array, and of nothing else")
+        sigma = None if table.sigma_mm is None else table.sigma_mm * MM
+        noise: dict[str, Any] = {"sigma": sigma, "sigma_across": table.sigma_across_mm * MM}
+        noise["free"] = table.free
+        first, reading = numbers[:, 0], numbers[:, 1] * length
+        if table.kind == "points":
+            shots = Shots.points(name, station, numbers * length, **noise)
+        elif table.kind == "profiler":
+            shots = Shots.profiler(name, station, first * length, reading, **noise)
+            _refuse_exchanged(shots)
+        elif table.kind == "scanner":
+            shots = Shots.scanner(name, station, first * angle, reading, **noise)
+        else:
+            zones = self.folder / str(table.zones)
+            u = directions_of(self.copies.get(zones, zones), first)
+            noise["before"] = before * length if several else None
+            shots = Shots.array(name, station, u, reading, table.convention, **noise)
+        _require_lengths(shots)
+        return shots.clear_of(table.clear_mm * MM) if table.clear_mm else shots
 
     def _files_of(self, table: SensorTable) -> dict[str, Path]:
         """Return the tables of points of a sensor by the station that each is of; one of all by ""."""
@@ -180,10 +217,30 @@ class SurveyTables:
             if len(name) > long and name.startswith(before) and name.endswith(after)
         }
 
+    def reads(self, path: Path) -> bool:
+        """Tell whether a file that came to a path would be taken for a table of points."""
+        for table in self.sensors:
+            points = self.folder / table.points
+            before, _, after = points.name.partition(EACH)
+            alike = path.name.startswith(before) and path.name.endswith(after)
+            if EACH in points.name and alike and same_file(path.parent, points.parent):
+                return True
+        return False
+
     @property
     def files(self) -> tuple[Path, ...]:
-        """The tables of points."""
-        return tuple(one for table in self.sensors for one in self._files_of(table).values())
+        """The tables of points, and those of zones."""
+        points = (one for table in self.sensors for one in self._files_of(table).values())
+        arrays = (table for table in self.sensors if table.kind == "array" and table.zones)
+        return *points, *(self.folder / str(table.zones) for table in arrays)
+
+    @property
+    def awaited(self) -> tuple[Path, ...]:
+        """Names with a * to which there is no table of points yet."""
+        paths = {self.folder / table.points: self._files_of(table) for table in self.sensors}
+        return tuple(
+            path for path, found in paths.items() if path.name.count(EACH) == 1 > len(found)
+        )
 
     @property
     def folders(self) -> tuple[Path, ...]:
@@ -289,39 +346,6 @@ def _refuse_exchanged(shots: Shots) -> None:
         raise InputError(found, expected)
 
 
-def _shots(table: SensorTable, folder: Path, points: Points, length: float, angle: float) -> Shots:
-    """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
-
-    They come with the station (N,) of each point, and with the nearest echo (N,) that a zone read
-    before it, NaN for none.
-    """
-    station, numbers, before = points
-    several, name = bool(np.isfinite(before).any()), table.name
-    if table.clear_mm and not several:
-        found = f"clear_mm of {name}, none of whose readings stands behind another"
-        raise InputError(found, "an array with several readings a zone, and echo not near")
-    if (table.zones is None) == (table.kind == "array"):
-        found = f"{'no ' if table.zones is None else ''}zones of {name}"
-        raise InputError(found, "the file of zones of an array, and of nothing else")
-    sigma = None if table.sigma_mm is None else table.sigma_mm * MM
-    noise: dict[str, Any] = {"sigma": sigma, "sigma_across": table.sigma_across_mm * MM}
-    noise["free"] = table.free
-    first, reading = numbers[:, 0], numbers[:, 1] * length
-    if table.kind == "points":
-        shots = Shots.points(name, station, numbers * length, **noise)
-    elif table.kind == "profiler":
-        shots = Shots.profiler(name, station, first * length, reading, **noise)
-        _refuse_exchanged(shots)
-    elif table.kind == "scanner":
-        shots = Shots.scanner(name, station, first * angle, reading, **noise)
-    else:
-        u = directions_of(folder / str(table.zones), first)
-        noise["before"] = before * length if several else None
-        shots = Shots.array(name, station, u, reading, table.convention, **noise)
-    _require_lengths(shots)
-    return shots.clear_of(table.clear_mm * MM) if table.clear_mm else shots
-
-
 def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
     """Return the direction (N, 3) of the zone of each reading; without readings, of all zones.
 
@@ -330,7 +354,7 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
     InputError
     """
     expected = "zone, x, y, z or zone, x_deg, y_deg"
-    table = read_frame(path, f"CSV with {expected}")
+    table = read_frame(path, f"CSV with {expected}", expected)
     numbers = {name: known_numbers(table, name)[0] for name in table.frame.columns}
     if {"zone", "x", "y", "z"} <= numbers.keys():
         u = np.stack([numbers[a] for a in "xyz"], axis=1)

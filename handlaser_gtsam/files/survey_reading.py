@@ -69,6 +69,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         beams = tuple(name.removeprefix(PREFIX) for name in columns)
         ranges = range_numbers(table, columns, rig.sensor)[0] if columns else None
         shots, lines = tables.shots(stations.station_names)
+        lines = (*(one.message for one in table.warnings), *lines)
     if rig.half_angle and not beams:
         found = "half_angle_deg in [sensor], and no single beam that it would count for"
         expected = (

@@ -48,6 +48,9 @@ NANOMETRE_DECIMALS = 9
 """A length that is cut behind this number of decimals is wrong by less than a nanometre."""
 MOST_TITLES = 20
 """A header stands behind this number of lines of titles at most."""
+MOST_CHARACTERS = 10**9
+"""Polars has texts of less than 2^32 bytes, and a character has four of them at most."""
+A_HEADER = "names of columns; state them by --header where the file has none"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +87,10 @@ class Table:
             row = int(rows[0])
             found = _cell(self.frame[column][row]) if found is None else found
             raise InputError(found, expected, self.path, int(self.lines[row]), column)
+
+    def where(self, kept: BoolArray) -> "Table":
+        """Return the table of the rows (M,) that are `kept`."""
+        return replace(self, frame=self.frame.filter(kept), lines=self.lines[kept])
 
     def fault(self, found: str, expected: str, column: str | None = None) -> InputError:
         """Return the error for a fault of the header, if the file has one."""
@@ -145,8 +152,7 @@ def read_table(path: Path, known: Collection[str] = ()) -> Table:
                 names = first_cells(line, one)
                 fits.append((len(set(known) & set(names)), -number, len(names), one))
         separator = max(fits, key=lambda fit: fit[:3])[-1]
-    text, warnings = without_titles(text, separator, path)
-    return replace(table_of(text, path, separator), warnings=warnings)
+    return table_below_titles(text, path, separator)
 
 
 def without_separator_line(text: str) -> tuple[str, str | None]:
@@ -155,17 +161,23 @@ def without_separator_line(text: str) -> tuple[str, str | None]:
     return (text, None) if stated is None else (text[stated.end() :], stated[1])
 
 
-def without_titles(
-    text: str, separator: str, path: Path
-) -> tuple[str, tuple[CalibrationWarning, ...]]:
-    """Return a text without the titles above its header, whose lines stay, empty; and a warning."""
+def table_below_titles(
+    text: str, path: Path, separator: str, *, header: str = A_HEADER, may_be_empty: bool = False
+) -> Table:
+    """Take a text apart as `table_of` does, without the titles above its header, of which it warns.
+
+    Raises
+    ------
+    InputError
+    """
     lines = text.split("\n", MOST_TITLES + 1)
     first = lines[: MOST_TITLES + 1]
     above = titles_above([first_cells(line, separator) for line in first])
     titles = [line.strip(BLANK + separator) for line in lines[:above]]
-    if not any(titles):
-        return text, ()
-    return "\n".join([""] * above + lines[above:]), titles_warning(titles, path)
+    if any(titles):
+        text = "\n".join([""] * above + lines[above:])
+    table = table_of(text, path, separator, header=header, may_be_empty=may_be_empty)
+    return replace(table, warnings=titles_warning(titles, path)) if any(titles) else table
 
 
 def first_cells(line: str, separator: str) -> list[str]:
@@ -196,46 +208,67 @@ def titles_warning(titles: Sequence[str], path: Path) -> tuple[CalibrationWarnin
     return (CalibrationWarning("title-lines", words, {"lines": len(there)}),)
 
 
-def table_of(text: str, path: Path, separator: str) -> Table:
+def table_of(
+    text: str, path: Path, separator: str, *, header: str = A_HEADER, may_be_empty: bool = False
+) -> Table:
     """Take a text apart as `read_table` does, at a separator.
+
+    Parameters
+    ----------
+    text : str
+        As `table_text` returns it.
+    path : Path
+    separator : str
+    header : str
+        What the first line has, in words, for one that is no header.
+    may_be_empty : bool
+        Whether there may be a header, and no row.
 
     Raises
     ------
     InputError
     """
-    lines = text.split("\n")
-    numbers = [i for i, line in enumerate(lines, 1) if line.strip(BLANK + separator)]
-    if not numbers:
+    lines = pl.Series([text]).str.split("\n").explode()
+    filled = lines.str.strip_chars(BLANK + separator) != ""
+    numbers, rows = np.flatnonzero(filled.to_numpy()) + 1, lines.filter(filled)
+    if not len(rows):
         raise InputError("an empty file", "a header and one row a station", path)
-    first = first_cells(lines[numbers[0] - 1], separator)
+    first = first_cells(rows[0], separator)
     values = [cell for cell in first if NUMBER.fullmatch(cell)]
     if len(values) > 1 and len(first) - len(values) < 2:  # numbers, and no two names: no header
         found = f"numbers in the first line ({shown(values[0])[1:-1]}, ...)"
-        expected = "names of columns; state them by --header where the file has none"
-        raise InputError(found, expected, path, numbers[0])
-    if len(numbers) < 2:
+        raise InputError(found, header, path, int(numbers[0]))
+    if len(rows) < 2 and not may_be_empty:
         raise InputError("a header but no station", "one row a station", path)
-    cells, ended = [], numbers[-1] < len(lines)
-    for number in numbers:
-        row = _split(lines[number - 1], separator, path, number)
-        cells.append(row)
-        width, count = cells[0].count(UNIT) + 1, row.count(UNIT) + 1
-        if count != width:
-            is_cut = number == numbers[-1] and not ended and count < width
-            cut = " in a last line that is cut" if is_cut else ""
-            hint = "; decimal commas need another separator than commas"
-            hint = hint if count > width and separator == "," else ""
-            expected = f"{width}, as in the header{hint}"
-            raise InputError(f"{count} fields{cut}", expected, path, number)
-    names = [cell.strip(BLANK) for cell in cells[0].split(UNIT)]
+    ended, last = numbers[-1] < len(lines), rows[-1]
+    mark, fault = separator, None
+    if '"' in text:
+        mark = UNIT
+        rows, fault = _unquoted(rows, separator, path, numbers)
+    counts = rows.str.count_matches(mark, literal=True).to_numpy() + 1
+    width = int(counts[0]) if len(rows) else 0
+    wrong = np.flatnonzero(counts != width)
+    if wrong.size:
+        row = int(wrong[0])
+        is_cut = row == len(numbers) - 1 and not ended and counts[row] < width
+        cut = " in a last line that is cut" if is_cut else ""
+        hint = "; decimal commas need another separator than commas"
+        hint = hint if counts[row] > width and separator == "," else ""
+        expected = f"{width}, as in the header{hint}"
+        raise InputError(f"{counts[row]} fields{cut}", expected, path, int(numbers[row]))
+    if fault is not None:
+        raise fault
+    names = [cell.strip(BLANK) for cell in rows[0].split(mark)]
     names = [name or f"(column {i + 1} without a name)" for i, name in enumerate(names)]
-    require_columns(names, path, numbers[0])
-    split = pl.Series(cells[1:], dtype=pl.String).str.split_exact(UNIT, width - 1)
+    require_columns(names, path, int(numbers[0]))
+    split = rows[1:].str.split_exact(mark, width - 1)
     frame = split.struct.rename_fields(names).struct.unnest()
-    stripped = pl.all().str.strip_chars(BLANK)
-    frame = frame.select(pl.when(stripped != "").then(stripped))
-    open_ended = not ended and not lines[numbers[-1] - 1].rstrip(BLANK).endswith('"')
-    return Table(frame, path, numbers[0], np.array(numbers[1:], dtype=np.intp), open_ended)
+    cells = pl.all()
+    if any(one in text for one in BLANK):  # with millions of rows it takes a while
+        cells = cells.str.strip_chars(BLANK)
+    frame = frame.select(pl.when(cells != "").then(cells))
+    open_ended = not ended and not last.rstrip(BLANK).endswith('"')
+    return Table(frame, path, int(numbers[0]), numbers[1:], open_ended)
 
 
 def require_columns(names: Sequence[str], path: Path, line: int | None) -> None:
@@ -293,18 +326,21 @@ def labels(table: Table, column: str) -> tuple[str, ...]:
     return tuple(text.to_list())
 
 
-def table_text(path: Path) -> str:
+def table_text(path: Path, expected: str = "a recording") -> str:
     """Return the text of a file, whose lines end with a line feed.
 
     Raises
     ------
     InputError
-        No readable file, bytes that are no UTF-8, or control characters.
+        No readable file, bytes that are no UTF-8, control characters, or a file that is too long.
     """
-    text = read_text(path, "a recording")
+    text = read_text(path, expected)
     text = text.removeprefix("\ufeff").replace("\r\n", "\n")
     if "\n" not in text:
         text = text.replace("\r", "\n")  # line ends of an old Mac
+    if len(text) > MOST_CHARACTERS:
+        expected = f"at most {MOST_CHARACTERS}, in several files or as Parquet"
+        raise InputError(f"{len(text)} characters", expected, path)
     wrong, stray = CONTROL.search(text), text.find("\r")
     if wrong is not None and not 0 <= stray < wrong.start():
         line = text.count("\n", 0, wrong.start()) + 1
@@ -314,6 +350,22 @@ def table_text(path: Path) -> str:
         line = text.count("\n", 0, stray) + 1
         raise InputError("a carriage return within a line", expected, path, line)
     return text
+
+
+def _unquoted(
+    rows: pl.Series, separator: str, path: Path, numbers: IntArray
+) -> tuple[pl.Series, InputError | None]:
+    """Return rows with `UNIT` between their cells, without the quotes around these.
+
+    A stray quote ends them; its fault comes with the rows before it, of which one may be wrong, too.
+    """
+    cells = []
+    for row, number in zip(rows, numbers.tolist(), strict=True):
+        try:
+            cells.append(_split(row, separator, path, number))
+        except InputError as error:
+            return pl.Series(cells, dtype=pl.String), error
+    return pl.Series(cells, dtype=pl.String), None
 
 
 def _split(line: str, separator: str, path: Path, number: int) -> str:

@@ -35,12 +35,12 @@ from ..table import (
     SEPARATORS,
     Table,
     require_columns,
+    table_below_titles,
     table_of,
     table_text,
     titles_above,
     titles_warning,
     without_separator_line,
-    without_titles,
 )
 from .format import LogFormat
 from .format_checks import DELIMITERS
@@ -51,9 +51,9 @@ OLD_BOOKS = (".xls", ".xlsb", ".ods")
 """Workbooks whose cells look the same with an error as when empty: they are refused."""
 PARQUET, LINES = (".parquet", ".pq"), (".jsonl", ".ndjson")
 BOOKS = (*WORKBOOKS, *OLD_BOOKS, *PARQUET)
-"""Endings of files that are no lines of text,"""
+"""Endings of files that are no lines of text."""
 FOREIGN = (*BOOKS, *LINES)
-"""and of files that are no text with separators."""
+"""Endings of files that are no text with separators."""
 MOST_CELLS = 100_000_000
 """More cells of a Parquet file do not fit into memory, at eight bytes each and several copies."""
 THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
@@ -106,8 +106,7 @@ def _of_text(path: Path, given: LogFormat) -> Table:
         table = table_of(separator.join(names) + "\n" + text, path, separator)
         table = replace(table, header_line=0, lines=table.lines - 1)
     else:
-        text, warnings = without_titles(text, separator, path)
-        table = replace(table_of(text, path, separator), warnings=warnings)
+        table = table_below_titles(text, path, separator)
     if '"' in text or given.decimal == "comma" or (separator != "," and "," in text):
         table = _with_points(table, given)
     table.refuse_cut()

@@ -19,6 +19,7 @@ from ...pipeline import calibrate
 from ...results.survey import survey_limits
 from ...text import printable
 from ..logs.report import LogReport
+from ..points_table import AWAITED
 from ..report.figure import Figure
 from ..report.options import ReportOptions
 from ..report.page import LIVE_SECTIONS, content_of, safe_json
@@ -78,10 +79,16 @@ class Calibrator:
             self._last = None
             return FileAnswer(error=str(error))
         beside = tuple(path for path in rig.log.files if path is not None)
-        folders: tuple[Path, ...] = ()
+        folders, awaited = tuple[Path, ...](), tuple[Path, ...]()
         if rig.survey is not None:
-            beside, folders = (*beside, *rig.survey.files), rig.survey.folders
-        return replace(self._of_files(rig, mark, beside, settled), beside=(*beside, *folders))
+            awaited, folders = rig.survey.awaited, rig.survey.folders
+            beside = (*beside, *rig.survey.files)
+        if awaited:
+            note = f"waiting for {printable(awaited[0].name)}, of which there is none"
+            answer = FileAnswer(note=note, waiting=True)
+        else:
+            answer = self._of_files(rig, mark, beside, settled)
+        return replace(answer, beside=(*beside, *folders))
 
     def _rig(self) -> tuple[Rig, bytes]:
         """Return what is known of sensors and logs, and what is another thing once it changes."""
@@ -135,7 +142,8 @@ class Calibrator:
                     f"not used: {error}",
                 )
             if isinstance(read, Survey):
-                return FileAnswer(self._of_survey(read, rig), note=note)
+                note = note or next((one for one in read.lines if one.startswith(AWAITED)), "")
+                return FileAnswer(self._of_survey(read, rig), note=printable(note))
             return FileAnswer(self._messages(*read), note=note)
         except HandlaserError as error:
             return FileAnswer(error=printable(str(error)))
