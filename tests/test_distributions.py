@@ -92,3 +92,16 @@ def test_the_noncentrality_has_its_probability(dof, x):
         return chi2(dof, w) * float(found.gaussian_cdf(x * math.sqrt(w / dof) - mean))
 
     assert quad(below, 0.0, 12.0 * dof, limit=200)[0] == pytest.approx(0.2, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("p", "digits", "words"),
+    [
+        (0.0, 2, "p < 1e-09"),
+        (9e-10, 1, "p < 1e-09"),
+        (1e-9, 1, "p = 1e-09"),
+        (0.0314, 2, "p = 0.031"),
+    ],
+)
+def test_no_p_value_is_written_as_zero(p, digits, words):
+    assert found.p_words(p, digits) == words

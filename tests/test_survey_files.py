@@ -1,6 +1,7 @@
 """Surveys from files: the page on sensors runs as written, and what is wrong with a file is said."""
 
 import json
+import os
 import re
 import shutil
 import xml.etree.ElementTree as ET
@@ -599,6 +600,52 @@ def test_titles_above_tables_are_passed_over_and_said(folder, handlaser):
     (line,) = hl.read_survey(folder / "poses.csv", folder / "rig.toml").lines[2:]
     assert line.startswith("scan_P3.csv: passed over 1 line above the header: 'Scan P3'")
     assert line.endswith(", and likewise in 2 other tables")
+
+
+def test_how_files_were_read_stands_wherever_the_result_does(folder, handlaser):
+    rig, report = folder / "rig.toml", folder / "report.html"
+    rig.write_text(rig.read_text().replace('units = "mm"', ""))
+    os.utime(folder / "poses.csv", (1.7e9, 1.7e9))
+    words = (folder / "poses.csv", "--rig", rig)
+    _, out, _ = handlaser("calibrate", *words, "--json", "--report", report)
+    read = json.loads(out)["read"]
+    assert read[0].startswith("poses of kuka: mm, deg")
+    assert read[1] == "scanner in millimetres (assumed: units in [[sensors]] states it)"
+    page = re.sub(r"\s+", " ", re.sub("<[^>]*>", " ", report.read_text()))
+    assert f" read {'; '.join(read)} " in page
+    assert " date 2023-11-14 (of the recording&#39;s file) " in page
+    assert json.loads(handlaser("check", *words, "--json")[1])["read"] == read
+
+
+@pytest.mark.parametrize("stated", ["20260331", "2026-03-31"])
+def test_a_report_has_the_date_that_is_stated(folder, handlaser, stated):
+    report = folder / "report.html"
+    words = (folder / "poses.csv", "--rig", folder / "rig.toml", "--quiet", "--report-date", stated)
+    assert handlaser("calibrate", *words, "--report", report)[0] == 0
+    assert re.search(r"2026-03-31\s*<", report.read_text())
+
+
+OUTPUTS = {
+    "calibrate": ("--out", "--report"),
+    "plan": ("--out",),
+    "convert": ("--out",),
+}
+
+
+@pytest.mark.parametrize(("verb", "option"), [(v, one) for v in OUTPUTS for one in OUTPUTS[v]])
+def test_an_output_that_would_be_read_as_a_scan_is_refused(folder, handlaser, verb, option):
+    rig = in_files(folder, "scan_*.csv")
+    out = folder / "scan_result.csv"
+    code, _, err = handlaser(verb, folder / "poses.csv", "--rig", rig, option, out)
+    assert code == 2
+    assert f"found {option} with a name that points in [[sensors]] takes for a table" in err
+    assert err.count("\n") == 1
+    assert not out.exists()
+    code, _, err = handlaser(
+        verb, folder / "poses.csv", "--rig", rig, option, folder / "scan_P1.csv"
+    )
+    assert code == 2
+    assert f"found the input itself as {option}" in err
 
 
 def test_a_table_with_a_header_alone_is_of_a_sensor_that_saw_nothing(folder):

@@ -190,3 +190,23 @@ def test_files_that_are_there_are_kept_unless_forced(handlaser, tmp_path):
     assert "stations.csv there already" in err
     assert handlaser("simulate", tmp_path / "out", "--rig", rig, "--seed", "3", "--force")[0] == 0
     assert (tmp_path / "out" / "p.csv").read_text() != before
+
+
+def test_what_is_simulated_replaces_nothing_that_it_was_made_of(handlaser, tmp_path):
+    rig_of(tmp_path, "profiler", "array")
+    rig = (tmp_path / "given.toml").rename(tmp_path / "rig.toml")
+    before = rig.read_text()
+    words = ("--rig", rig, "--stations", "3", "--force")
+    code, _, err = handlaser("simulate", tmp_path, *words)
+    assert code == 2
+    assert "found the input itself as rig.toml; expected another file to write to" in err
+    assert rig.read_text() == before
+    rig.write_text(before.replace("zones.csv", "made/a-zones.csv"))
+    (tmp_path / "made").mkdir()
+    zones = (tmp_path / "zones.csv").rename(tmp_path / "made" / "a-zones.csv")
+    kept = zones.read_bytes()
+    code, _, err = handlaser("simulate", tmp_path / "made", *words)
+    assert code == 2
+    assert "found the input itself as a-zones.csv" in err
+    assert zones.read_bytes() == kept
+    assert [one.name for one in zones.parent.iterdir()] == [zones.name]

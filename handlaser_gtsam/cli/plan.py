@@ -81,13 +81,14 @@ def plan(
     from ..files.writing import require_outputs, write_text
     from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan
-    from .survey import survey_plan_gaps
+    from .survey import require_outputs_of, survey_plan_gaps
     from .words import plan_lines, station_lines, survey_plan_lines
 
     with Working():
         rig = given.read()
         outputs = {"--out": out, "--picture": picture}
         require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
+        require_outputs_of(outputs, rig)
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
         warnings: list[str] = []
         failure = None

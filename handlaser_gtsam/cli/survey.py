@@ -1,7 +1,7 @@
 """What verbs do with a survey: other sensors, targets, and relations."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,8 +45,32 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path, *, plain: boo
         raise InputError(words, expected, path)
 
 
+def require_outputs_of(outputs: Mapping[str, Path | None], rig: "Rig") -> None:
+    """Refuse files to write, by their options, that the sensors of a rig file read, or would read.
+
+    Raises
+    ------
+    InputError
+        Also a name that `points` with a * would take for the table of another station.
+    """
+    from ..files.writing import require_outputs
+
+    if rig.survey is None:
+        return
+    require_outputs(outputs, rig.survey.files)
+    for option, path in outputs.items():
+        if path is not None and rig.survey.reads(path):
+            found = f"{option} with a name that points in [[sensors]] takes for a table of points"
+            raise InputError(found, "another name, or another folder", path)
+
+
 def survey_answer(
-    path: Path, rig: "Rig", survey: "Survey", output: "Output", *, incremental: bool = False
+    path: Path,
+    rig: "Rig",
+    survey: "Survey",
+    output: "Output",
+    *,
+    incremental: bool = False,
 ) -> Answer:
     """Calibrate a survey, write the result where it is asked for, and return what is said.
 
@@ -65,13 +89,12 @@ def survey_answer(
     InputError
     """
     from ..files.survey_json import survey_text
-    from ..files.writing import require_outputs, write_text
+    from ..files.writing import write_text
     from ..pipeline import calibrate
     from ..quantities import SAME_OPTIMUM
     from ..results.survey import survey_limits
 
-    tables = () if rig.survey is None else rig.survey.files
-    require_outputs({"--out": output.out, "--report": output.report}, (path, *tables))
+    require_outputs_of({"--out": output.out, "--report": output.report}, rig)
     taught, compared, largest = None, list[str](), 0.0
     if incremental:
         from .incremental import comparison_line, target_by_target
@@ -85,9 +108,15 @@ def survey_answer(
     if output.out is not None:
         write_text(output.out, text)
     if output.report is not None:
+        from ..files.report.options import changed_on, iso_day
         from ..files.report.survey import survey_report
 
-        page = survey_report(result, survey, path.name, output.report_date or "", checks)
+        stated = output.report_date
+        if stated is None:
+            day = f"{changed_on(path).isoformat()} (of the recording's file)"
+        else:
+            day = iso_day(stated).isoformat()
+        page = survey_report(result, survey, path.name, day, checks)
         write_text(output.report, page)
     after = [*compared, *_read_lines(survey), *wrote(output.out, output.report)]
     lines = _lines(result, checks, taught, after)
@@ -117,7 +146,7 @@ def survey_check(survey: "Survey", rig: "Rig") -> Answer:
         failure = UNDETERMINED, found.doubt
     warnings = [one for one in found.warnings if one.message not in (found.doubt or "")]
     lines = [*check_lines(found), *_read_lines(survey)]
-    return Answer(survey_check_text(found), lines, warnings, failure)
+    return Answer(survey_check_text(found, survey.lines), lines, warnings, failure)
 
 
 def converted_survey(
@@ -135,12 +164,11 @@ def converted_survey(
     from ..files.logs.bags import is_bag
     from ..files.recording_csv import write_stations
     from ..files.survey_reading import read_survey
-    from ..files.writing import require_outputs
 
     if is_bag(path):
         expected = "a log of poses beside tables of points; the other verbs take bags as they are"
         raise InputError("a bag, with sensors of many rays", expected, path)
-    require_outputs({"--out": out}, () if rig.survey is None else rig.survey.files)
+    require_outputs_of({"--out": out}, rig)
     survey = read_survey(path, rig)
     if survey.beam_names:
         found = "a recording with ranges of beams, which is no log of poses"

@@ -42,8 +42,10 @@ def simulated_survey(
     from ..files.rig_survey import directions_of
     from ..files.rig_toml import read_rig
     from ..files.survey_writing import table_names, write_simulated
+    from ..files.writing import require_outputs
     from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene
     from ..validation.survey_simulate import simulate_survey, unread_stations
+    from .survey import require_outputs_of
 
     known = read_rig(rig)
     tables = () if known.survey is None else known.survey.sensors
@@ -87,6 +89,9 @@ def simulated_survey(
         stated = replace(stated, range_sigma=None)
 
     def write(folder: Path) -> None:
+        outputs = {name: folder / name for name in files}
+        require_outputs(outputs, (rig,))
+        require_outputs_of(outputs, known)
         write_simulated(folder, survey, truth, tables, zones, stated, sensor)
 
     unread, of = unread_stations(survey), count(len(stations), "station")

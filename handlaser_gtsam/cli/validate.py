@@ -110,7 +110,7 @@ def _tested(
     from ..files.calibration_reading import read_mounts
     from ..files.rig_reading import read_with
     from ..files.validation_json import hold_out_text
-    from ..model.distributions import SINGLE_LEVEL
+    from ..model.distributions import SINGLE_LEVEL, p_words
     from ..model.sensor import within
     from ..pipeline import calibrate
     from ..results.mounts import Mounts
@@ -134,7 +134,7 @@ def _tested(
     if found.p_value < SINGLE_LEVEL:
         moved = [beam.name for beam in found.beams if beam.p_value < SINGLE_LEVEL]
         words = (
-            f"the calibration does not hold (p {found.p_value:.1e}); moved alone would "
+            f"the calibration does not hold ({p_words(found.p_value)}); moved alone would "
             f"explain it: beam {' or '.join(moved) or 'none'}; calibrate again"
         )
         failure = NOT_USABLE, words

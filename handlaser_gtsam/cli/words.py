@@ -5,7 +5,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from ..files.exports.rendering import environment
-from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
+from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted, p_words
 from ..quantities import IN_DEG, IN_MM
 from ..text import count
 
@@ -38,6 +38,7 @@ def lines_of(template: str, **values: object) -> list[str]:
         __package__,
         count=count,
         chance=chance,
+        p_words=p_words,
         mm=lambda value, *how: _in(IN_MM, value, *how),
         deg=lambda value, *how: _in(IN_DEG, value, *how),
         length_of=lambda vector: math.hypot(*vector),

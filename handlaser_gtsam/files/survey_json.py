@@ -66,6 +66,7 @@ def survey_text(result: SurveyCalibration) -> str:
         "message": result.message,
         "verdict": {"usable": result.usable, "sentence": result.verdict},
         "warnings": [record(one, WarningRecord) for one in result.warnings],
+        "read": result.read,
         "sensors": [
             record(
                 one,
@@ -111,12 +112,13 @@ def survey_validation_text(result: SurveyValidation) -> str:
         "targets_left_out": [record(one, left_out) for one in result.targets],
         "splits": [record(one, left_out) for one in result.splits],
         "contradicted": [one.name for one in result.contradicted],
+        "read": result.calibration.read,
     }
     return json_text("survey-validation", whole)
 
 
-def survey_check_text(check: SurveyCheck) -> str:
-    """Return the check of a survey as JSON text."""
+def survey_check_text(check: SurveyCheck, read: tuple[str, ...] = ()) -> str:
+    """Return the check of a survey, and lines of how its files were read, as JSON text."""
     of_sensor = "name kind shots points on_target lost location_sigma_m rotation_sigma_rad"
     of_target = "name stations orientations translations translating axes readings"
     whole: Record = {
@@ -124,6 +126,7 @@ def survey_check_text(check: SurveyCheck) -> str:
         "targets": [record(one, of_target) for one in check.targets],
         **record(check, "numbers unknowns undetermined exactly advice misfit"),
         "warnings": [record(one, WarningRecord) for one in check.warnings],
+        "read": read,
     }
     return json_text("survey-check", whole)
 

@@ -156,6 +156,11 @@ def contradicted(p_values: Mapping[str, float]) -> tuple[str, ...]:
     return tuple(name for name, p in zip(tested, corrected, strict=True) if p < FAMILY_LEVEL)
 
 
+def p_words(p: float, digits: int = 2) -> str:
+    """Return a p-value to so many digits, as "p = 0.03"; of the smallest a bound, as "p < 1e-09"."""
+    return f"p < {LEAST_P:.0e}" if p < LEAST_P else f"p = {p:.{digits}g}"
+
+
 def chance(p: float) -> str:
     """Return how often chance alone does as much, in words: "in 1 of 700"."""
     if p < LEAST_P:

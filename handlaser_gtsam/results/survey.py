@@ -21,7 +21,7 @@ from ..estimation.estimate import (
 )
 from ..estimation.survey import RelationTest, SurveyEstimate
 from ..estimation.survey_rows import Rows
-from ..model.distributions import SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf
+from ..model.distributions import SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
 from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
@@ -249,6 +249,11 @@ class SurveyCalibration(Value):
     dof: int
     _found: SurveyEstimate
     without: "SurveyCalibration | None" = None
+
+    @property
+    def read(self) -> tuple[str, ...]:
+        """How the files of the survey were read: formats and units, stated or assumed."""
+        return self._found.rows.survey.lines
 
     @property
     def usable(self) -> bool:
@@ -508,7 +513,8 @@ def _warnings(
 ) -> Iterator[CalibrationWarning]:
     for tested in relations:
         if tested.contradicted:
-            yield warned(FALSE_RELATION, {"p": tested.p_value}, known=tested.known.words)
+            p, known = tested.p_value, tested.known.words
+            yield warned(FALSE_RELATION, {"p": p}, known=known, likely=p_words(p, 1))
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
@@ -523,9 +529,8 @@ def _warnings(
             alike = " or ".join(error.code for error in others)
             alike = f"; an error {alike} would look much like it" if others else ""
             values: Values = {"sensor": sensor.name, "size": first.size}
-            yield warned(
-                "range-error", values, code=first.code, sigma=first.sigma, p=p, alike=alike
-            )
+            words = {"code": first.code, "likely": p_words(p, 1), "alike": alike}
+            yield warned("range-error", values, sigma=first.sigma, **words)
     beams = found.rows.survey.beam_names
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
@@ -607,4 +612,5 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     times = math.sqrt(chi2 / dof)
     for how, p in (("small", float(chi2_sf(chi2, dof))), ("large", float(chi2_cdf(chi2, dof)))):
         if p < SINGLE_LEVEL:
-            yield warned(f"sigmas-too-{how}:survey", {"times": times, "p": p})
+            values = {"times": times, "p": p}
+            yield warned(f"sigmas-too-{how}:survey", values, likely=p_words(p, 1))

@@ -65,6 +65,7 @@ def survey_content(
     drawn += [one for one in (along_the_rays(seen), profiles(survey, seen)) if one is not None]
     figures = {figure.name: figure for figure in drawn}
     made = [("program", f"handlaser {__version__}"), ("stations", source)]
+    made += [("read", "; ".join(survey.lines))] if survey.lines else []
     made += [("date", day)] if day else []
     mark = "good" if result.usable and not result.warnings else "care" if result.usable else "bad"
     opening, _, words = result.verdict.partition(": ")

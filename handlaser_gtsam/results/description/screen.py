@@ -3,6 +3,7 @@
 And in full, where every table is asked for.
 """
 
+from ...model.distributions import p_words
 from ...model.effects.effect import size_in_words
 from ...quantities import IN_MM
 from ...text import count, some
@@ -127,7 +128,7 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     found = sorted((error for error in tested if error.found), key=lambda error: error.p_value)
     if found:
         clear = [
-            f"{error.code} of {size_in_words(error.size, error.unit)} (p = {error.p_value:.1g}), "
+            f"{error.code} of {size_in_words(error.size, error.unit)} ({p_words(error.p_value, 1)}), "
             f"moving a spot by {error.moved(reading, unnoticed=False) * IN_MM:.2g} mm"
             for error in found
             if not error.explained_by

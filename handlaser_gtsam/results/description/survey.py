@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
 from ...data.survey import RAY_ERRORS
+from ...model.distributions import p_words
 from ...model.families import BEAM, RANGE_ERROR
 from ...model.sensors.mounted import SENSOR
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
@@ -138,7 +139,7 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
         found.append(("limit", check.comparison if check.held else check.failure))
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
-        found.append((one.known.words, f"{words} (p = {one.p_value:.2g})"))
+        found.append((one.known.words, f"{words} ({p_words(one.p_value)})"))
     if result.without is not None:
         found += _without(result, result.without)
     if result.rejected:
