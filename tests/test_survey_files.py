@@ -424,6 +424,30 @@ BAD = {
         "position_mm = [0, 0, 1]\nsigma_mm = 1\n[[sensors]]",
         "position of plane:plate in known.0; expected a point (point:NAME) or a sphere",
     ),
+    "a radius below zero": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "radius"\nof = ["sphere:ball"]\n'
+        "value_mm = -3\nsigma_mm = 1\n[[sensors]]",
+        "value -0.003 m of radius of sphere:ball in known.0; expected a length above zero",
+    ),
+    "no direction": (
+        "[[sensors]]",
+        '[[known]]\nrelation = "along"\nof = ["plane:plate"]\n'
+        "direction = [0, 0, 0]\nsigma_deg = 1\n[[sensors]]",
+        "direction 0 of along of plane:plate in known.0; expected three numbers, not all zero",
+    ),
+    "one table of two sensors": (
+        "[[sensors]]",
+        '[[sensors]]\nname = "b"\nkind = "profiler"\npoints = "profiles.csv"\n[[sensors]]',
+        "found one table of points of b and scanner; expected a table of each sensor",
+    ),
+    "an echo of a profiler": (
+        "[[sensors]]",
+        '[[sensors]]\necho = "far"',
+        "echo of scanner, which is of kind = 'profiler'; expected it of kind = 'array' only",
+    ),
+    "angles of a profiler": ("[[sensors]]", '[[sensors]]\nangles = "rad"', "angles of scanner"),
+    "a workbook": ('"profiles.csv"', '"profiles.xlsx"', "a .xlsx file, which is not read"),
     "a relation that is none": (
         "[[sensors]]",
         '[[known]]\nrelation = "near"\nof = ["sphere:ball"]\n[[sensors]]',
@@ -600,6 +624,33 @@ def test_titles_above_tables_are_passed_over_and_said(folder, handlaser):
     (line,) = hl.read_survey(folder / "poses.csv", folder / "rig.toml").lines[2:]
     assert line.startswith("scan_P3.csv: passed over 1 line above the header: 'Scan P3'")
     assert line.endswith(", and likewise in 2 other tables")
+
+
+CELLS = {
+    "decimals": (pl.col("z").cast(pl.Decimal(12, 4)), ""),
+    "texts": (pl.col("z").cast(pl.String), ""),
+    "codes": (pl.concat([pl.Series([3.4e38]), pl.Series([200.0] * 1151)]).alias("z"), ""),
+    "truth values": (pl.col("z") > 0.0, "column z: found 'true'"),
+    "lists": (pl.concat_list("x", "z").alias("z"), "no column 'z' among station, x, z[0], z[1]"),
+    "bytes": (pl.lit(b"12").alias("z"), "column z: found a column of binary values"),
+    "stations as decimals": (pl.col("station").str.slice(1).cast(pl.Float64), "station '1', '2'"),
+}
+
+
+@pytest.mark.parametrize("case", CELLS)
+def test_parquet_has_numbers_of_any_type_and_nothing_else(folder, case):
+    column, words = CELLS[case]
+    plain = pl.read_csv(folder / "profiles.csv").with_columns(column)
+    plain.write_parquet(folder / "points.parquet")
+    table = {"": folder / "points.parquet"}
+    names = tuple(f"P{i}" for i in range(1, 25))
+    if words:
+        with pytest.raises(hl.InputError, match=re.escape(words)):
+            read_points(table, "profiler", names)
+        return
+    (_, numbers, _), *_ = read_points(table, "profiler", names)
+    kept = 1151 if case == "codes" else 1152
+    assert numbers[:, 1] == pytest.approx(plain["z"].cast(pl.Float64).to_numpy()[-kept:])
 
 
 def test_how_files_were_read_stands_wherever_the_result_does(folder, handlaser):

@@ -210,3 +210,15 @@ def test_what_is_simulated_replaces_nothing_that_it_was_made_of(handlaser, tmp_p
     assert "found the input itself as a-zones.csv" in err
     assert zones.read_bytes() == kept
     assert [one.name for one in zones.parent.iterdir()] == [zones.name]
+
+
+def test_an_array_without_zones_is_refused_in_one_line(handlaser, tmp_path):
+    rig = rig_of(tmp_path, "array")
+    text = (tmp_path / "given.toml").read_text()
+    (tmp_path / "given.toml").write_text(text.replace('zones = "zones.csv"\n', ""))
+    code, _, err = handlaser("simulate", tmp_path / "made", "--rig", rig)
+    assert code == 2
+    assert (
+        err
+        == f"handlaser: --rig {rig}: found no zones of a; expected the file of zones of an array\n"
+    )

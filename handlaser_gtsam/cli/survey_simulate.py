@@ -76,7 +76,9 @@ def simulated_survey(
     zones, fans = {}, []
     for one in tables:
         if one.kind == "array":
-            zones[one.name] = directions_of(rig.parent / str(one.zones))
+            if one.zones is None:
+                raise InputError(f"no zones of {one.name}", "the file of zones of an array", rig)
+            zones[one.name] = directions_of(rig.parent / one.zones)
         sigma = None if one.sigma_mm is None else one.sigma_mm * MM
         more = {"sigma": sigma, "sigma_across": one.sigma_across_mm * MM, "free": one.free}
         fans.append(fan_of(one.name, one.kind, working, zones.get(one.name), **more))

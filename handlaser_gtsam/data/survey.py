@@ -308,7 +308,11 @@ class Known(Value):
                 array = number_array(name, given)
                 if array.shape != shape or not np.isfinite(array).all():
                     raise InputError(f"{name} of shape {array.shape} of {self.words}", f"{shape}")
+                if name == "direction" and self.relation != "position" and not array.any():
+                    raise InputError(f"direction 0 of {self.words}", "three numbers, not all zero")
                 object.__setattr__(self, name, frozen(array))
+        if self.relation in ("radius", "distance") and not self.value > 0.0:
+            raise InputError(f"value {self.value:g} m of {self.words}", "a length above zero")
         for name in ("value", "sigma", "sigma_angle"):
             if name not in fields and getattr(self, name):
                 raise InputError(f"a {name} with {self.words}", some(fields, len(fields)))

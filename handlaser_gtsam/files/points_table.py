@@ -2,8 +2,8 @@
 
 Columns, by the kind of the sensor: `station`, and `x, z` (profiler); `angle, reading` (scanner);
 `zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty
-cells and codes for no reading (not finite, or zero) are passed over. An array may have a column `echo`
-where a zone has several. Letters of names count in either case.
+cells and codes for no reading (not finite, zero, or beyond `FARTHEST`) are passed over. An array may
+have a column `echo` where a zone has several. Letters of names count in either case.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,10 +17,18 @@ import polars as pl
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
 from ..text import count, shown, some
+from .checked_text import in_file
 from .logs.columns import plain, unit_of
-from .logs.tables import PARQUET
+from .logs.tables import FOREIGN, PARQUET, table_of_values
 from .recording_csv import known_numbers
-from .table import MOST_TITLES, Table, table_below_titles, table_text, without_separator_line
+from .table import (
+    MOST_TITLES,
+    Table,
+    label_texts,
+    table_below_titles,
+    table_text,
+    without_separator_line,
+)
 
 COLUMNS = {
     "profiler": ("x", "z"),
@@ -34,6 +42,8 @@ Points = tuple[IntArray, FloatArray, FloatArray]
 """The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
 of an array at the station, NaN for that reading itself and for other kinds."""
 
+FARTHEST = 1e9
+"""No reading in any unit: a thousand kilometres in millimetres, or a code such as 3.4e38."""
 AWAITED = "waiting for the poses of"
 """Begins the line that says which stations have points, and no pose yet."""
 DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
@@ -173,9 +183,8 @@ def _stations(table: Table, station_column: str) -> tuple[str, pl.Series]:
     column = station_column
     if not column or column not in table.frame.columns:
         column = _column(table, "station")
-    names = table.frame[column].cast(pl.String)
-    table.refuse(names.is_null().to_numpy(), column, "the name of a station")
-    return column, names
+    table.refuse(table.frame[column].is_null().to_numpy(), column, "the name of a station")
+    return column, label_texts(table, column)
 
 
 def _points(
@@ -185,7 +194,7 @@ def _points(
     wanted = COLUMNS[kind]
     found = [_column(table, one) for one in wanted]
     numbers = np.column_stack([known_numbers(table, one)[0] for one in found])
-    good = np.isfinite(numbers).all(axis=1)
+    good = (np.abs(numbers) < FARTHEST).all(axis=1)
     if kind != "profiler":
         good &= (numbers[:, -1] > 0.0) if kind != "points" else (numbers != 0.0).any(axis=1)
     station, numbers = station[good], numbers[good]
@@ -234,15 +243,18 @@ def read_frame(path: Path, expected: str, header: str) -> Table:
     InputError
         No readable file, or no table.
     """
-    if path.suffix.lower() in PARQUET:
+    suffix = path.suffix.lower()
+    if suffix in PARQUET:
         if not path.is_file():
             raise InputError("no readable file", expected, path)
         try:
-            frame = pl.read_parquet(path)
+            with in_file(path):
+                return table_of_values(pl.read_parquet(path), path)
         except (pl.exceptions.PolarsError, OSError) as error:
             what = str(error).splitlines()[0][:120]
             raise InputError(f"no table ({what})", expected, path) from error
-        return Table(frame, path, 0, np.arange(1, len(frame) + 1, dtype=np.intp), False)
+    if suffix in FOREIGN:
+        raise InputError(f"a {suffix} file, which is not read", expected, path)
     text, stated = without_separator_line(table_text(path, expected))
     first = [line for line in text.split("\n", MOST_TITLES)[:MOST_TITLES] if line.strip()]
     often = [one for one in ";\t" if 2 * sum(one in line for line in first) > len(first)]

@@ -38,6 +38,8 @@ from .writing import same_file
 
 SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
 """All lengths below a millimetre, or readings of more than a hundred metres, are a wrong unit [m]."""
+ONE_KIND = {"angles": "scanner", "convention": "array", "echo": "array", "clear_mm": "array"}
+"""Fields of [[sensors]] that one kind of sensor has."""
 EACH = "*"
 """Stands for the name of a station in the name of a table of points."""
 Words = Annotated[tuple[str, ...], Strict(False)]
@@ -110,6 +112,13 @@ class SurveyTables:
             No table of points, one that cannot be read, or units in the names of its columns that are
             not those that are stated.
         """
+        whose: dict[Path, str] = {}
+        for table in self.sensors:
+            for path in self._files_of(table).values():
+                first = whose.setdefault(path, table.name)
+                if first != table.name:
+                    found = f"one table of points of {first} and {table.name}"
+                    raise InputError(found, "a table of each sensor in [[sensors]]", path)
         read = [self._read(table, stations, station_column) for table in self.sensors]
         return tuple(shots for shots, _ in read), tuple(line for _, lines in read for line in lines)
 
@@ -180,6 +189,10 @@ class SurveyTables:
         if (table.zones is None) == (table.kind == "array"):
             found = f"{'no ' if table.zones is None else ''}zones of {name}"
             raise InputError(found, "the file of zones of an array, and of nothing else")
+        for stated, kind in ONE_KIND.items():
+            if stated in table.model_fields_set and table.kind != kind:
+                found = f"{stated} of {name}, which is of kind = {shown(table.kind)}"
+                raise InputError(found, f"it of kind = {shown(kind)} only")
         sigma = None if table.sigma_mm is None else table.sigma_mm * MM
         noise: dict[str, Any] = {"sigma": sigma, "sigma_across": table.sigma_across_mm * MM}
         noise["free"] = table.free

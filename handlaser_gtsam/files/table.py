@@ -304,6 +304,22 @@ def column_numbers(
     return values
 
 
+def label_texts(table: Table, column: str) -> pl.Series:
+    """Return the cells of a column of labels as text, numbers without decimals as whole ones.
+
+    Raises
+    ------
+    InputError
+        An empty cell.
+    """
+    cells = table.frame[column]
+    table.refuse(cells.is_null().to_numpy(), column, "a label")
+    if cells.dtype.is_float() and (cells == cells.round()).all():  # 3.0 of a workbook is 3
+        whole = cells.cast(pl.Int64, strict=False)
+        cells = cells if whole.is_null().any() else whole
+    return cells.cast(pl.String)
+
+
 def labels(table: Table, column: str) -> tuple[str, ...]:
     """Return the labels in a column, numbers as text.
 
@@ -312,12 +328,7 @@ def labels(table: Table, column: str) -> tuple[str, ...]:
     InputError
         An empty cell, or what cannot be a name.
     """
-    cells = table.frame[column]
-    table.refuse(cells.is_null().to_numpy(), column, "a label")
-    if cells.dtype.is_float() and (cells == cells.round()).all():  # 3.0 of a workbook is 3
-        whole = cells.cast(pl.Int64, strict=False)
-        cells = cells if whole.is_null().any() else whole
-    text = cells.cast(pl.String)
+    text = label_texts(table, column)
     strange = text.filter(~text.str.contains(PLAIN))
     faults = {name: name_fault(name) for name in strange.unique().to_list()}
     rows = text.is_in([name for name, fault in faults.items() if fault]).to_numpy()

@@ -184,7 +184,7 @@ def _foreign(path: Path, given: LogFormat) -> Table:
         with _silent(), in_file(path):
             if suffix in WORKBOOKS:
                 rows, header, warnings = read_sheet(path, given)
-                table = _of_values(rows, path)
+                table = table_of_values(rows, path)
                 lines = table.lines + header
                 table = replace(table, header_line=header, lines=lines, warnings=warnings)
                 return _with_points(table, given, numbers_have_points=True)
@@ -195,12 +195,12 @@ def _foreign(path: Path, given: LogFormat) -> Table:
                 if height * width > MOST_CELLS:
                     found = f"{height} rows of {width} columns"
                     raise InputError(found, f"at most {MOST_CELLS} cells")
-                return _of_values(lazy.collect(), path)
+                return table_of_values(lazy.collect(), path)
             text = table_text(path)
             if not text.strip():
                 raise InputError("an empty file", "an object a line")
             _refuse_bad_line(text, path)
-            return _of_values(pl.read_ndjson(text.encode(), infer_schema_length=None), path)
+            return table_of_values(pl.read_ndjson(text.encode(), infer_schema_length=None), path)
     except (InputError, KeyboardInterrupt, SystemExit, MemoryError):
         raise
     except BaseException as error:  # panics of Polars and its readers are no Exception
@@ -258,7 +258,7 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name}, which JSON has not; null is no reading")
 
 
-def _of_values(frame: pl.DataFrame, path: Path) -> Table:
+def table_of_values(frame: pl.DataFrame, path: Path) -> Table:
     """Return a frame as a table of numbers and texts: arrays and structures become columns."""
     flat = [one for column in frame.get_columns() for one in _flat(column)]
     require_columns([column.name for column in flat], path, None)
