@@ -151,9 +151,14 @@ class RangeBlock:
             share = self.gathering.share(self, values)
         if share is None:
             evaluated, columns = self.evaluate(values)
-            rows = evaluated.rows(self.whitening, self.beam_of)
-            share = Share(evaluated.white, gtsam.JacobianVector([rows[:, of] for of in columns]))
+            if jacobians is not None:
+                rows = evaluated.rows(self.whitening, self.beam_of)
+                own = gtsam.JacobianVector([rows[:, of] for of in columns])
+                jacobians[:] = own  # type: ignore[index]
+            return evaluated.white
         if jacobians is not None:
+            for matrix, part in zip(share.matrices, share.parts):  # noqa: B905  (alike, and often)
+                matrix[...] = part
             jacobians[:] = share.derivatives  # type: ignore[index]
         return share.white
 

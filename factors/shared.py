@@ -89,12 +89,44 @@ class Evaluation:
         return how.apply_rows(rows)
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Share:
-    """What one factor hands out: whitened residuals [m], and their derivatives by each of its keys."""
+    """What one factor hands out of a shared evaluation.
+
+    Attributes
+    ----------
+    white : (n,)
+        Whitened residuals [m].
+    parts : arrays (n, dim)
+        Their derivatives by each of the factor's keys.
+    matrices : arrays (n, dim)
+        Where to write these before `derivatives`, which has the matrices, is handed out.
+    derivatives : gtsam.JacobianVector
+        Factors of one shape share it: GTSAM copies what it gets before it asks the next factor.
+    """
 
     white: FloatArray
+    parts: tuple[FloatArray, ...]
+    matrices: list[FloatArray]
     derivatives: gtsam.JacobianVector
+
+
+@dataclass(frozen=True, slots=True)
+class Alike:
+    """Blocks of the same shape, whose rows lie together as they are handed out.
+
+    Attributes
+    ----------
+    index : (G, n)
+        Rows of each of G blocks in the shared evaluation.
+    white : (G, n)
+    rows : (D, G, n)
+        Derivatives; a block and some of the columns are a matrix in GTSAM's order.
+    """
+
+    index: IntArray
+    white: FloatArray
+    rows: FloatArray
 
 
 class SharedEvaluation:
@@ -136,7 +168,7 @@ class SharedEvaluation:
         self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
         self._terms: dict[int, int] = {none: 0}
         self._shares: list[Share] = []
-        self._parts: list[tuple[FloatArray, FloatArray]] = []
+        self._alike: list[Alike] = []
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
@@ -197,35 +229,47 @@ class SharedEvaluation:
         """Let every block hand out its rows of `at` until somebody takes them back."""
         rows = evaluation.rows(self.whitening, self.slot)
         if not self._shares:
-            self._prepare(evaluation.white, rows)
-        self._white[:], self._rows[:] = evaluation.white, rows
-        for matrix, part in self._parts:
-            matrix[...] = part
+            self._prepare(rows.shape[1])
+        for alike in self._alike:
+            # Modes other than "raise" write to the output at once.
+            np.take(evaluation.white, alike.index, out=alike.white, mode="clip")
+            np.take(rows.T, alike.index, axis=1, out=alike.rows, mode="clip")
         for block, share in zip(self.blocks, self._shares, strict=True):
             block.prepared = share
 
-    def _prepare(self, white: FloatArray, rows: FloatArray) -> None:
-        """Make what the blocks hand out, for whitened residuals and derivatives of these shapes.
+    def _prepare(self, width: int) -> None:
+        """Make what the blocks hand out, of rows with `width` derivatives.
 
         GTSAM takes a NumPy array as a matrix of its own, which costs more than to copy between
-        matrices. So every block has matrices of GTSAM, which are written through their views.
+        matrices. So there are matrices of GTSAM for every shape, which are written through their views.
         """
-        self._white, self._rows = np.empty_like(white), np.empty_like(rows)
-        empty: dict[tuple[tuple[int, int], ...], gtsam.JacobianVector] = {}
-        for block, of_block in zip(self.blocks, self.slices, strict=True):
-            columns, rows_here = self.columns(block), self._rows[of_block]
-            sizes = tuple([(len(block.distance), of.stop - of.start) for of in columns])
-            if sizes not in empty:
-                empty[sizes] = gtsam.JacobianVector([np.zeros(size) for size in sizes])
-            derivatives = gtsam.JacobianVector(empty[sizes])
-            self._parts += [(derivatives[i], rows_here[:, of]) for i, of in enumerate(columns)]
-            self._shares.append(Share(self._white[of_block], derivatives))
+        members: dict[tuple[int, tuple[int, ...], bool], list[int]] = {}
+        for i, block in enumerate(self.blocks):
+            shape = len(block.distance), self._terms_of(block), block.pose is not None
+            members.setdefault(shape, []).append(i)
+        shares: dict[int, Share] = {}
+        for (size, _, _), blocks in members.items():
+            columns = self.columns(self.blocks[blocks[0]])
+            index = np.array([self.slices[i].start for i in blocks])[:, None] + np.arange(size)
+            alike = Alike(index, np.empty(index.shape), np.empty((width, *index.shape)))
+            self._alike.append(alike)
+            empty = [np.zeros((size, of.stop - of.start)) for of in columns]
+            derivatives = gtsam.JacobianVector(empty)
+            matrices = [derivatives[i] for i in range(len(columns))]
+            parts = zip(*[alike.rows[of].transpose(1, 2, 0) for of in columns], strict=True)
+            for i, white, of_block in zip(blocks, alike.white, parts, strict=True):
+                shares[i] = Share(white, of_block, matrices, derivatives)
+        self._shares = [shares[i] for i in range(len(self.blocks))]
 
     def columns(self, block: "RangeBlock") -> tuple[slice, ...]:
         """Return the columns of each key of a block, once the number of its range errors is known."""
+        beams = int(self.slot.max()) + 1
+        return _columns_of(self._terms_of(block), beams, block.pose is not None)
+
+    def _terms_of(self, block: "RangeBlock") -> tuple[int, ...]:
+        """Return the number of range-error terms of each beam of a block."""
         keys = [-1 if beam.range_error is None else beam.range_error for beam in block.beams]
-        terms = tuple([self._terms[key] for key in keys])
-        return _columns_of(terms, int(self.slot.max()) + 1, block.pose is not None)
+        return tuple([self._terms[key] for key in keys])
 
     def squared_columns(self, evaluation: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""

@@ -144,11 +144,13 @@ def damped_step(
             unit = gtsam.noiseModel.Unit.Create(dim)
             damped.add(key, np.diag(np.sqrt(damping * size)), np.zeros(dim), unit)
     try:
-        delta = damped.eliminateSequential(ordering).optimize()
+        net = damped.eliminateSequential(ordering)
+        delta = net.optimize()
     except RuntimeError:  # GTSAM's indeterminate linear system
         return None
-    decrement = -linear.gradientAtZero().dot(delta)
-    return (delta, decrement) if np.isfinite(decrement) and decrement >= 0.0 else None
+    # Where R delta = d solves the system, -g . delta is the square of d: twice the error of no step.
+    decrement = 2.0 * net.error(gtsam.VectorValues.Zero(delta))
+    return (delta, decrement) if np.isfinite(decrement) else None
 
 
 def squared_columns(linear: gtsam.GaussianFactorGraph) -> dict[int, FloatArray]:
