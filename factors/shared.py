@@ -144,17 +144,17 @@ class SharedEvaluation:
         self.blocks, self.whitening = tuple(blocks), whitening
         sizes = np.array([len(block.distance) for block in blocks])
         ends = np.cumsum(sizes)
-        self.slices = [slice(int(a), int(e)) for a, e in zip(ends - sizes, ends, strict=True)]
+        self.first = ends - sizes
         self.distance = np.concatenate([block.distance for block in blocks])
         self.measured: FloatArray | Regressors = self.distance
         if any(isinstance(block.measured, Regressors) for block in blocks):
             self.measured = Regressors.joined([block.measured for block in blocks])
         self._R = np.asfortranarray(np.concatenate([block.world_R_hand for block in blocks]))
         self._t = np.asfortranarray(np.concatenate([block.world_t_hand for block in blocks]))
-        beams, beam_of = _unique([beam for block in blocks for beam in block.beams])
+        beams = [beam for block in blocks for beam in block.beams]
         counts = np.array([len(block.beams) for block in blocks])
         self.slot = np.concatenate([block.beam_of for block in blocks])
-        beam_of = beam_of[np.repeat(np.cumsum(counts) - counts, sizes) + self.slot]
+        beam_of = np.repeat(np.cumsum(counts) - counts, sizes) + self.slot
         none = -1
         errors = [none if beam.range_error is None else beam.range_error for beam in beams]
         self.locations, location = _unique([beam.location for beam in beams])
@@ -250,7 +250,7 @@ class SharedEvaluation:
         shares: dict[int, Share] = {}
         for (size, _, _), blocks in members.items():
             columns = self.columns(self.blocks[blocks[0]])
-            index = np.array([self.slices[i].start for i in blocks])[:, None] + np.arange(size)
+            index = self.first[blocks][:, None] + np.arange(size)
             alike = Alike(index, np.empty(index.shape), np.empty((width, *index.shape)))
             self._alike.append(alike)
             empty = [np.zeros((size, of.stop - of.start)) for of in columns]

@@ -167,7 +167,7 @@ def linearize(x: Scene, d: FloatArray | Regressors, *, with_pose: bool = False) 
         direction=s[:, None] * location,
         normal=c[:, None] * spot_world,
         offset=c,
-        range_error=np.stack(range_error_derivatives(d), axis=1),
+        range_error=np.array(range_error_derivatives(d)).T,
         pose=pose,
     )
 

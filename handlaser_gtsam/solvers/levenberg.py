@@ -42,16 +42,16 @@ class Point:
     ----------
     values : gtsam.Values
     cost : float
-    residual, white : (N,)
-        Residuals of the readings [m], plain and whitened, in their order; none where they are unknown.
+    residuals : callable
+        Returns the residuals (N,) of the readings [m], plain and whitened, in their order; none where
+        they are unknown.
     linearized : callable
         Linearises here, and returns what solves for the step at a damping; None for a singular system.
     """
 
     values: gtsam.Values
     cost: float
-    residual: FloatArray
-    white: FloatArray
+    residuals: Callable[[], tuple[FloatArray, FloatArray]]
     linearized: Callable[[], Callable[[float], Step | None]]
 
 
@@ -89,8 +89,11 @@ def of_calibration(problem: CalibrationGraph) -> Objective:
     def evaluate(values: gtsam.Values) -> Point:
         point = shared.evaluate(values)
         cost = float(problem.loss.cost(point.white / sigma).sum())
-        residual, white = np.empty_like(point.residual), np.empty_like(point.white)
-        residual[problem.rows], white[problem.rows] = point.residual, point.white
+
+        def residuals() -> tuple[FloatArray, FloatArray]:
+            residual, white = np.empty_like(point.residual), np.empty_like(point.white)
+            residual[problem.rows], white[problem.rows] = point.residual, point.white
+            return residual, white
 
         def squares() -> dict[int, FloatArray]:
             columns = shared.squared_columns(point)
@@ -101,7 +104,7 @@ def of_calibration(problem: CalibrationGraph) -> Objective:
                 linear = problem.graph.linearize(values)
             return lambda damping: damped_step(linear, problem.ordering, squares, damping)
 
-        return Point(values, cost + others.error(values), residual, white, linearized)
+        return Point(values, cost + others.error(values), residuals, linearized)
 
     rows = len(problem.readings)
     rounding = 4.0 * np.finfo(float).eps * shared.reach() / sigma
@@ -123,7 +126,7 @@ def of_graph(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Objecti
                 linear, ordering, lambda: squared_columns(linear), damping
             )
 
-        return Point(values, graph.error(values), np.empty(0), np.empty(0), linearized)
+        return Point(values, graph.error(values), lambda: (np.empty(0), np.empty(0)), linearized)
 
     factors = (graph.at(i) for i in range(graph.size()) if graph.exists(i))
     rows = sum(factor.dim() for factor in factors)
@@ -278,7 +281,7 @@ def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
     """Return the start of `problem`, which somebody else has solved, as a result."""
     point = of_calibration(problem).evaluate(problem.values)
     return LevenbergResult(
-        point.values, "converged", message, point.cost, 0, (), point.residual, point.white
+        point.values, "converged", message, point.cost, 0, (), *point.residuals()
     )
 
 
@@ -342,8 +345,7 @@ def _minimised(
         point.cost,
         accepted,
         tuple(history),
-        point.residual,
-        point.white,
+        *point.residuals(),
     )
 
 
