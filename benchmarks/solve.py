@@ -50,7 +50,7 @@ from handlaser_gtsam.pipeline import calibrate
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
-from handlaser_gtsam.solvers.reference import ReferenceProblem, minimize
+from handlaser_gtsam.solvers.reference.problem import Residuals, minimize, problem_of_recording
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.translations import translation_start
@@ -132,9 +132,10 @@ def solve_start_to_covariances(readings: Readings) -> tuple[float, int]:
 
 def solve_reference(recording: Recording, start: Parameters) -> tuple[float, int]:
     """Solve with SciPy; return cost and iterations."""
-    problem = ReferenceProblem(recording, start, TERMS)
-    solution = minimize(problem.residuals, problem.x0, problem.sparsity(), "2-point")
-    return float(solution.cost) / SIGMA**2, int(solution.njev)
+    sigma = np.full(len(recording.beam_names), SIGMA)
+    residuals = Residuals(problem_of_recording(recording, start, TERMS, sigma))
+    solution = minimize(residuals, residuals.unknowns.x0, "2-point")
+    return float(solution.cost), int(solution.njev)
 
 
 def solve_gtsam(readings: Readings, start: Parameters) -> tuple[float, int]:

@@ -21,7 +21,7 @@ from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.projection import FreedColumns, LinearRows, Projection
 from handlaser_gtsam.results.score_tests import ScoreTests
 from handlaser_gtsam.results.verdict import verdict
-from handlaser_gtsam.solvers.reference_errors import ERRORS
+from handlaser_gtsam.solvers.reference.errors import ERRORS
 from handlaser_gtsam.validation.cross_check import cross_check
 from handlaser_gtsam.validation.simulate import Stations
 

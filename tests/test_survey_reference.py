@@ -15,10 +15,8 @@ from benchmarks.rigs import EXACT, HAND, STATED, body_of, survey_of, truth_of
 from handlaser_gtsam.cli.survey import survey_validation
 from handlaser_gtsam.files.rig_toml import Rig
 from handlaser_gtsam.validation import survey as validation
-from handlaser_gtsam.validation.survey import (
-    cross_check_survey,
-    validate_survey,
-)
+from handlaser_gtsam.validation.cross_check import cross_check_survey
+from handlaser_gtsam.validation.survey import validate_survey
 
 CONDENSED = 2e-3
 """Shots whose readings are not linear in their shape are condensed to first order in the noise."""

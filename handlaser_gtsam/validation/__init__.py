@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .cross_check import CrossCheck as CrossCheck
+    from .cross_check import cross_check_survey as cross_check_survey
     from .hold_out import BeamDrift as BeamDrift
     from .hold_out import HoldOut as HoldOut
     from .leave_out import PlaneLeftOut as PlaneLeftOut
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from .study import Study as Study
     from .survey import SurveyLeftOut as SurveyLeftOut
     from .survey import SurveyValidation as SurveyValidation
-    from .survey import cross_check_survey as cross_check_survey
     from .survey import validate_survey as validate_survey
 else:
     from ..lazy import lazy_names

@@ -1,13 +1,11 @@
 """Validation of surveys: does an independent solver agree, and are parts predicted by the rest.
 
-Two tests. SciPy solves the same points again, by formulas of its own (`solvers/survey_reference.py`).
+Two tests. SciPy solves the same points again, by formulas of its own (`solvers/reference`).
 And every target, and random parts of the stations, are predicted by the rest: the mounts are found
 again with the rest alone, and what the other shots add to the sum of squares is compared with what it
 should be.
 """
 
-from collections import defaultdict
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,27 +13,18 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_count, require_kind
 from ..data.noise import Noise
-from ..data.survey import RAY_ERRORS, Survey, normal_label
+from ..data.survey import Survey, normal_label
 from ..data.value import Value
-from ..errors import HandlaserError, InputError, SolverError
-from ..estimation.survey import SurveyEstimate, estimate_survey
-from ..estimation.survey_rows import Item
+from ..errors import HandlaserError, SolverError
+from ..estimation.survey import estimate_survey
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf
-from ..model.families import BEAM, PLANE, POSE, bases
-from ..model.joint import beam_lifts, plane_lifts
-from ..model.known import BODY
-from ..model.sensors.mounted import SENSOR
-from ..model.targets.point import POINT
-from ..model.targets.sphere import SPHERE
+from ..model.families import POSE
 from ..quantities import SINGULAR
 from ..results.survey import SurveyCalibration, survey_calibration
-from ..solvers.survey_reference import Observed, SurveyProblem, SurveySolution, solve_survey
-from .cross_check import COMPARED_PARTS, CrossCheck, compared
+from .cross_check import CrossCheck, cross_check_survey, fits
 from .leave_out import PART_LEFT_OUT, USUAL_SPLITS
 from .simulate import generator
 
-FITS = "converged", "contradicted"
-"""Status of a survey that has a minimum."""
 LARGEST_DIFFERENCE = 0.5
 """A parameter may differ from SciPy's by this many of its standard deviations, and a standard deviation
 by this part. Shots are condensed to first order in their noise: of balls that are read with a noise of
@@ -163,7 +152,7 @@ def validate_survey(
     noise = Noise() if noise is None else noise
     whole = estimate_survey(survey, noise)
     calibration = survey_calibration(whole)
-    if not _fits(calibration):
+    if not fits(calibration):
         raise SolverError(calibration.verdict)
     reference = cross_check_survey(calibration)
     labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
@@ -177,115 +166,6 @@ def validate_survey(
         out[rng.permutation(len(labels))[: round(PART_LEFT_OUT * len(labels))]] = True
         random.append(_left_out(calibration, f"{number + 1}", out))
     return SurveyValidation(calibration, reference, tuple(targets), tuple(random))
-
-
-def cross_check_survey(calibration: SurveyCalibration) -> CrossCheck:
-    """Solve what counts of a survey again with SciPy, with the noise that the calibration found.
-
-    Raises
-    ------
-    InputError
-        A calibration that did not converge, or of a motion that leaves anything undetermined.
-    """
-    require_kind("calibration", calibration, SurveyCalibration)
-    if not _fits(calibration):
-        status = calibration.status  # a contradiction may hide that anything is undetermined
-        status = calibration._found.estimate.status if status in FITS else status
-        raise InputError(f"a calibration that is {status}", "a converged one")
-    found = calibration._found
-    theirs = solve_survey(_problem(found))
-    return compared(_differences(calibration, theirs), theirs.evaluations)
-
-
-def _fits(calibration: SurveyCalibration) -> bool:
-    """Tell whether there is one minimum, whatever is contradicted there."""
-    return calibration.status in FITS and calibration._found.estimate.status in FITS
-
-
-def _problem(found: SurveyEstimate) -> SurveyProblem:
-    """Return what SciPy solves: every point that counts, of the shots that count."""
-    rows, values = found.rows, found.estimate.values
-    state = found.at({name: x[None] for name, x in values.items()}, found.noise)
-    sigma = state.sigmas()
-    groups: dict[tuple[str, int, str], list[Item]] = defaultdict(list)
-    for item, used in zip(rows.items, found.used, strict=True):
-        if used:  # all beams together
-            member = -1 if item.points is None else item.member
-            groups[item.family, member, item.target[0]].append(item)
-    observed = []
-    for (family, member, kind), items in groups.items():
-        points = [np.zeros(1, np.intp) if item.points is None else item.points for item in items]
-        which, each = np.concatenate(points), [len(some) for some in points]
-        station = np.repeat([item.station for item in items], each)
-        target = np.repeat([item.target[1] for item in items], each)
-        noise = sigma[family, items[0].member]
-        if member < 0:
-            beam = np.array([item.member for item in items])
-            reading, cone = np.array([item.reading for item in items]), rows.survey.half_angle
-            observed.append(Observed(kind, beam, station, target, noise, reading, half_angle=cone))
-        else:
-            shots = rows.survey.shots[member]
-            read = shots.reading[which], shots.across[which]
-            observed.append(Observed(kind, member, station, target, noise, *read))
-    start = {
-        family.name: values.get(family.name, np.zeros((0, family.size)))
-        for family in (SENSOR, BEAM, PLANE, SPHERE, POINT, BODY)
-    }
-    plane = start[PLANE.name]
-    offset = plane[:, 3] - (plane[:, :3] * plane[:, 4:]).sum(axis=1)
-    start |= {
-        SENSOR.name: start[SENSOR.name][:, : POSE.size],
-        PLANE.name: np.column_stack((plane[:, :3], offset)),
-    }
-    numbers = {
-        label: (kind, i) for kind, labels in rows.targets.items() for i, label in enumerate(labels)
-    }
-    numbers |= {f"sensor:{s.name}": ("sensor", i) for i, s in enumerate(rows.survey.shots)}
-    numbers |= {f"beam:{name}": ("beam", i) for i, name in enumerate(rows.survey.beam_names)}
-    known = [(one, [numbers[label] for label in one.of]) for one in rows.known]
-    return SurveyProblem(
-        observed,
-        rows.survey,
-        state.pose_covariance(),
-        float(found.noise.sigma[-1]),
-        rows.length,
-        start,
-        plane[:, 4:],
-        known,
-    )
-
-
-def _differences(
-    calibration: SurveyCalibration, theirs: SurveySolution
-) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray, Mapping[str, slice]]]:
-    """Yield of each variable its name, the difference, both covariances and its parts."""
-    found = calibration._found
-    rows, values = found.rows, found.estimate.values
-    # SciPy states what follows from the noise alone.
-    plain = replace(
-        found.estimate,
-        covariance=found.estimate.covariance / np.outer(found.spread, found.spread),
-    )
-    for (kind, i), other in theirs.values.items():
-        if kind == BODY.name:
-            continue  # faces may leave it open; what it does shows in its planes
-        mine, own, name = plain.marginal(kind, i), values[kind][i], ""
-        lift = np.eye(len(mine))
-        if kind == SENSOR.name:
-            sensor, shots = list(calibration.sensors.values())[i], rows.survey.shots[i]
-            name = f"sensor {sensor.name}"
-            unknown = [x.rpartition(".")[2] for x in plain.names if x.startswith(f"{kind}[{i}].")]
-            lift = lift[[x not in RAY_ERRORS or x in shots.free for x in unknown]]
-            own = np.append(np.zeros(6), list(sensor.range_error.values()))
-        elif kind == BEAM.name:
-            name = f"beam {rows.survey.beam_names[i]}"
-            (lift,) = beam_lifts(bases(own[None, 3:6]))
-        elif kind == PLANE.name:
-            n, c = own[:3], own[4:]
-            own = np.append(n, own[3] - n @ c)
-            lift = plane_lifts(bases(n), c)
-        name, covariance = name or rows.label((kind, i)), lift @ mine @ lift.T
-        yield name, own - other, covariance, theirs.covariances[kind, i], COMPARED_PARTS[kind]
 
 
 def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> SurveyLeftOut:

@@ -18,8 +18,8 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.recording import Recording
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...data.recording import Recording
 
 ERRORS = (
     "incidence",
@@ -45,7 +45,7 @@ TOOL_STEPS = 7
 """Stations from which on the tool may be displaced; stated again."""
 
 
-class ReferenceErrors:
+class SystematicErrors:
     """Unknown sizes of systematic errors of a recording.
 
     Parameters

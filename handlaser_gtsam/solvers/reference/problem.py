@@ -1,0 +1,346 @@
+r"""Least squares of any readings, relations and priors with SciPy.
+
+Derivatives are SciPy's differences. Covariances follow from Gauss-Markov, inv(J'J) of residuals in
+standard deviations. Errors of the hand are found by moving the poses: for the derivatives A of a
+station's residuals by them, in standard deviations, the weight is the inverse root of I + A A', by its
+singular values. Weights, the noise of the readings that the residuals show, and what a systematic error
+of size 1 does, are held while SciPy runs and then updated at its solution.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.sparse import csr_array, vstack
+from scipy.spatial.transform import Rotation
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...data.parameters import Parameters, Terms
+from ...data.recording import Recording
+from ...data.survey import Known
+from .errors import SystematicErrors
+from .readings import STEP, Observed
+from .relations import relation_residuals
+from .unknowns import At, Unknowns
+
+ERRORS_BEFORE = (0.05, 0.02, 0.1, 0.05)
+"""Standard deviations of `RAY_ERRORS` before any reading; stated again, for nothing is shared."""
+DENSE_UNKNOWNS = 200
+"""Above this many unknowns the Jacobian is kept sparse."""
+TOLERANCE = 1e-11
+"""SciPy's; a Gauss-Newton step at the end takes its solution beyond."""
+INNER_TOLERANCE = 1e-10
+"""Tolerance of the iterative solution of a sparse step: SciPy's own stalls far from the optimum."""
+REWEIGHTINGS = 4
+"""Updates of the weights; each leaves about a thousandth of the error that the one before left."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What is solved.
+
+    Attributes
+    ----------
+    observed : sequence of Observed
+    hands : (M, 3, 3), (M, 3)
+        Recorded hand poses.
+    start : mapping of str to (n, width)
+        Numbers of the variables of each kind, of `unknowns.WIDTH`.
+    free : mapping of str to (n, numbers) of bool
+        Which numbers are unknown; all of a kind where it is not given.
+    prior_sigma : mapping of str to (n, numbers)
+        Standard deviations of numbers about zero before any reading; infinite where nothing is known.
+    pose : (M, 6, 6), optional
+        Covariance of the hand poses (rx, ry, rz, x, y, z), hand frame; None for exact ones.
+    aiming_sigma : float
+        Of spots across their rays, about points [m].
+    known : sequence of (Known, variables)
+        Relations with the kind and number of each variable that they are of, and of a body first.
+    middle : (planes, 3)
+        Where each plane was measured, for relations of distances.
+    errors : SystematicErrors, optional
+        Whose sizes are unknowns.
+    beside : float
+        All unknowns begin so far [m], [rad] from the start, to either side.
+    """
+
+    observed: Sequence[Observed]
+    hands: tuple[FloatArray, FloatArray]
+    start: Mapping[str, FloatArray]
+    free: Mapping[str, BoolArray]
+    prior_sigma: Mapping[str, FloatArray]
+    pose: FloatArray | None = None
+    aiming_sigma: float = 1.0
+    known: Sequence[tuple[Known, Sequence[tuple[str, int]]]] = ()
+    middle: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    errors: SystematicErrors | None = None
+    beside: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """What SciPy found.
+
+    Attributes
+    ----------
+    values : mapping of (kind, number) to (n,)
+        Of each variable: of a sensor or body its turn [rad] and shift [m] from the start in its own
+        frame, and the range errors that are unknown; of others as in `Problem.start`.
+    covariances : mapping of (kind, number) to (n, n)
+        Over the same numbers.
+    squares : float
+        Sum of the squared residuals.
+    iterations : int
+        Jacobian evaluations.
+    """
+
+    values: Mapping[tuple[str, int], FloatArray]
+    covariances: Mapping[tuple[str, int], FloatArray]
+    squares: float
+    iterations: int
+
+
+class Residuals:
+    """Residuals of a problem in standard deviations, relations and priors last.
+
+    Parameters
+    ----------
+    of : Problem
+
+    Attributes
+    ----------
+    unknowns : Unknowns
+    """
+
+    def __init__(self, of: Problem) -> None:
+        self.of = of
+        self.unknowns = Unknowns(of.start, of.free)
+        self._station = np.concatenate(
+            [np.tile(one.station[one.solved], one.rows) for one in of.observed]
+        )
+        self._weights: list[tuple[IntArray, FloatArray, FloatArray]] = []
+        places = [(self.unknowns.place[kind], sigma) for kind, sigma in of.prior_sigma.items()]
+        known = [(place >= 0) & np.isfinite(sigma) for place, sigma in places]
+        pairs = list(zip(places, known, strict=True))
+        self._prior_place = np.concatenate([np.zeros(0, int), *(p[k] for (p, _), k in pairs)])
+        self._prior_sigma = np.concatenate([np.zeros(0), *(s[k] for (_, s), k in pairs)])
+        self.weigh(self.unknowns.x0)
+
+    @property
+    def vary(self) -> bool:
+        """Whether weights, or what they are held with, depend on the unknowns."""
+        of = self.of
+        range_errors = (self.unknowns.place["sensor"][:, 6:] >= 0).any()
+        noise = (one.of_reading or one.sigma_across for one in of.observed)
+        return of.pose is not None or bool(range_errors) or any(noise)
+
+    def __call__(self, x: FloatArray) -> FloatArray:
+        """Return all residuals at a vector of unknowns."""
+        at, of = self.unknowns.at(x), self.of
+        e = self._whitened(self._readings(at, *self._hands(at)))
+        relations = [relation_residuals(*one, at, of.middle) for one in of.known]
+        return np.concatenate((e, *relations, x[self._prior_place] / self._prior_sigma))
+
+    def weigh(self, x: FloatArray) -> None:
+        """Update the weights at a vector of unknowns."""
+        of, at = self.of, self.unknowns.at(x)
+        R, t = self._hands(at)
+        self._counted = [one.counted(at, R, t, of.errors) for one in of.observed]
+        if of.pose is not None:
+            A = by_poses(partial(self._readings, at), R, t)
+            order = np.argsort(self._station, kind="stable")
+            stations, first = np.unique(self._station[order], return_index=True)
+            self._weights = []
+            for station, rows in zip(stations, np.split(order, first[1:]), strict=True):
+                variances, axes = np.linalg.eigh(of.pose[station])
+                root = axes * np.sqrt(np.maximum(variances, 0.0))
+                U, size, _ = np.linalg.svd(A[rows] @ root, full_matrices=False)
+                self._weights.append((rows, U, 1.0 - 1.0 / np.sqrt(1.0 + size**2)))
+        heavy = self._whitened(self._whitened(self._readings(at, R, t)))
+        end = 0
+        for i, one in enumerate(of.observed):
+            begin, end = end, end + one.rows * len(one.solved)
+            if one.of_reading:
+                self._counted[i] = one.freed_of_noise(at, self._counted[i], heavy[begin:end])
+
+    def sparsity(self) -> csr_array | None:
+        """Return which unknowns each residual depends on; None where they are few."""
+        count = len(self.unknowns.x0)
+        if count <= DENSE_UNKNOWNS:
+            return None
+        place = self.unknowns.place
+        sizes, depends = place["size"][:, 0], []
+        for one in self.of.observed:
+            of_sensor = place[one.sensor_kind][one.sensor[one.solved]]
+            of_target = place[one.target_kind][one.target[one.solved]]
+            each = np.tile(np.hstack((of_sensor, of_target)), (one.rows, 1))
+            depends += [np.concatenate((columns, sizes)) for columns in each]
+        readings = _pattern(depends, count)
+        if self._weights:  # all residuals of a station are mixed
+            stations = _pattern(self._station[:, None], int(self._station.max()) + 1)
+            readings = stations @ (stations.T @ readings)
+        x0 = self.unknowns.at(self.unknowns.x0)
+        others = []
+        for known, variables in self.of.known:
+            columns = np.concatenate([place[kind][number] for kind, number in variables])
+            others += [columns] * len(relation_residuals(known, variables, x0, self.of.middle))
+        others += list(self._prior_place[:, None])
+        return csr_array(vstack((readings, _pattern(others, count))))
+
+    def _hands(self, at: At) -> tuple[FloatArray, FloatArray]:
+        """Return the hand poses that systematic errors leave."""
+        errors = self.of.errors
+        return self.of.hands if errors is None else errors.hands(at.numbers["size"].ravel())
+
+    def _readings(self, at: At, R: FloatArray, t: FloatArray) -> FloatArray:
+        """Return the residuals of all readings, each in its own standard deviations."""
+        pairs = zip(self.of.observed, self._counted, strict=True)
+        aiming = self.of.aiming_sigma
+        return np.concatenate([one.residuals(at, R, t, how, aiming) for one, how in pairs])
+
+    def _whitened(self, e: FloatArray) -> FloatArray:
+        for rows, U, shrink in self._weights:
+            e[rows] -= U @ (shrink * (U.T @ e[rows]))
+        return e
+
+
+def _pattern(columns: Sequence[IntArray] | IntArray, count: int) -> csr_array:
+    """Return a sparse matrix with ones in some columns of each row; columns below zero are none."""
+    rows = np.repeat(np.arange(len(columns)), [len(some) for some in columns])
+    column = np.concatenate([np.zeros(0, int), *columns])
+    ones = np.ones(int((column >= 0).sum()))
+    return csr_array((ones, (rows[column >= 0], column[column >= 0])), (len(columns), count))
+
+
+def by_poses(
+    residuals: Callable[[FloatArray, FloatArray], FloatArray], R: FloatArray, t: FloatArray
+) -> FloatArray:
+    """Return derivatives (N, 6) of residuals (N,) by hand poses (M, 3, 3), (M, 3), in their frames."""
+    columns = []
+    for step in STEP * np.eye(6):
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        ahead = residuals(R @ turn, t + R @ step[3:])
+        columns.append((ahead - residuals(R @ turn.T, t - R @ step[3:])) / (2.0 * STEP))
+    return np.stack(columns, axis=1)
+
+
+def minimize(
+    residuals: Residuals, x0: FloatArray, differences: Literal["2-point", "3-point"] = "3-point"
+) -> OptimizeResult:
+    """Return SciPy's least-squares solution from `x0`, derivatives by differences.
+
+    Central differences cost twice as much as forward ones and agree with exact derivatives to a
+    millionth of a standard deviation and better.
+    """
+    sparsity = residuals.sparsity()
+    return least_squares(
+        residuals,
+        x0,
+        jac=differences,
+        jac_sparsity=sparsity,
+        method="trf",
+        x_scale="jac",
+        tr_options={} if sparsity is None else {"atol": INNER_TOLERANCE, "btol": INNER_TOLERANCE},
+        ftol=TOLERANCE,
+        xtol=TOLERANCE,
+        gtol=TOLERANCE,
+    )
+
+
+def solve(problem: Problem) -> Solution:
+    """Solve a problem, from its start or beside it."""
+    residuals = Residuals(problem)
+    first = residuals.unknowns.x0
+    found = minimize(residuals, first + problem.beside * (-1.0) ** np.arange(len(first)))
+    if 2.0 * found.cost > (residuals(first) ** 2).sum():  # caught where rays miss a sphere, say
+        found = minimize(residuals, first)
+    iterations = int(found.njev)
+    for _ in range(REWEIGHTINGS if residuals.vary else 0):
+        residuals.weigh(np.asarray(found.x))
+        found = minimize(residuals, np.asarray(found.x))
+        iterations += int(found.njev)
+    # SciPy stops where the cost shows no change: a last Gauss-Newton step goes beyond its digits.
+    J = np.asarray(found.jac @ np.eye(len(first)))  # sparse or not
+    scale = np.linalg.norm(J, axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    J = J / scale
+    step = np.linalg.lstsq(J, np.asarray(found.fun), rcond=1e-12)[0] / scale
+    inverse = np.linalg.pinv(J.T @ J, hermitian=True, rcond=1e-15) / np.outer(scale, scale)
+    values, covariances = residuals.unknowns.by_variable(np.asarray(found.x - step), inverse)
+    return Solution(values, covariances, 2.0 * float(found.cost), iterations)
+
+
+def problem_of_recording(
+    recording: Recording,
+    start: Parameters,
+    terms: Terms,
+    range_sigma: FloatArray,
+    *,
+    incidence_sigma: float = 0.0,
+    pose: FloatArray | None = None,
+    of_reading: bool = False,
+    prior_sigma: FloatArray | None = None,
+    freed: Mapping[str, float] | None = None,
+    used: BoolArray | None = None,
+) -> Problem:
+    """Return the problem of beams before planes.
+
+    Parameters
+    ----------
+    recording : Recording
+    start : Parameters
+        Also chooses which component of each unit vector follows from the others.
+    terms : int, or one a beam
+        Range-error terms.
+    range_sigma : (B,)
+        Of a reading of each beam [m].
+    incidence_sigma, pose, of_reading
+        As of `Observed` and `Problem`.
+    prior_sigma : (B, 2), optional
+        Of k1 [1] and k2 [1/m].
+    freed : mapping of str to float, optional
+        Systematic errors that are unknowns, of `errors.ERRORS`, with the sigmas of their priors.
+    used : (M, B) of bool, optional
+        Which of the readings are solved; all of them where not given. The errors are defined by those
+        between the smallest and the largest of these.
+    """
+    beams = len(recording.beam_names)
+    terms = (terms,) * beams if isinstance(terms, int) else terms
+    used = ~np.isnan(recording.ranges) if used is None else used
+    low, high = recording.ranges[used].min(), recording.ranges[used].max()
+    seen = (recording.ranges >= low) & (recording.ranges <= high)
+    station, beam = np.nonzero(seen)
+    sigma = range_sigma[beam]
+    if recording.samples is not None:
+        sigma = sigma / np.sqrt(recording.samples[seen])
+    observed = Observed(
+        "plane",
+        station,
+        recording.plane_of_station[station],
+        beam,
+        recording.ranges[seen],
+        sigma,
+        of_reading=of_reading,
+        incidence_sigma=incidence_sigma,
+        used=used[seen],
+    )
+    errors = SystematicErrors(freed, recording, seen) if freed else None
+    of_beams = np.full((beams, 8), np.inf)
+    of_beams[:, 6:] = np.inf if prior_sigma is None else prior_sigma
+    sizes = np.zeros(0) if errors is None else errors.sigma
+    return Problem(
+        [observed],
+        (recording.world_R_hand, recording.world_t_hand),
+        {
+            "beam": np.hstack(start.beams),
+            "plane": np.column_stack((start.normals, start.offsets)),
+            "size": np.zeros((len(sizes), 1)),
+        },
+        {"beam": np.array([[True] * 6 + [n > 0, n > 1] for n in terms])},
+        {"beam": of_beams, "size": sizes[:, None]},
+        pose,
+        errors=errors,
+    )

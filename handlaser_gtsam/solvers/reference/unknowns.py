@@ -1,0 +1,113 @@
+r"""Variables as the unknowns of SciPy.
+
+As in Wei and Hirzinger, a unit vector is two of its components: the one of largest magnitude at the
+start is replaced by +-sqrt(1 - the squares of the others). A rigid motion is a turn and a shift from
+its start, in its own frame.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...data.survey import RAY_ERRORS
+
+WIDTH = {"sensor": 12, "beam": 8, "plane": 4, "sphere": 4, "point": 3, "body": 12, "size": 1}
+"""Numbers of the start of a variable of each kind: a sensor of many rays and a body as a rotation by
+rows and an origin, a beam as location, direction, k1 and k2, a plane as normal and offset, a sphere as
+centre and radius, a point, and the size of a systematic error."""
+UNIT = {"beam": slice(3, 6), "plane": slice(0, 3)}
+"""Where a unit vector stands among the numbers of a variable."""
+MOTIONS = {"sensor": 6 + len(RAY_ERRORS), "body": 6}
+"""Rigid motions, with how many numbers are sought of each: turn, shift, range errors of a sensor."""
+
+
+class At(NamedTuple):
+    """Variables at one vector of unknowns.
+
+    `numbers` has those of every kind (n, width), of rigid motions their turns and shifts from the start
+    and then range errors; `R` (n, 3, 3) and `t` (n, 3) have the poses of the motions.
+    """
+
+    numbers: Mapping[str, FloatArray]
+    R: Mapping[str, FloatArray]
+    t: Mapping[str, FloatArray]
+
+
+class Unknowns:
+    """Which numbers of which variables are sought.
+
+    Parameters
+    ----------
+    start : mapping of str to (n, width)
+        Numbers of the variables of each kind, of `WIDTH`; a kind that is not there has none.
+    free : mapping of str to (n, numbers) of bool
+        Which numbers are unknown, the others being zero; all of a kind where it is not given.
+
+    Attributes
+    ----------
+    x0 : (q,)
+        The unknowns at the start.
+    place : mapping of str to (n, numbers)
+        Where each number stands among the unknowns; -1 for none.
+    """
+
+    def __init__(
+        self, start: Mapping[str, FloatArray], free: Mapping[str, BoolArray] | None = None
+    ) -> None:
+        self._start = {kind: start.get(kind, np.zeros((0, n))) for kind, n in WIDTH.items()}
+        self.place: dict[str, IntArray] = {}
+        self._follows: dict[str, tuple[IntArray, IntArray, FloatArray]] = {}
+        first, count = [], 0
+        for kind, table in self._start.items():
+            if kind in MOTIONS:
+                table = np.zeros((len(table), MOTIONS[kind]))
+            kept = np.array(np.broadcast_to((free or {}).get(kind, np.True_), table.shape))
+            if kind in UNIT:
+                rows = np.arange(len(table))
+                follows = UNIT[kind].start + np.abs(table[:, UNIT[kind]]).argmax(axis=1)
+                kept[rows, follows] = False
+                self._follows[kind] = rows, follows, np.sign(table[rows, follows])
+            self.place[kind] = np.where(kept, count + np.cumsum(kept).reshape(kept.shape) - 1, -1)
+            count += int(kept.sum())
+            first.append(table[kept])
+        self.x0 = np.concatenate(first)
+
+    def at(self, x: FloatArray) -> At:
+        """Return the variables at a vector of unknowns."""
+        x = np.append(x, 0.0)
+        numbers = {kind: x[place] for kind, place in self.place.items()}
+        for kind, (rows, follows, sign) in self._follows.items():
+            square = 1.0 - (numbers[kind][:, UNIT[kind]] ** 2).sum(axis=1)
+            numbers[kind][rows, follows] = sign * np.sqrt(np.maximum(square, 0.0))
+        R, t = {}, {}
+        for kind in MOTIONS:
+            start, step = self._start[kind], numbers[kind]
+            begun = start[:, :9].reshape(-1, 3, 3)
+            # SciPy 1.15 takes no empty array of rotations.
+            R[kind] = begun @ Rotation.from_rotvec(step[:, :3]).as_matrix() if len(step) else begun
+            t[kind] = start[:, 9:] + (begun @ step[:, 3:6, None])[..., 0]
+        return At(numbers, R, t)
+
+    def by_variable(
+        self, x: FloatArray, inverse: FloatArray
+    ) -> tuple[dict[tuple[str, int], FloatArray], dict[tuple[str, int], FloatArray]]:
+        """Return the numbers of each variable (kind, member) at `x`, and their covariances.
+
+        Numbers that are not sought are left away, but of beams and planes all have a place. `inverse`
+        (q, q) is the covariance of the unknowns.
+        """
+        padded, values, covariances = np.pad(inverse, (0, 1)), {}, {}
+        for kind, table in self.at(x).numbers.items():
+            for i, (own, place) in enumerate(zip(table, self.place[kind], strict=True)):
+                lift = np.diag((place >= 0).astype(float))
+                if kind in UNIT:
+                    follows = self._follows[kind][1][i]
+                    lift[follows, UNIT[kind]] = (-own / own[follows] * (place >= 0))[UNIT[kind]]
+                shown = np.flatnonzero((place >= 0) | (kind in UNIT))
+                spread = lift @ padded[np.ix_(place, place)] @ lift.T
+                values[kind, i] = own[shown]
+                covariances[kind, i] = spread[np.ix_(shown, shown)]
+        return values, covariances
