@@ -15,9 +15,11 @@ from numpy.random import default_rng
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.estimation.options import CalibrationOptions
+from handlaser_gtsam.model.weighting import Variances
 from handlaser_gtsam.pipeline import calibrate
-from handlaser_gtsam.solvers.reference.problem import problem_of_recording, solve
+from handlaser_gtsam.solvers.reference.problem import solve
 from handlaser_gtsam.starts import find_start
+from handlaser_gtsam.validation.cross_check import recording_problem
 from handlaser_gtsam.validation.scenes import Layout, arm
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -42,7 +44,7 @@ def main() -> None:
             calibrate(one, noise, CalibrationOptions("none"))
             rows[name].append(time.perf_counter() - begin)
         begin = time.perf_counter()
-        solve(problem_of_recording(one, start, 0, np.full(len(one.beam_names), SIGMA)))
+        solve(recording_problem(one, start, (0,), Variances(np.array([SIGMA]))))
         rows["reference"].append(time.perf_counter() - begin)
     reference = statistics.median(rows["reference"][1:])
     for name, seconds in rows.items():

@@ -46,14 +46,16 @@ from handlaser_gtsam.data.recording import Readings, Recording
 from handlaser_gtsam.estimation.posterior import covariance
 from handlaser_gtsam.estimation.solution import Solution
 from handlaser_gtsam.estimation.task import SolutionTask
+from handlaser_gtsam.model.weighting import Variances
 from handlaser_gtsam.pipeline import calibrate
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
-from handlaser_gtsam.solvers.reference.problem import Residuals, minimize, problem_of_recording
+from handlaser_gtsam.solvers.reference.problem import Residuals, minimize
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.translations import translation_start
+from handlaser_gtsam.validation.cross_check import recording_problem
 from handlaser_gtsam.validation.scenes import Layout, paper
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -132,8 +134,9 @@ def solve_start_to_covariances(readings: Readings) -> tuple[float, int]:
 
 def solve_reference(recording: Recording, start: Parameters) -> tuple[float, int]:
     """Solve with SciPy; return cost and iterations."""
-    sigma = np.full(len(recording.beam_names), SIGMA)
-    residuals = Residuals(problem_of_recording(recording, start, TERMS, sigma))
+    beams = len(recording.beam_names)
+    variances = Variances(np.full(beams, SIGMA))
+    residuals = Residuals(recording_problem(recording, start, (TERMS,) * beams, variances))
     solution = minimize(residuals, residuals.unknowns.x0, "2-point")
     return float(solution.cost), int(solution.njev)
 

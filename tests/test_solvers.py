@@ -22,9 +22,10 @@ from handlaser_gtsam.solvers.levenberg import (
     linearize,
     of_calibration,
 )
-from handlaser_gtsam.solvers.reference.problem import problem_of_recording, solve
+from handlaser_gtsam.solvers.reference.problem import solve
 from handlaser_gtsam.solvers.refine import refine
 from handlaser_gtsam.starts import find_start
+from handlaser_gtsam.validation.cross_check import recording_problem
 
 SIGMA = 3e-5
 
@@ -124,8 +125,9 @@ def test_scipy_agrees_in_value_and_covariance(problem):
     recording, _, start, graph = problem
     result = levenberg_marquardt(graph)
     mine = read_parameters(graph, result.values)
-    sigma = np.full(len(recording.beam_names), SIGMA)
-    reference = solve(problem_of_recording(recording, start, 2, sigma))
+    count = len(recording.beam_names)
+    variances = Variances(np.full(count, SIGMA))
+    reference = solve(recording_problem(recording, start, (2,) * count, variances))
     found, spread = (
         {kind: np.array([x for (own, _), x in table.items() if own == kind]) for kind, _ in table}
         for table in (reference.values, reference.covariances)

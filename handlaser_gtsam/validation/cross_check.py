@@ -1,22 +1,21 @@
 """Does an independent solver agree? Differences in units of the standard deviation."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import count
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
+from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..errors import InputError
 from ..estimation.survey import SurveyEstimate
-from ..estimation.survey_rows import Item
-from ..model.families import BEAM, PLANE, POSE, bases
-from ..model.joint import beam_lifts, plane_lifts
+from ..estimation.survey_rows import Item, Rows
+from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE, POSE
 from ..model.known import BODY
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -25,12 +24,11 @@ from ..model.weighting import Variances
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
 from ..results.survey import SurveyCalibration
-from ..solvers.reference.errors import ERRORS
+from ..solvers.reference.errors import ERRORS, SystematicErrors
 from ..solvers.reference.problem import (
     ERRORS_BEFORE,
     Problem,
     Solution,
-    problem_of_recording,
     solve,
 )
 from ..solvers.reference.readings import Observed
@@ -113,34 +111,89 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     if variances is None:
         variances = Variances(np.full(len(calibration.beams), calibration.fit.range_sigma))
     prior = None if scaled is None else scaled.range_error_prior
-    problem = problem_of_recording(
-        used,
-        start,
-        tuple(beam.terms for beam in calibration.beams.values()),
-        variances.range_sigma,
-        incidence_sigma=variances.incidence_sigma,
-        pose=variances.pose,
-        of_reading=calibration.variances is not None or bool(freed),
-        prior_sigma=None if prior is None else prior.sigma,
-        freed=freed,
-        used=solved,
+    terms = tuple(beam.terms for beam in calibration.beams.values())
+    of_reading = calibration.variances is not None or bool(freed)
+    problem = recording_problem(
+        used, start, terms, variances, prior, freed, of_reading=of_reading, used=solved
     )
-    beams, planes = np.hstack(at.beams), np.column_stack((at.normals, at.offsets))
-    named = {
-        BEAM.name: zip(calibration.beams, beams, joint.all_beams(), strict=True),
-        PLANE.name: zip(calibration.planes, planes, joint.all_planes(), strict=True),
-    }
-    rows = [
-        ((kind, i), f"{kind} {name}", *numbers)
-        for kind, members in named.items()
-        for i, (name, *numbers) in enumerate(members)
-    ]
-    places = {} if problem.errors is None else {m: i for i, m in enumerate(problem.errors.members)}
-    for effect in calibration.effects:
-        member = effect.code, effect.subject
-        size, variance = np.array([effect.size]), np.array([[effect.sigma**2]])
-        rows.append((("size", places[member]), " ".join(member).strip(), size, variance))
+    beams = zip(calibration.beams, np.hstack(at.beams), joint.all_beams(), strict=True)
+    numbers = np.column_stack((at.normals, at.offsets))
+    planes = zip(calibration.planes, numbers, joint.all_planes(), strict=True)
+    rows = [((BEAM.name, i), f"beam {name}", *of) for i, (name, *of) in enumerate(beams)]
+    rows += [((PLANE.name, i), f"plane {name}", *of) for i, (name, *of) in enumerate(planes)]
+    members = [] if problem.errors is None else problem.errors.members
+    sizes = {(effect.code, effect.subject): effect for effect in calibration.effects}
+    for i, member in enumerate(members):
+        size, variance = np.array([sizes[member].size]), np.array([[sizes[member].sigma ** 2]])
+        rows.append((("size", i), " ".join(member).strip(), size, variance))
     return compared(rows, solve(problem))
+
+
+def recording_problem(
+    recording: Recording,
+    start: Parameters,
+    terms: tuple[int, ...],
+    variances: Variances,
+    prior: RangeErrorPrior | None = None,
+    freed: Mapping[str, float] | None = None,
+    *,
+    of_reading: bool = False,
+    used: BoolArray | None = None,
+) -> Problem:
+    """Return what SciPy solves of beams before planes.
+
+    Parameters
+    ----------
+    recording : Recording
+    start : Parameters
+    terms : one a beam
+        Range-error terms.
+    variances : Variances
+    prior : RangeErrorPrior, optional
+    freed : mapping of str to float, optional
+        Systematic errors that are unknowns, of `ERRORS`, with the sigmas of their priors.
+    of_reading : bool
+        As of `Observed`.
+    used : (M, B) of bool, optional
+        Which of the readings are solved; all of them where not given. The errors are defined by those
+        between the smallest and the largest of these.
+    """
+    used = ~np.isnan(recording.ranges) if used is None else used
+    low, high = recording.ranges[used].min(), recording.ranges[used].max()
+    seen = (recording.ranges >= low) & (recording.ranges <= high)
+    station, beam = np.nonzero(seen)
+    range_sigma = variances.range_sigma[beam]
+    if recording.samples is not None:
+        range_sigma = range_sigma / np.sqrt(recording.samples[seen])
+    observed = Observed(
+        PLANE.name,
+        station,
+        recording.plane_of_station[station],
+        beam,
+        recording.ranges[seen],
+        range_sigma,
+        of_reading=of_reading,
+        incidence_sigma=variances.incidence_sigma,
+        used=used[seen],
+    )
+    errors = SystematicErrors(freed, recording, seen) if freed else None
+    beams = np.full((len(terms), BEAM.size), np.inf)
+    known = beams[:, OF_RANGE_ERROR] if prior is None else prior.sigma
+    beams[:, OF_RANGE_ERROR] = np.where([[n > 0, n > 1] for n in terms], known, 0.0)
+    sizes = np.zeros((0, 1)) if errors is None else errors.sigma[:, None]
+    zero = np.zeros_like(start.normals)
+    return Problem(
+        [observed],
+        (recording.world_R_hand, recording.world_t_hand),
+        {
+            BEAM.name: np.hstack(start.beams),
+            PLANE.name: np.column_stack((start.normals, start.offsets, zero)),
+            "size": np.zeros_like(sizes),
+        },
+        {BEAM.name: beams, "size": sizes},
+        variances.pose,
+        errors=errors,
+    )
 
 
 def cross_check_survey(calibration: SurveyCalibration) -> CrossCheck:
@@ -202,54 +255,32 @@ def _problem(found: SurveyEstimate) -> Problem:
                 half_angle=0.0,
             )
         observed.append(one)
-    families = (SENSOR, BEAM, PLANE, SPHERE, POINT, BODY)
-    start = {family.name: values[family.name] for family in families if family.name in values}
-    middle = np.zeros((0, 3))
-    if PLANE.name in start:
-        middle = start[PLANE.name][:, 4:]
-        start[PLANE.name] = np.array([_plane(plane) for plane in start[PLANE.name]])
-    if SENSOR.name in start:
-        start[SENSOR.name] = start[SENSOR.name][:, : POSE.size]
-    free = np.ones((len(survey.shots), 6 + len(RAY_ERRORS)), dtype=bool)
-    for shots, row in zip(survey.shots, free, strict=True):
-        row[6:] = [error in shots.free for error in RAY_ERRORS]
-    before = np.full((len(survey.shots), 6), np.inf)
-    mounts = np.full((len(survey.beam_names), 6), np.inf)
-    of_beams = np.tile([survey.linearity, survey.linearity / rows.length], (len(mounts), 1))
-    priors = {
-        SENSOR.name: np.hstack((before, np.tile(ERRORS_BEFORE, (len(before), 1)))),
-        BEAM.name: np.hstack((mounts, of_beams)),
-    }
-    numbers = {
-        label: (kind, i) for kind, labels in rows.targets.items() for i, label in enumerate(labels)
-    }
-    numbers |= {f"sensor:{s.name}": (SENSOR.name, i) for i, s in enumerate(survey.shots)}
-    numbers |= {f"beam:{name}": (BEAM.name, i) for i, name in enumerate(survey.beam_names)}
-    bodies = count()
-    known = [
-        (one, [(BODY.name, next(bodies))] * (one.relation == "body") + [numbers[x] for x in one.of])
-        for one in rows.known
-    ]
+    mounts = np.full((len(survey.shots), POSE.dim), np.inf)
+    beams = np.full((len(survey.beam_names), BEAM.size), np.inf)
+    beams[:, OF_RANGE_ERROR] = survey.linearity / np.array([1.0, rows.length])
+    bodies = [(BODY.name, i) for i in range(len(rows.bodies))]
+    known = [(one, rows.entities(one)) for one in rows.known if one.relation != "body"]
+    known += [(one, [at, *rows.entities(one)]) for one, at in zip(rows.bodies, bodies, strict=True)]
     pose = state.pose_covariance()
-    stations = survey.stations
     return Problem(
         observed,
-        (stations.world_R_hand, stations.world_t_hand),
-        start,
-        {SENSOR.name: free},
-        priors,
+        (survey.stations.world_R_hand, survey.stations.world_t_hand),
+        values,
+        {
+            SENSOR.name: np.hstack((mounts, np.where(_free(rows), ERRORS_BEFORE, 0.0))),
+            BEAM.name: beams,
+        },
         pose if pose.any() else None,
         float(found.noise.sigma[-1]),
         known,
-        middle,
         beside=START_OFF,
     )
 
 
-def _plane(numbers: FloatArray) -> FloatArray:
-    """Return normal and offset at the world's origin of a plane that has its offset at a centre."""
-    n, h, c = np.split(numbers, (3, 4))
-    return np.append(n, h - n @ c)
+def _free(rows: Rows) -> BoolArray:
+    """Return which range errors of each sensor are unknown (n, 4)."""
+    free = [error in shots.free for shots in rows.survey.shots for error in RAY_ERRORS]
+    return np.array(free, dtype=bool).reshape(-1, len(RAY_ERRORS))
 
 
 def _variables(
@@ -263,26 +294,22 @@ def _variables(
         found.estimate,
         covariance=found.estimate.covariance / np.outer(found.spread, found.spread),
     )
+    free, unknown = _free(rows), rows.unknown()
     for kind, members in found.estimate.values.items():
         if kind in (BODY.name, POSE.name):
             continue  # faces may leave a body open; what it does shows in its planes
-        for i, own in enumerate(members):
-            mine, label = plain.marginal(kind, i), ""
-            lift = np.eye(len(mine))
-            if kind == SENSOR.name:
-                sensor, shots = list(calibration.sensors.values())[i], rows.survey.shots[i]
-                label, own = f"sensor {sensor.name}", np.zeros(6)
-                own = np.append(own, list(sensor.range_error.values()))
-                unknown = [
-                    x.rpartition(".")[2] for x in plain.names if x.startswith(f"{kind}[{i}].")
-                ]
-                lift = lift[[x not in RAY_ERRORS or x in shots.free for x in unknown]]
-            elif kind == BEAM.name:
-                label = f"beam {rows.survey.beam_names[i]}"
-                (lift,) = beam_lifts(bases(own[None, 3:6]))
-            elif kind == PLANE.name:
-                lift, own = plane_lifts(bases(own[:3]), own[4:]), _plane(own)
-            yield (kind, i), label or rows.label((kind, i)), own, lift @ mine @ lift.T
+        family = FAMILIES[kind]
+        shown = len(family.numbers)
+        for i, (name, own) in enumerate(zip(rows.names(kind), members, strict=True)):
+            numbers, lift = own[:shown], family.tangents_at(own)[:shown]
+            if (
+                kind == SENSOR.name
+            ):  # SciPy's numbers are turn and shift from here, and range errors
+                numbers = np.append(np.zeros(POSE.dim), own[POSE.size :][free[i]])
+                sought = np.append(np.ones(POSE.dim, dtype=bool), free[i])
+                lift = np.eye(SENSOR.dim)[np.ix_(sought, np.asarray(unknown[kind]))]
+            label = f"{kind} {name}" if kind in (SENSOR.name, BEAM.name) else name
+            yield (kind, i), label, numbers, lift @ plain.marginal(kind, i) @ lift.T
 
 
 def compared(

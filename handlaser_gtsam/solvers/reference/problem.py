@@ -8,7 +8,7 @@ of size 1 does, are held while SciPy runs and then updated at its solution.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -17,9 +17,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import csr_array, vstack
 from scipy.spatial.transform import Rotation
 
-from ...arrays import BoolArray, FloatArray, IntArray
-from ...data.parameters import Parameters, Terms
-from ...data.recording import Recording
+from ...arrays import FloatArray, IntArray
 from ...data.survey import Known
 from .errors import SystematicErrors
 from .readings import STEP, Observed
@@ -47,20 +45,14 @@ class Problem:
     observed : sequence of Observed
     hands : (M, 3, 3), (M, 3)
         Recorded hand poses.
-    start : mapping of str to (n, width)
-        Numbers of the variables of each kind, of `unknowns.WIDTH`.
-    free : mapping of str to (n, numbers) of bool
-        Which numbers are unknown; all of a kind where it is not given.
-    prior_sigma : mapping of str to (n, numbers)
-        Standard deviations of numbers about zero before any reading; infinite where nothing is known.
+    start, sigma : mapping of str to (n, ...)
+        As of `Unknowns`, by kinds of variables.
     pose : (M, 6, 6), optional
         Covariance of the hand poses (rx, ry, rz, x, y, z), hand frame; None for exact ones.
     aiming_sigma : float
         Of spots across their rays, about points [m].
     known : sequence of (Known, variables)
         Relations with the kind and number of each variable that they are of, and of a body first.
-    middle : (planes, 3)
-        Where each plane was measured, for relations of distances.
     errors : SystematicErrors, optional
         Whose sizes are unknowns.
     beside : float
@@ -70,12 +62,10 @@ class Problem:
     observed: Sequence[Observed]
     hands: tuple[FloatArray, FloatArray]
     start: Mapping[str, FloatArray]
-    free: Mapping[str, BoolArray]
-    prior_sigma: Mapping[str, FloatArray]
+    sigma: Mapping[str, FloatArray]
     pose: FloatArray | None = None
     aiming_sigma: float = 1.0
     known: Sequence[tuple[Known, Sequence[tuple[str, int]]]] = ()
-    middle: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     errors: SystematicErrors | None = None
     beside: float = 0.0
 
@@ -117,16 +107,12 @@ class Residuals:
 
     def __init__(self, of: Problem) -> None:
         self.of = of
-        self.unknowns = Unknowns(of.start, of.free)
+        self.unknowns = Unknowns(of.start, of.sigma)
         self._station = np.concatenate(
             [np.tile(one.station[one.solved], one.rows) for one in of.observed]
         )
         self._weights: list[tuple[IntArray, FloatArray, FloatArray]] = []
-        places = [(self.unknowns.place[kind], sigma) for kind, sigma in of.prior_sigma.items()]
-        known = [(place >= 0) & np.isfinite(sigma) for place, sigma in places]
-        pairs = list(zip(places, known, strict=True))
-        self._prior_place = np.concatenate([np.zeros(0, int), *(p[k] for (p, _), k in pairs)])
-        self._prior_sigma = np.concatenate([np.zeros(0), *(s[k] for (_, s), k in pairs)])
+        self._known = np.flatnonzero(np.isfinite(self.unknowns.sigma))
         self.weigh(self.unknowns.x0)
 
     @property
@@ -141,8 +127,8 @@ class Residuals:
         """Return all residuals at a vector of unknowns."""
         at, of = self.unknowns.at(x), self.of
         e = self._whitened(self._readings(at, *self._hands(at)))
-        relations = [relation_residuals(*one, at, of.middle) for one in of.known]
-        return np.concatenate((e, *relations, x[self._prior_place] / self._prior_sigma))
+        relations = [relation_residuals(*one, at) for one in of.known]
+        return np.concatenate((e, *relations, (x / self.unknowns.sigma)[self._known]))
 
     def weigh(self, x: FloatArray) -> None:
         """Update the weights at a vector of unknowns."""
@@ -186,8 +172,8 @@ class Residuals:
         others = []
         for known, variables in self.of.known:
             columns = np.concatenate([place[kind][number] for kind, number in variables])
-            others += [columns] * len(relation_residuals(known, variables, x0, self.of.middle))
-        others += list(self._prior_place[:, None])
+            others += [columns] * len(relation_residuals(known, variables, x0))
+        others += list(self._known[:, None])
         return csr_array(vstack((readings, _pattern(others, count))))
 
     def _hands(self, at: At) -> tuple[FloatArray, FloatArray]:
@@ -271,76 +257,3 @@ def solve(problem: Problem) -> Solution:
     inverse = np.linalg.pinv(J.T @ J, hermitian=True, rcond=1e-15) / np.outer(scale, scale)
     values, covariances = residuals.unknowns.by_variable(np.asarray(found.x - step), inverse)
     return Solution(values, covariances, 2.0 * float(found.cost), iterations)
-
-
-def problem_of_recording(
-    recording: Recording,
-    start: Parameters,
-    terms: Terms,
-    range_sigma: FloatArray,
-    *,
-    incidence_sigma: float = 0.0,
-    pose: FloatArray | None = None,
-    of_reading: bool = False,
-    prior_sigma: FloatArray | None = None,
-    freed: Mapping[str, float] | None = None,
-    used: BoolArray | None = None,
-) -> Problem:
-    """Return the problem of beams before planes.
-
-    Parameters
-    ----------
-    recording : Recording
-    start : Parameters
-        Also chooses which component of each unit vector follows from the others.
-    terms : int, or one a beam
-        Range-error terms.
-    range_sigma : (B,)
-        Of a reading of each beam [m].
-    incidence_sigma, pose, of_reading
-        As of `Observed` and `Problem`.
-    prior_sigma : (B, 2), optional
-        Of k1 [1] and k2 [1/m].
-    freed : mapping of str to float, optional
-        Systematic errors that are unknowns, of `errors.ERRORS`, with the sigmas of their priors.
-    used : (M, B) of bool, optional
-        Which of the readings are solved; all of them where not given. The errors are defined by those
-        between the smallest and the largest of these.
-    """
-    beams = len(recording.beam_names)
-    terms = (terms,) * beams if isinstance(terms, int) else terms
-    used = ~np.isnan(recording.ranges) if used is None else used
-    low, high = recording.ranges[used].min(), recording.ranges[used].max()
-    seen = (recording.ranges >= low) & (recording.ranges <= high)
-    station, beam = np.nonzero(seen)
-    sigma = range_sigma[beam]
-    if recording.samples is not None:
-        sigma = sigma / np.sqrt(recording.samples[seen])
-    observed = Observed(
-        "plane",
-        station,
-        recording.plane_of_station[station],
-        beam,
-        recording.ranges[seen],
-        sigma,
-        of_reading=of_reading,
-        incidence_sigma=incidence_sigma,
-        used=used[seen],
-    )
-    errors = SystematicErrors(freed, recording, seen) if freed else None
-    of_beams = np.full((beams, 8), np.inf)
-    of_beams[:, 6:] = np.inf if prior_sigma is None else prior_sigma
-    sizes = np.zeros(0) if errors is None else errors.sigma
-    return Problem(
-        [observed],
-        (recording.world_R_hand, recording.world_t_hand),
-        {
-            "beam": np.hstack(start.beams),
-            "plane": np.column_stack((start.normals, start.offsets)),
-            "size": np.zeros((len(sizes), 1)),
-        },
-        {"beam": np.array([[True] * 6 + [n > 0, n > 1] for n in terms])},
-        {"beam": of_beams, "size": sizes[:, None]},
-        pose,
-        errors=errors,
-    )

@@ -1,7 +1,7 @@
 r"""Rays and ranges of every sensor and target, written again.
 
 In the world frame the ray of a reading starts at o and runs along u. Its range to a plane is
-s = -(n . o + b) / (n . u), to a sphere with centre c and radius q the smaller root of
+s = -(n . (o - c) + h) / (n . u), to a sphere with centre c and radius q the smaller root of
 |o + s u - c| = q, and the residual is s less the corrected reading. A spot that is aimed at a point C
 has e = o + s u - C: e . u errs as readings do, e x u as the aiming does. Noise of x of a profiler
 counts by how much a shift of the ray moves its range.
@@ -147,7 +147,8 @@ class Observed:
         """
         target = at.numbers[self.target_kind][self.target]
         if self.target_kind == "plane":
-            height, cosine = (o * target[:, :3]).sum(axis=1) + target[:, 3], self.cosines(at, u)
+            w, cosine = o - at.centre[self.target], self.cosines(at, u)
+            height = (w * target[:, :3]).sum(axis=1) + target[:, 3]
             if self.half_angle:
                 rest = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0)) - self.half_angle
                 return np.asarray(np.abs(height) / np.cos(np.maximum(rest, 0.0)))

@@ -10,9 +10,7 @@ from ...data.survey import Known
 from .unknowns import UNIT, At
 
 
-def relation_residuals(
-    known: Known, variables: Sequence[tuple[str, int]], at: At, middle: FloatArray
-) -> FloatArray:
+def relation_residuals(known: Known, variables: Sequence[tuple[str, int]], at: At) -> FloatArray:
     """Return the residuals (n,) of one relation.
 
     Parameters
@@ -21,13 +19,12 @@ def relation_residuals(
     variables : sequence of (kind, number)
         Of what it is of; a body stands before its planes.
     at : At
-    middle : (planes, 3)
-        Where each plane was measured: distances of planes are those of the feet of these points.
+        Distances of planes are those of the feet of their centres.
     """
 
     def foot(plane: int) -> FloatArray:
-        n, b = np.split(at.numbers["plane"][plane], (3,))
-        return np.asarray(middle[plane] - n * (n @ middle[plane] + b))
+        n, h = np.split(at.numbers["plane"][plane], (3,))
+        return np.asarray(at.centre[plane] - h * n)
 
     (kind, a), (other, b) = variables[0], variables[-1]
     numbers, second = at.numbers[kind][a], at.numbers[other][b]
@@ -39,7 +36,7 @@ def relation_residuals(
         turn = np.arccos(unit @ second_unit) - known.value
     elif known.relation == "parallel":
         turn = np.cross(unit, second_unit)
-        shift = abs(foot(a) @ second_unit + second[3]) - known.value
+        shift = abs((foot(a) - at.centre[b]) @ second_unit + second[3]) - known.value
     elif known.relation == "along":
         turn = np.cross(unit, given / size)
     elif known.relation == "upright":

@@ -11,29 +11,38 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import FloatArray, IntArray
 from ...data.survey import RAY_ERRORS
 
-WIDTH = {"sensor": 12, "beam": 8, "plane": 4, "sphere": 4, "point": 3, "body": 12, "size": 1}
-"""Numbers of the start of a variable of each kind: a sensor of many rays and a body as a rotation by
-rows and an origin, a beam as location, direction, k1 and k2, a plane as normal and offset, a sphere as
-centre and radius, a point, and the size of a systematic error."""
+WIDTH = {
+    "sensor": 6 + len(RAY_ERRORS),
+    "beam": 8,
+    "plane": 4,
+    "sphere": 4,
+    "point": 3,
+    "body": 6,
+    "size": 1,
+}
+"""Numbers of a variable of each kind: of a sensor of many rays its turn, shift and range errors, of a
+beam location, direction, k1 and k2, of a plane normal and offset, of a sphere centre and radius, of a
+body turn and shift, and the size of a systematic error."""
 UNIT = {"beam": slice(3, 6), "plane": slice(0, 3)}
 """Where a unit vector stands among the numbers of a variable."""
-MOTIONS = {"sensor": 6 + len(RAY_ERRORS), "body": 6}
-"""Rigid motions, with how many numbers are sought of each: turn, shift, range errors of a sensor."""
+MOTIONS = "sensor", "body"
+"""Variables that are rigid motions."""
 
 
 class At(NamedTuple):
     """Variables at one vector of unknowns.
 
-    `numbers` has those of every kind (n, width), of rigid motions their turns and shifts from the start
-    and then range errors; `R` (n, 3, 3) and `t` (n, 3) have the poses of the motions.
+    `numbers` has those of every kind (n, width), `R` (n, 3, 3) and `t` (n, 3) have the poses of rigid
+    motions, and `centre` (planes, 3) the points at which the offsets of planes are taken.
     """
 
     numbers: Mapping[str, FloatArray]
     R: Mapping[str, FloatArray]
     t: Mapping[str, FloatArray]
+    centre: FloatArray
 
 
 class Unknowns:
@@ -41,30 +50,34 @@ class Unknowns:
 
     Parameters
     ----------
-    start : mapping of str to (n, width)
-        Numbers of the variables of each kind, of `WIDTH`; a kind that is not there has none.
-    free : mapping of str to (n, numbers) of bool
-        Which numbers are unknown, the others being zero; all of a kind where it is not given.
+    start : mapping of str to (n, ...)
+        Of rigid motions a rotation by rows and an origin, of planes normal, offset and centre, of
+        others the numbers of `WIDTH`; further columns do not count. A kind may be missing.
+    sigma : mapping of str to (n, width)
+        Standard deviations of numbers about zero before any reading: infinite where nothing is known,
+        as of all of a kind that is missing, and zero where a number is zero and not sought.
 
     Attributes
     ----------
     x0 : (q,)
         The unknowns at the start.
-    place : mapping of str to (n, numbers)
+    place : mapping of str to (n, width)
         Where each number stands among the unknowns; -1 for none.
+    sigma : (q,)
+        Of the unknowns, before any reading.
     """
 
-    def __init__(
-        self, start: Mapping[str, FloatArray], free: Mapping[str, BoolArray] | None = None
-    ) -> None:
-        self._start = {kind: start.get(kind, np.zeros((0, n))) for kind, n in WIDTH.items()}
+    def __init__(self, start: Mapping[str, FloatArray], sigma: Mapping[str, FloatArray]) -> None:
+        self._start = {kind: start.get(kind, np.zeros((0, 12))) for kind in WIDTH}
         self.place: dict[str, IntArray] = {}
         self._follows: dict[str, tuple[IntArray, IntArray, FloatArray]] = {}
-        first, count = [], 0
-        for kind, table in self._start.items():
+        first, before, count = [], [], 0
+        for kind, width in WIDTH.items():
+            table = self._start[kind][:, :width]
             if kind in MOTIONS:
-                table = np.zeros((len(table), MOTIONS[kind]))
-            kept = np.array(np.broadcast_to((free or {}).get(kind, np.True_), table.shape))
+                table = np.zeros((len(table), width))
+            known = np.broadcast_to(sigma.get(kind, np.inf), table.shape)
+            kept = known > 0.0
             if kind in UNIT:
                 rows = np.arange(len(table))
                 follows = UNIT[kind].start + np.abs(table[:, UNIT[kind]]).argmax(axis=1)
@@ -73,7 +86,8 @@ class Unknowns:
             self.place[kind] = np.where(kept, count + np.cumsum(kept).reshape(kept.shape) - 1, -1)
             count += int(kept.sum())
             first.append(table[kept])
-        self.x0 = np.concatenate(first)
+            before.append(known[kept])
+        self.x0, self.sigma = np.concatenate(first), np.concatenate(before)
 
     def at(self, x: FloatArray) -> At:
         """Return the variables at a vector of unknowns."""
@@ -88,8 +102,8 @@ class Unknowns:
             begun = start[:, :9].reshape(-1, 3, 3)
             # SciPy 1.15 takes no empty array of rotations.
             R[kind] = begun @ Rotation.from_rotvec(step[:, :3]).as_matrix() if len(step) else begun
-            t[kind] = start[:, 9:] + (begun @ step[:, 3:6, None])[..., 0]
-        return At(numbers, R, t)
+            t[kind] = start[:, 9:12] + (begun @ step[:, 3:6, None])[..., 0]
+        return At(numbers, R, t, self._start["plane"][:, 4:7])
 
     def by_variable(
         self, x: FloatArray, inverse: FloatArray
