@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import FloatArray, IntArray
 from ...data.survey import Known
 from .errors import SystematicErrors
-from .readings import STEP, Observed
+from .readings import DIFFERENCE, Observed
 from .relations import relation_residuals
 from .unknowns import At, Unknowns
 
@@ -98,18 +98,18 @@ class Residuals:
 
     Parameters
     ----------
-    of : Problem
+    problem : Problem
 
     Attributes
     ----------
     unknowns : Unknowns
     """
 
-    def __init__(self, of: Problem) -> None:
-        self.of = of
-        self.unknowns = Unknowns(of.start, of.sigma)
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.unknowns = Unknowns(problem.start, problem.sigma)
         self._station = np.concatenate(
-            [np.tile(one.station[one.solved], one.rows) for one in of.observed]
+            [np.tile(one.station[one.solved], one.rows) for one in problem.observed]
         )
         self._weights: list[tuple[IntArray, FloatArray, FloatArray]] = []
         self._known = np.flatnonzero(np.isfinite(self.unknowns.sigma))
@@ -118,36 +118,36 @@ class Residuals:
     @property
     def vary(self) -> bool:
         """Whether weights, or what they are held with, depend on the unknowns."""
-        of = self.of
+        problem = self.problem
         range_errors = (self.unknowns.place["sensor"][:, 6:] >= 0).any()
-        noise = (one.of_reading or one.sigma_across for one in of.observed)
-        return of.pose is not None or bool(range_errors) or any(noise)
+        noise = (one.of_reading or one.sigma_across for one in problem.observed)
+        return problem.pose is not None or bool(range_errors) or any(noise)
 
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return all residuals at a vector of unknowns."""
-        at, of = self.unknowns.at(x), self.of
+        at = self.unknowns.at(x)
         e = self._whitened(self._readings(at, *self._hands(at)))
-        relations = [relation_residuals(*one, at) for one in of.known]
+        relations = [relation_residuals(*one, at) for one in self.problem.known]
         return np.concatenate((e, *relations, (x / self.unknowns.sigma)[self._known]))
 
     def weigh(self, x: FloatArray) -> None:
         """Update the weights at a vector of unknowns."""
-        of, at = self.of, self.unknowns.at(x)
+        problem, at = self.problem, self.unknowns.at(x)
         R, t = self._hands(at)
-        self._counted = [one.counted(at, R, t, of.errors) for one in of.observed]
-        if of.pose is not None:
+        self._counted = [one.counted(at, R, t, problem.errors) for one in problem.observed]
+        if problem.pose is not None:
             A = by_poses(partial(self._readings, at), R, t)
             order = np.argsort(self._station, kind="stable")
             stations, first = np.unique(self._station[order], return_index=True)
             self._weights = []
             for station, rows in zip(stations, np.split(order, first[1:]), strict=True):
-                variances, axes = np.linalg.eigh(of.pose[station])
+                variances, axes = np.linalg.eigh(problem.pose[station])
                 root = axes * np.sqrt(np.maximum(variances, 0.0))
                 U, size, _ = np.linalg.svd(A[rows] @ root, full_matrices=False)
                 self._weights.append((rows, U, 1.0 - 1.0 / np.sqrt(1.0 + size**2)))
         heavy = self._whitened(self._whitened(self._readings(at, R, t)))
         end = 0
-        for i, one in enumerate(of.observed):
+        for i, one in enumerate(problem.observed):
             begin, end = end, end + one.rows * len(one.solved)
             if one.of_reading:
                 self._counted[i] = one.freed_of_noise(at, self._counted[i], heavy[begin:end])
@@ -159,7 +159,7 @@ class Residuals:
             return None
         place = self.unknowns.place
         sizes, depends = place["size"][:, 0], []
-        for one in self.of.observed:
+        for one in self.problem.observed:
             of_sensor = place[one.sensor_kind][one.sensor[one.solved]]
             of_target = place[one.target_kind][one.target[one.solved]]
             each = np.tile(np.hstack((of_sensor, of_target)), (one.rows, 1))
@@ -170,7 +170,7 @@ class Residuals:
             readings = stations @ (stations.T @ readings)
         x0 = self.unknowns.at(self.unknowns.x0)
         others = []
-        for known, variables in self.of.known:
+        for known, variables in self.problem.known:
             columns = np.concatenate([place[kind][number] for kind, number in variables])
             others += [columns] * len(relation_residuals(known, variables, x0))
         others += list(self._known[:, None])
@@ -178,13 +178,13 @@ class Residuals:
 
     def _hands(self, at: At) -> tuple[FloatArray, FloatArray]:
         """Return the hand poses that systematic errors leave."""
-        errors = self.of.errors
-        return self.of.hands if errors is None else errors.hands(at.numbers["size"].ravel())
+        errors = self.problem.errors
+        return self.problem.hands if errors is None else errors.hands(at.numbers["size"].ravel())
 
     def _readings(self, at: At, R: FloatArray, t: FloatArray) -> FloatArray:
         """Return the residuals of all readings, each in its own standard deviations."""
-        pairs = zip(self.of.observed, self._counted, strict=True)
-        aiming = self.of.aiming_sigma
+        pairs = zip(self.problem.observed, self._counted, strict=True)
+        aiming = self.problem.aiming_sigma
         return np.concatenate([one.residuals(at, R, t, how, aiming) for one, how in pairs])
 
     def _whitened(self, e: FloatArray) -> FloatArray:
@@ -206,10 +206,10 @@ def by_poses(
 ) -> FloatArray:
     """Return derivatives (N, 6) of residuals (N,) by hand poses (M, 3, 3), (M, 3), in their frames."""
     columns = []
-    for step in STEP * np.eye(6):
+    for step in DIFFERENCE * np.eye(6):
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         ahead = residuals(R @ turn, t + R @ step[3:])
-        columns.append((ahead - residuals(R @ turn.T, t - R @ step[3:])) / (2.0 * STEP))
+        columns.append((ahead - residuals(R @ turn.T, t - R @ step[3:])) / (2.0 * DIFFERENCE))
     return np.stack(columns, axis=1)
 
 

@@ -9,8 +9,8 @@ counts by how much a shift of the ray moves its range.
 A corrected reading is base + k0 + level (k1 + k2 level), where base and level are the reading d itself
 at first. Then the noise that the residuals show is kept out of the level, for it would pull range
 errors. Of many rays, range errors multiply the range where the shot has it: the level is the reading
-without its residual. Of a beam whose noise is that of the reading, with the covariance C of
-the residuals e of its station, the level is d + g'(d) sigma^2 inv(C) e, and the base such that e stays.
+without its residual. Of a beam whose readings have noise of their own, with the covariance C of the
+residuals e of a station, the level is d + g'(d) sigma^2 inv(C) e, and the base keeps e as it is.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from .errors import SystematicErrors
 from .unknowns import At
 
-STEP = 1e-6
+DIFFERENCE = 1e-6
 """Step of the differences by a hand pose [rad, m], or by a shift of a ray [m]: about the cube root of
 the rounding of doubles."""
 NOISE_LIMIT = 4.0
@@ -200,8 +200,8 @@ class Observed:
         if self.across is not None:
             s, slope = self.ranges(at, o, u), none
             if self.sigma_across:
-                ahead, behind = (self.rays(at, R, t, shift) for shift in (STEP, -STEP))
-                slope = (self.ranges(at, *ahead) - self.ranges(at, *behind)) / (2.0 * STEP)
+                ahead, behind = (self.rays(at, R, t, shift) for shift in (DIFFERENCE, -DIFFERENCE))
+                slope = (self.ranges(at, *ahead) - self.ranges(at, *behind)) / (2.0 * DIFFERENCE)
             sigma = np.hypot(self.sigma, slope * self.sigma_across)
             return Counted(d, d + s - (d + k0 + d * (k1 + k2 * d)), per_size, sigma, none)
         s, cosine = self.ranges(at, o, u), self.cosines(at, u)

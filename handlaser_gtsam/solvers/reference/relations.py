@@ -19,7 +19,7 @@ def relation_residuals(known: Known, variables: Sequence[tuple[str, int]], at: A
     variables : sequence of (kind, number)
         Of what it is of; a body stands before its planes.
     at : At
-        Distances of planes are those of the feet of their centres.
+        Planes are apart by the distance of the feet of their centres.
     """
 
     def foot(plane: int) -> FloatArray:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import FloatArray, IntArray
 from ...data.survey import RAY_ERRORS
 
-WIDTH = {
+NUMBERS = {
     "sensor": 6 + len(RAY_ERRORS),
     "beam": 8,
     "plane": 4,
@@ -35,8 +35,8 @@ MOTIONS = "sensor", "body"
 class At(NamedTuple):
     """Variables at one vector of unknowns.
 
-    `numbers` has those of every kind (n, width), `R` (n, 3, 3) and `t` (n, 3) have the poses of rigid
-    motions, and `centre` (planes, 3) the points at which the offsets of planes are taken.
+    `numbers` (n, width) are of every kind, `R` (n, 3, 3) and `t` (n, 3) are the poses of rigid motions,
+    and `centre` (planes, 3) are the points at which the offsets of planes are taken.
     """
 
     numbers: Mapping[str, FloatArray]
@@ -52,7 +52,7 @@ class Unknowns:
     ----------
     start : mapping of str to (n, ...)
         Of rigid motions a rotation by rows and an origin, of planes normal, offset and centre, of
-        others the numbers of `WIDTH`; further columns do not count. A kind may be missing.
+        others what `NUMBERS` says; further columns do not count. A kind may be missing.
     sigma : mapping of str to (n, width)
         Standard deviations of numbers about zero before any reading: infinite where nothing is known,
         as of all of a kind that is missing, and zero where a number is zero and not sought.
@@ -68,11 +68,11 @@ class Unknowns:
     """
 
     def __init__(self, start: Mapping[str, FloatArray], sigma: Mapping[str, FloatArray]) -> None:
-        self._start = {kind: start.get(kind, np.zeros((0, 12))) for kind in WIDTH}
+        self._start = {kind: start.get(kind, np.zeros((0, 12))) for kind in NUMBERS}
         self.place: dict[str, IntArray] = {}
         self._follows: dict[str, tuple[IntArray, IntArray, FloatArray]] = {}
         first, before, count = [], [], 0
-        for kind, width in WIDTH.items():
+        for kind, width in NUMBERS.items():
             table = self._start[kind][:, :width]
             if kind in MOTIONS:
                 table = np.zeros((len(table), width))
@@ -110,7 +110,7 @@ class Unknowns:
     ) -> tuple[dict[tuple[str, int], FloatArray], dict[tuple[str, int], FloatArray]]:
         """Return the numbers of each variable (kind, member) at `x`, and their covariances.
 
-        Numbers that are not sought are left away, but of beams and planes all have a place. `inverse`
+        Only numbers that are sought are returned, and of beams and planes all. `inverse`
         (q, q) is the covariance of the unknowns.
         """
         padded, values, covariances = np.pad(inverse, (0, 1)), {}, {}
