@@ -334,7 +334,7 @@ def test_a_plan_counts_the_errors_as_a_calibration_with_its_stations_will(codes,
     plane = np.array([belief.plane_names.index(label) for label in whole.plane_labels])
     stations = Stations(whole.world_R_hand, whole.world_t_hand, plane)[late]
     rows = station_rows(belief, stations)
-    beams, unknowns = belief.first_error, np.arange(belief.first_plane)
+    errors, unknowns = len(codes), np.arange(belief.first_plane)
     expected = after.covariance.matrix(planes=[], ambient=False)
     largest = np.nanmax(whole.part(~late).ranges)
     *_, spots = scene.flat_ranges(*scene.true_poses("", 0.0))
@@ -349,7 +349,7 @@ def test_a_plan_counts_the_errors_as_a_calibration_with_its_stations_will(codes,
     units = {"cubic": largest**-3, "sag": farthest[0] / farthest[1]}
     unit = [units.get(code, 1.0) for code in codes]
     sizes = np.array([one.sigma for one in after.effects]) * unit
-    sigma = np.concatenate((np.sqrt(np.diagonal(expected)), sizes))
+    sigma = np.concatenate((sizes, np.sqrt(np.diagonal(expected))))
 
     def forecast(rows):
         variance = np.diagonal(updated(belief.covariance, rows))[unknowns]
@@ -359,7 +359,7 @@ def test_a_plan_counts_the_errors_as_a_calibration_with_its_stations_will(codes,
     assert np.abs(forecast(rows) - 1.0).max() < 0.03
     for factor in (0.0, -1.0):  # as if the stations had no such error, or the opposite one
         wrong = rows.copy()
-        wrong[..., beams : belief.first_plane] *= factor
+        wrong[..., :errors] *= factor
         assert np.abs(forecast(wrong) - 1.0).max() > 0.15
 
 

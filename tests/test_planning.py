@@ -20,7 +20,7 @@ from handlaser_gtsam.planning.belief import belief_of, transported
 from handlaser_gtsam.planning.blind import completing_motion
 from handlaser_gtsam.planning.choice import choose, value
 from handlaser_gtsam.planning.information import outlook, station_rows, updated
-from handlaser_gtsam.planning.task import Task, goal_rows, spot_rows
+from handlaser_gtsam.planning.task import Task
 from handlaser_gtsam.planning.way import divided, shortest
 from handlaser_gtsam.planning.workspace import inside, joined
 from handlaser_gtsam.results.mounts import Mounts
@@ -123,7 +123,7 @@ def test_the_belief_is_the_covariance_of_the_calibration(recorded, belief):
         own = belief.covariance[BEAM.dim * i : BEAM.dim * i + 3, BEAM.dim * i : BEAM.dim * i + 3]
         assert np.allclose(own, joint.matrix([name], [])[:3, :3], rtol=1e-12)
     mounts = belief_of(Mounts.of(recorded[2]))
-    count = belief.first_error
+    count = belief.first_plane
     # Other tangent bases: what does not depend on them is equal.
     for i in range(belief.beams):
         at = BEAM.dim * i + np.arange(3, 5)
@@ -143,7 +143,7 @@ def test_bases_move_with_their_directions():
 
 
 def test_the_spot_is_that_of_the_results(recorded, belief):
-    rows = spot_rows(belief, 0.02)
+    rows = np.concatenate([mount.spot for mount in belief.mounts(0.02)])
     C = (rows @ belief.covariance @ rows.T)[:3, :3]
     found = spot(recorded[2], "1", 0.02)
     v = belief.mean.directions[0]
@@ -203,7 +203,7 @@ def test_updates_up_and_down_agree_with_the_final_covariance():
 def test_planned_stations_beat_random_ones(belief, pool):
     goal, rng = hl.planning.Goal(), np.random.default_rng(0)
     rows = station_rows(belief, pool)
-    weight = goal_rows(belief, goal, 0.015)
+    weight = goal.weight(belief.mounts(0.015))
     _, values, _ = choose(rows[None], belief.covariance, weight, 8)
     drawn = [
         value(after(rows[None], belief.covariance, rng.choice(120, 8, False)), weight, "A")

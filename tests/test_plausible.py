@@ -276,8 +276,7 @@ def test_a_belief_with_errors_is_that_of_the_joint_information():
     belief = belief_of(found)
     joint = with_errors(belief, found.recording, {"incidence": 1e-3, "carry-over": 0.02})
     rows = recorded_rows(joint, found.recording).reshape(-1, len(joint.covariance))
-    own = belief.first_error + np.arange(2)
-    x = np.delete(np.arange(len(joint.covariance)), own)
+    own, x = np.arange(2), np.arange(2, len(joint.covariance))
     information = np.diag(np.zeros(len(joint.covariance)))
     information[np.ix_(x, x)] = np.linalg.inv(belief.covariance)
     information[np.ix_(own, x)] = rows[:, own].T @ rows[:, x]

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..errors import InputError
 from ..model.effects import EFFECTS, OF_STATIONS
@@ -19,6 +19,7 @@ from ..model.weighting import Variances, covariance_roots
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from .bounds import Plate, plate_of
+from .goal import Mount, beam_mount
 
 UNKNOWN_LENGTH = 0.1
 """Standard deviation of a length that the readings alone have to determine [m]: too large to say
@@ -42,9 +43,9 @@ class Belief:
     mean : Parameters
         World frame.
     covariance : (U, U)
-        What the next calibration starts from. U = 7 B + E + 3 P tangent coordinates: (r, tangent of v,
-        k1, k2) a beam, the sizes of `errors`, (tangent of n, offset at the plane's origin) a plane. A
-        range error that is not modelled has zero rows.
+        What the next calibration starts from. U = E + 7 B + 3 P tangent coordinates: the sizes of
+        `errors`, (r, tangent of v, k1, k2) a beam, (tangent of n, offset at the plane's origin) a
+        plane. A range error that is not modelled has zero rows.
     beam_bases : (B, 3, 2), plane_bases : (P, 3, 2)
         Tangent bases of directions and normals.
     origins : (P, 3)
@@ -87,14 +88,22 @@ class Belief:
         return len(self.mean.locations)
 
     @property
-    def first_error(self) -> int:
-        """The number of unknowns of all beams."""
-        return BEAM.dim * self.beams
+    def first_beam(self) -> int:
+        """The number of errors, before the beams."""
+        return len(self.errors)
 
     @property
     def first_plane(self) -> int:
-        """The number of unknowns of beams and errors, before the planes."""
-        return self.first_error + len(self.errors)
+        """The number of unknowns of errors and beams, before the planes."""
+        return self.first_beam + BEAM.dim * self.beams
+
+    def mounts(self, reading: float) -> list[Mount]:
+        """Return what a goal asks of every beam, its spot at a reading [m]."""
+        beams = zip(np.hstack(self.mean.beams), self.beam_bases, strict=True)
+        return [
+            beam_mount(self.first_beam + BEAM.dim * i, len(self.covariance), beam, basis, reading)
+            for i, (beam, basis) in enumerate(beams)
+        ]
 
     def draw(self, rng: np.random.Generator) -> Parameters:
         """Return beams and planes drawn from the spread."""
@@ -103,7 +112,7 @@ class Belief:
 
     def moved(self, x: FloatArray) -> Parameters:
         """Return beams and planes that differ from the mean by tangent coordinates x (U,)."""
-        beam = x[: self.first_error].reshape(-1, BEAM.dim)
+        beam = x[self.first_beam : self.first_plane].reshape(-1, BEAM.dim)
         plane = x[self.first_plane :].reshape(-1, PLANE.dim)
         mean = self.mean
         turned = np.einsum("bij,bj->bi", self.beam_bases, beam[:, DIRECTION])
@@ -174,82 +183,79 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
     Raises
     ------
     InputError
-        The calibration leaves something undetermined, so that there is no covariance.
+        The calibration leaves something undetermined, so that there is no covariance; or it has freed
+        errors and no recording.
     """
+    pose = calibration.pose_covariance
+    pose = None if pose is None else pose[None]
     if isinstance(calibration, Mounts):
-        bases, nothing = model.tangent_basis(calibration.directions), np.empty((0, 3))
+        r, v, k = calibration.locations, calibration.directions, calibration.range_errors
+        bases, nothing = model.tangent_basis(v), np.empty((0, 3))
         lift = beams_lift(bases, [2] * len(bases))
         covariance = lift.T @ calibration.covariance @ lift
-        r, v, k = calibration.locations, calibration.directions, calibration.range_errors
         mean = Parameters(r, v, k, nothing, np.empty(0))
-        noise = Variances(np.full(len(bases), calibration.range_sigma))
-        names: tuple[str, ...] = ()
-        plane_bases, origins = np.empty((0, 3, 2)), nothing
-    else:
-        joint = calibration.covariance
-        if joint is None or calibration.status != "converged":
-            raise InputError(
-                f"a calibration that is {calibration.status.replace('_', ' ')}",
-                "a converged one; plan without a calibration for a first motion",
-            )
-        last = slice(max(len(joint.plane_names) - LAST_PLANES, 0), None)
-        names, bases = joint.plane_names[last], joint.beam_bases
-        plane_bases, origins = joint.plane_bases[last], joint.origins[last]
-        # Range errors that are not modelled have rows of zeros.
-        known = modelled(joint.terms)
-        rows = np.flatnonzero(np.append(known, np.ones(PLANE.dim * len(names), dtype=bool)))
-        covariance = np.zeros((known.size + PLANE.dim * len(names),) * 2)
-        covariance[np.ix_(rows, rows)] = joint.matrix(planes=names, ambient=False)
-        mean = calibration.parameters()
-        mean = replace(mean, normals=mean.normals[last], offsets=mean.offsets[last])
-        given = Variances(np.full(len(joint.terms), calibration.fit.range_sigma))
-        noise = calibration.variances or given
-    pose = calibration.pose_covariance
-    noise = replace(noise, pose=None if pose is None else pose[None])
-    belief = Belief(mean, covariance, bases, plane_bases, origins, noise, names, covariance)
-    if isinstance(calibration, Mounts) or not calibration.effects:
-        return belief
-    return _with_freed(belief, rows, calibration)
+        noise = Variances(np.full(len(bases), calibration.range_sigma), pose=pose)
+        no_bases = np.empty((0, 3, 2))
+        return Belief(mean, covariance, bases, no_bases, nothing, noise, (), covariance)
+    joint, effects = calibration.covariance, calibration.effects
+    if joint is None or calibration.status != "converged":
+        raise InputError(
+            f"a calibration that is {calibration.status.replace('_', ' ')}",
+            "a converged one; plan without a calibration for a first motion",
+        )
+    last = slice(max(len(joint.plane_names) - LAST_PLANES, 0), None)
+    names, mean = joint.plane_names[last], calibration.parameters()
+    mean = replace(mean, normals=mean.normals[last], offsets=mean.offsets[last])
+    noise = calibration.variances or Variances(
+        np.full(len(joint.terms), calibration.fit.range_sigma)
+    )
+    counted = [number for number, effect in enumerate(effects) if effect.code in OF_STATIONS]
+    S = joint.matrix(planes=names, ambient=False)
+    turned_from, bent_from = np.eye(3), None
+    if counted:
+        S, turned_from, (middles, square) = _with_freed(calibration, counted, S, len(joint.beams))
+        bent_from = middles[last], square
+    # Range errors that are not modelled have rows of zeros.
+    beams = modelled(joint.terms).ravel()
+    known = np.pad(beams, (len(counted), PLANE.dim * len(names)), constant_values=True)
+    covariance = np.zeros((len(known), len(known)))
+    covariance[np.ix_(known, known)] = S
+    return Belief(
+        mean,
+        covariance,
+        joint.beam_bases,
+        joint.plane_bases[last],
+        joint.origins[last],
+        replace(noise, pose=pose),
+        names,
+        covariance,
+        tuple(effects[number].code for number in counted),
+        turned_from,
+        bent_from,
+        tuple(dict.fromkeys(e.code for e in effects if e.code not in OF_STATIONS)),
+    )
 
 
-def _with_freed(belief: Belief, rows: IntArray, calibration: Calibration) -> Belief:
-    """Return the belief of a calibration with its freed errors, as far as stations have them.
+def _with_freed(
+    calibration: Calibration, counted: list[int], S: FloatArray, beams: int
+) -> tuple[FloatArray, FloatArray, tuple[FloatArray, float]]:
+    """Return a covariance S (n, n) with the `counted` freed errors before it.
 
-    `rows` are those of the belief that the covariance of the calibration has, too: all of its beams,
-    and its last planes.
+    S is of `beams` coordinates of all beams, and of the last planes. The other results are
+    `turned_from` and `bent_from` of a belief, of all planes.
     """
-    every, recording = calibration.effects, calibration.recording
-    others = dict.fromkeys(effect.code for effect in every if effect.code not in OF_STATIONS)
-    belief = replace(belief, uncounted=tuple(others))
-    counted = [n for n, effect in enumerate(every) if effect.code in OF_STATIONS]
-    if not counted:
-        return belief
-    effects = [every[n] for n in counted]
+    recording, effects = calibration.recording, [calibration.effects[number] for number in counted]
     if recording is None:
         raise InputError("freed errors without a recording", "a calibration from its recording")
-    largest = float(np.nanmax(calibration.used_in(recording).ranges))
+    used = calibration.used_in(recording)
+    largest = float(np.nanmax(used.ranges))
     # A plan counts by how much readings are too long; freed sizes are those that are taken off.
     unit = np.array([-(largest ** -(EFFECTS[e.code].power or 0)) for e in effects])
-    of_effects = np.array([effect.of_effects[counted] for effect in effects])
-    of_mounts = np.array([effect.of_mounts for effect in effects])
-    beams = int((rows < belief.first_error).sum())
-    kept = np.r_[:beams, of_mounts.shape[1] - (len(rows) - beams) : of_mounts.shape[1]]
-    across = np.zeros((len(effects), len(belief.covariance)))
-    across[:, rows] = unit[:, None] * of_mounts[:, kept]
-    joint = np.block([[belief.covariance, across.T], [across, of_effects * np.outer(unit, unit)]])
-    known = len(belief.covariance)
-    order = np.insert(np.arange(known), belief.first_error, np.arange(known, len(joint)))
-    joint = joint[np.ix_(order, order)]
+    of_effects = np.outer(unit, unit) * [effect.of_effects[counted] for effect in effects]
+    kept = np.r_[:beams, beams - len(S) : 0]
+    across = unit[:, None] * [effect.of_mounts[kept] for effect in effects]
     seen = ~np.isnan(recording.ranges).all(axis=1)
-    used = calibration.used_in(recording).readings()
-    middles, square = SeenStations(
-        calibration.parameters(), used, used.station, np.arange(used.beams)
-    ).plates
-    return replace(
-        belief,
-        covariance=joint,
-        spread=joint,
-        errors=tuple(effect.code for effect in effects),
-        turned_from=Rotation.from_matrix(recording.world_R_hand[seen]).mean().as_matrix(),
-        bent_from=(middles[-len(belief.plane_names) :], square),
-    )
+    turned_from = Rotation.from_matrix(recording.world_R_hand[seen]).mean().as_matrix()
+    readings, at = used.readings(), calibration.parameters()
+    whole = SeenStations(at, readings, readings.station, np.arange(readings.beams))
+    return np.block([[of_effects, across], [across.T, S]]), turned_from, whole.plates

@@ -33,7 +33,7 @@ from .choice import choose, value
 from .goal import Goal
 from .information import recorded_rows, station_rows, updated
 from .route import Plan, planned
-from .task import Task, goal_rows
+from .task import Task
 from .workspace import (
     Workspace,
     inside,
@@ -342,7 +342,7 @@ class Blind(NamedTuple):
         count : int
         """
         rows = np.stack([station_rows(belief, stations) for belief in beliefs])
-        weight = goal_rows(beliefs[0], Goal("E", self.middle, 1.0), self.middle)
+        weight = Goal("E", self.middle, 1.0).weight(beliefs[0].mounts(self.middle))
         before = np.stack([belief.covariance for belief in beliefs])
         best, _, _ = choose(rows, before, weight, count, "E", exchange=False)
         after = (updated(C, each[best]) for C, each in zip(before, rows, strict=True))

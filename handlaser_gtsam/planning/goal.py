@@ -1,7 +1,9 @@
 """What a plan is for, and when it is reached."""
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,9 +13,11 @@ from ..data.value import Value
 from ..errors import InputError
 from ..model.effects import EFFECTS, OF_READINGS
 from ..model.effects.plausible import how_to_state
+from ..model.families import BEAM, DIRECTION, LOCATION
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
+from ..results.spot_error import radius
 from .choice import CRITERIA, Criterion
 
 LOCATION_UNIT = 1e-4
@@ -21,6 +25,46 @@ LOCATION_UNIT = 1e-4
 goal is stated [m]: a tenth of a millimetre."""
 DIRECTION_UNIT = math.radians(0.1)
 """[rad]"""
+
+
+class Mount(NamedTuple):
+    """Derivatives by all U unknowns of what a goal asks of one beam or sensor.
+
+    Attributes
+    ----------
+    location : (3, U)
+        [m]
+    turns : (T, a, U)
+        Of a direction in its tangent plane (1, 2, U), or of a sensor about each of its axes (3, 1, U):
+        the largest standard deviation along any of the a axes counts, of all T [rad].
+    spot : (3, U)
+        Of the laser spot at the working distance [m].
+    """
+
+    location: FloatArray
+    turns: FloatArray
+    spot: FloatArray
+
+
+def beam_mount(
+    first: int, unknowns: int, beam: FloatArray, basis: FloatArray, reading: float
+) -> Mount:
+    """Return the derivatives of a beam whose coordinates begin at the unknown `first`.
+
+    Parameters
+    ----------
+    first, unknowns : int
+    beam : (8,)
+        Location, direction and range errors.
+    basis : (3, 2)
+        Tangent basis of the direction.
+    reading : float
+        The working distance d [m], which puts the spot at r + (d + k1 d + k2 d^2) v.
+    """
+    v, (k1, k2), d = beam[3:6], beam[6:], reading
+    own = np.eye(BEAM.dim, unknowns, first)
+    spot = np.hstack((np.eye(3), d * (1.0 + k1 + k2 * d) * basis, np.outer(v, [d, d * d])))
+    return Mount(own[LOCATION], own[DIRECTION][None], spot @ own)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +145,14 @@ class Goal:
         """What of a location [m] and of a direction [rad] counts as much."""
         return self.location_sigma or LOCATION_UNIT, self.direction_sigma or DIRECTION_UNIT
 
+    def weight(self, mounts: Sequence[Mount]) -> FloatArray:
+        """Return what is to become small (W, U): mounts in units of the goal, or their spots [m]."""
+        if self.criterion == "spot":
+            return np.concatenate([mount.spot for mount in mounts])
+        location, turn = self.units
+        parts = [(m.location / location, np.concatenate(m.turns) / turn) for m in mounts]
+        return np.concatenate([part for pair in parts for part in pair])
+
     def distance(self, sensor: Sensor) -> float:
         """Return the working distance [m]."""
         if self.working_distance is not None:
@@ -164,3 +216,18 @@ class Forecast(Value):
             f"direction {self.direction_sigma[stations] * IN_DEG:.2g} deg, "
             f"spot within {self.spot[stations] * IN_MM:.2g} mm"
         )
+
+
+def forecast(
+    mounts: Sequence[Mount], covariances: Iterable[FloatArray], distance: float
+) -> Forecast:
+    """Return what is known of mounts with the covariances (U, U) before and after each station."""
+    sigmas = []
+    for C in covariances:
+        location = max(np.diagonal(m.location @ C @ m.location.T).max() for m in mounts)
+        turns = (m.turns @ C @ np.swapaxes(m.turns, 1, 2) for m in mounts)
+        direction = max(np.linalg.eigvalsh(turn).max() for turn in turns)
+        spot = max(radius(m.spot @ C @ m.spot.T) for m in mounts)
+        sigmas.append((math.sqrt(location), math.sqrt(direction), spot))
+    location, direction, spot = np.array(sigmas).T
+    return Forecast(location, direction, spot, distance)

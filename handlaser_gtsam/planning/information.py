@@ -9,13 +9,13 @@ beams and of that plane are not zero. From the covariance C before the station f
 after it (the update of a Kalman filter).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings, Recording
 from ..model.effects import EFFECTS, OF_READINGS
 from ..model.effects.effect import Everywhere, SeenStations
@@ -43,8 +43,7 @@ def outlook(
     GrazingBeamError, InputError
         As `predicted_readings` does.
     """
-    readings, x = predicted_readings(belief.mean, stations)
-    rows = _derivatives(belief, readings, x)
+    readings, x, columns, rows = _linearized(belief, stations)
     n_hand, v_world = np.einsum("nji,nj->ni", x.R, x.n), np.einsum("nij,nj->ni", x.R, x.v)
     steeper = np.zeros_like(rows)  # derivatives of the cosines
     steeper[:, DIRECTION] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
@@ -54,14 +53,19 @@ def outlook(
     variances, turn = belief.variances.for_stations(len(stations)), 0.0
     if variances.pose is not None:
         turn = float(np.linalg.eigvalsh(variances.pose[0, :3, :3])[-1])
-    noise = reading_sigmas(belief.mean, readings, variances)
-    shape = len(stations), belief.beams
-    return (
-        readings.distance.reshape(shape),
-        np.sqrt(_spread(belief, stations, rows) + noise.reshape(shape) ** 2),
-        model.cosines(x).reshape(shape),
-        np.sqrt(_spread(belief, stations, steeper) + turn),
+    noise = reading_sigmas(belief.mean, readings, variances) ** 2
+    S = belief.spread[columns[:, :, None], columns[:, None]]
+    variance, of_cosine = (
+        np.maximum(np.einsum("ni,nij,nj->n", J, S, J), 0.0) for J in (rows, steeper)
     )
+    found = (
+        readings.distance,
+        np.sqrt(variance + noise),
+        model.cosines(x),
+        np.sqrt(of_cosine + turn),
+    )
+    distance, sigma, cosine, cosine_sigma = (part.reshape(-1, belief.beams) for part in found)
+    return distance, sigma, cosine, cosine_sigma
 
 
 def station_rows(belief: Belief, stations: Stations) -> FloatArray:
@@ -72,26 +76,22 @@ def station_rows(belief: Belief, stations: Stations) -> FloatArray:
     GrazingBeamError, InputError
         As `outlook` does.
     """
-    count, beams = len(stations), belief.beams
-    readings, x = predicted_readings(belief.mean, stations)
-    rows = np.zeros((count * beams, len(belief.covariance)))
-    of_beam = BEAM.dim * readings.beam[:, None] + np.arange(BEAM.dim)
-    of_plane = belief.first_plane + PLANE.dim * readings.plane[:, None] + np.arange(PLANE.dim)
-    columns = np.hstack((of_beam, of_plane))
-    np.put_along_axis(rows, columns, _derivatives(belief, readings, x), axis=1)
+    readings, _, columns, derivatives = _linearized(belief, stations)
+    rows = np.zeros((len(readings), len(belief.covariance)))
+    np.put_along_axis(rows, columns, derivatives, axis=1)
     if belief.errors:
         counted_from = belief.turned_from, belief.bent_from
-        each = np.arange(beams)
+        each = np.arange(belief.beams)
         seen = SeenStations(belief.mean, readings, readings.station, each, *counted_from)
-        for column, code in enumerate(belief.errors, belief.first_error):
+        for column, code in enumerate(belief.errors):
             if code in OF_READINGS:
                 rows[:, column] = OF_READINGS[code](seen, 1.0)
             else:
                 found = EFFECTS[code].at(seen)
                 assert isinstance(found, Everywhere), "it is of stations"
                 rows[:, column] = found.columns[:, 0]
-    how = whitening(belief.mean, readings, belief.variances.for_stations(count))
-    return (how.apply_rows(rows) / how.sigma).reshape(count, beams, -1)
+    how = whitening(belief.mean, readings, belief.variances.for_stations(len(stations)))
+    return (how.apply_rows(rows) / how.sigma).reshape(len(stations), belief.beams, -1)
 
 
 def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
@@ -129,48 +129,54 @@ def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, fl
 
         cov(a) = V,   cov(x, a) = -C J'A V,   cov(x) = C + C J'A V A'J C.
     """
-    count, first, C = len(plausible), belief.first_error, belief.covariance
-    wide = np.insert(np.insert(C, [first] * count, 0.0, axis=0), [first] * count, 0.0, axis=1)
-    errors = (*plausible, *belief.errors)
-    joint = replace(belief, covariance=wide, spread=wide, errors=errors)
+    count, C = len(plausible), belief.covariance
+    errors, wide = (*plausible, *belief.errors), np.pad(C, (count, 0))
+    joint = replace(belief, covariance=wide, errors=errors)
     rows = recorded_rows(joint, recording).reshape(-1, len(wide))
-    columns = first + np.arange(count)
-    A, J = rows[:, columns], np.delete(rows, columns, axis=1)
+    A, J = rows[:, :count], rows[:, count:]
     response = C @ (J.T @ A)
     # What was shown of the errors: but for rounding, which the root cuts off, it is not negative.
     (root,) = covariance_roots((A.T @ A - (J.T @ A).T @ response)[None])
     V = np.linalg.inv(root @ root.T + np.diag([3.0 / size**2 for size in plausible.values()]))
-    move = np.insert(-response, [first] * count, np.eye(count), axis=0)
+    move = np.vstack((np.eye(count), -response))
     covariance = wide + move @ V @ move.T
     return replace(joint, covariance=covariance, spread=covariance)
 
 
-def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the covariance (U, U) after stations with whitened rows (M, B, U), one by one."""
+def updates(covariance: FloatArray, rows: FloatArray) -> Iterator[FloatArray]:
+    """Yield the covariance (U, U) before stations with whitened rows (M, B, U), and after each."""
+    yield covariance
     for station in rows:
         V = station @ covariance
         S = np.eye(len(V)) + V @ station.T
         covariance = np.asarray(covariance - V.T @ np.linalg.solve(S, V))
-    return covariance
+        yield covariance
 
 
-def _derivatives(belief: Belief, readings: Readings, x: model.Scene) -> FloatArray:
-    """Return derivatives (N, 10) of the residuals by the unknowns of each reading's beam and plane."""
-    at, plane = model.linearize(x, readings.distance), readings.plane
-    bases = belief.beam_bases[readings.beam], belief.plane_bases[plane]
-    return model.tangent_columns(at, *bases, belief.origins[plane], 2)[:-1].T.copy()
+def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the covariance (U, U) after stations with whitened rows (M, B, U)."""
+    *_, last = updates(covariance, rows)
+    return last
 
 
-def _spread(belief: Belief, stations: Stations, rows: FloatArray) -> FloatArray:
-    """Return variances (M, B) of rows (N, 10) times the unknowns of each reading's beam and plane."""
-    rows = rows.reshape(-1, belief.beams, BEAM.dim + PLANE.dim)
-    variance = np.empty(rows.shape[:2])
-    beam = np.arange(belief.first_error).reshape(belief.beams, BEAM.dim)
-    for plane in np.unique(stations.plane):
-        columns = belief.first_plane + PLANE.dim * plane + np.arange(PLANE.dim)
-        index = np.hstack((beam, np.tile(columns, (belief.beams, 1))))
-        S = belief.spread[index[:, :, None], index[:, None]]
-        here = stations.plane == plane
-        part = rows[here].swapaxes(0, 1)
-        variance[here] = ((part @ S) * part).sum(axis=2).T
-    return np.maximum(variance, 0.0)
+def _linearized(
+    belief: Belief, stations: Stations
+) -> tuple[Readings, model.Scene, IntArray, FloatArray]:
+    """Return what stations read at the mean, and how.
+
+    Returns
+    -------
+    readings, scene
+        By stations, and then by beams: N of them.
+    columns : (N, 10)
+        The unknowns of each reading's beam and plane.
+    derivatives : (N, 10)
+        Of the residuals by these.
+    """
+    readings, x = predicted_readings(belief.mean, stations)
+    bases = belief.beam_bases[readings.beam], belief.plane_bases[readings.plane]
+    at = model.linearize(x, readings.distance)
+    derivatives = model.tangent_columns(at, *bases, belief.origins[readings.plane], 2)[:-1].T
+    of_beam = belief.first_beam + BEAM.dim * readings.beam[:, None] + np.arange(BEAM.dim)
+    of_plane = belief.first_plane + PLANE.dim * readings.plane[:, None] + np.arange(PLANE.dim)
+    return readings, x, np.hstack((of_beam, of_plane)), derivatives

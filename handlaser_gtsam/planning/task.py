@@ -4,23 +4,20 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
-from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..model.sensor import Sensor
 from ..quantities import FAR_SIGMAS
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..results.spot_error import radius
 from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .bounds import Plate
 from .choice import choose
-from .goal import Forecast, Goal
-from .information import outlook, updated, with_errors
+from .goal import Forecast, Goal, forecast
+from .information import outlook, updates, with_errors
 from .workspace import (
     Workspace,
     drawn_turns,
@@ -69,7 +66,7 @@ class Task(NamedTuple):
     @property
     def weight(self) -> FloatArray:
         """What is to become small (W, U)."""
-        return goal_rows(self.belief, self.goal, self.goal.distance(self.sensor))
+        return self.goal.weight(self.belief.mounts(self.goal.distance(self.sensor)))
 
     def chosen(
         self,
@@ -202,20 +199,9 @@ class Task(NamedTuple):
 
     def forecast(self, rows: FloatArray) -> Forecast:
         """Return what will be known after each of some stations, given by whitened rows (M, B, U)."""
-        C, beams, sigmas = self.belief.covariance, self.belief.beams, []
-        distance, each = self.goal.distance(self.sensor), np.arange(beams)
-        spots = spot_rows(self.belief, distance).reshape(beams, 3, -1)
-        for step in range(len(rows) + 1):
-            C = updated(C, rows[max(step - 1, 0) : step])
-            size = self.belief.first_error
-            blocks = C[:size, :size].reshape(beams, BEAM.dim, beams, BEAM.dim)[each, :, each]
-            variances = (
-                np.diagonal(blocks, 0, 1, 2)[:, LOCATION].max(),
-                np.linalg.eigvalsh(blocks[:, DIRECTION, DIRECTION]).max(),
-            )
-            sigmas.append((*np.sqrt(variances), max(radius(x @ C @ x.T) for x in spots)))
-        location, direction, spot = np.array(sigmas).T
-        return Forecast(location, direction, spot, distance)
+        distance = self.goal.distance(self.sensor)
+        mounts = self.belief.mounts(distance)
+        return forecast(mounts, updates(self.belief.covariance, rows), distance)
 
 
 def planning_task(
@@ -257,24 +243,3 @@ def planning_task(
         raise InputError("no plane to plan stations before", "where a plate stands roughly")
     names = () if recording is None else recording.station_names
     return Task(belief, workspace, sensor, goal, names)
-
-
-def goal_rows(belief: Belief, goal: Goal, distance: float) -> FloatArray:
-    """Return what is to become small (W, U): the beams in units of the goal, or their spots [m]."""
-    if goal.criterion == "spot":
-        return spot_rows(belief, distance)
-    unit = np.repeat(goal.units, (3, 2))
-    rows = np.kron(np.eye(belief.beams), np.eye(MOUNT_DIM, BEAM.dim) / unit[:, None])
-    return np.pad(rows, ((0, 0), (0, len(belief.covariance) - rows.shape[1])))
-
-
-def spot_rows(belief: Belief, distance: float) -> FloatArray:
-    """Return derivatives (3 B, U) of the laser spots at a reading [m] by the unknowns."""
-    d, mean = distance, belief.mean
-    ranges = model.corrected(np.full(belief.beams, d), mean.range_errors)
-    blocks = [
-        np.hstack((np.eye(3), s * basis, np.outer(v, [d, d * d])))
-        for s, basis, v in zip(ranges, belief.beam_bases, mean.directions, strict=True)
-    ]
-    rows = block_diag(*blocks)
-    return np.pad(rows, ((0, 0), (0, len(belief.covariance) - rows.shape[1])))
