@@ -1,18 +1,23 @@
 """Plans of surveys: what they promise is what the stations bring, by formulas of this file."""
 
 import json
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from arms import HANGING, HAS_PINOCCHIO, small_arm
 from helpers import ROOT
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks.rigs import EXACT
+from benchmarks import rigs_by_rays
+from benchmarks.rigs import EXACT, survey_of
 from handlaser_gtsam.files.recording_csv import write_stations
 from handlaser_gtsam.planning.survey import plan_survey
 from handlaser_gtsam.planning.workspace import Workspace
 
+needs_pinocchio = pytest.mark.skipif(not HAS_PINOCCHIO, reason="needs pinocchio")
 X = np.linspace(-0.03, 0.03, 200)
 SIGMA = 3e-5
 MOUNT = Rotation.from_rotvec([0.4, -0.3, 1.1]).as_matrix(), np.array([0.03, -0.05, 0.12])
@@ -103,26 +108,88 @@ def test_a_plan_ends_where_its_goal_is_reached():
     assert whole.reached is None
 
 
-@pytest.mark.parametrize(
-    ("half_angle", "found", "cure"),
-    [
-        ("", "single beams", "a recording of their stations before planes alone"),
-        ("half_angle_deg = 5\n", "cones", "add stations that lean by more than half_angle_deg"),
-    ],
-)
-def test_what_no_stations_are_planned_for_is_told_what_to_do(
-    half_angle, found, cure, handlaser, tmp_path
-):
+def test_cones_are_said_to_have_no_plan(handlaser, tmp_path):
     rig, made = tmp_path / "rig.toml", tmp_path / "made"
-    noise = "[noise]\nrange_sigma_mm = 1.0\n[sensor]\n"
-    rig.write_text(f"{noise}half_angle_deg = 5\n")
+    rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 5\n")
     words = ["simulate", made, "--rig", rig, "--targets", "plane:A,sphere:S", "--beams", "1"]
     assert handlaser(*words, "--seed", "3")[0] == 0
-    rig.write_text(f"{noise}{half_angle}")
     code, _, err = handlaser("plan", made / "stations.csv", "--rig", rig)
     assert code == 2
-    assert f"found a survey of {found} alone, which no stations are planned for" in err
-    assert cure in err
+    assert "found a survey of cones alone, which no stations are planned for" in err
+    assert "add stations that lean by more than half_angle_deg" in err
+
+
+def range_of(beam, target, R, t):
+    """The range of a beam at a hand pose to a plane or a sphere; NaN where it misses it."""
+    o, u, x = R @ beam.location + t, R @ beam.direction, np.array(list(target.values.values()))
+    if target.kind == "plane":
+        return -(x[:3] @ o + x[3]) / (x[:3] @ u)
+    along = (x[:3] - o) @ u
+    under = x[3] ** 2 - np.sum((x[:3] - o - along * u) ** 2)
+    return along - math.sqrt(under) if under > 0.0 else np.nan
+
+
+def test_single_beams_are_planned_before_planes_and_spheres():
+    """What the stations bring is what is promised, with readings by formulas of this file."""
+    survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))
+    found = hl.calibrate(survey, EXACT)
+    plan = plan_survey(found, 8)
+    known = plan.forecast
+    for step, result in ((0, found), (-1, None)):
+        if result is None:
+            at = plan.stations
+            poses = list(zip(at.world_R_hand, at.world_t_hand, at.plane_labels, strict=True))
+            more = np.array(
+                [
+                    [range_of(beam, found.targets[label], R, t) for beam in found.beams.values()]
+                    for R, t, label in poses
+                ]
+            )
+            named = [survey.beam_names.index(name) for name in plan.sensors]
+            assert not np.isnan(more[np.arange(8), named]).any()
+            k = np.array([beam.range_error for beam in found.beams.values()])
+            more = 2.0 * more / (1 + k[:, 0] + np.sqrt((1 + k[:, 0]) ** 2 + 4 * k[:, 1] * more))
+            so_far = survey.stations
+            stations = hl.StationList(
+                np.concatenate((so_far.world_R_hand, at.world_R_hand)),
+                np.concatenate((so_far.world_t_hand, at.world_t_hand)),
+                (*so_far.plane_labels, *at.plane_labels),
+            )
+            whole = replace(survey, stations=stations, ranges=np.concatenate((survey.ranges, more)))
+            result = hl.calibrate(whole, EXACT)
+        beams = result.beams.values()
+        location = max(beam.location_sigma.max() for beam in beams)
+        direction = max(beam.direction_sigma for beam in beams)
+        # The noise is learned, and noise-free readings make it a little smaller.
+        assert known.location_sigma[step] == pytest.approx(location, rel=0.1)
+        assert known.direction_sigma[step] == pytest.approx(direction, rel=0.1)
+    assert known.direction_sigma[-1] < 0.95 * known.direction_sigma[0]
+
+
+@needs_pinocchio
+def test_an_arm_reaches_the_stations_of_a_survey(tmp_path):
+    """Joints are at the poses, and nothing touches on the way, on a plate of the plan's own plane."""
+    rng = np.random.default_rng(2)
+    poses = list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng))
+    first = hl.calibrate(measured(poses, rng), EXACT)
+    R, t = map(np.array, zip(*poses, strict=True))
+    home = Rotation.from_matrix(R).mean().as_matrix()
+    base = t.mean(axis=0) + home @ [-0.3, 0.0, 0.1]
+    robot = hl.planning.Robot(
+        small_arm(tmp_path), "hand", home @ HANGING, base, clearance=0.002, plate_across=0.1
+    )
+    low, high = t.min(axis=0) - 0.05, t.max(axis=0) + 0.05
+    here = Workspace(low, high, home, 0.5, robot=robot)
+    plan = plan_survey(first, 3, here)
+    at = plan.stations
+    assert sum(map(bool, plan.sensors)) == len(plan.forecast) == 3 - plan.skipped >= 1
+    reached_R, reached_t = robot.poses(at.joints)
+    assert np.abs(reached_t - at.world_t_hand).max() < 1e-6
+    assert np.abs(reached_R - at.world_R_hand).max() < 1e-6
+    assert robot.free(at.joints).all()
+    far = replace(here, robot=replace(robot, base_t=base + 3.0))
+    with pytest.raises(hl.InputError, match="no place from which a sensor sees its target"):
+        plan_survey(first, 3, far)
 
 
 @pytest.mark.slow
@@ -183,6 +250,11 @@ def test_the_command(handlaser, tmp_path):
     answer = json.loads(said)
     errors = [answer["spot_error_m"], *(one["spot_error_m"] for one in answer["stations"])]
     assert errors == sorted(errors, reverse=True)
+    assert all(one["location_sigma_m"] > 0.0 for one in answer["stations"])
+    picture = tmp_path / "forecast.svg"
+    assert handlaser("plan", poses, "--rig", rig, "--stations", "3", "--picture", picture)[0] == 0
+    assert picture.read_text().count('class="curve"') == 3
+    assert "spot at working distance" in picture.read_text()
     code, _, err = handlaser("plan", poses, "--rig", rig, "--planes", "2")
     assert code == 2
     assert "options of how beams before planes are calibrated" in err

@@ -43,7 +43,7 @@ def plan(
     Without RECORDING and --calibration: a first motion for any mount within the bounds of the rig file.
 
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
-    the plan. With sensors of many rays stations are chosen all the same, and 3 says that something
+    the plan. With sensors of many rays, or other targets than planes, stations are chosen all the same, and 3 says that something
     would still be undetermined after them.
 
     Parameters
@@ -75,11 +75,10 @@ def plan(
     handlaser plan recording.csv --rig rig.toml \
         --stations 5 --picture forecast.svg
     """
-    from ..errors import InputError
+    from ..files.exports.picture import forecast_svg
     from ..files.plan_json import plan_text, survey_plan_text
     from ..files.recording_csv import write_stations
     from ..files.writing import require_outputs, write_text
-    from ..planning.picture import forecast_svg
     from ..planning.survey import SurveyPlan
     from .survey import require_outputs_of, survey_plan_gaps
     from .words import plan_lines, station_lines, survey_plan_lines
@@ -91,21 +90,18 @@ def plan(
         require_outputs_of(outputs, rig)
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
         warnings: list[str] = []
-        failure = None
+        failure, robot = None, None if rig.workspace is None else rig.workspace.robot
         if isinstance(planned, SurveyPlan):
-            if picture is not None:
-                raise InputError("--picture with sensors of many rays", "it with beams only")
-            lines, text = survey_plan_lines(planned), survey_plan_text(planned)
+            lines, text = survey_plan_lines(planned, robot), survey_plan_text(planned)
             warnings, failure = survey_plan_gaps(planned)
         else:
             warnings = [] if calibration is None else _uncounted(calibration)
-            robot = None if rig.workspace is None else rig.workspace.robot
             lines, text = plan_lines(planned, rig.goal, robot), plan_text(planned)
         if out is not None:
             write_stations(out, planned.stations)
         else:
             lines += station_lines(planned.stations)
-        if picture is not None and not isinstance(planned, SurveyPlan):
+        if picture is not None:
             write_text(picture, forecast_svg(planned.forecast, rig.goal))
         lines += wrote(out, picture)
         answer = Answer(text, lines, warnings, failure)

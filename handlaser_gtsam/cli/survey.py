@@ -215,11 +215,6 @@ def survey_plan(
     from ..pipeline import calibrate
     from ..planning.survey import plan_survey
 
-    if rig.workspace is not None and rig.workspace.robot is not None:
-        expected = (
-            "a workspace without it: stations of sensors of many rays are not asked of an arm"
-        )
-        raise InputError("the table [robot] of the rig file", expected)
     return plan_survey(calibrate(survey, rig.noise), stations, rig.workspace, rig.goal, rng)
 
 
@@ -236,7 +231,7 @@ def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] 
     )
     if planned.determined:
         return [words], None
-    stations = count(len(planned.sensors), "station")
+    stations = count(len(planned.forecast), "station")
     return [words], (
         UNDETERMINED,
         f"{stations} would still leave something open: ask for more with --stations, or allow more "

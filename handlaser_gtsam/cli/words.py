@@ -79,13 +79,20 @@ def station_lines(stations: "StationList") -> list[str]:
     return lines_of("stations", stations=stations, named=named, most=SHOWN_ROWS)
 
 
-def survey_plan_lines(plan: "SurveyPlan") -> list[str]:
-    """Return how well spots are known before and after each station of a plan of a survey."""
+def survey_plan_lines(plan: "SurveyPlan", robot: "Robot | None") -> list[str]:
+    """Return how well spots are known before and after each station, and what ways were checked."""
+    from ..planning.route import VIA
+
     within = [
         f"{_in(IN_MM, error, 2)} mm" if math.isfinite(error) else "undetermined"
         for error in plan.spot_errors.tolist()
     ]
-    return lines_of("survey_plan", plan=plan, within=within)
+    labels = zip(plan.sensors, plan.stations.plane_labels, strict=True)
+    looks = [(sensor, target) for sensor, target in labels if sensor]
+    passed = len(plan.stations) - len(looks)
+    return lines_of(
+        "survey_plan", plan=plan, looks=looks, within=within, passed=passed, via=VIA, robot=robot
+    )
 
 
 def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> list[str]:

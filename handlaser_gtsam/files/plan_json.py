@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..data.station_list import StationList
@@ -40,13 +41,26 @@ def plan_text(plan: Plan) -> str:
 def survey_plan_text(plan: SurveyPlan) -> str:
     """Return a plan of a survey as JSON text."""
     columns = _where(plan.stations, "target", sensor=plan.sensors)
-    columns["spot_error_m"] = plan.spot_errors[1:]
+    known, read = plan.forecast, np.array([bool(sensor) for sensor in plan.sensors])
+    for name, values in (
+        ("spot_error_m", known.spot),
+        ("location_sigma_m", known.location_sigma),
+        ("direction_sigma_rad", known.direction_sigma),
+    ):
+        column = np.full(len(read), np.nan)  # nothing is read on the way
+        column[read] = values[1:]
+        columns[name] = column
+    if plan.stations.joints is not None:
+        columns["joints"] = plan.stations.joints
     content: Record = {
         "spot_error_m": plan.spot_errors[0],
         "stations": _rows(columns),
         "undetermined": plan.undetermined,
         "determined": plan.determined,
+        "skipped": plan.skipped,
     }
+    if plan.stations.joint_names:
+        content["joint_names"] = list(plan.stations.joint_names)
     return json_text("survey-plan", content)
 
 

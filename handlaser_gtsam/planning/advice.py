@@ -18,8 +18,8 @@ from .blind import completing_motion
 from .bounds import Bounds
 from .goal import Goal
 from .information import station_rows
-from .plan import POOL, planned_with_spare, without
-from .route import Plan
+from .plan import POOL, without
+from .route import Plan, planned
 from .task import planning_task
 from .workspace import Workspace
 
@@ -48,7 +48,7 @@ def next_stations(
         share = POOL // 5 // len(task.belief.plane_names)  # so that nobody waits
         pool = task.reachable(share, np.random.default_rng(0))
         chosen = task.chosen(station_rows(task.belief, pool)[None], ADVISED)
-        return planned_with_spare(task, pool[chosen], without(pool, chosen), {})
+        return planned(task, pool[chosen], without(pool, chosen))
     except HandlaserError:
         return None
 

@@ -39,6 +39,7 @@ from .workspace import (
     inside,
     joined,
     least_cosine,
+    reached,
     require_facing,
     require_range,
     workspace_of,
@@ -133,7 +134,7 @@ def blind_motion(
     others = bounds.draw(rng, MOUNTS)
     safe = float(safe_stations(others, motion, sensor).all(axis=1).mean())
     task = Task(belief, workspace, sensor, Goal() if goal is None else goal)
-    return planned(task, every, ordered=True, plates=plates, safe=safe)[0]
+    return planned(task, every, ordered=True, plates=plates, safe=safe)
 
 
 def completing_motion(
@@ -194,7 +195,7 @@ def completing_motion(
             break
     goal = Goal() if goal is None else goal
     task = Task(belief, workspace, sensor, goal, recording.station_names)
-    return planned(task, pool[chosen])[0]
+    return planned(task, pool[chosen])
 
 
 def _after(belief: Belief, rows: FloatArray) -> Belief:
@@ -321,10 +322,7 @@ class Blind(NamedTuple):
         for mounts in draws:
             safe = safe_stations(mounts, stations, self.sensor)
             stations = stations[np.flatnonzero(safe.all(axis=0))]
-        if self.workspace.robot is None:
-            return stations
-        R, t = stations.world_R_hand, stations.world_t_hand
-        return stations[self.workspace.robot.reachable(R, t, self.bounds.plate)]
+        return stations[reached(self.workspace, stations, [self.bounds.plate])]
 
     def best(
         self, beliefs: Sequence[Belief], stations: Stations, count: int
@@ -344,7 +342,7 @@ class Blind(NamedTuple):
         rows = np.stack([station_rows(belief, stations) for belief in beliefs])
         weight = Goal("E", self.middle, 1.0).weight(beliefs[0].mounts(self.middle))
         before = np.stack([belief.covariance for belief in beliefs])
-        best, _, _ = choose(rows, before, weight, count, "E", exchange=False)
+        best = choose(rows, before, weight, count, "E", exchange=False)
         after = (updated(C, each[best]) for C, each in zip(before, rows, strict=True))
         return best, max(math.sqrt(value(C, weight, "E")) for C in after)
 

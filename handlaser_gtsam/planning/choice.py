@@ -35,8 +35,8 @@ def choose(
     *,
     exchange: bool = True,
     start: IntArray | None = None,
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Choose stations among candidates.
+) -> IntArray:
+    """Return chosen stations (M,) among candidates, in the order in which greedy choice takes them.
 
     Parameters
     ----------
@@ -55,15 +55,6 @@ def choose(
         Whether to exchange stations afterwards.
     start : (count,), optional
         Candidates to start the exchange from, instead of those that greedy choice takes.
-
-    Returns
-    -------
-    candidates : (M,)
-        Their indices, in the order in which greedy choice takes them.
-    values : (M + 1,)
-        The criterion before the first and after each.
-    covariance : (U, U)
-        After all of them.
     """
     search = _Search(rows, covariance, weight, criterion)
     for step in range(min(count, rows.shape[1])):
@@ -78,11 +69,9 @@ def choose(
     taken = np.array(search.chosen, dtype=np.intp)
     first = covariance if covariance.ndim == 2 else covariance[0]
     again = _Search(rows[:1, taken], first, weight, criterion)
-    values = [again.value()]
     for _ in taken:
         again.take(again.best())
-        values.append(again.value())
-    return taken[again.chosen], np.array(values), again.C[0]
+    return taken[again.chosen]
 
 
 class _Search:

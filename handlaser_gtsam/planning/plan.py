@@ -20,7 +20,7 @@ from .goal import Goal
 from .information import station_rows, updated
 from .route import Plan, planned
 from .task import Task, planning_task
-from .workspace import Workspace, inside, joined
+from .workspace import Workspace, joined
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
@@ -98,7 +98,7 @@ def plan(
     if goal.stated:
         enough = task.forecast(station_rows(belief, best)).reaches(goal)
         best = best if enough is None else best[np.arange(max(enough, 1))]
-    return planned_with_spare(task, best, without(pool, chosen), put)
+    return planned(task, best, without(pool, chosen), plates=put)
 
 
 def without(pool: Stations, chosen: IntArray) -> Stations:
@@ -162,39 +162,11 @@ def _refined(task: Task, stations: Stations, rng: np.random.Generator) -> Statio
             near.world_t_hand + 0.5 * step,
             near.plane,
         )
-        near = near[inside(workspace, near)]
         try:
-            near = near[task.safe(near)]
-            near = near[task.within_reach(near)]
+            near = task.safe_and_reached(near)
         except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
         pool = joined([stations, near])
         rows = station_rows(belief, pool)[None]
         stations = pool[task.chosen(rows, count, exchange=True, start=np.arange(count))]
     return stations
-
-
-def planned_with_spare(
-    task: Task, stations: Stations, spare: Stations, plates: Mapping[str, Plate]
-) -> Plan:
-    """Return a plan of stations in the order in which they matter, or of others instead.
-
-    Where the arm finds no way to some of them, the best of `spare` beside those that it reaches take
-    their places, as long as some are left. The plan with the most stations wins.
-    """
-    belief, count = task.belief, len(stations)
-    best, kept = planned(task, stations, plates=plates)
-    plan = best
-    for _ in range(5):  # most plans need one or two, before fewer stations have to do
-        missing = count - len(kept)
-        if not missing or len(spare) < missing:
-            break
-        reached = stations[kept]
-        known = updated(belief.covariance, station_rows(belief, reached))
-        chosen = task.chosen(station_rows(belief, spare)[None], missing, known)
-        both = joined([reached, spare[chosen]])
-        order = task.chosen(station_rows(belief, both)[None], count)
-        stations, spare = both[order], without(spare, chosen)  # in the order in which they matter
-        plan, kept = planned(task, stations, plates=plates)
-        best = plan if len(plan) > len(best) else best
-    return best

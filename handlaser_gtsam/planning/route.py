@@ -1,22 +1,24 @@
 """A plan: chosen stations in the order of the way, with what is expected there."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..validation.simulate import Stations
 from .bounds import Plate
 from .goal import Forecast
-from .information import outlook, station_rows
+from .information import outlook, station_rows, updated
 from .task import Task
 from .way import divided, driven, shortest
+from .workspace import Workspace, joined
 
 VIA = "via"
 """Beginning of the names of stations on the way, at which nothing need be read."""
@@ -75,52 +77,150 @@ class Plan(Value):
         return sum(not name.startswith(VIA) for name in self.stations.station_names)
 
 
+class Visit(NamedTuple):
+    """Stations in the order in which they are visited.
+
+    Attributes
+    ----------
+    stations : StationList
+        With others on the way, which are named `VIA`.
+    read : (M,) of bool
+        Which of them are to be read.
+    kept : indices
+        Which of the chosen stations these are, in this order: the arm found a way to them.
+    """
+
+    stations: StationList
+    read: BoolArray
+    kept: IntArray
+
+
+def visited(
+    workspace: Workspace,
+    stations: Stations,
+    labels: Sequence[str],
+    plates: Sequence[Plate | None],
+    taken: Sequence[str] = (),
+    length: float | None = None,
+) -> Visit:
+    """Return a way to stations: straight without an arm, in steps that the workspace allows.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    stations : Stations
+    labels, plates : sequences by plane
+        The name of each plane or other target, and what the arm is not to touch there.
+    taken : sequence of str
+        Names of stations that there are already.
+    length : float, optional
+        The order is a short one, in which a turn by one radian counts as a move by this length [m];
+        that of the stations where not given.
+    """
+    robot, joints = workspace.robot, None
+    order = np.arange(len(stations)) if length is None else shortest(stations, length)
+    if robot is None:
+        way, origin = divided(stations[order], workspace.largest_step)
+    else:
+        way, origin, joints = driven(robot, stations[order], workspace, plates)
+    read = origin >= 0
+    numbers = (str(i) for i in count(len(taken) + 1) if str(i) not in taken)
+    passed = (f"{VIA} {i}" for i in count(1) if f"{VIA} {i}" not in taken)
+    listed = StationList(
+        way.world_R_hand,
+        way.world_t_hand,
+        tuple(labels[plane] for plane in way.plane),
+        tuple(next(numbers if is_read else passed) for is_read in read),
+        joints,
+        () if robot is None else robot.joint_names,
+    )
+    return Visit(listed, read, order[origin[read]])
+
+
+def with_ways(
+    rows: FloatArray,
+    chosen: IntArray,
+    choose: Callable[[IntArray, int, IntArray], IntArray],
+    way: Callable[[IntArray], Visit],
+) -> tuple[IntArray, Visit]:
+    """Return chosen candidates with a way to them, in the order in which they matter.
+
+    Where the arm finds no way to some, the best others beside those that it reaches take their places,
+    as long as there are others. The choice with the most stations wins.
+
+    Parameters
+    ----------
+    rows : (N, B, U)
+        Whitened rows of all candidates.
+    chosen : (M,)
+    choose : callable
+        Takes candidates, how many to choose, and those that are chosen already.
+    way : callable
+        Takes candidates.
+    """
+    nothing, others = chosen[:0], np.setdiff1d(np.arange(len(rows)), chosen)
+    tried, visit = chosen, way(chosen)
+    best = tried[np.sort(visit.kept)], visit
+    for _ in range(5):  # most plans need one or two, before fewer stations have to do
+        reached = tried[np.sort(visit.kept)]
+        missing = len(chosen) - len(reached)
+        if not missing or len(others) < missing:
+            break
+        more = choose(others, missing, reached)
+        others = np.setdiff1d(others, more)
+        tried = choose(np.concatenate((reached, more)), len(chosen), nothing)
+        visit = way(tried)
+        if len(visit.kept) > len(best[0]):
+            best = tried[np.sort(visit.kept)], visit
+    return best
+
+
 def planned(
     task: Task,
     stations: Stations,
+    spare: Stations | None = None,
     *,
     ordered: bool = False,
     plates: Mapping[str, Plate] | None = None,
     safe: float | None = None,
-) -> tuple[Plan, IntArray]:
-    """Return a plan of stations, which matter in the order given, and which are in it, ascending.
+) -> Plan:
+    """Return a plan of stations, which matter in the order given, or of `spare` ones instead.
 
     They are visited in another order, unless this one is to stay (`ordered`), with others between them
     where steps are long.
+
+    Raises
+    ------
+    InputError
+        The arm finds no way to any station, or not to all that are ordered.
     """
-    belief, robot = task.belief, task.workspace.robot
+    belief, workspace = task.belief, task.workspace
     location, direction = task.goal.units
-    order = np.arange(len(stations))
-    if not ordered:
-        order = shortest(stations, location / direction)
-    reading, reading_sigma, _, _ = outlook(belief, stations)
-    joints: FloatArray | None = None
-    if robot is None:
-        way, origin = divided(stations[order], task.workspace.largest_step)
-    else:
-        way, origin, joints = driven(robot, stations[order], task.workspace, belief.plates())
-    read = origin >= 0
-    kept = order[origin[read]]
-    skipped = len(stations) - len(kept)
+    pool, names, before = stations, belief.plane_names, belief.plates()
+    if spare is not None and workspace.robot is not None:
+        pool = joined([stations, spare])
+    rows, C = station_rows(belief, pool), belief.covariance
+
+    def choose(some: IntArray, number: int, beside: IntArray) -> IntArray:
+        return some[task.chosen(rows[None, some], number, updated(C, rows[beside]))]
+
+    def way(some: IntArray) -> Visit:
+        length = None if ordered else location / direction
+        return visited(workspace, pool[some], names, before, task.taken, length)
+
+    every = np.arange(len(stations))
+    chosen, visit = with_ways(rows, every, choose, way)
+    skipped = len(stations) - len(chosen)
     if skipped and ordered:
         raise InputError(
             f"no way of the arm to {skipped} of {len(stations)} stations of a first motion",
             "more room around the plate, or a smaller clearance",
         )
-    numbers = (str(i) for i in count(len(task.taken) + 1) if str(i) not in task.taken)
-    passed = (f"{VIA} {i}" for i in count(1) if f"{VIA} {i}" not in task.taken)
-    listed = StationList(
-        way.world_R_hand,
-        way.world_t_hand,
-        tuple(belief.plane_names[plane] for plane in way.plane),
-        tuple(next(numbers if is_read else passed) for is_read in read),
-        joints,
-        () if robot is None else robot.joint_names,
-    )
-    ranges, sigmas = (np.full((len(way), belief.beams), math.nan) for _ in range(2))
-    ranges[read], sigmas[read] = reading[kept], reading_sigma[kept]
-    forecast = task.forecast(station_rows(belief, stations[np.sort(kept)]))
+    ranges, sigmas = (np.full((len(visit.read), belief.beams), math.nan) for _ in range(2))
+    in_order = chosen[np.argsort(np.argsort(visit.kept))]
+    ranges[visit.read], sigmas[visit.read], _, _ = outlook(belief, pool[in_order])
+    forecast = task.forecast(rows[chosen])
     reached = forecast.reaches(task.goal) if task.goal.stated else None
     put = {} if plates is None else dict(plates)
-    plan = Plan(listed, ranges, sigmas, forecast, reached, put, safe, skipped, belief.uncounted)
-    return plan, np.sort(kept)
+    at = visit.stations
+    return Plan(at, ranges, sigmas, forecast, reached, put, safe, skipped, belief.uncounted)

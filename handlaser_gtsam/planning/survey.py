@@ -1,67 +1,70 @@
-r"""The next stations of a survey: where a profiler, a scanner or an array has most to say.
+r"""The next stations of a survey: where a profiler, a scanner, an array or a beam has most to say.
 
-Candidates look at the targets as they were found, from all sides, at ranges that the sensor had so far
-and within the workspace. A candidate says what all its rays say, J'(I + A A')^-1 J with the derivatives
-J by sensor and target, and A by the hand's errors, in standard deviations; `choose` takes those that
-shrink the laser spots at working distance most. What the survey leaves undetermined counts as known to
-a metre, or a radian: so the first stations go where the motion has been too poor. That bound only
-guides the choice: spot errors are stated only where survey and stations determine everything.
+Candidates look at the planes and spheres as they were found, from all sides, at ranges that the sensor
+had so far and within the workspace. A candidate says what all its rays say, by the rows of the survey
+and with the errors of the hand; `choose` takes those that shrink the laser spots at working distance
+most. What the survey leaves undetermined counts as known to a metre, or a radian: so the first stations
+go where the motion has been too poor. That bound only guides the choice: standard deviations are stated
+only where survey and stations determine everything.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray, evenly
+from ..arrays import BoolArray, FloatArray, IntArray, evenly
 from ..checks import require_count, require_kind
 from ..data.station_list import StationList
+from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..errors import InputError
+from ..estimation.dense import dense_rows, with_pose_errors
 from ..estimation.estimate import information_axes, least_information
-from ..estimation.survey_rows import Item, rays_on
-from ..model.families import FAMILIES, PLANE, POSE, bases
+from ..estimation.survey_rows import TARGETS, Item
+from ..model.block import Weights
+from ..model.families import (
+    BEAM,
+    MOUNT_DIM,
+    OF_DIRECTION,
+    OF_LOCATION,
+    OF_RANGE_ERROR,
+    PLANE,
+    POSE,
+    bases,
+)
 from ..model.geometry import skew
+from ..model.ranges import PoseVariables, Ranges
+from ..model.sensors.beam import Beam
 from ..model.sensors.kinds import KINDS
-from ..model.sensors.mounted import SENSOR
-from ..model.weighting import covariance_roots
-from ..results.spot_error import radius
+from ..model.sensors.mounted import SENSOR, Mounted
+from ..model.shots import MOST_SLANTED
+from ..model.targets.sphere import SPHERE
 from ..results.survey import SurveyCalibration
-from ..validation.simulate import Stations, generator
-from .bounds import MOST_PLANNED
+from ..validation.simulate import Stations, generator, read_back
+from .bounds import MOST_PLANNED, Plate, plate_of
 from .choice import choose
-from .goal import Forecast, Goal
-from .information import updated
-from .workspace import Workspace, drawn_turns, inside, workspace_of
+from .goal import Forecast, Goal, Mount, beam_mount, forecast
+from .information import updated, updates
+from .route import visited, with_ways
+from .workspace import Workspace, drawn_turns, inside, joined, reached, workspace_of
 
 VIEWS = 600
-"""Candidates before each target for each sensor: twice as many bring less than a tenth more."""
-ORIENTATIONS = 6 * VIEWS
-"""Orientations that are drawn for them: of a hand that turns in all directions a sixth looks there."""
+"""Candidates before each target for each sensor, or for all beams together: twice as many bring less
+than a tenth more."""
+ORIENTATIONS = 6
+"""Orientations that are drawn for a candidate: of a hand that turns in all directions a sixth looks
+there."""
 RAYS = 60
 """Rays of a candidate: some of a shot, evenly spaced, with the weight of all."""
 STEEPEST_VIEW = np.radians(50.0)
 """Candidates look at a plane at angles of incidence up to that: most sensors read there."""
 PAST_CENTRE = 0.6
 """They look past the centre of a sphere by up to this part of its radius."""
-FEWEST = 0.6
-"""This part of the rays meets a plane at least; of a sphere a third of that."""
+FEWEST = {PLANE.name: 0.6, SPHERE.name: 0.2}
+"""This part of the rays of a sensor meets its target at least: a sphere is smaller than a plate."""
 UNDETERMINED_SIGMA = 1.0
 """Standard deviation [m], [rad] of what is undetermined so far."""
-
-
-OF_BEAMS = {
-    "single beams": (
-        "a sensor of many rays in [[sensors]]; or, for beams, a recording of their stations before "
-        "planes alone, with a rig file without [[known]]; `check` says what the motion before other "
-        "targets leaves open, and what cures it"
-    ),
-    "cones": (
-        "a sensor of many rays in [[sensors]]; for cones add stations that lean by more than "
-        "half_angle_deg, about two axes and at different distances, and see with `check` how well the "
-        "mounts would be known"
-    ),
-}
-"""What to do where there are only single beams, or cones, to plan for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -71,22 +74,31 @@ class SurveyPlan(Value):
     Attributes
     ----------
     stations : StationList
+        Those named "via 1", ... lie on the way, as in a `Plan`; with an arm, all have its joints.
     sensors : names
-        The sensor that looks at the target, at each station.
-    spot_errors : (M + 1,)
-        Largest radius of a sensor that holds its spot with 95 %, before the first and after each [m];
-        NaN as long as the survey, with the stations up to there, leaves anything undetermined.
+        The sensor or beam that looks at the target, at each station; empty on the way.
+    forecast : Forecast
+        The largest of all sensors and beams, each at its own working distance; NaN as long as the
+        survey, with the stations up to there, leaves anything undetermined.
     undetermined : tuple of str
         What the survey alone leaves undetermined, in sentences.
     reached : bool, optional
         Whether the goal is reached after them, where there is one: the plan ends there.
+    skipped : int
+        Stations fewer than were chosen: the arm found no way to them, nor to others in their place.
     """
 
     stations: StationList
     sensors: tuple[str, ...]
-    spot_errors: FloatArray
+    forecast: Forecast
     undetermined: tuple[str, ...]
     reached: bool | None = None
+    skipped: int = 0
+
+    @property
+    def spot_errors(self) -> FloatArray:
+        """Radii (M + 1,) that hold a spot with 95 %, before the first station and after each [m]."""
+        return self.forecast.spot
 
     @property
     def determined(self) -> bool:
@@ -101,7 +113,7 @@ def plan_survey(
     goal: Goal | None = None,
     rng: np.random.Generator | None = None,
 ) -> SurveyPlan:
-    """Choose the next stations of a survey with sensors of many rays.
+    """Choose the next stations of a survey.
 
     Parameters
     ----------
@@ -110,212 +122,252 @@ def plan_survey(
     count : int
         Stations at most.
     workspace : Workspace, optional
-        Where the hand may go; about the stations so far where it is not given.
+        Where the hand may go, and the arm that is to reach it; about the stations so far where it is
+        not given.
     goal : Goal, optional
-        Standard deviations of locations and turns, and spot errors, that are enough for all sensors.
+        Standard deviations of locations and turns, and spot errors, that are enough for all sensors and
+        beams.
     rng : Generator, optional
 
     Raises
     ------
     InputError
-        No sensor of many rays, a survey that does not fit, or no place for a station.
+        A survey of cones, one that does not fit, or no place for a station.
     """
     require_kind("calibration", calibration, SurveyCalibration)
     require_count("count", count, 1, MOST_PLANNED)
-    found = calibration._found
     if calibration.status not in ("converged", "undetermined"):
         raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
-    if not calibration.sensors:
-        single = "cones" if found.rows.survey.half_angle else "single beams"
+    of, rng = calibration._found.rows, generator(rng)
+    if of.survey.half_angle and not calibration.sensors:
         raise InputError(
-            f"a survey of {single} alone, which no stations are planned for", OF_BEAMS[single]
+            "a survey of cones alone, which no stations are planned for",
+            "a sensor of many rays in [[sensors]]; for cones add stations that lean by more than "
+            "half_angle_deg, about two axes and at different distances, and see with `check` how well "
+            "the mounts would be known",
         )
-    rng = generator(rng)
-    if workspace is None:
-        workspace = workspace_of(found.rows.survey.stations)
-    names, place = list(calibration.sensors), found.rows.places().place[SENSOR.name]
-    seen: dict[tuple[int, tuple[str, int]], list[Item]] = {}
-    for item in found.rows.items:
-        if item.family == SENSOR.name:
-            seen.setdefault((item.member, item.target), []).append(item)
-    views: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    looks: list[tuple[str, str]] = []
-    for (member, target), items in seen.items():
-        view = _views(calibration, items, workspace, rng)
-        if view is not None:
-            R, t, said = view
-            # What a sensor says at further stations counts as little as what it has said.
-            views.append(
-                (R, t, said / found.spread[place[member] : place[member] + POSE.dim].max())
-            )
-            looks += [(names[member], found.rows.label(target))] * len(R)
-    if not views:
-        expected = "a workspace with room for other orientations before the targets"
-        raise InputError("no place from which a sensor sees its target", expected)
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    problem = found.problem()
-    J, _ = problem.rows(problem.blocks, values).whitened()
-    information = J.T @ J + np.eye(J.shape[1]) / UNDETERMINED_SIGMA**2
-    scale = 1.0 / np.sqrt(np.diagonal(information))  # unknowns differ in size
-    size, axes = np.linalg.eigh(information * np.outer(scale, scale))
-    root = axes / np.sqrt(np.maximum(size, np.finfo(float).eps))
-    spread = found.spread
-    C = np.asarray((root @ root.T) * np.outer(scale, scale) * np.outer(spread, spread))
-    most = max(said.shape[1] for _, _, said in views)
-    padded = [(R, t, np.pad(x, ((0, 0), (0, most - x.shape[1]), (0, 0)))) for R, t, x in views]
-    R, t, rows = (np.concatenate(parts) for parts in zip(*padded, strict=True))
-    # Derivatives (3 sensors, U) of the spots at working distance, in their sensors' frames.
-    spots = np.zeros((len(names), 3, J.shape[1]))
-    for own, first, sensor in zip(spots, place, calibration.sensors.values(), strict=True):
-        own[:, first : first + 6] = np.hstack((-skew(sensor.spot), np.eye(3)))
-    taken, _, _ = choose(rows[None], C, spots.reshape(-1, J.shape[1]), min(count, len(rows)))
-    information, axes, unit = information_axes(problem, problem.blocks, values)
-    told = np.sqrt(information)[:, None] * axes.T
-    known, asked = not calibration.undetermined, goal if goal is not None and goal.stated else None
-    reached, errors = False, [_spot_error(C, spots) if known else np.nan]
-    for A in rows[taken]:
-        if reached:
-            break
-        C = updated(C, A[None])
-        told = np.vstack((told, A * unit))
-        if not known:  # rows of unit weight and in natural units: do they determine all unknowns
-            information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
-            known = bool(information.min() >= least_information(information))
-        errors.append(_spot_error(C, spots) if known else np.nan)
-        if known and asked is not None:
-            reached = _reached(calibration, C, errors[-1], asked)
-    taken = taken[: len(errors) - 1]
+    workspace = workspace_of(of.survey.stations) if workspace is None else workspace
+    looks: dict[tuple[str, int, tuple[str, int]], list[Item]] = {}
+    for item in of.items:
+        if item.target[0] in TARGETS and not item.half_angle:
+            looks.setdefault((item.family, item.member, item.target), []).append(item)
+    targets = list(dict.fromkeys(target for _, _, target in looks))
+    plates: list[Plate | None] = [None] * len(targets)
+    names, parts = list[str](), list[tuple[Stations, FloatArray]]()
+    for (family, member, target), items in looks.items():
+        look, at = _Look(calibration, items), targets.index(target)
+        stations = look.drawn(workspace, at, rng)
+        stations = stations[inside(workspace, stations)]
+        seen, said = look.rows(stations)
+        stations, plates[at] = stations[seen], look.plate()
+        near = reached(workspace, stations, plates)
+        parts.append((stations[near], said[near]))
+        names += [of.names(family)[member]] * int(near.sum())
+    if not names:
+        raise InputError(
+            "no place from which a sensor sees its target",
+            "a workspace with room for other orientations before the planes or spheres",
+        )
+    pool, most = joined([part for part, _ in parts]), max(said.shape[1] for _, said in parts)
+    padded = [np.pad(said, ((0, 0), (0, most - said.shape[1]), (0, 0))) for _, said in parts]
+    rows, labels = np.concatenate(padded), [of.label(target) for target in targets]
+    mounts, known = list(_mounts(calibration)), _Known(calibration)
+    weight = Goal("spot").weight(mounts)
+
+    def best(some: IntArray, number: int, beside: IntArray) -> IntArray:
+        C = updated(known.covariance, rows[beside])
+        return some[choose(rows[None, some], C, weight, number)]
+
+    every = np.arange(len(rows))
+    chosen = best(every, min(count, len(rows)), every[:0])
+    if goal is not None and goal.stated:
+        enough = known.forecast(mounts, rows[chosen]).reaches(goal)
+        chosen = chosen if enough is None else chosen[: max(enough, 1)]
+    asked = len(chosen)
+    chosen, visit = with_ways(
+        rows, chosen, best, lambda some: visited(workspace, pool[some], labels, plates)
+    )
+    expected = known.forecast(mounts, rows[chosen])
+    looking = iter([names[i] for i in chosen])
     return SurveyPlan(
-        StationList(R[taken], t[taken], tuple(looks[i][1] for i in taken)),
-        tuple(looks[i][0] for i in taken),
-        np.array(errors),
+        visit.stations,
+        tuple(next(looking) if is_read else "" for is_read in visit.read),
+        expected,
         calibration.undetermined,
-        None if asked is None else reached,
+        None if goal is None or not goal.stated else expected.reaches(goal) is not None,
+        asked - len(chosen),
     )
 
 
-def _views(
-    calibration: SurveyCalibration,
-    items: list[Item],
-    workspace: Workspace,
-    rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Draw candidates of the sensor of some items; keep those that see their target, None if none does.
+class _Known:
+    """What a survey knows of its unknowns, and from when on it knows all of them.
 
-    Returns
-    -------
-    R, t : (N, 3, 3), (N, 3)
-        Hand poses.
-    rows : (N, B, U)
-        What they say, of unit weight, over all unknowns.
+    Attributes
+    ----------
+    covariance : (U, U)
+        With what is undetermined known to `UNDETERMINED_SIGMA`.
     """
-    found, member, (family, number) = calibration._found, items[0].member, items[0].target
-    R, t = _drawn(calibration, items, workspace, rng)
-    good = inside(workspace, Stations(R, t, np.zeros(len(R), dtype=np.intp)))
-    R, t = R[good], t[good]
-    if not len(R):
-        return None
-    shots = found.rows.survey.shots[member]
-    # Some rays of the largest shot have the weight of all.
-    points = max((item.points for item in items if item.points is not None), key=len)
-    some = points[evenly(len(points), RAYS)]
-    rays = KINDS[shots.kind].rays(shots.across[some])
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    values[POSE.name] = np.hstack((R.reshape(-1, 9), t))[None]
-    none = np.zeros(1)
-    columns, missed = rays_on(values, member, family, np.full(len(R), number), rays, none, none)
-    s = columns[-1, 0]
-    reading = np.concatenate([item.shot.reading for item in items if item.shot is not None])
-    good = (s > 0.8 * reading.min()) & (s < 1.2 * reading.max()) & np.isfinite(s) & ~missed
-    enough = good.mean(axis=1) >= (FEWEST if family == PLANE.name else FEWEST / 3.0)
-    if not enough.any():
-        return None
-    R, t, s, good = R[enough], t[enough], s[enough], good[enough]
-    values[POSE.name] = values[POSE.name][:, enough]
-    at = np.full(len(R), number)
-    h = 1e-6  # of the scale, by differences: it is rarely unknown
-    scaled = replace(
-        rays,
-        origin=rays.origin + h * rays.origin_by_scale,
-        direction=rays.direction + h * rays.direction_by_scale,
-    )
-    stretched, _ = rays_on(values, member, family, at, scaled, none, none)
-    by_scale = (stretched[-1, 0] - s) / h
-    by_scale = np.where(np.isfinite(by_scale), by_scale, 0.0)
-    flat = np.where(np.isfinite(s), s, 0.0)
-    by_error = np.stack((np.ones_like(flat), flat, flat**2, -by_scale))[:, None]
-    columns, _ = rays_on(values, member, family, at, rays, flat, by_error)
-    root = good * np.sqrt(len(points) / len(some)) / found.noise.sigma[member]
-    columns = np.moveaxis(np.where(root > 0.0, columns[:, 0] * root, 0.0), 0, 2)  # (N, S, c)
-    seen = np.arange(FAMILIES[family].dim)
-    place, widths = found.rows.places(), found.rows.unknown()
-    free = np.flatnonzero(np.broadcast_to(widths[SENSOR.name], SENSOR.dim))
-    J = columns[..., np.append(free, SENSOR.dim + seen)]
-    # The hand's errors are those of the first station.
-    covariance = found.at(values, found.noise).pose_covariance()
-    A = columns[..., SENSOR.dim + len(seen) :][..., :6] @ covariance_roots(covariance[:1])[0]
-    AJ = np.swapaxes(A, 1, 2) @ J
-    M = np.swapaxes(J, 1, 2) @ J
-    M -= np.swapaxes(AJ, 1, 2) @ np.linalg.solve(np.eye(6) + np.swapaxes(A, 1, 2) @ A, AJ)
-    size, axes = np.linalg.eigh(M)
-    rows = np.zeros((*size.shape, len(place.names)))
-    of_sensor = place.place[SENSOR.name][member] + np.arange(len(free))
-    rows[..., np.append(of_sensor, place.place[family][number] + seen)] = np.sqrt(
-        np.maximum(size, 0.0)
-    )[..., None] * np.swapaxes(axes, 1, 2)
-    return R, t, rows
+
+    def __init__(self, calibration: SurveyCalibration) -> None:
+        found = calibration._found
+        problem = found.problem()
+        values = {name: x[None] for name, x in found.estimate.values.items()}
+        information, axes, self._unit = information_axes(problem, problem.blocks, values)
+        self._rows = np.sqrt(information)[:, None] * axes.T
+        self._open = bool(calibration.undetermined)
+        unit = self._unit
+        H = (axes * information) @ axes.T + np.diag((unit / UNDETERMINED_SIGMA) ** 2)
+        scale = 1.0 / np.sqrt(np.diagonal(H))  # unknowns differ in size
+        size, own = np.linalg.eigh(H * np.outer(scale, scale))
+        root = own / np.sqrt(np.maximum(size, np.finfo(float).eps))
+        spread = scale * unit * found.spread
+        self.covariance: FloatArray = (root @ root.T) * np.outer(spread, spread)
+
+    def forecast(self, mounts: Sequence[Mount], rows: FloatArray) -> Forecast:
+        """Return what will be known after each station; NaN where something is undetermined."""
+        said = forecast(mounts, updates(self.covariance, rows), np.nan)
+        told, known = self._rows, [not self._open]
+        for station in rows:  # of unit weight and in natural units: do they determine all unknowns
+            told = np.vstack((told, station * self._unit))
+            information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
+            known.append(known[-1] or bool(information.min() >= least_information(information)))
+        unsaid = np.where(known, 1.0, np.nan)
+        location, direction, spot = said.location_sigma, said.direction_sigma, said.spot
+        return Forecast(unsaid * location, unsaid * direction, unsaid * spot, np.nan)
 
 
-def _drawn(
-    calibration: SurveyCalibration,
-    items: list[Item],
-    workspace: Workspace,
-    rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray]:
-    """Return hand poses, as far turned as the workspace allows, whose sensor looks at a target."""
+def _mounts(calibration: SurveyCalibration) -> Iterator[Mount]:
+    """Yield what a goal asks of every sensor and beam."""
     found = calibration._found
-    stations = found.rows.survey.stations
-    sensor = list(calibration.sensors.values())[items[0].member]
-    station = np.array([item.station for item in items])
-    reading = np.array([np.median(i.shot.reading) for i in items if i.shot is not None])
-    middle = KINDS[sensor.kind].rays(
-        np.median(found.rows.survey.shots[items[0].member].across, axis=0)[None]
-    )
-    o, u = middle.origin[0], middle.direction[0]
-    in_hand = (o + reading[:, None] * u) @ sensor.rotation.T + sensor.location
-    spots = (stations.world_R_hand[station] @ in_hand[..., None])[..., 0]
-    spots += stations.world_t_hand[station]
-    family, number = items[0].target
-    x = found.estimate.values[family][number]
-    R = drawn_turns(workspace, ORIENTATIONS, rng)
-    direction = R @ sensor.rotation @ u
-    if family == PLANE.name:
-        before = stations.world_R_hand[station] @ sensor.rotation @ u @ x[:3]
-        R = R[np.sign(before.sum()) * (direction @ x[:3]) > np.cos(STEEPEST_VIEW)][:VIEWS]
-        direction = R @ sensor.rotation @ u
-        spread = (spots - spots.mean(axis=0))[rng.integers(len(spots), size=len(R))]
-        at = spots.mean(axis=0) + rng.uniform(-1.0, 1.0, (len(R), 1)) * spread
-    else:
-        R, direction = R[:VIEWS], direction[:VIEWS]
-        aside = bases(direction) @ rng.uniform(-PAST_CENTRE, PAST_CENTRE, (len(R), 2, 1)) * x[3]
-        at = x[:3] + aside[..., 0] - x[3] * direction
-    nearest, farthest = np.quantile(reading, (0.05, 0.95)).tolist()
-    d = rng.uniform(nearest, farthest, (len(R), 1))
-    start = (R @ (sensor.rotation @ o + sensor.location)[:, None])[..., 0]
-    return R, at - d * direction - start
+    of, values = found.rows.places(), found.estimate.values
+    unknowns, sensors = len(of.names), calibration.sensors.values()
+    for place, sensor in zip(of.place.get(SENSOR.name, ()), sensors, strict=True):
+        turn, shift = np.eye(POSE.dim, unknowns, int(place)).reshape(2, 3, -1)
+        spot = shift - skew(sensor.spot) @ turn
+        yield Mount(sensor.rotation @ shift, turn[:, None], spot)
+    for member, place in enumerate(of.place.get(BEAM.name, ())):
+        d = [i.reading for i in found.rows.items if i.mount == (BEAM.name, member)]
+        x = values[BEAM.name][member]
+        yield beam_mount(int(place), unknowns, x, bases(x[OF_DIRECTION]), float(np.median(d)))
 
 
-def _reached(calibration: SurveyCalibration, C: FloatArray, spot: float, goal: Goal) -> bool:
-    """Tell whether all sensors are as well known as the goal asks."""
-    place, turns, shifts = calibration._found.rows.places().place[SENSOR.name], [], []
-    for first, sensor in zip(place, calibration.sensors.values(), strict=True):
-        S, R = C[first : first + 6, first : first + 6], sensor.rotation
-        turns.append(np.diagonal(S[:3, :3]).max())
-        shifts.append(np.diagonal(R @ S[3:, 3:] @ R.T).max())
-    location, direction = np.sqrt([[max(shifts)], [max(turns)]])
-    return Forecast(location, direction, np.array([spot]), np.nan).reaches(goal) is not None
+class _Look:
+    """A sensor, or a beam, before one target: candidates there, and what they say."""
 
+    def __init__(self, calibration: SurveyCalibration, items: Sequence[Item]) -> None:
+        self.found, self.first, self.items = calibration._found, items[0], items
+        self.values = {name: x[None] for name, x in self.found.estimate.values.items()}
+        member, (family, number) = self.first.member, self.first.target
+        self.target = self.values[family][0, number]
+        self.reading = np.array(
+            [i.reading if i.shot is None else np.median(i.shot.reading) for i in items]
+        )
+        if self.first.family == BEAM.name:
+            x = self.values[BEAM.name][0, member]
+            self.start, self.ray = x[OF_LOCATION], x[OF_DIRECTION]
+        else:
+            sensor = list(calibration.sensors.values())[member]
+            shots = self.found.rows.survey.shots[member]
+            middle = KINDS[shots.kind].rays(np.median(shots.across, axis=0)[None])
+            self.start = sensor.rotation @ middle.origin[0] + sensor.location
+            self.ray = sensor.rotation @ middle.direction[0]
+        stations, at = self.found.rows.survey.stations, [item.station for item in items]
+        R, t = stations.world_R_hand[at], stations.world_t_hand[at]
+        self.before = R @ self.ray
+        self.spots = R @ self.start + t + self.reading[:, None] * self.before
 
-def _spot_error(C: FloatArray, spots: FloatArray) -> float:
-    """Return the largest radius that holds a spot with 95 % [m]."""
-    return max(radius(own @ C @ own.T) for own in spots)
+    def plate(self) -> Plate | None:
+        """Return a plane as a plate about the spots so far; None for a sphere."""
+        if self.first.target[0] != PLANE.name:
+            return None
+        n, height, centre = self.target[:3], self.target[3], self.target[4:]
+        away = float(np.sign((self.before @ n).sum()))
+        return plate_of(away * n, away * float(height - n @ centre), self.spots.mean(axis=0))
+
+    def drawn(self, workspace: Workspace, target: int, rng: np.random.Generator) -> Stations:
+        """Draw stations before `target`, turned as far as allowed, whose middle ray looks there."""
+        beams = len(self.found.rows.survey.beam_names)
+        views = VIEWS // beams if self.first.family == BEAM.name else VIEWS
+        R, x = drawn_turns(workspace, ORIENTATIONS * views, rng), self.target
+        if self.first.target[0] == PLANE.name:
+            away = np.sign((self.before @ x[:3]).sum())
+            R = R[away * (R @ self.ray @ x[:3]) > np.cos(STEEPEST_VIEW)][:views]
+            direction, middle = R @ self.ray, self.spots.mean(axis=0)
+            spread = (self.spots - middle)[rng.integers(len(self.spots), size=len(R))]
+            at = middle + rng.uniform(-1.0, 1.0, (len(R), 1)) * spread
+        else:
+            R = R[:views]
+            direction = R @ self.ray
+            aside = bases(direction) @ rng.uniform(-PAST_CENTRE, PAST_CENTRE, (len(R), 2, 1))
+            at = x[:3] + x[3] * (aside[..., 0] - direction)
+        nearest, farthest = np.quantile(self.reading, (0.05, 0.95)).tolist()
+        d = rng.uniform(nearest, farthest, (len(R), 1))
+        return Stations(R, at - d * direction - R @ self.start, np.full(len(R), target))
+
+    def rows(self, stations: Stations) -> tuple[BoolArray, FloatArray]:
+        """Return which stations (M,) see their target, and what these say (N, B, U), of unit weight.
+
+        At a station of a beam all beams that see the target say something.
+        """
+        (family, number), mount, member = self.first.target, self.first.mount, self.first.member
+        count, state = len(stations), self.found.at(self.values, self.found.noise)
+        poses = np.hstack((stations.world_R_hand.reshape(-1, 9), stations.world_t_hand))
+        values = {**self.values, POSE.name: poses[None]}
+        sensor: Beam | Mounted
+        if self.first.family == BEAM.name:
+            beams = values[BEAM.name].shape[1]
+            sensor = Beam(np.tile(np.arange(beams), count))
+            station, rays, heavier = np.repeat(np.arange(count), beams), 1, 1.0
+        else:
+            shots = self.found.rows.survey.shots[member]
+            points = max((i.points for i in self.items if i.points is not None), key=len)
+            some = points[evenly(len(points), RAYS)]  # which have the weight of all
+            own = KINDS[shots.kind].rays(shots.across[some])
+            station, rays, heavier = np.arange(count), len(some), len(points) / len(some)
+            origin, direction = (
+                np.broadcast_to(x.T[:, None, None], (3, 1, count, rays))
+                for x in (own.origin, own.direction)
+            )
+            no_errors = np.zeros((len(RAY_ERRORS), 1, count, rays))
+            sensor = Mounted(np.full(count, member), origin, direction, no_errors)
+        target = TARGETS[family](np.full(len(station), number))
+        block = Ranges(sensor, target, PoseVariables(station), np.zeros((1, len(station), rays)))
+        met = block.evaluate(values)
+        d = np.concatenate(
+            [np.atleast_1d(i.reading if i.shot is None else i.shot.reading) for i in self.items]
+        )
+        s = met.columns[-1, 0]
+        good = (s > 0.8 * d.min()) & (s < 1.2 * d.max())
+        if met.impossible is not None:
+            good &= ~met.impossible[0]
+        if isinstance(sensor, Beam) and family == SPHERE.name:  # a survey counts none that graze it
+            good &= np.linalg.norm(met.columns[-4:-1, 0], axis=0) < MOST_SLANTED
+        s = np.where(good, s, 0.0)
+        if isinstance(sensor, Mounted):
+            seen, reading = good.mean(axis=1) >= FEWEST[family], s
+            # A ray that is turned moves as one that starts elsewhere, in proportion to its range.
+            moved = own.origin_by_scale + s[..., None] * own.direction_by_scale
+            by_scale = np.einsum("igs,gsi->gs", met.columns[3:6, 0], moved)
+            by_error = np.stack((np.ones_like(s), s, s**2, -by_scale))[:, None]
+            sensor = replace(sensor, by_error=by_error)
+        else:
+            seen = good.reshape(count, -1)[:, member]
+            k = values[BEAM.name][0, sensor.member][:, OF_RANGE_ERROR]
+            reading = read_back(s[:, 0], k)[:, None]
+        root = good * np.sqrt(heavier) / state.sigmas()[mount]
+        weights = Weights(root[None], None, np.repeat(station[:, None], rays, axis=1))
+        block = replace(block, sensor=sensor, reading=reading[None], weights=weights)
+        hand = np.broadcast_to(state.pose_covariance()[:1], (count, 6, 6))  # of the first station
+        of = self.found.rows.places()
+        J, _ = dense_rows(with_pose_errors([block], values, hand), values, of).whitened()
+        J = J.reshape(count, -1, len(of.names))[seen]
+        used = np.flatnonzero(J.any(axis=(0, 1)))
+        # As few rows along eigenvectors: rows of like size would lose digits to what is undetermined.
+        size, axes = np.linalg.eigh(np.swapaxes(J[..., used], 1, 2) @ J[..., used])
+        rows = np.zeros((len(J), len(used), J.shape[2]))
+        # What a sensor says at further stations counts as little as what it has said.
+        width = MOUNT_DIM if self.first.family == BEAM.name else POSE.dim
+        place = of.place[mount[0]][member] + np.arange(width)
+        grown = np.sqrt(np.maximum(size, 0.0))[..., None] / self.found.spread[place].max()
+        rows[..., used] = grown * np.swapaxes(axes, 1, 2)
+        return seen, rows

@@ -24,6 +24,7 @@ from .workspace import (
     inside,
     joined,
     least_cosine,
+    reached,
     require_facing,
     require_range,
     workspace_of,
@@ -83,7 +84,7 @@ class Task(NamedTuple):
         """
         known, weight = self.belief.covariance if covariance is None else covariance, self.weight
         criterion = self.goal.criterion
-        return choose(rows, known, weight, count, criterion, exchange=exchange, start=start)[0]
+        return choose(rows, known, weight, count, criterion, exchange=exchange, start=start)
 
     def safe(self, stations: Stations) -> BoolArray:
         """Tell at which stations (M,) all readings are within the sensor's limits, with a margin.
@@ -102,15 +103,11 @@ class Task(NamedTuple):
         readable = self.sensor.can_read(near) & self.sensor.can_read(far)
         return np.asarray((readable & steep).all(axis=1))
 
-    def within_reach(self, stations: Stations) -> BoolArray:
-        """Tell which stations (M,) the arm reaches without touching the plate; all without an arm."""
-        reached, robot = np.ones(len(stations), dtype=bool), self.workspace.robot
-        for plane, plate in enumerate(self.belief.plates() if robot is not None else ()):
-            there = stations.plane == plane
-            if robot is not None and there.any():
-                R, t = stations.world_R_hand[there], stations.world_t_hand[there]
-                reached[there] = robot.reachable(R, t, plate)
-        return reached
+    def safe_and_reached(self, stations: Stations) -> Stations:
+        """Return the stations in the workspace that are safe and that the arm, if any, reaches."""
+        stations = stations[inside(self.workspace, stations)]
+        stations = stations[self.safe(stations)]
+        return stations[reached(self.workspace, stations, self.belief.plates())]
 
     def candidates(self, plane: int, count: int, rng: np.random.Generator) -> Stations:
         """Return up to `count` stations before a plane at which every beam can read it safely.
@@ -148,6 +145,7 @@ class Task(NamedTuple):
             return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(back), plane))
 
         kept: list[Stations] = []
+        plates = belief.plates()
         drawn = good = asked = 0
         while drawn < MOST_TRIED * count and good < count and asked < MOST_ASKED * count:
             wanted = count
@@ -164,7 +162,7 @@ class Task(NamedTuple):
             if workspace.robot is not None:
                 tried = tried[np.arange(min(len(tried), count))]
                 asked += len(tried)
-            kept.append(tried[self.within_reach(tried)])
+            kept.append(tried[reached(workspace, tried, plates)])
             good += len(kept[-1])
         if good >= LEAST_CANDIDATES:
             return joined(kept)[np.arange(min(count, good))]

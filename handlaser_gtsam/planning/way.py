@@ -105,7 +105,7 @@ def _uncrossed(path: list[int], cost: FloatArray) -> IntArray:
 
 
 def driven(
-    robot: Robot, stations: Stations, workspace: Workspace, plates: Sequence[Plate]
+    robot: Robot, stations: Stations, workspace: Workspace, plates: Sequence[Plate | None]
 ) -> tuple[Stations, IntArray, FloatArray]:
     """Return stations with those between them that the arm passes, and the joints of all.
 
@@ -134,8 +134,10 @@ def driven(
 
     def withdrawn(station: Stations) -> list[Stations]:
         """Return where the hand is withdrawn from the plate, as far as the workspace allows."""
-        n, t = plates[int(station.plane[0])].normal, station.world_t_hand
-        moved = (replace(station, world_t_hand=t - far * n) for far in WITHDRAWN_BY)
+        plate, t = plates[int(station.plane[0])], station.world_t_hand
+        if plate is None:
+            return []
+        moved = (replace(station, world_t_hand=t - far * plate.normal) for far in WITHDRAWN_BY)
         return [away for away in moved if inside(workspace, away).all()]
 
     def ways(before: Stations | None, station: Stations) -> Iterator[Stations]:
@@ -146,7 +148,9 @@ def driven(
             if len(robot.start):
                 yield from (joined([away, station]) for away in back)
             return
-        routes = [[before, station]] if before.plane[0] == station.plane[0] else []
+        start, end = int(before.plane[0]), int(station.plane[0])
+        free = start == end or plates[start] is None or plates[end] is None
+        routes = [[before, station]] if free else []
         both = list(zip(withdrawn(before), back, strict=False))
         routes += [[before, one, other, station] for one, other in both]
         if len(robot.start):

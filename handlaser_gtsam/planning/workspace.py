@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH, MM, ROUNDING
 from ..validation.simulate import Stations
-from .bounds import vectors
+from .bounds import Plate, vectors
 from .robot import Robot
 
 STEEPEST = math.radians(75.0)
@@ -83,6 +83,21 @@ def inside(workspace: Workspace, stations: Stations) -> BoolArray:
     turn = Rotation.from_matrix(workspace.home.T @ stations.world_R_hand).magnitude()
     within = ((t >= workspace.low) & (t <= workspace.high)).all(axis=1)
     return np.asarray(within & (turn <= workspace.largest_turn + ROUNDING))
+
+
+def reached(workspace: Workspace, stations: Stations, plates: Sequence[Plate | None]) -> BoolArray:
+    """Tell which stations (M,) the arm of a workspace reaches; all where it has none.
+
+    It is not to touch the plate of a station's plane, where there is one.
+    """
+    good = np.ones(len(stations), dtype=bool)
+    if workspace.robot is None:
+        return good
+    for plane in np.unique(stations.plane):
+        there = stations.plane == plane
+        R, t = stations.world_R_hand[there], stations.world_t_hand[there]
+        good[there] = workspace.robot.reachable(R, t, plates[plane])
+    return good
 
 
 def workspace_of(recording: Recording | StationList) -> Workspace:

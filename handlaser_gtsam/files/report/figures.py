@@ -14,9 +14,9 @@ from ...arrays import FloatArray, IntArray, evenly
 from ...model.distributions import CONFIDENCE, beta_quantile, gaussian_quantile
 from ...model.families import BEAM
 from ...model.joint import STRONG, correlation_matrix
-from ...planning.picture import logarithmic_ticks
 from ...quantities import IN_DEG, IN_MM
 from ..checked_text import Record
+from ..exports.picture import logarithmic_ticks
 from .figure import (
     COLOURS,
     LEGEND,
