@@ -7,7 +7,7 @@ import pytest
 from helpers import GRIPPER, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.planning.history import history
+from handlaser_gtsam.files.report.history import history
 from handlaser_gtsam.solvers import levenberg
 from handlaser_gtsam.validation.held_out import USUAL_SPLITS, WholeSolution, held_out
 from handlaser_gtsam.validation.scenes import Layout

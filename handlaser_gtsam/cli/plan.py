@@ -43,8 +43,8 @@ def plan(
     Without RECORDING and --calibration: a first motion for any mount within the bounds of the rig file.
 
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
-    the plan. With sensors of many rays, or other targets than planes, stations are chosen all the same, and 3 says that something
-    would still be undetermined after them.
+    the plan. With sensors of many rays, or other targets than planes, stations are chosen all the same,
+    and 3 says that something would still be undetermined after them.
 
     Parameters
     ----------

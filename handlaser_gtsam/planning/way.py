@@ -39,12 +39,15 @@ def shortest(stations: Stations, length: float) -> IntArray:
     length : float
         A turn by one radian counts as a move by this length [m].
     """
+    t, q = stations.world_t_hand, Rotation.from_matrix(stations.world_R_hand).as_quat()
+    turns = 2.0 * np.arccos(np.minimum(np.abs(q @ q.T), 1.0))
+    costs = np.linalg.norm(t[:, None] - t, axis=2) + length * turns
     order: list[int] = []
     for plane in np.unique(stations.plane):
         rows = np.flatnonzero(stations.plane == plane)
-        start = int(_costs(stations, order[-1], rows, length).argmin()) if order else 0
-        cost = np.stack([_costs(stations, int(row), rows, length) for row in rows])
-        path, left = [start], set(range(len(rows))) - {start}
+        cost = costs[np.ix_(rows, rows)]
+        path = [int(costs[order[-1], rows].argmin()) if order else 0]
+        left = set(range(len(rows))) - set(path)
         while left:
             path.append(min(left, key=lambda j: (cost[path[-1], j], j)))
             left.remove(path[-1])
@@ -76,13 +79,6 @@ def divided(stations: Stations, largest_step: float) -> tuple[Stations, IntArray
         stations.plane[after],
     )
     return way, np.where(there, after, -1)
-
-
-def _costs(stations: Stations, start: int, rows: IntArray, length: float) -> FloatArray:
-    """Return the lengths of the ways from one station to others (N,) [m], turns included."""
-    t, R = stations.world_t_hand, stations.world_R_hand
-    turn = Rotation.from_matrix(R[start].T @ R[rows]).magnitude()
-    return np.asarray(np.linalg.norm(t[rows] - t[start], axis=1) + length * turn)
 
 
 def _uncrossed(path: list[int], cost: FloatArray) -> IntArray:

@@ -12,13 +12,13 @@ from ...data.recording import Recording
 from ...model.distributions import contradicted
 from ...planning.advice import next_stations
 from ...planning.goal import Forecast
-from ...planning.history import history
 from ...planning.route import Plan
 from ...progress import tell
 from ...results.calibration import Calibration
 from ...results.description.description import Description
 from ...results.verdict import verdict
 from ...validation.held_out import HeldOut, held_out
+from .history import history
 from .options import ReportOptions
 
 

@@ -9,13 +9,13 @@ the calibration's.
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
-from ..errors import GrazingBeamError, InputError, SolverError
-from ..model.joint import JointCovariance
-from ..results.calibration import Calibration
-from ..results.spot_error import freedom, radius, spot_at
-from ..validation.held_out import WholeSolution
-from .goal import Forecast
+from ...arrays import FloatArray, IntArray
+from ...errors import GrazingBeamError, InputError, SolverError
+from ...model.joint import JointCovariance
+from ...planning.goal import Forecast
+from ...results.calibration import Calibration
+from ...results.spot_error import freedom, radius, spot_at
+from ...validation.held_out import WholeSolution
 
 
 def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecast] | None:
