@@ -36,6 +36,7 @@ from benchmarks.planned_loop import Loop, loop, random_plan
 from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.choice import choose
+from handlaser_gtsam.planning.goal import goal_rows
 from handlaser_gtsam.planning.information import station_rows
 from handlaser_gtsam.planning.task import Task
 from handlaser_gtsam.planning.workspace import joined
@@ -238,7 +239,7 @@ def speed_line() -> str:
     parts = [task.candidates(p, 300, rng) for p in range(4)]
     drawn = [belief, *(belief.about(belief.draw(rng)) for _ in range(4))]
     rows = np.stack([station_rows(one, joined(parts)) for one in drawn])
-    weight = hl.planning.Goal().weight(belief.mounts(0.015))
+    weight = goal_rows(hl.planning.Goal(), belief.mounts(0.015))
     seconds = []
     for _ in range(5):
         begin = time.process_time()

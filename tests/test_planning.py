@@ -19,6 +19,7 @@ from handlaser_gtsam.planning.advice import missing_stations
 from handlaser_gtsam.planning.belief import belief_of, transported
 from handlaser_gtsam.planning.blind import completing_motion
 from handlaser_gtsam.planning.choice import choose, value
+from handlaser_gtsam.planning.goal import goal_rows
 from handlaser_gtsam.planning.information import outlook, station_rows, updated
 from handlaser_gtsam.planning.task import Task
 from handlaser_gtsam.planning.way import divided, shortest
@@ -207,7 +208,7 @@ def test_each_further_station_is_the_best_beside_those_before():
 def test_planned_stations_beat_random_ones(belief, pool):
     goal, rng = hl.planning.Goal(), np.random.default_rng(0)
     rows = station_rows(belief, pool)
-    weight = goal.weight(belief.mounts(0.015))
+    weight = goal_rows(goal, belief.mounts(0.015))
     chosen = choose(rows[None], belief.covariance, weight, 8)
     drawn = [
         value(after(rows[None], belief.covariance, rng.choice(120, 8, False)), weight, "A")

@@ -30,7 +30,7 @@ from ..validation.simulate import Stations, generator, plane_name
 from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
 from .bounds import MOST_PLANNED, SIDES, Bounds
 from .choice import choose, value
-from .goal import Goal
+from .goal import Goal, goal_rows
 from .information import recorded_rows, station_rows, updated
 from .route import Plan, planned
 from .task import Task
@@ -340,7 +340,7 @@ class Blind(NamedTuple):
         count : int
         """
         rows = np.stack([station_rows(belief, stations) for belief in beliefs])
-        weight = Goal("E", self.middle, 1.0).weight(beliefs[0].mounts(self.middle))
+        weight = goal_rows(Goal("E", self.middle, 1.0), beliefs[0].mounts(self.middle))
         before = np.stack([belief.covariance for belief in beliefs])
         best = choose(rows, before, weight, count, "E", exchange=False)
         after = (updated(C, each[best]) for C, each in zip(before, rows, strict=True))

@@ -145,14 +145,6 @@ class Goal:
         """What of a location [m] and of a direction [rad] counts as much."""
         return self.location_sigma or LOCATION_UNIT, self.direction_sigma or DIRECTION_UNIT
 
-    def weight(self, mounts: Sequence[Mount]) -> FloatArray:
-        """Return what is to become small (W, U): mounts in units of the goal, or their spots [m]."""
-        if self.criterion == "spot":
-            return np.concatenate([mount.spot for mount in mounts])
-        location, turn = self.units
-        parts = [(m.location / location, np.concatenate(m.turns) / turn) for m in mounts]
-        return np.concatenate([part for pair in parts for part in pair])
-
     def distance(self, sensor: Sensor) -> float:
         """Return the working distance [m]."""
         if self.working_distance is not None:
@@ -216,6 +208,15 @@ class Forecast(Value):
             f"direction {self.direction_sigma[stations] * IN_DEG:.2g} deg, "
             f"spot within {self.spot[stations] * IN_MM:.2g} mm"
         )
+
+
+def goal_rows(goal: Goal, mounts: Sequence[Mount]) -> FloatArray:
+    """Return what is to become small (W, U): mounts in units of the goal, or their spots [m]."""
+    if goal.criterion == "spot":
+        return np.concatenate([mount.spot for mount in mounts])
+    location, turn = goal.units
+    parts = [(m.location / location, np.concatenate(m.turns) / turn) for m in mounts]
+    return np.concatenate([part for pair in parts for part in pair])
 
 
 def forecast(

@@ -44,7 +44,7 @@ from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations, generator, read_back
 from .bounds import MOST_PLANNED, Plate, plate_of
 from .choice import choose
-from .goal import Forecast, Goal, Mount, beam_mount, forecast
+from .goal import Forecast, Goal, Mount, beam_mount, forecast, goal_rows
 from .information import updated, updates
 from .route import visited, with_ways
 from .workspace import Workspace, drawn_turns, inside, joined, reached, workspace_of
@@ -172,7 +172,7 @@ def plan_survey(
     padded = [np.pad(said, ((0, 0), (0, most - said.shape[1]), (0, 0))) for _, said in parts]
     rows, labels = np.concatenate(padded), [of.label(target) for target in targets]
     mounts, known = list(_mounts(calibration)), _Known(calibration)
-    weight = Goal("spot").weight(mounts)
+    weight = goal_rows(Goal("spot"), mounts)
 
     def best(some: IntArray, number: int, beside: IntArray) -> IntArray:
         C = updated(known.covariance, rows[beside])

@@ -16,7 +16,7 @@ from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .bounds import Plate
 from .choice import choose
-from .goal import Forecast, Goal, forecast
+from .goal import Forecast, Goal, forecast, goal_rows
 from .information import outlook, updates, with_errors
 from .workspace import (
     Workspace,
@@ -67,7 +67,7 @@ class Task(NamedTuple):
     @property
     def weight(self) -> FloatArray:
         """What is to become small (W, U)."""
-        return self.goal.weight(self.belief.mounts(self.goal.distance(self.sensor)))
+        return goal_rows(self.goal, self.belief.mounts(self.goal.distance(self.sensor)))
 
     def chosen(
         self,
