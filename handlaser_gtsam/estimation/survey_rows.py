@@ -12,12 +12,12 @@ from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_labe
 from ..model import known as relations
 from ..model.block import Block, Values, VectorPrior, Weights
 from ..model.block import Rows as BlockRows
-from ..model.families import BEAM, PLANE, POSE
+from ..model.families import BEAM, PLANE
 from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
-from ..model.sensors.kinds import KINDS, Rayset
+from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.shots import (
     MOST_SLANTED,
@@ -401,53 +401,6 @@ def blocks_of(
             blocks.append(Unexplained(member[few], residual, beside, alone))
             owners.append(np.repeat(np.array(numbers)[few], many.max()))
     return blocks, np.concatenate(owners) if owners else np.zeros(0, dtype=np.intp)
-
-
-def rays_on(
-    values: Values,
-    member: int,
-    target: str,
-    seen: IntArray,
-    rays: Rayset,
-    reading: FloatArray,
-    by_error: FloatArray,
-) -> tuple[FloatArray, BoolArray]:
-    """Return the columns (c, 1, N, n), residuals last, of all rays of a sensor at each of N poses.
-
-    The second result (N, n) says which rays miss their target. The residual of a reading of zero,
-    without range errors, is the range.
-
-    Parameters
-    ----------
-    values : mapping
-        Sensors, targets and N poses.
-    member : int
-        Number of the sensor.
-    target : str
-        Family of the targets.
-    seen : (N,)
-        Number of the target at each pose.
-    rays : Rayset
-        n rays.
-    reading : (N, n), or what becomes it
-        [m]
-    by_error : (4, 1, N, n), or what becomes it
-        By how much a range error of size 1 makes each true range longer.
-    """
-    n = values[POSE.name].shape[1]
-    shape = (n, len(rays.origin))
-    origin, direction = (
-        np.broadcast_to(x.T[:, None, None], (3, 1, *shape)) for x in (rays.origin, rays.direction)
-    )
-    errors = np.broadcast_to(by_error, (len(RAY_ERRORS), 1, *shape))
-    block = Ranges(
-        Mounted(np.full(n, member), origin, direction, errors),
-        TARGETS[target](seen),
-        PoseVariables(np.arange(n)),
-        np.broadcast_to(reading, (1, *shape)),
-    )
-    rows = block.evaluate(values)
-    return rows.columns, missed(target, rows)
 
 
 def missed(target: str, rows: BlockRows) -> BoolArray:

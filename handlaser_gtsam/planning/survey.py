@@ -21,7 +21,7 @@ from ..data.value import Value
 from ..errors import InputError
 from ..estimation.dense import dense_rows, with_pose_errors
 from ..estimation.estimate import information_axes, least_information
-from ..estimation.survey_rows import TARGETS, Item
+from ..estimation.survey_rows import TARGETS, Item, missed
 from ..model.block import Weights
 from ..model.families import (
     BEAM,
@@ -338,8 +338,7 @@ class _Look:
         )
         s = met.columns[-1, 0]
         good = (s > 0.8 * d.min()) & (s < 1.2 * d.max())
-        if met.impossible is not None:
-            good &= ~met.impossible[0]
+        good &= ~missed(family, met)
         if isinstance(sensor, Beam) and family == SPHERE.name:  # a survey counts none that graze it
             good &= np.linalg.norm(met.columns[-4:-1, 0], axis=0) < MOST_SLANTED
         s = np.where(good, s, 0.0)
