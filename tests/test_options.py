@@ -71,8 +71,6 @@ def case(kind, **fields):
         case(LevenbergOptions, most_damping=1e300),
         case(ObservabilityOptions, most_sigma=0.0),
         case(ObservabilityOptions, least_information=-1.0),
-        case(hl.session.IncrementalOptions, relinearize=0.0),
-        case(hl.session.IncrementalOptions, compare_every=0.5),
     ],
 )
 def test_values_beyond_sense_are_refused(kind, fields):

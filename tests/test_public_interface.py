@@ -329,7 +329,6 @@ def test_what_cannot_be_is_refused_in_one_line_that_says_what_can(case):
 
 OPTIONS = (
     hl.CalibrationOptions,
-    hl.session.IncrementalOptions,
     hl.solvers.LevenbergOptions,
     hl.Limits,
     hl.LogFormat,

@@ -10,7 +10,6 @@ from test_freed import NOISE, SENSOR, SIZES, recorded, state
 from test_systematic import Scene
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.solvers.isam import IncrementalOptions
 
 
 def options(*free, **others):
@@ -29,7 +28,7 @@ def begun(code, size, *free, seed=3, **others):
 
 def assert_batch(session):
     """Hold that beams, planes, sizes and their sigmas are those of a calibration of what it has."""
-    found, recording = session.calibration(), session.recording()
+    found, recording = session.calibration(), session.state.contents.recording()
     inside = np.isin(recording.plane_labels, session.planes)
     batch = hl.calibrate(recording.part(inside), session.noise, session.options)
     assert found.status == batch.status == "converged"
@@ -148,8 +147,11 @@ def test_a_beam_that_was_displaced_is_named_beside_the_error():
     assert update.moved is not None
     assert (update.moved.beam, update.moved.since) == ("b1", names[3])
     assert session.moved().beam == "b1"
-    with pytest.raises(hl.InputError, match="two sessions, of the planes before and after it"):
-        session.split_beam("b1", names[3])
+    session.split_beam("b1", names[3])
+    assert session.moved() is None
+    assert list(session.calibration().beams) == ["b0", "b1", "b2", f"b1 until {names[3]}"]
+    assert session.recording().beam_names == ("b0", "b1", "b2")
+    assert_batch(session)
 
 
 @pytest.mark.slow
@@ -177,7 +179,7 @@ def test_copies_and_what_is_raised_on_the_way_change_nothing(monkeypatch):
 def test_what_cannot_be_an_unknown_of_a_session_is_refused_at_once():
     with pytest.raises(hl.InputError, match="no plausible size"):
         hl.Session(NOISE, hl.CalibrationOptions(free=("incidence",)))
-    session = hl.Session(NOISE, options("beam-on-plane"), IncrementalOptions())
+    session = hl.Session(NOISE, options("beam-on-plane"))
     recording = recorded(Scene(3))
     update = session.add(recording.plane("p0"))  # no beam sees two planes yet
     assert update.message

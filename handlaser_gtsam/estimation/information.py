@@ -81,8 +81,8 @@ class Information:
         matrix, vector = self.matrix - other.matrix, self.vector - other.vector
         return Information(matrix, vector, self.constant - other.constant)
 
-    def __getitem__(self, sets: slice | None) -> "Information":
-        """Return some sets; None adds the axis of the sets to information without it."""
+    def __getitem__(self, sets: int | slice) -> "Information":
+        """Return some sets, or one without the axis of the sets."""
         return Information(self.matrix[sets], self.vector[sets], self.constant[sets])
 
 

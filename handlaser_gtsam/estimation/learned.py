@@ -5,14 +5,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray, evenly
+from ..arrays import FloatArray, evenly
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..data.value import Value
 from ..model.elimination import ReducedInformation
 from ..model.weighting import Variances
 from ..quantities import REPRESENTATIVE_BEAMS
-from .information import Information, LinearReadings
+from .information import LinearReadings
 from .mixture import BeamPosterior
 from .range_error_grid import (
     RangeErrorGrid,
@@ -78,22 +78,12 @@ class LearnedScales(Value):
         """The widest scale of a range error's prior; infinite where there is none."""
         return widest_scale(self.linearity)
 
-    def prior(self, beams: IntArray, count: int) -> RangeErrorPrior | None:
-        """Return the prior of the range errors of some of `count` beams at the most probable scales."""
+    def prior(self, count: int) -> RangeErrorPrior | None:
+        """Return the prior of the range errors of `count` beams at the most probable scales."""
         if self.linearity is None:
             return None
-        sigma = np.full((count, 2), np.inf)
-        sigma[beams] = self.range_error / np.array([1.0, self.length])
-        return RangeErrorPrior(sigma)
-
-    def for_beams(self, count: int) -> "LearnedScales":
-        """Return the same for another number of beams, alike in their range sigma."""
-        ranges = np.full(count, self.scales.range_sigma[0])
-        return replace(
-            self,
-            scales=replace(self.scales, range_sigma=ranges),
-            base=replace(self.base, range_sigma=ranges),
-        )
+        sigma = self.range_error / np.array([1.0, self.length])
+        return RangeErrorPrior(np.tile(sigma, (count, 1)))
 
     def along(self, angles: FloatArray | None) -> "LearnedScales":
         """Return the same along axes of the beams turned by angles (B,), where any are turned."""
@@ -138,10 +128,6 @@ class ScaleProblem:
     scales : Scales
     linearity : float or None
         Scale of the prior of the range errors' scales; None where range errors have no prior.
-    known : Information, optional
-        Information on the beams beside the readings.
-    members : (b,), optional
-        Beams whose range errors have the prior; all where not given.
     length : float, optional
         The typical range [m]; the median of the readings where not given.
     """
@@ -152,8 +138,6 @@ class ScaleProblem:
     base: Variances
     scales: Scales
     linearity: float | None
-    known: Information | None = None
-    members: IntArray | None = None
     length: float = 0.0
 
     def __post_init__(self) -> None:
@@ -168,7 +152,7 @@ class ScaleProblem:
     @cached_property
     def _part(self) -> "ScaleProblem":
         """The problem in which scales are searched for: a part of many readings, or this problem."""
-        alike = self.known is None and self.members is None and self.scales.common
+        alike = self.scales.common
         few = self.readings.beams <= REPRESENTATIVE_BEAMS or not alike
         if few and len(self.readings) <= SCALE_READINGS:
             return self
@@ -254,17 +238,13 @@ class ScaleProblem:
         return part
 
     def _widest(self, beams: int, angles: FloatArray | None = None) -> RangeErrorGrid:
-        """Return a grid for `beams` beams, or for the beams that have the prior."""
-        count = beams if self.members is None else len(self.members)
+        """Return a grid for `beams` beams."""
         terms = 0 if self.linearity is None else self.terms
-        return widest_grid(self.linearity or 1.0, terms, count, angles)
+        return widest_grid(self.linearity or 1.0, terms, beams, angles)
 
     def _beams(self, points: FloatArray) -> tuple[BeamPosterior, ReducedInformation]:
         information, planes = self.rows.information([self.scales.noise(u) for u in points])
-        if self.known is not None:
-            information = information + self.known
-        widest = widest_scale(self.linearity)
-        return BeamPosterior(information, self.k, widest, self.members), planes
+        return BeamPosterior(information, self.k, widest_scale(self.linearity)), planes
 
     def _log_posterior(self, points: FloatArray) -> FloatArray:
         beams = self._part._beams(points)[0]

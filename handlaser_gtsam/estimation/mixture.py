@@ -99,26 +99,17 @@ class BeamPosterior:
         Range errors at the linearisation, natural units.
     widest : float
         The widest scale of a range error's prior; where the range errors are free, infinite.
-    members : (b,), optional
-        Beams whose range errors have the prior; all where not given.
     """
 
-    def __init__(
-        self,
-        information: Information,
-        k: FloatArray,
-        widest: float,
-        members: IntArray | None = None,
-    ) -> None:
-        terms, size = k.shape[1], information.matrix.shape[1]
-        beams = np.arange(len(k)) if members is None else members
+    def __init__(self, information: Information, k: FloatArray, widest: float) -> None:
+        terms, size, beams = k.shape[1], information.matrix.shape[1], np.arange(len(k))
         self.every = Contrasts.of(beams, terms, size // max(len(k), 1), widest)
         self.has_prior = bool(self.every.places.size) and np.isfinite(widest)
         places, turn, wide = self.every.places, self.every.turn, self.every.widest
-        precision, mean = turn.T @ (wide[:, None] ** -2 * turn), turn @ k[beams].ravel()
+        precision, mean = turn.T @ (wide[:, None] ** -2 * turn), turn @ k.ravel()
         self.others = np.setdiff1d(np.arange(size), places)
         matrix, vector = information.matrix, information.vector.copy()
-        vector[:, places] -= precision @ k[beams].ravel()
+        vector[:, places] -= precision @ k.ravel()
         of_others = matrix[:, self.others[:, None], self.others]
         of_others += NEGLIGIBLE * np.eye(len(self.others))  # a part of a recording may lack a beam
         self.P, log_det = _inverses(of_others)
@@ -144,21 +135,21 @@ class BeamPosterior:
         # inv(V) k^, without a difference that could cancel.
         self.y = towards + np.einsum("jkl,l->jk", of_k, mean)
         self.few = evenly(len(beams), REPRESENTATIVE_BEAMS)
-        self.telling = self._of_few(k, beams, size // max(len(k), 1), widest)
+        self.telling = self._of_few(k, size // max(len(k), 1), widest)
 
     def _of_few(
-        self, k: FloatArray, beams: IntArray, width: int, widest: float
+        self, k: FloatArray, width: int, widest: float
     ) -> tuple[Contrasts, FloatArray, FloatArray]:
         """Return contrasts of at most `REPRESENTATIVE_BEAMS` beams, their covariances and estimates.
 
         Covariances are positive semidefinite to the last bit, whatever is nearly undetermined.
         """
-        if len(beams) <= REPRESENTATIVE_BEAMS:
+        if len(k) <= REPRESENTATIVE_BEAMS:
             return self.every, _semidefinite(self.V), self.k
-        few = Contrasts.of(beams[self.few], k.shape[1], width, widest)
+        few = Contrasts.of(self.few, k.shape[1], width, widest)
         rows = few.turn @ self.G[:, few.places]
         V = rows @ self.V @ np.swapaxes(rows, 1, 2)
-        estimates = self.mean[:, few.places] + k[beams[self.few]].ravel()
+        estimates = self.mean[:, few.places] + k[self.few].ravel()
         return few, _semidefinite(V), estimates @ few.turn.T
 
     def narrowed(

@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..solvers.isam import IncrementalOptions as IncrementalOptions
     from .reports import Change as Change
     from .reports import Comparison as Comparison
     from .reports import Moved as Moved

@@ -3,33 +3,24 @@
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import gtsam
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..data.parameters import Parameters
+from ..data.noise import LEAST_SIGMA, Noise
+from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording, join
 from ..estimation.learned import LearnedScales, ScaleProblem
-from ..estimation.posterior import covariance, covariance_by_gtsam, posterior
-from ..estimation.selection import Selection
-from ..estimation.solution import Minimum, Solution
-from ..estimation.task import WEIGHTS_SETTLED
+from ..estimation.posterior import covariance_of_determined, posterior
+from ..estimation.selection import Selection, settle
+from ..estimation.solution import Solution
 from ..model.errors_in_variables import weighed
 from ..model.families import BEAM
 from ..model.sensor import FLAT, OUTSIDE
-from ..model.weighting import Whitening, unequal, whitening
-from ..observability.rank import ObservabilityOptions, observability
-from ..quantities import MOST_ROUNDS
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
 from ..results.problem import Problem
-from ..solvers.graph import CalibrationGraph, PosePriors, build_graph, pose_priors, read_parameters
-from ..solvers.isam import BeamState
-from ..solvers.levenberg import LevenbergResult, evaluated, levenberg_marquardt
 from .config import SessionConfig
-from .contents import Contents
-from .drift import DriftHistory
-from .reports import Comparison
+from .contents import Contents, arranged
 
 METHOD = "incremental"
 
@@ -43,22 +34,18 @@ class BatchProblem:
     contents : Contents
     config : SessionConfig
     parameters : Parameters
-        Beams and planes, each plane in its frame, in the order of the contents.
-    poses : gtsam.Values or None
-        Hand poses that are variables, by station of the recording.
+        Beams and planes to begin with, each plane in its frame, in the order of the contents.
     """
 
     contents: Contents
     config: SessionConfig
     parameters: Parameters
-    poses: gtsam.Values | None = None
 
     @cached_property
     def recording(self) -> Recording:
         """Planes as the contents order them, beams as the config does, with rejected readings."""
-        whole = join([self.contents.planes[name].recording for name in self.contents.numbers])
-        columns = [whole.beam_names.index(name) for name in self.config.names]
-        return replace(whole, ranges=whole.ranges[:, columns], beam_names=self.config.names)
+        whole = join([plane.recording for plane in self.contents.inside.values()])
+        return arranged(whole, self.config.names)
 
     @cached_property
     def readings(self) -> Readings:
@@ -73,111 +60,56 @@ class BatchProblem:
     @property
     def origins(self) -> FloatArray:
         """Origins (P, 3) of the planes' frames in the world [m]."""
-        return np.array([self.contents.planes[name].origin for name in self.contents.numbers])
+        return np.array([plane.origin for plane in self.contents.fitted.values()])
 
     def local_readings(self) -> Readings:
         """Return the readings that are used, every plane in its frame."""
         return self.readings.subset(np.flatnonzero(self.used)).seen_from(self.origins)
 
-    def problem(
-        self, parameters: Parameters, poses: gtsam.Values | None
-    ) -> tuple[CalibrationGraph, Whitening]:
-        """Return the graph at some parameters and poses, and the whitening with poses eliminated."""
-        config, variances = self.config, self.config.variances(len(self.recording.plane_labels))
-        local = self.local_readings()
-        readings, marginal = weighed(local, parameters, variances, max(config.terms))
-        how = marginal
-        priors: PosePriors | None = None
-        if config.poses == "estimated" and variances.pose is not None:
-            how = whitening(parameters, readings, variances.without_poses())
-            priors = pose_priors(readings, variances.pose, poses)
-        problem = build_graph(
-            readings, parameters, config.terms, how, priors=priors, range_errors=config.prior
-        )
-        for link in config.links:
-            for factor in link.factors(problem.beams, config.terms):
-                problem.graph.push_back(factor)
-        return problem, marginal
-
-    def solved(self) -> tuple[CalibrationGraph, LevenbergResult, Parameters]:
-        """Return the batch solution, weights settled, from the present estimate."""
-        parameters, poses = self.parameters, self.poses
-        for _ in range(MOST_ROUNDS):
-            problem, _ = self.problem(parameters, poses)
-            result = levenberg_marquardt(problem)
-            parameters = read_parameters(problem, result.values)
-            poses = None if poses is None else result.values
-            if not result.history or result.history[0].step < WEIGHTS_SETTLED:
-                break
-            if not self.config.weights_depend:
-                break
-        return problem, result, parameters
-
-    def compared(self, state: BeamState) -> Comparison:
-        """Compare the beams, scales integrated over, with the batch solution."""
-        problem, result, parameters = self.solved()
-        if self.config.learned is not None:
-            learned = self.config.learned
-            integrated = posterior(self.scale_problem(parameters, learned), learned)
-            parameters, joint = integrated.parameters, integrated.joint
-        else:
-            joint = covariance(problem, result.values)
-        sigmas = np.sqrt(np.diagonal(joint.matrix(planes=[]))).reshape(-1, BEAM.size)
-        return Comparison(*state.apart(parameters.beams, sigmas))
-
-    def scale_problem(self, parameters: Parameters, learned: LearnedScales) -> ScaleProblem:
-        """Return the scales that are learned as a problem about some parameters."""
-        config, readings = self.config, self.local_readings()
-        stations = int(readings.station.max()) + 1
-        readings, _ = weighed(readings, parameters, config.variances(stations), max(config.terms))
-        variances = learned.base.for_stations(stations)
-        known = DriftHistory.empty(config, parameters.beams).known[None]
-        return ScaleProblem(
-            parameters,
-            readings,
-            learned.terms,
-            variances,
-            learned.scales,
-            learned.linearity,
-            known,
-            config.members,
-            learned.length,
-        )
-
-    def learned(self, before: LearnedScales) -> LearnedScales:
-        """Return the scales that the readings call for, about the present estimate and scales."""
-        problem = self.scale_problem(self.parameters, before)
-        return problem.learned(problem.mode(before.mode))
-
+    @cached_property
     def solution(self) -> Solution:
-        """Return the present estimate and what the readings determine; nothing is solved again."""
-        config, parameters = self.config, self.parameters
-        graph, how = self.problem(parameters, self.poses)
-        result = evaluated(graph, "the incremental estimate")
-        ended = replace(Minimum.of_graph(graph, result), parameters=parameters)
-        options, prior, readings = ObservabilityOptions(), config.prior, graph.readings
-        seen = observability(parameters, readings, config.terms, how.sigma, options, how, prior)
-        variances = config.variances(len(self.recording.plane_labels))
-        if not unequal(variances, max(config.terms), readings):
-            return Solution(ended, seen, prior=prior)
-        return Solution(ended, seen, variances, how, prior)
+        """The solution at the scales of the config, which are integrated over."""
+        config, learned = self.config, self.config.learned
+        known = config.variances(1)
+        pose = np.zeros((6, 6)) if known.pose is None else known.pose[0]
+        sigma = max(float(known.range_sigma[0]), LEAST_SIGMA)
+        noise = Noise(sigma, incidence_sigma=known.incidence_sigma, pose_covariance=pose)
+        options = config.options
+        if config.prior is None and options.range_error == "auto":
+            options = replace(options, range_error="k1k2")
+        start = self.parameters
+        found = settle(self.local_readings(), start, noise, options, prior=config.prior).finished()
+        if learned is None or not found.observability.full:
+            return found
+        integrated = posterior(self.scale_problem(learned, found.parameters), learned)
+        return replace(found, posterior=integrated, scales=integrated.scales)
 
-    def range_sigma(self) -> tuple[float, int]:
-        """Return the range sigma [m] that the residuals show, and its degrees of freedom."""
-        solution = self.solution()
-        white = float(solution.at.white @ solution.at.white) / solution.at.sigma**2
-        return self.config.sigma * float(np.sqrt(white / max(solution.dof, 1))), solution.dof
+    def beams(self) -> tuple[Beams, FloatArray]:
+        """Return the beams of the solution, and their standard deviations (B, 8)."""
+        found = self.solution
+        joint = found.joint if found.posterior is None else found.posterior.joint
+        if joint is None:
+            where = found.parameters, found.at.sigma, np.zeros_like(self.origins)
+            joint = covariance_of_determined(found.observability, *where)
+        variances = np.diagonal(joint.matrix(planes=[])).reshape(-1, BEAM.size)
+        return found.best.beams, np.sqrt(variances)
+
+    def scale_problem(
+        self, learned: LearnedScales, parameters: Parameters | None = None
+    ) -> ScaleProblem:
+        """Return the scales that are learned as a problem about some parameters, or the start."""
+        config, readings = self.config, self.local_readings()
+        here = self.parameters if parameters is None else parameters
+        stations = int(readings.station.max()) + 1
+        readings, _ = weighed(readings, here, config.variances(stations), config.terms)
+        base, scales = learned.base.for_stations(stations), learned.scales
+        of = here, readings, config.terms, base, scales, learned.linearity
+        return ScaleProblem(*of, length=learned.length)
 
     def calibration(self) -> Calibration:
-        """Return the calibration at the present estimate; nothing is solved again."""
-        solution, learned = self.solution(), self.config.learned
-        at = solution.at
-        if solution.observability.full and at.graph is not None and at.values is not None:
-            solution = replace(solution, joint=covariance_by_gtsam(at.graph, at.values))
-        if learned is not None:
-            whole = posterior(self.scale_problem(self.parameters, learned), learned)
-            solution = replace(solution, posterior=whole, scales=whole.scales)
-        tried = ((METHOD, float(np.sqrt(np.mean(at.residual**2)))),)
+        """Return the solution as a calibration, with readings that are not used."""
+        solution = self.solution
+        tried = ((METHOD, float(np.sqrt(np.mean(solution.at.residual**2)))),)
         outside, flat = self.rejected(OUTSIDE), self.rejected(FLAT)
         selection = Selection(self.used, outside, flat, METHOD, tried, solution)
         noise, sensor = self.config.noise, self.config.options.sensor

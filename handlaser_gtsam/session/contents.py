@@ -1,17 +1,16 @@
 """The recordings of a session, plane by plane; never changed, only replaced."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray
 from ..data.recording import Recording, join
 from ..errors import InputError
 from ..model.sensor import OUTSIDE, Rejected, Sensor
-
-CONTRADICTED = "contradicted by the beams and the other readings"
+from .plane import FittedPlane
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,9 +24,9 @@ class PlaneContents:
     rejected : tuple of Rejected
         Readings that are not used.
     number : int or None
-        Number of the plane in the graph; None where it is not in.
-    origin : (3,) or None
-        Origin of its frame in the world [m].
+        Number of the plane in the graph; None where it is in no calibration.
+    fitted : FittedPlane or None
+        The plane as it is in the graph.
     culprit : str or None
         For a plane that is excluded because it fits no beams as they are: the beam without which it
         would fit, or an empty name. None where it is not excluded.
@@ -36,7 +35,7 @@ class PlaneContents:
     recording: Recording
     rejected: tuple[Rejected, ...] = ()
     number: int | None = None
-    origin: FloatArray | None = None
+    fitted: FittedPlane | None = None
     culprit: str | None = None
 
     def used(self) -> Recording:
@@ -45,13 +44,18 @@ class PlaneContents:
             return self.recording
         recording, out = self.recording, {(one.station, one.beam) for one in self.rejected}
         names = recording.station_names, recording.beam_names
-        mask = [[(station, beam) in out for beam in names[1]] for station in names[0]]
-        return recording.without(np.array(mask))
+        return recording.without(
+            [[(station, beam) in out for beam in names[1]] for station in names[0]]
+        )
+
+    def less(self, which: BoolArray, reason: str) -> "PlaneContents":
+        """Return the plane with readings (M, B) of `used` rejected."""
+        used = self.used()
+        return replace(self, rejected=(*self.rejected, *_named(used, which, reason)))
 
     def taken_out(self, culprit: str | None = None) -> "PlaneContents":
         """Return the plane out of the graph; excluded where a culprit is given."""
-        culprit = self.culprit if culprit is None else culprit
-        return replace(self, number=None, origin=None, culprit=culprit)
+        return replace(self, number=None, fitted=None, culprit=culprit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ class Contents:
     planes : mapping of str to PlaneContents
         In the order in which they came.
     station_numbers : mapping of str to int
-        Number of every station, never given twice.
+        Number of every station, in the order in which they came; never given twice.
     names : mapping of str to str
         What a beam is called outside, where it has been renamed because it moved.
     """
@@ -73,14 +77,30 @@ class Contents:
     names: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
+    def inside(self) -> dict[str, PlaneContents]:
+        """Planes that are in the calibration."""
+        return {name: plane for name, plane in self.planes.items() if plane.number is not None}
+
+    @cached_property
+    def fitted(self) -> dict[str, FittedPlane]:
+        """These planes as they are in the graph."""
+        planes = self.planes.items()
+        return {name: plane.fitted for name, plane in planes if plane.fitted is not None}
+
+    @property
+    def consistent(self) -> dict[str, FittedPlane]:
+        """Planes in the graph of which the readings agree with each other."""
+        return {name: fitted for name, fitted in self.fitted.items() if fitted.fits}
+
+    @cached_property
     def numbers(self) -> dict[str, int]:
-        """Number of every plane that is in the graph, in their order."""
-        numbers = {name: p.number for name, p in self.planes.items() if p.number is not None}
-        return dict(sorted(numbers.items(), key=lambda item: item[1]))
+        """Numbers of these planes."""
+        planes = self.planes.items()
+        return {name: plane.number for name, plane in planes if plane.number is not None}
 
     @property
     def waiting(self) -> tuple[str, ...]:
-        """Planes that are not in the graph."""
+        """Planes that are not."""
         return tuple(name for name, plane in self.planes.items() if plane.number is None)
 
     @property
@@ -94,12 +114,8 @@ class Contents:
         planes = self.planes.items()
         return {name: p.culprit for name, p in planes if p.culprit is not None}
 
-    def current(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of beams as they are, without the names of states before a move."""
-        return tuple(name for name in names if name not in self.names)
-
-    def everything(self) -> Recording:
-        """Return everything as it was added, stations in the order in which they came.
+    def recording(self) -> Recording:
+        """Return everything under the names that beams have now, stations as they came.
 
         Raises
         ------
@@ -108,19 +124,31 @@ class Contents:
         """
         if not self.planes:
             raise InputError("an empty session", "a recording added first")
-        original = []
-        for plane in self.planes.values():
-            recording = plane.recording
-            names = tuple(self.names.get(name, name) for name in recording.beam_names)
-            beams = tuple(dict.fromkeys(names))
-            ranges = np.full((len(recording.ranges), len(beams)), np.nan)
-            for column, name in enumerate(names):
-                mine = ~np.isnan(recording.ranges[:, column])
-                ranges[mine, beams.index(name)] = recording.ranges[mine, column]
-            original.append(replace(recording, ranges=ranges, beam_names=beams))
-        everything = join(original)
+        everything = join([plane.recording for plane in self.planes.values()])
         came = [self.station_numbers[name] for name in everything.station_names]
-        return everything.part(np.argsort(came))
+        # States of beams before a move come last.
+        present = dict.fromkeys(self.names.get(name, name) for name in everything.beam_names)
+        earlier = [name for name in self.names if name in everything.beam_names]
+        beams = [name for name in present if name in everything.beam_names]
+        return arranged(everything.part(np.argsort(came)), (*beams, *earlier))
+
+    def recorded(self) -> Recording:
+        """Return everything as it was added: the states of a beam that moved are one column."""
+        everything = self.recording()
+        if not self.names:
+            return everything
+        names = [self.names.get(name, name) for name in everything.beam_names]
+        beams = tuple(dict.fromkeys(names))
+        columns = np.array([beams.index(name) for name in names])
+        station, column = np.nonzero(~np.isnan(everything.ranges))
+        ranges = np.full((len(everything.ranges), len(beams)), np.nan)
+        ranges[station, columns[column]] = everything.ranges[station, column]
+        samples = everything.samples
+        if samples is not None:
+            whole = np.ones_like(ranges)
+            whole[station, columns[column]] = samples[station, column]
+            samples = whole
+        return replace(everything, ranges=ranges, beam_names=beams, samples=samples)
 
     def added(self, recording: Recording, sensor: Sensor) -> "Contents":
         """Return the contents with the stations of a recording.
@@ -133,46 +161,37 @@ class Contents:
         twice = next((n for n in recording.station_names if n in self.station_numbers), None)
         if twice is not None:
             raise InputError(f"station {twice!r} twice", "names that are not in the session yet")
+        if not sensor.range_stated:  # then the recording knows whether negative readings count
+            sensor = replace(sensor, range_min=recording.range_min)
         planes = dict(self.planes)
-        for index, name in enumerate(recording.plane_names):
-            new = recording.part(np.flatnonzero(recording.plane_of_station == index))
-            outside = (new.ranges < sensor.range_min) | (new.ranges > sensor.range_max)
-            rejected, old = named(new, outside, OUTSIDE), planes.get(name, PlaneContents(new))
-            more = join([old.recording, new]) if name in planes else new
-            planes[name] = replace(old, recording=more, rejected=(*old.rejected, *rejected))
+        for name in recording.plane_names:
+            own = recording.plane(name)
+            new = PlaneContents(own).less(~sensor.can_read(own.ranges), OUTSIDE)
+            old = planes.get(name)
+            if old is not None:
+                rejected = (*old.rejected, *new.rejected)
+                new = replace(old, recording=join([old.recording, own]), rejected=rejected)
+            planes[name] = new
         first = max(self.station_numbers.values(), default=-1) + 1
         numbers = {name: first + j for j, name in enumerate(recording.station_names)}
         return replace(self, planes=planes, station_numbers={**self.station_numbers, **numbers})
 
-    def with_plane(self, name: str, plane: PlaneContents) -> "Contents":
-        """Return the contents with other contents of a plane."""
-        return replace(self, planes={**self.planes, name: plane})
+    def with_planes(self, planes: Mapping[str, PlaneContents]) -> "Contents":
+        """Return the contents with other contents of some planes."""
+        return replace(self, planes={**self.planes, **planes})
 
-    def restarted(self, rejected: Iterable[Rejected]) -> "Contents":
+    def restarted(self, rejected: tuple[Rejected, ...]) -> "Contents":
         """Return the contents of which nothing is in a graph, with just these readings rejected."""
-        every, planes = [replace(reading, residual=None) for reading in rejected], {}
+        planes = {}
         for name, plane in self.planes.items():
             here = set(plane.recording.station_names)
-            out = tuple(reading for reading in every if reading.station in here)
+            out = tuple(replace(one, residual=None) for one in rejected if one.station in here)
             planes[name] = PlaneContents(plane.recording, out)
         return replace(self, planes=planes)
 
-    def without_plane(self, name: str) -> "Contents":
-        """Return the contents without a plane.
-
-        Raises
-        ------
-        InputError
-            No such plane.
-        """
-        if name not in self.planes:
-            raise InputError(f"plane {name!r}", f"one of {', '.join(self.planes) or 'none'}")
-        gone = self.planes[name].recording.station_names
-        return replace(
-            self,
-            planes={other: plane for other, plane in self.planes.items() if other != name},
-            station_numbers={s: n for s, n in self.station_numbers.items() if s not in gone},
-        )
+    def included(self) -> "Contents":
+        """Return the contents without a plane that is excluded."""
+        return self.with_planes({name: self.planes[name].taken_out() for name in self.excluded})
 
     def plane_of(self, station: str) -> str:
         """Return the plane of a station.
@@ -187,7 +206,24 @@ class Contents:
                 return name
         raise InputError(f"station {station!r}", "the name of a station that was added")
 
-    def without_station(self, station: str) -> "Contents":
+    def without_plane(self, name: str) -> "Contents":
+        """Return the contents without a plane.
+
+        Raises
+        ------
+        InputError
+            No such plane.
+        """
+        if name not in self.planes:
+            raise InputError(f"plane {name!r}", f"one of {', '.join(self.planes) or 'none'}")
+        gone = set(self.planes[name].recording.station_names)
+        return replace(
+            self,
+            planes={other: plane for other, plane in self.planes.items() if other != name},
+            station_numbers={s: n for s, n in self.station_numbers.items() if s not in gone},
+        )
+
+    def without_station(self, name: str) -> "Contents":
         """Return the contents without a station; without its plane where it was the last.
 
         Raises
@@ -195,48 +231,37 @@ class Contents:
         InputError
             No such station.
         """
-        name = self.plane_of(station)
-        plane = self.planes[name]
-        recording = plane.recording
-        rows = np.array([j for j, other in enumerate(recording.station_names) if other != station])
-        if not rows.size or np.isnan(recording.ranges[rows]).all():
-            return self.without_plane(name)
-        rejected = tuple(other for other in plane.rejected if other.station != station)
-        less = self.with_plane(
-            name, replace(plane, recording=recording.part(rows), rejected=rejected)
-        )
-        numbers = {s: number for s, number in self.station_numbers.items() if s != station}
-        return replace(less, station_numbers=numbers)
+        label = self.plane_of(name)
+        plane = self.planes[label]
+        rows = np.array(plane.recording.station_names) != name
+        if np.isnan(plane.recording.ranges[rows]).all():
+            return self.without_plane(label)
+        rejected = tuple(one for one in plane.rejected if one.station != name)
+        rest = replace(plane, recording=plane.recording.part(rows), rejected=rejected)
+        numbers = {s: number for s, number in self.station_numbers.items() if s != name}
+        return replace(self.with_planes({label: rest}), station_numbers=numbers)
 
-    def numbered(self, origins: Mapping[str, FloatArray]) -> "Contents":
-        """Return the contents with just these planes in the graph, numbered from zero."""
-        number = {name: number for number, name in enumerate(origins)}
-        planes = {
-            name: replace(plane, number=number.get(name), origin=origins.get(name))
-            for name, plane in self.planes.items()
-        }
-        return replace(self, planes=planes)
-
-    def included(self, names: Iterable[str]) -> "Contents":
-        """Return the contents with planes that are not excluded any more."""
-        planes = {name: replace(self.planes[name], culprit=None) for name in names}
-        return replace(self, planes={**self.planes, **planes})
-
-    def split(self, beam: str, since: str, before: str) -> "Contents":
-        """Return the contents with a beam named `before` in the planes that came before `since`."""
-        planes = dict(self.planes)
-        for name in list(planes)[: list(planes).index(since)]:
-            rejected = (
-                replace(reading, beam=before) if reading.beam == beam else reading
-                for reading in planes[name].rejected
-            )
-            recording = planes[name].recording.renamed(beam, before)
-            planes[name] = replace(planes[name], recording=recording, rejected=tuple(rejected))
+    def split(self, beam: str, since: str) -> "Contents":
+        """Return the contents with another name for a beam in the planes that came before `since`."""
+        planes, before = {}, f"{beam} until {since}"
+        for name in list(self.planes)[: list(self.planes).index(since)]:
+            plane = self.planes[name]
+            planes[name] = replace(plane, recording=plane.recording.renamed(beam, before))
         names = {**self.names, before: self.names.get(beam, beam)}
-        return replace(self, planes=planes, names=names)
+        return replace(self.with_planes(planes), names=names)
 
 
-def named(recording: Recording, which: BoolArray, reason: str) -> tuple[Rejected, ...]:
+def arranged(recording: Recording, beams: tuple[str, ...]) -> Recording:
+    """Return a recording with its beams in another order."""
+    if beams == recording.beam_names:
+        return recording
+    columns = [recording.beam_names.index(name) for name in beams]
+    samples = None if recording.samples is None else recording.samples[:, columns]
+    ranges = recording.ranges[:, columns]
+    return replace(recording, ranges=ranges, beam_names=beams, samples=samples)
+
+
+def _named(recording: Recording, which: BoolArray, reason: str) -> tuple[Rejected, ...]:
     """Return the readings (M, B) of a recording that are rejected for a reason."""
     station, beam = np.nonzero(which & ~np.isnan(recording.ranges))
     return tuple(

@@ -20,8 +20,9 @@ from ..results.calibration import Calibration
 from ..solvers.isam import BeamState
 from .config import SessionConfig
 from .contents import Contents
-from .fitted import determined_plane
-from .joining import fitted_planes, history_of
+from .drift import recent, search
+from .joining import fitted_planes
+from .plane import fit_plane
 from .reports import Change, Comparison, Moved
 from .state import undetermined
 
@@ -46,30 +47,36 @@ class FreedState:
     @classmethod
     def of(cls, batch: Calibration, contents: Contents, config: SessionConfig) -> "FreedState":
         """Return the state after a calibration, converged, of some planes of the contents."""
-        joint = _joint(batch)
-        origins = dict(zip(joint.plane_names, joint.origins, strict=True))
-        out = (one for one in contents.rejected if contents.plane_of(one.station) not in origins)
-        placed = contents.restarted((*batch.fit.rejected, *out)).numbered(origins)
-        for plane, culprit in contents.excluded.items():
-            if plane not in origins:
-                placed = placed.with_plane(plane, placed.planes[plane].taken_out(culprit))
-        return cls(placed, config, batch)
+        out = (
+            one for one in contents.rejected if contents.plane_of(one.station) not in batch.planes
+        )
+        placed = contents.restarted((*batch.fit.rejected, *out)).planes
+        number = {name: number for number, name in enumerate(batch.planes)}
+        culprits = contents.excluded
+        planes = {
+            name: replace(plane, number=number.get(name), culprit=culprits.get(name))
+            for name, plane in placed.items()
+        }
+        return cls(contents.with_planes(planes), config, batch)
+
+    @property
+    def _joint(self) -> JointCovariance:
+        assert self.batch.covariance is not None, "what is converged has a covariance"
+        return self.batch.covariance
 
     @cached_property
     def integrated(self) -> BeamState:
         """The beams with all scales integrated over, and what is not known of the errors."""
-        joint = _joint(self.batch)
-        tangent = joint.matrix(planes=[], ambient=False)
+        tangent = self._joint.matrix(planes=[], ambient=False)
         unit = np.sqrt(np.diagonal(tangent))
         _, correlated = np.linalg.slogdet(tangent / np.outer(unit, unit))
-        information = -correlated - 2.0 * np.log(unit).sum()
-        beams, covariance = self.batch.parameters().beams, joint.matrix(planes=[])
-        return BeamState(*beams, covariance, float(information))
+        information = float(-correlated - 2.0 * np.log(unit).sum())
+        return BeamState(*self.batch.parameters().beams, self._joint.matrix(planes=[]), information)
 
     @property
     def learned_with(self) -> int:
         """Planes behind the scales that were learned: all of them."""
-        return len(self.contents.numbers)
+        return len(self.contents.inside)
 
     def calibration(self) -> Calibration:
         """Return the batch calibration, which it is."""
@@ -80,35 +87,36 @@ class FreedState:
 
         Every plane has a frame amid its stations.
         """
-        readings = self.batch.used_in(self.contents.everything()).readings()
+        readings = self.batch.used_in(self.contents.recording()).readings()
         origins = readings.plane_means(readings.world_t_hand)
         return readings.seen_from(origins), self.batch.parameters().seen_from(origins)
 
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
-        beams, used = self.integrated.beams, self.batch.used_in(self.contents.everything())
-        planes = self.contents.numbers
-        fitted = {name: determined_plane(self.config, used.plane(name), beams) for name in planes}
-        determined = {name: plane for name, plane in fitted.items() if plane is not None}
-        history, _ = history_of(self.config, beams, determined)
-        return history.search(self.config.sigma_dof, history.recent() if recently else None)
+        beams, used = self.integrated.beams, self.batch.used_in(self.contents.recording())
+        every = {
+            name: fit_plane(self.config, used.plane(name), beams) for name in self.contents.inside
+        }
+        fitted = {name: plane for name, plane in every.items() if plane is not None and plane.fits}
+        return search(self.config, fitted, recent(len(fitted)) if recently else None)
 
     def compare(self) -> Comparison:
         """Compare with a calibration of the same planes from the beginning."""
-        return self._apart(self._calibrated(self.contents, list(self.contents.numbers)))
+        batch = self._calibrated(self.contents, list(self.contents.inside))
+        return Comparison(*self.config.apart(self.integrated, batch))
 
     def recalibrated(self) -> tuple["FreedState", Comparison]:
         """Calibrate everything, with planes that were excluded, and compare."""
-        excluded = tuple(self.contents.excluded)
-        contents = self.contents.included(excluded)
+        contents = self.contents.included()
         batch = self._calibrated(contents, self._determined(contents))
         if batch.status != "converged":
             words = f"everything together does not converge: {batch.message}"
             return self, replace(self.compare(), changes=(Change("not-converged", words),))
         changes: tuple[Change, ...] = ()
-        if excluded:
+        if self.contents.excluded:
             changes = (Change("excluded-planes", "planes that did not fit taken in again"),)
-        return self._after(batch, contents), replace(self._apart(batch), changes=changes)
+        apart = self.config.apart(self.integrated, batch)
+        return self._after(batch, contents), Comparison(*apart, changes)
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...]
@@ -127,25 +135,24 @@ class FreedState:
         batch = self._calibrated(contents, inside)
         if batch.status != "converged":
             inconsistent = tuple(plane for plane in planes if plane in inside)
-            for plane in inconsistent:
-                contents = contents.with_plane(plane, contents.planes[plane].taken_out(""))
+            out = {name: contents.planes[name].taken_out("") for name in inconsistent}
+            contents = contents.with_planes(out)
             rest = [plane for plane in inside if plane not in inconsistent]
             batch = self._calibrated(contents, rest) if inconsistent else batch
         if batch.status != "converged":
             raise undetermined(f" ({batch.message})")
         new = self._after(batch, contents)
-        joined = tuple(plane for plane in planes if plane in new.contents.numbers)
-        return new, joined, inconsistent
+        return new, tuple(plane for plane in planes if plane in new.contents.inside), inconsistent
 
     def _determined(self, contents: Contents) -> list[str]:
         """Return the planes that readings and beams determine, and that are not excluded."""
-        return list(fitted_planes(contents, self.config, self.integrated.beams))
+        return list(fitted_planes(contents, self.config, self.integrated.beams).inside)
 
     def _calibrated(self, contents: Contents, planes: list[str]) -> Calibration:
         """Return the calibration of some planes, in the order in which their stations came."""
         if not planes:
             raise undetermined(" (no plane is left)")
-        everything, config = contents.everything(), self.config
+        everything, config = contents.recording(), self.config
         recording = everything.part(np.isin(everything.plane_labels, planes))
         batch = calibrate(recording, config.noise, config.options)
         if batch.interrupted:
@@ -156,14 +163,5 @@ class FreedState:
         return batch
 
     def _after(self, batch: Calibration, contents: Contents) -> "FreedState":
-        return FreedState.of(batch, contents, SessionConfig.of(batch, self.config.given))
-
-    def _apart(self, batch: Calibration) -> Comparison:
-        """Compare the beams with the beams of another calibration."""
-        return Comparison(*self.config.apart(self.integrated, batch))
-
-
-def _joint(batch: Calibration) -> JointCovariance:
-    """Return the covariance of a calibration that is converged."""
-    assert batch.covariance is not None, "what is converged has a covariance"
-    return batch.covariance
+        config = SessionConfig.of(batch, self.config.noise, self.config.options)
+        return FreedState.of(batch, contents, config)

@@ -1,160 +1,119 @@
-"""Planes that join: fitted beside the beams, judged, and made into factors; nothing is changed yet."""
+"""Planes that join: fitted beside the beams, and judged; nothing is changed yet."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from ..arrays import BoolArray
 from ..data.parameters import Beams
-from ..data.recording import Recording
 from ..model.families import MOUNT_DIM
 from ..model.sensor import FLAT, within_incidence
 from ..outliers.snooping import price
-from ..solvers.isam import BeamState, GraphPart
+from ..solvers.isam import BeamState
 from .config import SessionConfig
-from .contents import CONTRADICTED, Contents, PlaneContents, named
-from .drift import DriftHistory
-from .fitted import FittedPlane, determined_plane, outliers
+from .contents import Contents, PlaneContents
+from .drift import recent, search
+from .plane import FittedPlane, fit_plane
 
+CONTRADICTED = "contradicted by the beams and the other readings"
 GROSS_ERROR = 0.02
 """Prior probability that a reading is a gross error."""
 DISPLACED = 1e-3
 """Prior probability that a beam is displaced between two planes."""
 
 
+def fitted_planes(contents: Contents, config: SessionConfig, at: Beams) -> Contents:
+    """Return the contents with every plane in that `at` determines and that is not excluded."""
+    number, planes = 0, {}
+    for name, plane in contents.planes.items():
+        fitted = None
+        if plane.culprit is None:
+            fitted = fit_plane(config, plane.used(), at)
+        planes[name] = replace(plane, number=None if fitted is None else number, fitted=fitted)
+        number += fitted is not None
+    return contents.with_planes(planes)
+
+
 def join_planes(
-    config: SessionConfig,
-    state: BeamState,
-    contents: Contents,
-    history: DriftHistory,
-    planes: tuple[str, ...],
-) -> tuple[Contents, DriftHistory, Mapping[str, FittedPlane], tuple[str, ...]]:
-    """Join `planes` to the beams as they are, or take out those that are not determined.
+    config: SessionConfig, at: Beams, state: BeamState, contents: Contents, names: tuple[str, ...]
+) -> tuple[Contents, tuple[str, ...], tuple[str, ...]]:
+    """Join planes to the beams as they are, or take out those that are not determined.
 
     Parameters
     ----------
     config : SessionConfig
+    at : Beams
+        Beams about which all planes are linearised.
     state : BeamState
+        Beams as they are.
     contents : Contents
         With the changes of these planes in them.
-    history : DriftHistory
-    planes : tuple of str
+    names : tuple of str
 
     Returns
     -------
     Contents
         With outliers rejected, and planes that are not determined out of the graph.
-    DriftHistory
-    joined : mapping of str to FittedPlane
+    joined : tuple of str
         Planes that joined.
     inconsistent : tuple of str
         Planes that do not fit, whichever beam has moved a little. They are excluded, or join all the
         same where nothing is to be rejected.
     """
-    joined: dict[str, FittedPlane] = {}
+    joined: list[str] = []
     inconsistent: list[str] = []
-    free = max(contents.numbers.values(), default=-1) + 1
-    for plane in planes:
-        own, before = contents.planes.get(plane), history.without_plane(plane)
-        if own is None:
-            history = before
+    for name in names:
+        if name not in contents.planes:
             continue
-        fitted = determined_plane(config, own.used(), state.beams, own.origin)
+        own = contents.planes[name]
+        origin = None if own.fitted is None else own.fitted.origin
+        fitted = fit_plane(config, own.used(), at, origin)
         if fitted is None:
-            contents, history = contents.with_plane(plane, own.taken_out()), before
+            contents = contents.with_planes({name: own.taken_out()})
             continue
-        less = _less(own, fitted, _flat(fitted, own.used()), FLAT, state)
-        own, fitted = less or (own, fitted)
+        own, fitted = _less(own, fitted, _flat(fitted, own), FLAT) or (own, fitted)
         if config.reject:
             # Unless a beam that has moved explains them, readings that contradict others are out.
-            contradicted = outliers(fitted, own.used(), state)
-            less = _less(own, fitted, contradicted, CONTRADICTED, state)
-            if less is not None and not _rather_moved(fitted, less[1], before, plane, state):
+            less = _less(own, fitted, fitted.outliers(own.used(), state), CONTRADICTED)
+            if less is not None and not _rather_moved(contents, name, fitted, less[1], state):
                 own, fitted = less
-        known = fitted.information(history)
-        if fitted.fits(known, history):
-            history = history.with_plane(plane, known)
-        else:
-            history = before
-            inconsistent.append(plane)
-            if config.reject:
-                culprit = _culprit(fitted, own.used(), state)
-                contents = contents.with_plane(plane, own.taken_out(culprit))
-                continue
-        number = free + len(joined) if own.number is None else own.number
-        own = replace(own, number=number, origin=fitted.origin, culprit=None)
-        contents, joined[plane] = contents.with_plane(plane, own), fitted
-    return contents, history, joined, tuple(inconsistent)
-
-
-def fitted_planes(
-    contents: Contents, config: SessionConfig, beams: Beams
-) -> Mapping[str, FittedPlane]:
-    """Return the planes that are determined beside `beams`, and not excluded."""
-    taking_part = {name: p for name, p in contents.planes.items() if p.culprit is None}
-    fitted = {name: determined_plane(config, p.used(), beams) for name, p in taking_part.items()}
-    return {name: plane for name, plane in fitted.items() if plane is not None}
-
-
-def history_of(
-    config: SessionConfig, beams: Beams, fitted: Mapping[str, FittedPlane]
-) -> tuple[DriftHistory, frozenset[str]]:
-    """Return what planes beside `beams` know of these, and the planes that do not fit any beams."""
-    history, inconsistent = DriftHistory.empty(config, beams), []
-    for name, plane in fitted.items():
-        information = plane.information(history)
-        if plane.fits(information, history):
-            history = history.with_plane(name, information)
-        else:
+        if not fitted.fits:
             inconsistent.append(name)
-    return history, frozenset(inconsistent)
-
-
-def factors_of(contents: Contents, fitted: Mapping[str, FittedPlane]) -> dict[int, GraphPart]:
-    """Return the factors of planes of the contents, by their number."""
-    numbers, stations = contents.numbers, contents.station_numbers
-    return {
-        numbers[name]: plane.factors(numbers[name], stations, contents.planes[name].used())
-        for name, plane in fitted.items()
-    }
+            if config.reject:
+                culprit = fitted.culprit(own.used(), state)
+                contents = contents.with_planes({name: own.taken_out(culprit)})
+                continue
+        free = max(contents.numbers.values(), default=-1) + 1
+        number = free if own.number is None else own.number
+        own = replace(own, number=number, fitted=fitted, culprit=None)
+        contents = contents.with_planes({name: own})
+        joined.append(name)
+    return contents, tuple(joined), tuple(inconsistent)
 
 
 def _less(
-    own: PlaneContents, fitted: FittedPlane, bad: BoolArray | None, reason: str, state: BeamState
+    own: PlaneContents, fitted: FittedPlane, bad: BoolArray | None, reason: str
 ) -> tuple[PlaneContents, FittedPlane] | None:
     """Return contents and plane with readings (M, B) rejected; None for none, or too few left."""
     if bad is None or not bad.any():
         return None
-    less = replace(own, rejected=(*own.rejected, *named(own.used(), bad, reason)))
-    again = determined_plane(fitted.config, less.used(), state.beams, fitted.origin)
+    less = own.less(bad, reason)
+    again = fit_plane(fitted.config, less.used(), fitted.parameters.beams, fitted.origin)
     return None if again is None else (less, again)
 
 
-def _flat(fitted: FittedPlane, used: Recording) -> BoolArray | None:
+def _flat(fitted: FittedPlane, own: PlaneContents) -> BoolArray | None:
     """Return the readings (M, B) that meet the plane flatter than the sensor allows."""
     readings, sensor = fitted.readings, fitted.config.options.sensor
     if sensor.max_incidence >= 0.5 * np.pi:
         return None
     flat = np.ones(len(readings), dtype=bool)
     flat[within_incidence(readings, fitted.parameters, sensor)] = False
-    return None if flat.all() else fitted.mask(used, flat)
-
-
-def _culprit(fitted: FittedPlane, used: Recording, state: BeamState) -> str:
-    """Return the only beam without which the plane would fit; empty where there is none."""
-    culprits = []
-    for name in used.beam_names if len(used.beam_names) > 1 else ():
-        bad = np.zeros(used.ranges.shape, dtype=bool)
-        bad[:, used.beam_names.index(name)] = True
-        rest = determined_plane(fitted.config, used.without(bad), state.beams, fitted.origin)
-        if rest is not None and rest.agrees(state):
-            culprits.append(name)
-    return culprits[0] if len(culprits) == 1 else ""
+    return None if flat.all() else fitted.mask(own.used(), flat)
 
 
 def _rather_moved(
-    fitted: FittedPlane, again: FittedPlane, known: DriftHistory, plane: str, state: BeamState
+    contents: Contents, name: str, fitted: FittedPlane, again: FittedPlane, state: BeamState
 ) -> bool:
     """Tell whether a beam has moved rather than that the rejected readings are gross errors.
 
@@ -162,12 +121,20 @@ def _rather_moved(
     anything within the span W of the readings costs 2 ln(W / (sqrt(2 pi) sigma)), a move ln N for each
     of its unknowns, both twice the logarithm of how rare they are.
     """
-    whole = known.with_plane(plane, fitted.information(known))
-    moved = whole.search(fitted.config.sigma_dof, whole.recent())
+    own = replace(contents.planes[name], fitted=fitted)
+    planes = contents.with_planes({name: own}).fitted
+    planes = {plane: one for plane, one in planes.items() if one.fits or plane == name}
+    moved = search(fitted.config, planes, recent(len(planes)))
     if moved is None:
         return False
     d, sigma = fitted.readings.distance, fitted.whitening.sigma
     gone = len(d) - len(again.readings.distance)
+    of_beam = fitted.readings.beam == fitted.config.names.index(moved.beam)
+    if (
+        gone == of_beam.sum()
+        and not np.isin(again.readings.beam, fitted.readings.beam[of_beam]).any()
+    ):
+        return True  # of a far move the fall of chi2 is known to a part of itself only
     gross = fitted.misfit(state) - again.misfit(state)
     gross -= 2.0 * gone * (max(price(d, sigma), 0.0) - np.log(GROSS_ERROR))
     beams = len(fitted.config.names)

@@ -23,7 +23,6 @@ from ..model.sensor import Rejected
 from ..results.calibration import Calibration
 from ..results.freed import prior_sizes
 from ..results.mounts import Mounts
-from ..solvers.isam import IncrementalOptions
 from .contents import Contents
 from .reports import Comparison, Moved, Update
 from .updating import UNKNOWN, AnyState, changed, recalibrate, split_beam, started
@@ -43,7 +42,6 @@ class Session:
     options : CalibrationOptions, optional
         Options of the first calibration; every comparison with the batch learns unknown scales again.
         With `free` errors every change is a batch calibration, takes as long as one, and is exact.
-    incremental : IncrementalOptions, optional
 
     Raises
     ------
@@ -56,14 +54,11 @@ class Session:
         self,
         noise: Noise | None = None,
         options: CalibrationOptions | None = None,
-        incremental: IncrementalOptions | None = None,
     ) -> None:
         self.noise = Noise() if noise is None else noise
         self.options = CalibrationOptions() if options is None else options
-        self.incremental = IncrementalOptions() if incremental is None else incremental
         require_kind("noise", self.noise, Noise)
         require_kind("options", self.options, CalibrationOptions)
-        require_kind("incremental", self.incremental, IncrementalOptions)
         S = self.noise.pose_covariance
         if S is not None and S.ndim == 3:
             raise InputError("a pose covariance a station", "one for all stations to come")
@@ -117,7 +112,7 @@ class Session:
     @property
     def planes(self) -> tuple[str, ...]:
         """Names of the planes that are in the calibration."""
-        return tuple(self._contents.numbers)
+        return tuple(self._contents.inside)
 
     @property
     def waiting(self) -> tuple[str, ...]:
@@ -137,7 +132,7 @@ class Session:
         InputError
             There are none.
         """
-        return self._contents.everything()
+        return self._contents.recorded()
 
     def add(self, recording: Recording) -> Update:
         """Add the stations of a recording; nothing has changed where an error is raised.
@@ -160,8 +155,7 @@ class Session:
         with self._lock:
             now, contents = self._now, self._contents.added(recording, self.options.sensor)
             if now is None or not set(recording.beam_names) <= set(now.config.names):
-                given = self.noise, self.options, self.incremental
-                self._now, update = started(now, contents, given)
+                self._now, update = started(now, contents, self.noise, self.options)
                 self._early = contents
             else:
                 self._now, update = changed(now, contents, recording.plane_names)
@@ -198,40 +192,26 @@ class Session:
         self._now, update = changed(self._now, contents, (plane,))
         return update
 
-    def split_beam(
-        self,
-        beam: str,
-        since: str,
-        location_sigma: float = 0.01,
-        direction_sigma: float = 0.05,
-        range_error_sigmas: tuple[float, float] = (1e-5, 1e-5),
-    ) -> None:
-        """Let a beam have moved before a plane came, with process noise between both states.
+    def split_beam(self, beam: str, since: str) -> None:
+        """Let a beam have moved before a plane came: everything is calibrated with one beam more.
 
-        Nothing is thrown away: planes before `since` go on to determine the earlier state, which stays
-        in the session as `<beam> until <since>`, and, as far as the noise lets them, the present one.
+        Nothing is thrown away: planes before `since` determine the earlier state, which stays in the
+        session as `<beam> until <since>`, and are determined by the other beams, too.
 
         Parameters
         ----------
         beam : str
         since : str
-            The first plane that saw it displaced; one that is in the calibration.
-        location_sigma : float
-            Sigma of each coordinate of the shift [m].
-        direction_sigma : float
-            Sigma of the turn about each axis across the beam [rad].
-        range_error_sigmas : (float, float)
-            Sigmas of the change of k1 [1] and k2 [1/m]; small, for a range error belongs to the sensor.
+            The first plane that saw it displaced.
 
         Raises
         ------
         InputError
             No calibration yet, no such beam or plane, no plane before it, a move that is known
-            already, sigmas that are not positive or beyond what GTSAM can solve, or free errors.
+            already, or readings that do not determine both states.
         """
-        sigmas = (location_sigma, direction_sigma, range_error_sigmas)
         with self._lock:
-            self._now = split_beam(self.state, beam, since, sigmas)
+            self._now = split_beam(self.state, beam, since)
 
     def beams(self) -> Mounts:
         """Return the beams as they are now, without looking at the planes.
@@ -240,22 +220,22 @@ class Session:
         """
         now = self.state
         state, config = now.integrated, now.config
-        mounts = Mounts(config.names, *state.beams, config.terms, state.covariance, config.sigma)
-        current = now.contents.current(config.names)
+        terms = (config.terms,) * len(config.names)
+        mounts = Mounts(config.names, *state.beams, terms, state.covariance, config.sigma)
+        current = tuple(name for name in config.names if name not in now.contents.names)
         return mounts if current == mounts.names else mounts.arranged(current)
 
     def calibration(self) -> Calibration:
-        """Return the calibration at the present estimate, with all that a batch calibration states.
+        """Return the batch solution from the present estimate, with all that a calibration states.
 
-        Nothing is solved again, but every reading is looked at. The state of a beam before it moved
-        stands beside it as a further beam.
+        The state of a beam before it moved stands beside it as a further beam.
         """
         now = self.state
         calibration = now.calibration()
         warnings = (*self._screening, *calibration.warnings)
-        planes = len(now.contents.numbers)
+        planes = len(now.contents.inside)
         learns = now.config.learned is not None or self.noise.range_sigma is None
-        if learns and now.learned_with != planes and not now.config.links:
+        if learns and now.learned_with != planes:
             words = (
                 f"the scales of noise and range errors were learned from {now.learned_with} of "
                 f"{planes} planes: recalibrate() learns them again"
@@ -285,7 +265,6 @@ class Session:
         """Calibrate everything so far at once, compare, and take over scales and outliers that differ.
 
         Scales of noise and range errors are meant; every comparison that is due learns them again, too.
-        Once a beam has been split, this compares with the batch solution, and takes nothing over.
         """
         with self._lock:
             self._now, comparison = recalibrate(self.state)

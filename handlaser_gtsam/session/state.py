@@ -7,12 +7,9 @@ Integrating over all scales changes mean and covariance; both changes follow fro
 planes, and are added to the estimate of iSAM2. So the cost of a new plane does not grow.
 """
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
-import gtsam
 import numpy as np
 from scipy.linalg import block_diag
 
@@ -20,22 +17,17 @@ from .. import model
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
-from ..estimation.information import Information, LinearReadings
 from ..estimation.mixture import BeamPosterior
-from ..factors import RangeBlock
-from ..factors.keys import plane_key, pose_key
 from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
 from ..results.calibration import Calibration
-from ..solvers.graph import parameters_of
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
-from .drift import DriftHistory, turns
-from .fitted import FittedPlane, fit_plane
-from .joining import factors_of, fitted_planes, history_of, join_planes
+from .drift import recent, search
+from .joining import fitted_planes, join_planes
 from .reports import Comparison, Moved
 
 REWEIGHED_MOVE = 3e-3
@@ -56,63 +48,51 @@ class SessionState:
     ----------
     contents : Contents
     config : SessionConfig
+    at : Beams
+        Beams at which the weights are taken, and about which all planes are linearised.
     graph : IncrementalGraph
-    factors : mapping of int to GraphPart
-        Factors of every plane in the graph, by its number.
     state : BeamState
         The beams of the graph.
     compared : BeamState
         The beams of the last comparison with the batch solution.
-    changes : int
-        Number of changes since that comparison.
-    history : DriftHistory
-        Counted from the beams behind the weights.
-    inconsistent : frozenset of str
-        Planes in the graph that do not fit, whatever has moved.
     learned_with : int
         Planes behind the scales that were learned last, and a range sigma that was not given.
-    sums : mapping of str to Information
-        What each plane knows for all scales; empty where none are integrated over.
+    changes : int
+        Number of changes since the last comparison.
     """
 
     contents: Contents
     config: SessionConfig
+    at: Beams
     graph: IncrementalGraph
-    factors: Mapping[int, GraphPart]
     state: BeamState
     compared: BeamState
-    changes: int
-    history: DriftHistory
-    inconsistent: frozenset[str]
     learned_with: int
-    sums: Mapping[str, Information] = field(default_factory=dict)
+    changes: int = 0
 
     @cached_property
     def integrated(self) -> BeamState:
         """The beams with all scales integrated over, which the graph has at the most probable ones."""
-        state, history, learned = self.state, self.history, self.config.learned
-        if learned is None or not self.sums:
+        state, config, learned = self.state, self.config, self.config.learned
+        if learned is None:
             return state
-        # What is known beside the planes is so whatever the noise is.
-        total = sum(self.sums.values(), start=history.known[None])
-        terms, members = learned.terms, self.config.members
-        k = history.beams[2][:, :terms] * np.array([1.0, learned.length])[:terms]
-        here, both = (
-            BeamPosterior(part, k, learned.widest, members) for part in (total[:1], total[1:])
-        )
+        pieces = [plane.information for plane in self.contents.fitted.values()]
+        total = sum(pieces[1:], start=pieces[0])
+        terms, count = config.terms, len(config.names)
+        k = self.at[2][:, :terms] * np.array([1.0, learned.length])[:terms]
+        here, both = (BeamPosterior(part, k, learned.widest) for part in (total[:1], total[1:]))
         mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
         mean, covariance = here.conditional(learned.range_error)
-        unit = history.unit
-        step = ((mixture.mean - mean) * unit).reshape(len(state.locations), -1)
-        change = (mixture.covariance - covariance) * np.outer(unit, unit)
-        bases = model.tangent_basis(history.beams[1])
-        lift = beams_lift(bases, [terms] * len(bases))
+        step = ((mixture.mean - mean) * config.unit).reshape(count, -1)
+        change = (mixture.covariance - covariance) * np.outer(config.unit, config.unit)
+        bases = model.tangent_basis(self.at[1])
+        lift = beams_lift(bases, [terms] * count)
         k = state.range_errors.copy()
         k[:, :terms] += step[:, RANGE_ERROR]
         turned = np.einsum("bij,bj->bi", bases, step[:, DIRECTION])
-        # The history has other tangents than the state, which has the tangents of a batch solution:
+        # These tangents are other than the tangents of the state, which are those of a batch solution:
         # project along every beam out of the coordinates (8,).
-        across = np.tile(np.eye(8), (len(state.directions), 1, 1))
+        across = np.tile(np.eye(8), (count, 1, 1))
         across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
         project = block_diag(*across)
         return replace(
@@ -129,43 +109,49 @@ class SessionState:
 
         A few planes may have begun with the wrong beams; many that agree on one beam speak for a move.
         """
-        inside, excluded = len(self.contents.numbers), self.contents.excluded
+        inside, excluded = len(self.contents.inside), self.contents.excluded
         culprits = set(excluded.values())
         agree = len(culprits) == 1 and "" not in culprits
         return inside >= TRUSTED_PLANES and (len(excluded) <= 0.5 * inside or agree)
 
-    def inside(self) -> BatchProblem:
-        """Return the planes in the graph as one problem, at the present estimate."""
-        graph, contents = self.graph, self.contents
-        place = {number: index for index, number in enumerate(graph.planes)}
-        order = [place[number] for number in contents.numbers.values()]
-        parameters = graph.parameters().part(np.arange(len(self.config.names)), order)
-        problem = BatchProblem(contents, self.config, parameters)
-        if self.config.poses != "estimated":
-            return problem
-        poses, names = gtsam.Values(), problem.recording.station_names
-        for j in np.unique(problem.readings.station[problem.used]).tolist():
-            key = pose_key(contents.station_numbers[names[j]])
-            poses.insert(pose_key(j), graph.pose(key))
-        return replace(problem, poses=poses)
+    @cached_property
+    def batch(self) -> BatchProblem:
+        """The planes in the graph as one problem, from the present estimate."""
+        place = {number: index for index, number in enumerate(self.graph.planes)}
+        order = [place[number] for number in self.contents.numbers.values()]
+        parameters = self.graph.parameters().part(np.arange(len(self.config.names)), order)
+        return BatchProblem(self.contents, self.config, parameters)
 
     def calibration(self) -> Calibration:
-        """Return the calibration at the present estimate; nothing is solved again."""
-        return self.inside().calibration()
+        """Return the batch solution, from the present estimate."""
+        return self.batch.calibration()
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes, every plane in its frame."""
-        inside = self.inside()
-        return inside.local_readings(), inside.parameters
+        return self.batch.local_readings(), self.batch.parameters
 
     def compare(self) -> Comparison:
         """Compare the beams with the batch solution of the same readings, from the present estimate."""
-        return self.inside().compared(self.integrated)
+        beams, sigmas = self.batch.beams()
+        return Comparison(*self.integrated.apart(beams, sigmas))
+
+    def learned(self) -> SessionConfig:
+        """Return the config that everything so far calls for: scales, and a range sigma not given."""
+        config, learned = self.config, self.config.learned
+        if learned is not None:
+            problem = self.batch.scale_problem(learned)
+            learned = problem.learned(problem.mode(learned.mode))
+            return replace(config, learned=learned, sigma=float(learned.variances().range_sigma[0]))
+        if config.noise.range_sigma is not None:
+            return config
+        found = self.batch.solution
+        scale = np.sqrt(found.chi2 / max(found.dof, 1))
+        return replace(config, sigma=config.sigma * float(scale), sigma_dof=float(found.dof))
 
     def moved(self, *, recently: bool = False) -> Moved | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
-        epochs = self.history.recent() if recently else None
-        moved = self.history.search(self.config.sigma_dof, epochs)
+        planes = self.contents.consistent
+        moved = search(self.config, planes, recent(len(planes)) if recently else None)
         # A beam without which planes that were excluded would fit has moved far.
         excluded = self.contents.excluded.items()
         plane, beam = next((far for far in excluded if far[1]), ("", ""))
@@ -192,38 +178,37 @@ class SessionState:
         InputError
             The beams would not be determined.
         """
-        config = self.config
-        contents, history, joined, inconsistent = join_planes(
-            config, self.state, contents, self.history, planes
-        )
-        if set(planes) & set(self.contents.numbers):  # a new plane takes nothing away
-            used = [contents.planes[plane].used().beam_names for plane in contents.numbers]
+        config, before = self.config, self.contents.numbers
+        contents, joined, inconsistent = join_planes(config, self.at, self.state, contents, planes)
+        if not before.keys().isdisjoint(planes):  # a new plane takes nothing away
+            used = [plane.used().beam_names for plane in contents.inside.values()]
             lost = [name for name in config.names if not any(name in seen for seen in used)]
             if lost:
                 raise InputError(f"no reading left of beam {', '.join(lost)}", "some of every beam")
-        inside, fresh = contents.numbers, factors_of(contents, joined)
-        gone = [number for plane, number in self.contents.numbers.items() if plane not in inside]
-        kept = {number: of_plane for number, of_plane in self.factors.items() if number not in gone}
-        new = replace(
-            self,
-            contents=contents,
-            factors={**kept, **fresh},
-            history=history,
-            changes=self.changes + 1,
-            inconsistent=(self.inconsistent - set(planes)) | set(inconsistent),
-            sums={plane: sums for plane, sums in self.sums.items() if plane in inside}
-            | _sums(joined, self.history),
-        )
+        fresh = parts_of(contents, joined)
+        gone = [number for name, number in before.items() if name not in contents.numbers]
+        new = replace(self, contents=contents, changes=self.changes + 1)
         if fresh or gone:
+            fine = strained(contents)
             try:
-                fine, determines = bool(new.inconsistent), config.determines
-                graph, state = new.graph.changed(fresh, gone, None, determines, fine=fine)
+                graph, state = self.graph.changed(fresh, gone, None, config.determines, fine=fine)
                 new = replace(new, graph=graph, state=state).reweighed()
             except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
                 new = new.solved_at_once()
-        if gone and not config.links and not new.inside().solution().observability.full:
+        if gone and not new.batch.solution.observability.full:
             raise undetermined()
-        return new, tuple(joined), inconsistent
+        return new, joined, inconsistent
+
+    def reweighed(self) -> "SessionState":
+        """Return the same with weights and information at the present beams, where these have moved."""
+        return self if is_near(self.config, self.at, self.state.beams) else self.begun()
+
+    def begun(self, beams: Beams | None = None) -> "SessionState":
+        """Return the same from a new graph, which begins with the present beams or others."""
+        new = begin(self.contents, self.config, self.state.beams if beams is None else beams)
+        return replace(
+            new, compared=self.compared, learned_with=self.learned_with, changes=self.changes
+        )
 
     def solved_at_once(self) -> "SessionState":
         """Return the same from a batch solution of the contents, beside the present beams.
@@ -233,130 +218,62 @@ class SessionState:
         InputError
             The beams are not determined.
         """
-        fitted = fitted_planes(self.contents, self.config, self.state.beams)
+        config, beams = self.config, self.state.beams
         try:
+            contents = fitted_planes(self.contents, config, beams)
+            fitted = contents.fitted.values()
             if not fitted:
                 raise RuntimeError("no plane is left")
-            contents = self.contents.numbered({plane: p.origin for plane, p in fitted.items()})
-            normals = np.concatenate([p.parameters.normals for p in fitted.values()])
-            offsets = np.concatenate([p.parameters.offsets for p in fitted.values()])
-            parameters = Parameters(*self.state.beams, normals, offsets)
-            _, _, solved = BatchProblem(contents, self.config, parameters).solved()
-            begun = begin(self.contents, self.config, solved.beams)
-            if not self.config.determines(begun.state):
+            normals = np.concatenate([plane.parameters.normals for plane in fitted])
+            offsets = np.concatenate([plane.parameters.offsets for plane in fitted])
+            start = Parameters(*beams, normals, offsets)
+            begun = self.begun(BatchProblem(contents, config, start).solution.parameters.beams)
+            if not config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:
             raise undetermined(f" ({error})") from error
-        return replace(
-            begun, compared=self.compared, changes=self.changes, learned_with=self.learned_with
-        )
-
-    def reweighed(self) -> "SessionState":
-        """Return the same with weights and history of the present beams, where these have moved."""
-        config, beams = self.config, self.state.beams
-        limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
-        shift, turn, stretch = (
-            np.abs(a - b) for a, b in zip(beams, self.history.beams, strict=True)
-        )
-        stretched = stretch @ [1.0, config.length]
-        if max(shift.max() / config.length, turn.max(), stretched.max()) < limit:
-            return self
-        fitted = {}
-        for plane in self.contents.numbers:
-            contents = self.contents.planes[plane]
-            refitted = fit_plane(config, contents.used(), beams, contents.origin)
-            if refitted is None:
-                return self
-            fitted[plane] = refitted
-        history = DriftHistory.empty(config, beams)
-        for plane in self.history.pieces:
-            history = history.with_plane(plane, fitted[plane].information(history))
-        now = replace(self, history=history)
-        if not config.weights_depend:
-            return now
-        factors = factors_of(self.contents, fitted)
-        graph, state = self.graph.changed(factors, fine=bool(self.inconsistent))
-        sums = _sums(fitted, history)
-        return replace(now, graph=graph, factors=factors, state=state, sums=sums)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Let the state be copied and pickled: the graph is rebuilt, linearised where it is."""
-        known = {one.name: getattr(self, one.name) for one in fields(self)}
-        point, planes = self.graph.linearization_point(), [plane_key(n) for n in self.factors]
-        poses = _poses_of(block for of_plane in self.factors.values() for block in of_plane.blocks)
-        known["graph"] = (
-            parameters_of(point, self.config.beams, planes),
-            {key: point.atPose3(key) for key in poses},
-        )
-        known["factors"] = {n: (part.blocks, part.others) for n, part in self.factors.items()}
-        return _restored, (known,)
-
-
-def _restored(known: dict[str, Any]) -> SessionState:
-    """Return a state from its fields, of which the graph is where all variables are linearised."""
-    config, (parameters, poses), factors = known["config"], known["graph"], {}
-    planes = zip(parameters.normals, parameters.offsets, known["factors"].items(), strict=True)
-    for normal, offset, (number, (blocks, others)) in planes:
-        values = gtsam.Values()
-        values.insert(plane_key(number), gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
-        for key in _poses_of(blocks):
-            values.insert(key, poses[key])
-        factors[number] = GraphPart(blocks, others, values)
-    graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
-    fine = bool(known["inconsistent"])
-    graph, _ = graph.changed(factors, (), config.start(parameters.beams), fine=fine)
-    return SessionState(**{**known, "graph": graph, "factors": factors})
+        return begun
 
 
 def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionState:
-    """Return a new graph of every plane that is determined beside `beams`.
+    """Return a new graph of every plane that is determined beside `beams`, and not excluded.
 
     Raises
     ------
     RuntimeError
         GTSAM calls the system indeterminate, or the estimate does not settle.
     """
-    fitted = fitted_planes(contents, config, beams)
-    contents = contents.numbered({plane: plane_fit.origin for plane, plane_fit in fitted.items()})
-    factors = factors_of(contents, fitted)
-    history, inconsistent = history_of(config, beams, fitted)
-    graph = IncrementalGraph(config.beams, config.terms, config.length, config.incremental)
-    graph, state = graph.changed(factors, (), config.start(beams), fine=bool(inconsistent))
-    sums, known = _sums(fitted, history), (history, inconsistent, len(fitted))
-    now = SessionState(contents, config, graph, factors, state, state, 0, *known, sums)
     for _ in range(MOST_ROUNDS):
-        before, now = now, now.reweighed()
-        if now is before:
+        at, contents = beams, fitted_planes(contents, config, beams)
+        parts = parts_of(contents, tuple(contents.inside))
+        graph, state = config.graph(at, parts, fine=strained(contents))
+        beams = state.beams
+        if is_near(config, at, beams):
             break
-    return replace(now, compared=now.state)
+    return SessionState(contents, config, at, graph, state, state, len(parts))
 
 
-def _sums(fitted: Mapping[str, FittedPlane], history: DriftHistory) -> dict[str, Information]:
-    """Return what planes know for all sets of noise scales, counted as in a history.
-
-    Nothing where no scales are learned.
-    """
-    sums: dict[str, Information] = {}
-    learned = history.config.learned
-    if learned is None:
-        return sums
-    for name, plane in fitted.items():
-        readings, at = plane.readings, plane.parameters
-        variances = learned.base.for_stations(int(readings.station.max()) + 1)
-        rows = LinearReadings(at, readings, learned.terms, learned.length, variances)
-        points = [learned.mode, *learned.points]
-        information, _ = rows.information([learned.scales.noise(u) for u in points])
-        # The unknowns there are turn (x - shift).
-        turn, shift = turns(at.directions, history), history.coordinates(at.beams)
-        matrix, vector = turn.T @ information.matrix @ turn, information.vector @ turn
-        constant = information.constant - vector @ shift - 0.5 * (matrix @ shift) @ shift
-        sums[name] = Information(matrix, vector + matrix @ shift, constant)
-    return sums
+def is_near(config: SessionConfig, beams: Beams, others: Beams) -> bool:
+    """Tell whether weights, and the information of planes, may stay those at other beams."""
+    limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
+    shift, turn, stretch = (np.abs(a - b) for a, b in zip(beams, others, strict=True))
+    stretched = stretch @ [1.0, config.length]
+    return bool(max(shift.max() / config.length, turn.max(), stretched.max()) < limit)
 
 
-def _poses_of(blocks: Iterable[RangeBlock]) -> list[int]:
-    """Return the keys of the hand poses that are variables of some blocks, each once."""
-    return list(dict.fromkeys(block.pose for block in blocks if block.pose is not None))
+def strained(contents: Contents) -> bool:
+    """Tell whether there are planes in the graph that do not fit, whatever the beams are."""
+    return len(contents.consistent) < len(contents.fitted)
+
+
+def parts_of(contents: Contents, names: tuple[str, ...]) -> dict[int, GraphPart]:
+    """Return the factors of some planes in the graph, by their number."""
+    parts, stations = {}, contents.station_numbers
+    for name in names:
+        plane = contents.planes[name]
+        if plane.fitted is not None and plane.number is not None:
+            parts[plane.number] = plane.fitted.factors(plane.number, stations, plane.used())
+    return parts
 
 
 def undetermined(why: str = "") -> InputError:

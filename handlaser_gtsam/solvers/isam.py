@@ -14,7 +14,6 @@ eliminates little else again. What was measured of GTSAM 4.3, and how it is met:
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from threading import RLock
 
@@ -22,14 +21,13 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import require_count, require_number
 from ..data.parameters import Beams, Parameters
 from ..factors import RangeBlock, evaluated_together, range_factor
 from ..factors.keys import BeamKeys, plane_key
 from ..model.families import BEAM
 from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
-from .graph import parameters_of
+from .graph import parameters_of, start_values
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ class GraphPart:
     blocks : RangeBlocks
         Each with a whitening; none of the beams.
     others : factors
-        Priors of the hand poses of a plane; links of the beams.
+        Priors of the hand poses of a plane; of the range errors of the beams.
     start : gtsam.Values
         Start of its variables; variables that are in the graph already keep their values.
     """
@@ -95,73 +93,63 @@ class GraphPart:
     start: gtsam.Values
 
 
+RELINEARIZED = 2e-4
+"""Variables that have moved by more than this part of their natural units are relinearised: 1 rad, the
+typical range, 1 for k1 and the inverse of the range for k2."""
 FINE_PART = 0.05
 """Once one variable must be relinearised, all are that have moved by this part of their threshold."""
 WEAKLY_KNOWN = 0.01
 """With standard deviations above this part of its natural units a beam counts as hardly known."""
 
 
-@dataclass(frozen=True, slots=True)
-class IncrementalOptions:
-    """Controls of the incremental solver.
-
-    Attributes
-    ----------
-    relinearize : float
-        A variable is relinearised when it has moved by more than this part of its natural unit:
-        1 rad, the typical range, 1 for k1 and the inverse of the range for k2.
-    compare_every : int
-        Changes after which a session compares itself with the batch solution, at most a quarter of the
-        number of planes and not after fewer than four; it also does when the estimate has moved far.
-        Zero: never.
-    """
-
-    relinearize: float = 2e-4
-    compare_every: int = 50
-
-    def __post_init__(self) -> None:
-        require_number("relinearize", self.relinearize, 0.0, 1e6, above=True)
-        require_count("compare_every", self.compare_every, 0, 10**9)
-
-
 class IncrementalGraph:
     """Beams and planes under iSAM2; never changed: a change gives a new one.
+
+    A graph can be pickled and copied: it is eliminated again, linearised where it is.
 
     Parameters
     ----------
     beams : BeamKeys, each
-        Range errors with one term and with two need keys of different letters: iSAM2 has one threshold
-        a letter.
-    terms : tuple of int
-        Range-error terms of each beam.
+    terms : int
+        Range-error terms of every beam.
     length : float
         The typical range [m], for natural units.
-    options : IncrementalOptions, optional
     """
 
-    def __init__(
-        self,
-        beams: Sequence[BeamKeys],
-        terms: tuple[int, ...],
-        length: float,
-        options: IncrementalOptions | None = None,
-    ) -> None:
-        self.beams, self.terms = tuple(beams), terms
+    def __init__(self, beams: Sequence[BeamKeys], terms: int, length: float) -> None:
+        self.beams, self.terms, self.length = tuple(beams), terms, length
         self._keys = [key for beam in beams for key in beam.variables]
-        part = (options or IncrementalOptions()).relinearize
-        self._thresholds = _thresholds_of(part, length, self.beams, terms)
+        units = {
+            "r": [length] * 3,
+            "v": [1.0] * 2,
+            "k": [1.0, 1.0 / length][:terms],
+            "p": [1.0, 1.0, length],
+            "x": [1.0] * 3 + [length] * 3,
+        }
+        self._thresholds = {
+            letter: RELINEARIZED * np.array(unit) for letter, unit in units.items() if unit
+        }
         self._unit = BEAM.number_units(length)
         self._isam = gtsam.ISAM2(_isam_parameters(self._thresholds))
         self._view = self._isam.getLinearizationPoint()
         self._factors: dict[int, tuple[int, ...]] = {}
-        self._blocks: dict[int, tuple[RangeBlock, ...]] = {}
-        self._limits = np.empty(0)
+        self._parts: dict[int, GraphPart] = {}
+        self._of_beams: tuple[gtsam.NonlinearFactor, ...] = ()
         self._lock = RLock()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Return what a copy is made of: GTSAM pickles factors and poses, but no values."""
+        with self._lock:
+            at = parameters_of(self._view, self.beams, [plane_key(n) for n in self._parts])
+            poses = {key: self._view.atPose3(key) for key in self._poses()}
+            parts = {n: (part.blocks, part.others) for n, part in self._parts.items()}
+        kept = self.beams, self.terms, self.length, self._of_beams
+        return _restored, (kept, at, poses, parts)
 
     @property
     def planes(self) -> tuple[int, ...]:
         """Numbers of the planes that are in."""
-        return tuple(self._factors)
+        return tuple(self._parts)
 
     def changed(
         self,
@@ -197,8 +185,7 @@ class IncrementalGraph:
         with self._lock:
             new = self._copy()
             gone = {*without, *(number for number in added if number in self._factors)}
-            old = new._exchange(added, gone)
-            new._add(added, old, beams)
+            new._exchange(added, gone, beams)
             new._settle(FINE_PART if fine else 1.0)
             state = new.state()
             if not fine and (state.sigmas() > WEAKLY_KNOWN * new._unit).any():
@@ -226,7 +213,7 @@ class IncrementalGraph:
         sign, size = np.linalg.slogdet(S / np.outer(scale, scale)) if sound else (0.0, 0.0)
         if sign <= 0:
             raise RuntimeError("the beams are not determined")
-        lift = beams_lift(bases, self.terms)
+        lift = beams_lift(bases, [self.terms] * len(bases))
         return BeamState(
             *parameters_of(values, self.beams, ()).beams,
             lift @ S @ lift.T,
@@ -239,49 +226,49 @@ class IncrementalGraph:
             values = self._isam.calculateEstimate()
         return parameters_of(values, self.beams, [plane_key(number) for number in self.planes])
 
+    @property
+    def blocks(self) -> list[RangeBlock]:
+        """The blocks of all planes."""
+        return [block for part in self._parts.values() for block in part.blocks]
+
     def linearization_point(self) -> gtsam.Values:
         """Return where all variables are linearised."""
         with self._lock:
             return gtsam.Values(self._view)
 
-    def pose(self, key: int) -> gtsam.Pose3:
-        """Return a hand pose that is a variable, in the frame of its blocks."""
-        with self._lock:
-            return self._isam.calculateEstimatePose3(key)
-
     def _copy(self) -> "IncrementalGraph":
-        new = copy(self)
-        new._factors, new._blocks = dict(self._factors), dict(self._blocks)
+        new = object.__new__(IncrementalGraph)
+        new.__dict__.update(self.__dict__)
+        new._factors, new._parts = dict(self._factors), dict(self._parts)
         new._isam = gtsam.ISAM2(self._isam)
         new._view = new._isam.getLinearizationPoint()
         return new
 
-    def _exchange(self, added: Mapping[int, GraphPart], gone: set[int]) -> list[int]:
-        """Take over the blocks of planes, and return the factors of those that leave."""
-        old = [index for number in gone for index in self._factors[number]]
+    def _exchange(
+        self, added: Mapping[int, GraphPart], gone: Iterable[int], beams: GraphPart | None
+    ) -> None:
+        """Let planes leave, and others join; with the beams the first time."""
+        old = [index for number in gone for index in self._factors.pop(number)]
         for number in gone:
-            del self._factors[number], self._blocks[number]
-        self._blocks |= {number: factors.blocks for number, factors in added.items()}
-        if not self._blocks:
+            del self._parts[number]
+        self._parts |= added
+        if not self._parts:
             raise RuntimeError("no plane is left")
-        self._limits = self._limits_of_all()
-        return old
-
-    def _add(self, added: Mapping[int, GraphPart], old: list[int], beams: GraphPart | None) -> None:
         graph, start, sizes = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
-        for plane in added.values():
-            for block in plane.blocks:
+        for part in added.values():
+            for block in part.blocks:
                 sigma = 1.0 if block.whitening is None else block.whitening.sigma
                 graph.push_back(range_factor(block, sigma))
-            for factor in plane.others:
+            for factor in part.others:
                 graph.push_back(factor)
-            sizes.append(len(plane.blocks) + len(plane.others))
-            new = gtsam.Values(plane.start)
-            for key in plane.start.keys():  # noqa: SIM118
+            sizes.append(len(part.blocks) + len(part.others))
+            new = gtsam.Values(part.start)
+            for key in part.start.keys():  # noqa: SIM118
                 if self._isam.valueExists(key):
                     new.erase(key)
             start.insert(new)
         if beams is not None:
+            self._of_beams = beams.others
             start.insert(beams.start)
             for factor in beams.others:
                 graph.push_back(factor)
@@ -301,43 +288,42 @@ class IncrementalGraph:
         groups = gtsam.KeyGroupMap()
         for key in self._keys:
             groups.insert2(key, 1)  # eliminated last: all other variables are in group 0
-        blocks = [block for of_plane in self._blocks.values() for block in of_plane]
-        with evaluated_together(blocks):
+        with evaluated_together(self.blocks):
             return self._isam.update(graph, start, old, groups, None, None, relinearize)
 
     def _settle(self, part: float) -> None:
         """Relinearise until nothing has moved by a part of its threshold."""
+        # GTSAM's order of the variables is by letter, then by number.
+        beams = {letter: len(self.beams) for letter in "rvk" if letter in self._thresholds}
+        count = beams | {"p": len(self._parts), "x": len(self._poses())}
+        limits = [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
+        limit = part * np.concatenate(limits)
         for _ in range(MOST_ROUNDS):
-            if (np.abs(self._isam.getDelta().vector()) <= part * self._limits).all():
+            if (np.abs(self._isam.getDelta().vector()) <= limit).all():
                 return
             self._update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], relinearize=True)
         raise RuntimeError("the estimate does not settle")
 
-    def _limits_of_all(self) -> FloatArray:
-        """Return the thresholds of all variables in GTSAM's order: by letter, then by number."""
-        count = {"p": len(self._blocks)}
-        for key in self._keys:
-            count[_letter(key)] = count.get(_letter(key), 0) + 1
-        blocks = (block for of_plane in self._blocks.values() for block in of_plane)
-        count["x"] = len({block.pose for block in blocks if block.pose is not None})
-        return np.concatenate(
-            [np.tile(self._thresholds[letter], count[letter]) for letter in sorted(count)]
-        )
+    def _poses(self) -> set[int]:
+        """Return the keys of the hand poses that are variables."""
+        return {block.pose for block in self.blocks if block.pose is not None}
 
 
-def _thresholds_of(
-    part: float, length: float, beams: tuple[BeamKeys, ...], terms: tuple[int, ...]
-) -> dict[str, FloatArray]:
-    """Return by how much the variables of each letter may move before they are relinearised."""
-    units = {"p": [1.0, 1.0, length], "x": [1.0] * 3 + [length] * 3}
-    for beam, count in zip(beams, terms, strict=True):
-        units[_letter(beam.location)] = [length] * 3
-        units[_letter(beam.direction)] = [1.0, 1.0]
-        if beam.range_error is not None:
-            unit = [1.0, 1.0 / length][:count]
-            if len(units.setdefault(_letter(beam.range_error), unit)) != count:
-                raise ValueError("one letter for range errors of one term and of two")
-    return {letter: part * np.array(unit) for letter, unit in units.items()}
+def _restored(
+    kept: tuple[tuple[BeamKeys, ...], int, float, tuple[gtsam.NonlinearFactor, ...]],
+    at: Parameters,
+    poses: dict[int, gtsam.Pose3],
+    parts: dict[int, tuple[tuple[RangeBlock, ...], tuple[gtsam.NonlinearFactor, ...]]],
+) -> IncrementalGraph:
+    """Return a graph from what it was reduced to, linearised at parameters and poses."""
+    beams, terms, length, of_beams = kept
+    start = start_values(at, beams, tuple(plane_key(number) for number in parts), terms)
+    for key, pose in poses.items():
+        start.insert(key, pose)
+    graph, nowhere = IncrementalGraph(beams, terms, length), gtsam.Values()
+    planes = {number: GraphPart(*part, nowhere) for number, part in parts.items()}
+    graph._exchange(planes, (), GraphPart((), of_beams, start))
+    return graph
 
 
 def _isam_parameters(thresholds: dict[str, FloatArray]) -> gtsam.ISAM2Params:
@@ -352,8 +338,3 @@ def _isam_parameters(thresholds: dict[str, FloatArray]) -> gtsam.ISAM2Params:
     steps.setWildfireThreshold(0.0)
     parameters.setOptimizationParams(steps)
     return parameters
-
-
-def _letter(key: int) -> str:
-    """Return the letter of a key, to which iSAM2 has one threshold."""
-    return chr(gtsam.symbolChr(key))
