@@ -167,6 +167,12 @@ def test_what_cannot_be_forgotten_is_refused():
     for since in ("A", "x"):
         with pytest.raises(hl.InputError, match=f"before plane '{since}'"):
             session.split_beam("2", since)
+    blind = np.zeros(session.recording().ranges.shape, dtype=bool)
+    blind[:, 1] = displaced()[0].plane_of_station > 4
+    unseen, _ = fed(displaced()[0].without(blind))
+    with pytest.raises(hl.InputError, match="on one side of plane G"):
+        unseen.split_beam("2", "G")
+    assert unseen.beams().names == ("1", "2", "3")
     session.split_beam("2", "G")
     with pytest.raises(hl.InputError, match="every move once"):
         session.split_beam("2", "G")

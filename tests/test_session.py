@@ -11,7 +11,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.factors import RangeBlock, evaluated_together
 from handlaser_gtsam.model import tangent_basis
 from handlaser_gtsam.model.joint import beams_lift
-from handlaser_gtsam.session import updating
+from handlaser_gtsam.session import state, updating
 from handlaser_gtsam.session.plane import fit_plane
 from handlaser_gtsam.solvers import isam
 from handlaser_gtsam.solvers.beam_problem import jacobian_columns
@@ -354,6 +354,7 @@ def test_a_session_compares_itself_with_the_batch_now_and_then():
 def test_an_estimate_that_has_left_the_batch_is_begun_anew(monkeypatch):
     """With thresholds of GTSAM's default a session notices, says so, and goes on from the batch."""
     monkeypatch.setattr(isam, "RELINEARIZED", 10.0)
+    monkeypatch.setattr(state, "REWEIGHED_MOVE", 10.0)
     recording = recorded(20, stations=6, beams=1, k=(0.05, 1.0))
     session, words = hl.Session(EXACT, hl.CalibrationOptions("k1k2")), []
     for index in range(20):
@@ -377,6 +378,16 @@ def test_readings_beyond_the_limits_of_the_sensor_are_left_out():
     assert np.nanmax(session.recording().ranges) == 3.0
     reasons = {one.reason for one in session.calibration().fit.rejected}
     assert reasons == {"outside the sensor's range"}
+
+
+def test_negative_readings_count_where_the_recording_has_them():
+    recording = recorded(6)
+    ranges = recording.ranges - np.nanmedian(recording.ranges)
+    session = filled(replace(recording, ranges=ranges, range_min=-1.0))
+    assert (ranges < 0.0).sum() > 100
+    assert session.rejected == ()
+    assert session.recording().ranges.min() < 0.0
+    assert_batch(session)
 
 
 def test_threads_take_turns():

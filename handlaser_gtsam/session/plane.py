@@ -185,10 +185,10 @@ class FittedPlane:
         return free <= 0 or bool(chi2_sf(chi2, free) > NEGLIGIBLE)
 
     def _normal(self, state: BeamState) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what is known of beams and plane, the beams in other units than those of `at`.
+        """Return what is known of beams and plane, in metres and radians.
 
-        The derivatives and the residuals at the beams of `state` (N, n + 4), inv(C) times these, and
-        the covariance (n + 3, n + 3) of beams and plane.
+        The derivatives and the residuals at the beams of `state` (N, n + 4), inv(C) times both, and the
+        covariance (n + 3, n + 3) of beams and plane.
         """
         config, parameters, readings = self.config, self.parameters, self.readings
         columns = jacobian_columns(parameters, readings, 2)

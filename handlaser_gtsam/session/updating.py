@@ -153,13 +153,15 @@ def split_beam(now: AnyState, beam: str, since: str) -> AnyState:
     present = [name for name in now.config.names if name not in contents.names]
     if beam not in present:
         raise InputError(f"beam {beam!r}", f"one of {', '.join(present)}")
-    order = [*contents.planes]
-    if since not in order[1:] or f"{beam} until {since}" in contents.names:
+    before = f"{beam} until {since}"
+    if since not in list(contents.planes)[1:] or before in contents.names:
         raise InputError(
             f"a move of beam {beam} before plane {since!r}",
             "a plane with others before it, and every move once",
         )
     split = contents.split(beam, since)
+    if not {beam, before} <= set(split.recording().beam_names):
+        raise InputError(f"no reading of beam {beam} on one side of plane {since}", "some on both")
     new, _ = started(now, split, now.config.noise, now.config.options)
     assert new is not None, "what does not determine the beams is refused"
     return new
