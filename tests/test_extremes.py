@@ -121,7 +121,6 @@ def test_arguments_of_other_types(recording, mounts):
         lambda: hl.hold_out(recording, mounts),
         lambda: hl.cross_check("result.json", recording),
         lambda: hl.Session(3e-5),
-        lambda: hl.Session(incremental="often"),
     ):
         with pytest.raises(hl.InputError, match="of type"):
             run()

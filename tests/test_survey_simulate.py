@@ -1,10 +1,12 @@
 """Simulated surveys: what is written is read, calibrated, and right within its covariance."""
 
 import json
+from itertools import product
 
 import numpy as np
 import polars as pl
 import pytest
+from helpers import first_and_slow
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -69,6 +71,33 @@ def test_what_is_simulated_is_calibrated_within_its_covariance(handlaser, tmp_pa
             e = found.location - one["location_m"]
             C = found.covariance[:3, :3]
             assert chi2.sf(float(e @ np.linalg.solve(C, e)), 3) > 1e-4
+
+
+FEW = {
+    "spheres": ("sphere:a,sphere:b,sphere:c", "14"),
+    "two spheres": ("sphere:a,sphere:b", "14"),
+    "a plane, a sphere and a point": ("plane:A,sphere:b,point:tip", "8"),
+}
+
+
+@pytest.mark.parametrize(("case", "seed"), first_and_slow(*product(FEW, (11, 1, 2, 5))))
+def test_beams_with_few_readings_are_found_before_targets_of_others(
+    handlaser, tmp_path, case, seed
+):
+    """By itself such a beam fits perfectly wherever its balls are, and other starts miss the balls."""
+    rig = rig_of(tmp_path, "profiler")
+    targets, stations = FEW[case]
+    words = ("--targets", targets, "--stations", stations, "--beams", 2, "--seed", seed)
+    assert handlaser("simulate", tmp_path / "out", "--rig", rig, *words)[0] == 0
+    survey = hl.read_survey(tmp_path / "out" / "stations.csv", tmp_path / "out" / "rig.toml")
+    result = hl.calibrate(survey, hl.read_rig(tmp_path / "out" / "rig.toml").noise)
+    assert result.status == "converged", result.message
+    truth = json.loads((tmp_path / "out" / "truth.json").read_text())
+    assert far(result, truth) > 1e-4
+    for one in truth["beams"]:
+        found = result.beams[one["name"]]
+        e = found.location - one["location_m"]
+        assert chi2.sf(float(e @ np.linalg.solve(found.covariance[:3, :3], e)), 3) > 1e-4
 
 
 def test_readings_without_errors_are_ranges_to_the_plane_by_another_formula(handlaser, tmp_path):

@@ -11,7 +11,7 @@ linear, and one on a sphere is tried in random directions.
 Each sensor, and each beam, is searched by itself from all its starts together; best ends are joined.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from operator import itemgetter
 
@@ -19,9 +19,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
+from ..data.survey import RAY_ERRORS
 from ..errors import HandlaserError
-from ..model.block import whitened
-from ..model.families import BEAM, FAMILIES, PLANE, POSE
+from ..model.block import Values, whitened
+from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE
 from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
@@ -75,7 +76,7 @@ def start_of(
     """
     entities = list(dict.fromkeys(item.mount for item in rows.items))
     from_planes = _from_planes(rows, among_outliers=last_resort)
-    ends: list[tuple[float, dict[Entity, FloatArray]]] = []
+    ends: list[tuple[int, float, dict[Entity, FloatArray]]] = []
     without = []
     for entity in entities:
         own = [item for item in rows.items if item.mount == entity]
@@ -89,14 +90,20 @@ def start_of(
         if found is None:
             without.append(entity)
         else:
-            ends.append((found[0] / len(own), found[1]))
+            ends.append((_redundancy(own, found[1]), found[0] / len(own), found[1]))
     if without:
         return {}, tuple(without)
     values = _empty(rows)
-    # Each target as the sensor has it that fits best for its size.
-    for _, there in sorted(ends, key=lambda end: -end[0]):
+    # Each target as the sensor has it that fits best for its size. One without redundancy fits
+    # perfectly, wherever it and its targets are.
+    most = min(0, max(redundancy for redundancy, _, _ in ends) - 1)
+    for _, _, there in sorted(ends, key=lambda end: (end[0] > most, -end[1])):
         for (family, member), x in there.items():
             values[family][0, member] = x
+    known = {e for redundancy, _, there in ends if redundancy > most for e in there}
+    for (redundancy, _, there), entity in zip(ends, entities, strict=True):
+        if redundancy <= most and known.issuperset(set(there) - {entity}):
+            _search_again(rows, entity, values, sigmas)
     _complete_bodies(rows, values)
     return values, ()
 
@@ -127,6 +134,29 @@ def start_beside(
             _complete(rows, own, values)
     _complete_bodies(rows, values)
     return values
+
+
+def _redundancy(own: Sequence[Item], there: Iterable[Entity]) -> int:
+    """Return how many readings a sensor or beam has beyond what it and its targets have unknowns.
+
+    Range errors do not count.
+    """
+    readings = sum(1 if item.shot is None else len(item.shot.reading) for item in own)
+    errors = {SENSOR.name: len(RAY_ERRORS), BEAM.name: BEAM.dim - MOUNT_DIM}
+    return readings - sum(FAMILIES[family].dim - errors.get(family, 0) for family, _ in there)
+
+
+def _search_again(
+    rows: Rows, entity: Entity, values: dict[str, FloatArray], sigmas: Mapping[Entity, float]
+) -> None:
+    """Search for a sensor or beam with its targets held where others have found them."""
+    own = [item for item in rows.items if item.mount == entity]
+    candidates = [values[entity[0]][0, entity[1]]]
+    if entity[0] == BEAM.name and all(item.target[0] == SPHERE.name for item in own):
+        candidates += _beam_on_spheres(rows, own, values[SPHERE.name][0])
+    found = _searched(rows, entity, own, candidates, sigmas, thorough=True, held=values)
+    if found is not None:
+        values[entity[0]][0, entity[1]] = found[1][entity]
 
 
 def _empty(rows: Rows) -> dict[str, FloatArray]:
@@ -319,11 +349,28 @@ def _columns(rows: FloatArray, axes: Sequence[int]) -> FloatArray:
 
 
 def _beam_on_points(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
-    """Yield the beam that solves R (r + d v) + t = C linearly."""
+    """Yield the beam that solves R (r + d v) + t = C linearly, with the points C."""
     R, t = _hand_at(rows, items)
     d = np.array([item.reading for item in items])
-    A = np.concatenate((R, d[:, None, None] * R, _unknown_places(items)[1]), axis=2)
-    x = np.linalg.lstsq(A.reshape(3 * len(items), -1), -t.ravel(), rcond=None)[0]
+    yield from _beam_through(R, d, -t, _unknown_places(items)[1])
+
+
+def _beam_on_spheres(
+    rows: Rows, items: Sequence[Item], spheres: FloatArray
+) -> Iterator[FloatArray]:
+    """Yield the beam that goes through the known centres of spheres (n, 4), linearly."""
+    R, t = _hand_at(rows, items)
+    at = spheres[[item.target[1] for item in items]]
+    d = np.array([item.reading for item in items]) + np.abs(at[:, 3])
+    yield from _beam_through(R, d, at[:, :3] - t, np.zeros((len(items), 3, 0)))
+
+
+def _beam_through(
+    R: FloatArray, d: FloatArray, places: FloatArray, unknown: FloatArray
+) -> Iterator[FloatArray]:
+    """Yield the beam of R (r + d v) + unknown x = places (n, 3) that fits them best."""
+    A = np.concatenate((R, d[:, None, None] * R, unknown), axis=2)
+    x = np.linalg.lstsq(A.reshape(3 * len(d), -1), places.ravel(), rcond=None)[0]
     length = float(np.linalg.norm(x[3:6]))
     if length > 0.0:
         yield np.concatenate((x[:3], x[3:6] / length, np.zeros(2)))
@@ -379,16 +426,21 @@ def _searched(
     sigmas: Mapping[Entity, float],
     *,
     thorough: bool,
+    held: Values | None = None,
 ) -> tuple[float, dict[Entity, FloatArray]] | None:
-    """Return how well one sensor or beam fits at its best minimum, and where it and its targets are."""
+    """Return how well one sensor or beam fits at its best minimum, and where it and its targets are.
+
+    Its targets stay where they are in the values `held`, if these are given.
+    """
     if not candidates:
         return None
     K = len(candidates)
-    values = {n: np.repeat(x, K, axis=0) for n, x in _empty(rows).items() if n != POSE.name}
+    begun = _empty(rows) if held is None else held
+    values = {n: np.repeat(x, K, axis=0) for n, x in begun.items() if n != POSE.name}
     for k, x in enumerate(candidates):
         values[entity[0]][k, entity[1]] = x
     targets = list(dict.fromkeys(item.target for item in own))
-    for target in targets:
+    for target in targets if held is None else ():
         _complete(rows, [item for item in own if item.target == target], values)
     values = {**values, POSE.name: rows.poses()}
     start = {name: x[:1] for name, x in values.items()}
@@ -397,7 +449,8 @@ def _searched(
     seen = {rows.label(item.target) for item in own}
     seen |= {label.removeprefix("plane:") for label in seen}
     ties = [r for known, r in relations_of(rows) if seen.issuperset(known.of)]
-    unknown = {f: u for f, u in rows.unknown().items() if f != "body"}
+    sought = {entity[0]} if held is not None else set(rows.counts()) - {"body"}
+    unknown = {f: u for f, u in rows.unknown().items() if f in sought}
     every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
     task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
