@@ -403,7 +403,9 @@ def test_a_recording_that_comes_grows_goes_and_comes_again(shown):
     with shown.path.open("a") as file:
         file.write("".join(LINES[4:20]) + LINES[20][:30])
         file.flush()
-        until(lambda: shown.is_at("current", 19)["note"] == "line 21 is not whole yet")
+        # On a busy machine the file may have rested by the time it is calibrated.
+        notes = "line 21 is not whole yet", "not used: "
+        until(lambda: shown.is_at("current", 19)["note"].startswith(notes))
         assert shown.sent.opening == "Usable"
         assert len(shown.sent.rows("next", "next")) == 3
         assert shown.sent.figure("by-count")["data"]
