@@ -589,7 +589,7 @@ def _settle_grazing(state: SurveyState) -> bool:
     the end must not depend on that way. Where the judgement does not settle, nothing changes.
     """
     for _ in range(MOST_GRAZING_ROUNDS):
-        rows = without_grazing(state.rows, state.values, anew=True)
+        rows = without_grazing(state.rows, state.values, again=True)
         if rows is None:
             break
         back = grazing(state.rows) & ~grazing(rows)

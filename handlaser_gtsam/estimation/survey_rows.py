@@ -285,19 +285,19 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
     return [(f"plane:{name}.left", rows[: cut - 1]), (f"plane:{name}.right", rows[cut + 1 :])]
 
 
-def without_grazing(rows: Rows, values: Values, *, anew: bool = False) -> Rows | None:
+def without_grazing(rows: Rows, values: Values, *, again: bool = False) -> Rows | None:
     """Return the rows without readings that graze or miss their sphere; None for no change.
 
     These are single readings, of beams and of shots with few readings, whose own shape does not say
-    which of them graze, and shots and cones with a ray whose range the sphere continues. With `anew`,
+    which of them graze, and shots and cones with a ray whose range the sphere continues. With `again`,
     readings that were rejected before are judged again.
     """
     items = list(rows.items)
     judged = {
         i: replace(item, shot=shot, points=points)
         for i, item in enumerate(items)
-        for shot, points in [(anew and item.whole) or (item.shot, item.points)]
-        if item.target[0] == SPHERE.name and (anew or not item.grazing)
+        for shot, points in [(again and item.whole) or (item.shot, item.points)]
+        if item.target[0] == SPHERE.name and (again or not item.grazing)
     }
     by_place = _by_place(list(judged.values()), values)
     for i, derivative in zip(judged, by_place, strict=True):

@@ -242,7 +242,7 @@ class SurveyTables:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The tables of points, and those of zones."""
+        """The tables of points and of zones."""
         points = (one for table in self.sensors for one in self._files_of(table).values())
         arrays = (table for table in self.sensors if table.kind == "array" and table.zones)
         return *points, *(self.folder / str(table.zones) for table in arrays)

@@ -157,7 +157,7 @@ def contradicted(p_values: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def p_words(p: float, digits: int = 2) -> str:
-    """Return a p-value to so many digits, as "p = 0.03"; of the smallest a bound, as "p < 1e-09"."""
+    """Return a p-value to some digits, as "p = 0.03"; of the smallest a bound, as "p < 1e-09"."""
     return f"p < {LEAST_P:.0e}" if p < LEAST_P else f"p = {p:.{digits}g}"
 
 
