@@ -3,8 +3,9 @@
 Unknown scales are integrated over as in the batch solution.
 Every plane is remembered by its information on the beams for each set of noise scales
 (`estimation.information`), counted from beams that all share. The graph holds the most probable scales.
-Integrating over all scales changes mean and covariance; both changes follow from the sums over the
-planes, and are added to the estimate of iSAM2. So the cost of a new plane does not grow.
+Integrating over all scales changes the mean; the change follows from the sums over the planes, and is
+added to the estimate of iSAM2. The covariance is that of these sums, as in a batch solution.
+So the cost of a new plane does not grow.
 """
 
 from dataclasses import dataclass, replace
@@ -82,25 +83,24 @@ class SessionState:
         k = self.at[2][:, :terms] * np.array([1.0, learned.length])[:terms]
         here, both = (BeamPosterior(part, k, learned.widest) for part in (total[:1], total[1:]))
         mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
-        mean, covariance = here.conditional(learned.range_error)
+        mean, _ = here.conditional(learned.range_error)
         step = ((mixture.mean - mean) * config.unit).reshape(count, -1)
-        change = (mixture.covariance - covariance) * np.outer(config.unit, config.unit)
         bases = model.tangent_basis(self.at[1])
-        lift = beams_lift(bases, [terms] * count)
         k = state.range_errors.copy()
         k[:, :terms] += step[:, RANGE_ERROR]
         turned = np.einsum("bij,bj->bi", bases, step[:, DIRECTION])
-        # These tangents are other than the tangents of the state, which are those of a batch solution:
-        # project along every beam out of the coordinates (8,).
+        # From the tangents where planes are linearised to the tangents of the state, which are those of
+        # a batch solution.
+        lift = beams_lift(bases, [terms] * count) * config.unit
         across = np.tile(np.eye(8), (count, 1, 1))
         across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
-        project = block_diag(*across)
+        lift = block_diag(*across) @ lift
         return replace(
             state,
             locations=state.locations + step[:, LOCATION],
             directions=model.normalized(state.directions + turned),
             range_errors=k,
-            covariance=project @ (state.covariance + lift @ change @ lift.T) @ project,
+            covariance=lift @ mixture.covariance @ lift.T,
         )
 
     @property
