@@ -7,10 +7,8 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import FloatArray, IntArray, gathered
+from ..quantities import MEDIAN_TO_SIGMA
 from .value import Value
-
-QUARTILE_DISTANCE = 1.349
-"""Distance of the quartiles of a Gaussian in standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -134,7 +132,9 @@ class Readings(Value):
     @cached_property
     def _spread(self) -> float:
         low, high = np.quantile(self.distance, [0.25, 0.75])
-        return float(high - low) / QUARTILE_DISTANCE if high > low else float(self.distance.std())
+        # Half the distance of the quartiles of a Gaussian is the median of its absolute values.
+        half = 0.5 * float(high - low)
+        return MEDIAN_TO_SIGMA * half if half > 0.0 else float(self.distance.std())
 
     def plane_means(self, values: FloatArray) -> FloatArray:
         """Return the mean (P, 3) over the readings of every plane of `values` (N, 3)."""

@@ -30,13 +30,13 @@ from ..arrays import FloatArray, IntArray
 from ..quantities import POWER
 
 Numbers = float | FloatArray | IntArray
-GAUSSIAN_DOF = 1e5
-"""With more degrees of freedom an estimated scale is as good as given."""
 FAMILY_LEVEL = 0.01
 """Several tests together, of all readings, members or beams, contradict at most this part of good
 recordings; a single test with a smaller p-value hardly agrees."""
 SINGLE_LEVEL = 1e-3
 """One test with a p-value below this contradicts what it tests."""
+UNLIKELY_EXCESS = -2.0 * math.log(SINGLE_LEVEL)
+"""A solution whose chi2 is larger by this than that of another is `SINGLE_LEVEL` times as likely."""
 CONFIDENCE = 0.95
 """Probability of the intervals and radii that are stated: the usual one."""
 FEW_DEGREES = 10
@@ -125,9 +125,9 @@ def needed(level: float, dof: int | None) -> tuple[float, float]:
     The square of the mean is the noncentrality lambda0. With an estimated scale z is noncentral
     Student.
     """
-    gaussian = -float(gaussian_quantile(0.5 * level))
-    if dof is None or dof > GAUSSIAN_DOF:
-        return gaussian, gaussian + float(gaussian_quantile(POWER))
+    if dof is None:
+        critical = -float(gaussian_quantile(0.5 * level))
+        return critical, critical + float(gaussian_quantile(POWER))
     critical = -float(student_quantile(0.5 * level, dof - 1))
     return critical, student_mean(1.0 - POWER, dof - 1, critical)
 

@@ -24,9 +24,8 @@ from .losses import Loss
 from .reduction import Normal, Reduction, damped_step
 
 POOR_GAIN = 0.25
-"""A step that saves less than this part of what the linear model promised raises lambda."""
-GOOD_GAIN = 0.75
-"""A step that saves more than this part of what the linear model promised lowers lambda."""
+"""A step that saves less than this part of what the linear model promised raises lambda, and one that
+saves all but less than this part lowers it."""
 GOOD_QUANTILE = 1.2
 """Quantile of good residuals [sigmas] that bounds half to two thirds of all, a third being outliers."""
 TIGHTER = 0.999
@@ -157,7 +156,7 @@ class LevenbergOptions:
         lower = damping / self.damping_factor
         lower = np.where(lower >= self.first_damping, lower, 0.0)
         lower = np.maximum(lower, self.least_damping)
-        return np.where(gain < POOR_GAIN, higher, np.where(gain > GOOD_GAIN, lower, damping))
+        return np.where(gain < POOR_GAIN, higher, np.where(gain > 1.0 - POOR_GAIN, lower, damping))
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,8 @@ from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from . import equation
 from .effects.plausible import KINDS, Plausible, plausible_sizes
 
+LONG_RANGE = 100.0
+"""No sensor on a hand typically reads more than this [m]: its millimetres were read as metres."""
 MOST_LINEARITY = 0.3
 """No sensor is less linear, as a part of the reading."""
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import RAY_ERRORS
-from ..quantities import MEDIAN_TO_SIGMA, NEGLIGIBLE, NUMBERS_AT_ONCE, SINGULAR, TINY
+from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, NEGLIGIBLE, NUMBERS_AT_ONCE, SINGULAR, TINY
 from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
 from .ranges import Ranges
@@ -49,8 +49,6 @@ MOST_SLANTED = 3.0
 """Rays that count meet the target with a cosine of at least one over this."""
 SIFTINGS = 4
 """Rounds in which points that are far from their shape are rejected; two settle most shots."""
-STEPS_OF_SHAPE = 12
-"""Gauss-Newton steps of a shape: a good start takes four."""
 SHAPE_SETTLED = 1e-10
 """A relative step of a shape below this is rounding."""
 
@@ -74,11 +72,10 @@ class Shape(Protocol):
         """Return derivatives of ranges s (G, n) by shapes (G, n, size), and by origins (G, n, 3)."""
 
 
-@dataclass(frozen=True, slots=True)
 class _Line:
     """z = c + m x, for parallel rays: (c, m)."""
 
-    size: int = 2
+    size = 2
 
     def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
         x = rays.origin[..., 0]
@@ -284,7 +281,7 @@ def _fitted(
 ) -> list[Condensed | None]:
     """Return the shots at the shapes that fit them best, from shapes (G, size) nearby."""
     at = rays
-    for step in range(STEPS_OF_SHAPE):
+    for step in range(MOST_ROUNDS):
         s = shape.ranges(found[:, None], at)[:, 0]
         J, a = shape.columns(found, at, np.where(np.isfinite(s), s, 0.0))
         slope = a[..., 0]
@@ -477,7 +474,7 @@ def _refined(
     There is none where rays miss the shape on their way.
     """
     fits = np.ones(len(found), dtype=bool)
-    for _ in range(STEPS_OF_SHAPE):
+    for _ in range(MOST_ROUNDS):
         s = shape.ranges(found[:, None], rays)[:, 0]
         hit = np.isfinite(s) & kept
         count, s = hit.sum(axis=1), np.where(hit, s, 0.0)

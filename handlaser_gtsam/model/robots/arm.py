@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dposv
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from ...quantities import SINGULAR
+from ...quantities import ROUNDING, SINGULAR
 
 ENDLESS_LIMIT = 2.0 * np.pi
 """Limit of joints that have none [rad]: a turn to either side, so that no pose lies at its end."""
@@ -31,8 +31,6 @@ STUCK_AFTER = 15
 """After this number of steps a start is given up whose error is above `STUCK`."""
 STUCK = 0.05
 """Error of the hand from which a start that has not come nearer never does [m], [rad]."""
-MET = 1e-9
-"""The hand is at its pose to within this: rounding is a thousand times smaller [m], [rad]."""
 LARGEST_STEP = 0.5
 """Of any joint [rad], [m]: the Jacobian holds no farther."""
 
@@ -161,7 +159,7 @@ class Arm:
             hand_R, hand_t, J = self.hand(q)
             error = np.concatenate((t - hand_t, self.pin.log3(R @ hand_R.T)))
             squared = error @ error
-            if squared <= MET**2:
+            if squared <= ROUNDING**2:  # [m], [rad]
                 return q
             if step == STUCK_AFTER and np.abs(error).max() > STUCK:
                 return None
