@@ -28,6 +28,7 @@ from ..data.station_list import StationList
 from ..data.survey import RELATIONS, Convention, Kind, Known, Shots
 from ..errors import InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
+from ..model.sensor import LONG_RANGE
 from ..quantities import DEG, IN_MM, MAJORITY, MM
 from ..text import shown
 from .checked_text import FileRecord, in_file
@@ -36,8 +37,6 @@ from .points_table import Echo, Points, read_frame, read_points
 from .recording_csv import known_numbers
 from .writing import same_file
 
-SHORTEST_LENGTH, LONGEST_READING = 1e-3, 100.0
-"""All lengths below a millimetre, or readings of more than a hundred metres, are a wrong unit [m]."""
 ONE_KIND = {"angles": "scanner", "convention": "array", "echo": "array", "clear_mm": "array"}
 """Fields of [[sensors]] that one kind of sensor has."""
 EACH = "*"
@@ -323,9 +322,9 @@ def _require_lengths(shots: Shots) -> None:
     d = np.abs(shots.reading)
     across = np.abs(shots.across).max() if shots.kind == "profiler" else 0.0
     largest, typical, found = max(float(d.max()), float(across)), float(np.median(d)), ""
-    if largest < SHORTEST_LENGTH:
+    if largest < MM:
         found = f"lengths of {shots.name} up to {largest * IN_MM:.2g} mm"
-    elif typical > LONGEST_READING:
+    elif typical > LONG_RANGE:
         found = f"lengths of {shots.name} of some {typical:.3g} m"
     if found:
         raise InputError(found, 'units = "mm", "m" or "in" in [[sensors]], as the lengths are')

@@ -14,7 +14,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from ..model.distributions import FAMILY_LEVEL
+from ..model.distributions import CONFIDENCE, FAMILY_LEVEL, UNLIKELY_EXCESS
 from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import observability
 from ..observability.wording import BeamAndPlaneNames
@@ -30,10 +30,6 @@ GRAZING_COSINE = 0.17
 PLANE_CUT = 6.0
 """Sigmas within which readings fit another plane: the error of the station's pose counts, too, which
 the sigma holds on average only."""
-ODDS_OF_PLANE = 13.8
-"""Excess of the squares of a station before the next best plane that means odds of 1000."""
-PLANE_CHANCE = 0.05
-"""Another plane is suggested when a random reading would fit one with less than this probability."""
 
 
 class Reasons(NamedTuple):
@@ -102,9 +98,11 @@ def reasons(
             sigma = range_sigma * np.sqrt(1.0 + leverages(parameters, moved, observed))
             chance = here.planes * np.minimum(2.0 * PLANE_CUT * sigma / span, 1.0).prod()
             squares[plane] = float(((e / sigma) ** 2).sum())
-            fits[plane] = bool((np.abs(e) <= PLANE_CUT * sigma).all()) and chance <= PLANE_CHANCE
+            fits[plane] = (
+                bool((np.abs(e) <= PLANE_CUT * sigma).all()) and chance <= 1.0 - CONFIDENCE
+            )
         best = int(np.argmin(squares))
-        if fits[best] and np.sort(squares)[1] > squares[best] + ODDS_OF_PLANE:
+        if fits[best] and np.sort(squares)[1] > squares[best] + UNLIKELY_EXCESS:
             other[station] = best
     swapped = _swapped(readings, rows, parameters, range_sigma)
     words = np.full(len(readings), OUTLIER, dtype=object)

@@ -18,25 +18,23 @@ from ..errors import CalibrationWarning
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
 from ..estimation.task import NO_FIT
-from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_cdf, chi2_sf
 from ..model.equation import cosines, plausible_range_errors, residuals, scene
 from ..model.families import MOUNT_DIM
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
-from ..model.sensor import BY_LIMITS
+from ..model.sensor import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import EXACT, FAR_SIGMAS
 from ..solvers.refine import refine
 from ..starts.beam_minima import beam_minima
+from ..starts.choice import POOR_START
 from ..starts.search import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .dependence import Dependence
 from .messages import Values, warned
 from .reports import Fit
 
-SUSPICIOUS_FIT = 0.06
-"""An rms residual above this part of the readings' spread is suspicious: a file read wrongly has
-more."""
 TEN_TIMES = 10.0
 """A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""
 SAME_PLACE = 1e-3
@@ -51,8 +49,6 @@ FAR_BEAM = 3.0
 """A beam further from the hand's origin than this [m] is no robot's."""
 NO_MOUNT = 10.0
 """A beam further away than this [m] is on no vehicle either: its millimetres were read as metres."""
-LONG_RANGE = 100.0
-"""A median reading above this [m] is probably in millimetres."""
 COARSE = "coarse-readings"
 """The code of readings whose rounding alone explains why they fit so badly."""
 IMPLAUSIBLE = "implausible-range-error"
@@ -62,8 +58,6 @@ WORTH_REFINING = 100.0
 this."""
 RIVAL_BEAMS = 4
 """Beams whose other minima are refined at most: each takes a solution of all unknowns."""
-NEARLY_AS_WELL = 12.0
-"""Another mount is named where its chi2 is larger by less: it is one 400th as probable or more."""
 
 
 def misfit(
@@ -127,7 +121,7 @@ def suspicious(readings: Readings, fit: Fit) -> bool:
     if fit.dof <= 0:
         return False
     far = fit.range_sigma_given and fit.sigma0 > TEN_TIMES
-    least = max(SUSPICIOUS_FIT * readings.spread(), rounding(readings.distance))
+    least = max(POOR_START * readings.spread(), rounding(readings.distance))
     return bool(far or fit.rms > least)
 
 
@@ -274,7 +268,7 @@ def rival_warnings(
             continue
         turn = float(np.linalg.norm(other.parameters.directions[beam] - at.directions[beam]))
         chi2 = (other.squares - now.squares) / size**2
-        if chi2 > NEARLY_AS_WELL or turn < FAR_SIGMAS * sigma[beam]:
+        if chi2 > UNLIKELY_EXCESS or turn < FAR_SIGMAS * sigma[beam]:
             continue
         values: Values = {"beam": listed[beam], "turn_deg": float(np.degrees(turn)), "chi2": chi2}
         yield warned("another-mount", values, more=max(chi2, 0.0))
