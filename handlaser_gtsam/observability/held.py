@@ -28,8 +28,6 @@ from ..solvers.refine import LEAST_DAMPING, refine
 from .poor_motion import poor_motion, some_plane_leans
 from .rank import Observability, ObservabilityOptions, observability
 
-STEPS = 12
-"""Steps along the null space at most: one suffices where the solutions lie along a line."""
 SHORTEST = 0.1
 """A step that leads off the solutions is halved, down to this part."""
 
@@ -145,7 +143,7 @@ def _drawn_to_the_hand(
 ) -> tuple[Parameters, Observability]:
     """Return where steps along the null space lead, none of which determines more."""
     share = 1.0
-    for _ in range(STEPS):
+    for _ in range(MOST_ROUNDS):
         beams, planes = observed.null_space
         width, K = beams.shape[1:]
         # In natural units; how far it leads counts locations and range errors.

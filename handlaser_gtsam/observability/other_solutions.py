@@ -39,8 +39,6 @@ residuals: terms of second order in the step may decide."""
 IMAGE_EXCESS = 100.0
 """The image is searched for where a linear step leaves less than this many times the squares of an
 image that fits: a search has been seen to reduce 30 times what the first step leaves."""
-IMAGE_READINGS = 1000
-"""An image that the first planes with this many readings rule out is ruled out: the rest adds to it."""
 
 
 def mirror_image_fits(
@@ -64,7 +62,7 @@ def mirror_image_fits(
 
 def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     """Tell from one linear step that no image near `image` has a sum of squares below `limit` [m^2]."""
-    last = readings.plane[min(len(readings), IMAGE_READINGS) - 1]
+    last = readings.plane[min(len(readings), EXCERPT_READINGS) - 1]
     some = readings.subset(np.flatnonzero(readings.plane <= last))
     try:
         normal = linearized(image, some, 0).normal

@@ -25,6 +25,7 @@ from ..arrays import FloatArray, gathered
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.weighting import Whitening
+from ..quantities import FAR_SIGMAS
 from .rank import observability
 from .wording import WORTH_A_WORD, OpenPart, advice, undetermined, vector_words
 
@@ -32,8 +33,6 @@ LEAST_MOVE = 1e-3
 """Hands that move less than this part of the typical range before a plane stand still."""
 COUNTED_TURN = np.radians(1.0)
 """Turns that spread less than this about an axis [rad] do not count, nor does a smaller lean."""
-SIGNIFICANT = 3.0
-"""A plane leans where its lean is this many standard deviations."""
 ALONG = 0.95
 """A location is undetermined along the axis of the turns where this part of the axis is."""
 
@@ -130,7 +129,7 @@ def some_plane_leans(
     moves = np.einsum("pa,pak->pk", slope, observed.null_space[1][:, :2])
     known = np.linalg.norm(moves, axis=1) < WORTH_A_WORD
     sigma = range_sigma * np.sqrt(np.maximum(variance, 0.0))
-    leans = np.abs(lean) > np.maximum(np.sin(COUNTED_TURN), SIGNIFICANT * sigma)
+    leans = np.abs(lean) > np.maximum(np.sin(COUNTED_TURN), FAR_SIGMAS * sigma)
     return bool((leans & known).any())
 
 

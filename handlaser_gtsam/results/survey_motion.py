@@ -13,15 +13,13 @@ from ..model.known import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
-from ..observability.poor_motion import COUNTED_TURN, SIGNIFICANT, PoorMotion, named
+from ..observability.poor_motion import COUNTED_TURN, PoorMotion, named
 from ..observability.wording import MOUNTED, WORTH_A_WORD, Kind, OpenPart, vector_words
 from ..quantities import FAR_SIGMAS, IN_DEG
 from ..text import some
 from .lines import NAMES_IN_LINE
 from .messages import said
 
-ON_ONE_CIRCLE = 0.02
-"""Normals are on one circle about a direction if their spread along it is below this."""
 NEARLY_LEVEL = np.radians(5.0)
 """Rays that lean less than this [rad] out of the plane of a motion may be level: where the lean is
 undetermined, noise alone makes it appear so large."""
@@ -121,7 +119,7 @@ def _level(
         C = found.marginal(SENSOR.name, member)[:3, :3]
         # It is NaN where the lean is undetermined, or where the mirror image fits as well.
         sigma = float(np.sqrt(np.delete(np.diagonal(C), kind.across).max()))
-        known = lean > SIGNIFICANT * sigma or (SENSOR.name, member) in images
+        known = lean > FAR_SIGMAS * sigma or (SENSOR.name, member) in images
         if lean < COUNTED_TURN or (lean < NEARLY_LEVEL and not known):
             level[shots.name] = shots.kind
     return level
@@ -154,7 +152,7 @@ def _leans(
         slope = up @ bases(n)
         sigma = np.sqrt(slope @ found.marginal(*target)[:2, :2] @ slope)
         # It is NaN where the lean is undetermined.
-        if abs(n @ up) > np.sin(COUNTED_TURN) and abs(n @ up) > SIGNIFICANT * sigma:
+        if abs(n @ up) > np.sin(COUNTED_TURN) and abs(n @ up) > FAR_SIGMAS * sigma:
             return True
     return False
 
@@ -215,7 +213,8 @@ def _on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str
         X = values[SENSOR.name][member, :9].reshape(3, 3)
         m = np.einsum("sij,i->sj", stations.world_R_hand[station], n) @ X
         spread, axes = np.linalg.svd(m - m.mean(axis=0), full_matrices=False)[1:]
-        if spread[-1] < ON_ONE_CIRCLE * np.sqrt(len(m)):
+        # They are on one circle about a direction along which they hardly spread.
+        if spread[-1] < np.sin(COUNTED_TURN) * np.sqrt(len(m)):
             direction = vector_words(axes[-1])
             plane = rows.label(own[0].target)
             yield said("open:circle", sensor=shots.name, direction=direction, plane=plane)
