@@ -11,7 +11,7 @@ from ..data.recording import Readings
 from ..data.value import Value
 from ..model.elimination import ReducedInformation
 from ..model.weighting import Variances
-from ..quantities import REPRESENTATIVE_BEAMS
+from ..quantities import KNOWN, REPRESENTATIVE_BEAMS
 from .information import LinearReadings
 from .mixture import BeamPosterior
 from .range_error_grid import (
@@ -29,8 +29,6 @@ CERTAIN_READINGS = 20_000
 """With more readings the scales are known so well that their uncertainty changes nothing."""
 INTEGRATED_BEAMS = 10
 """With more beams only poorly known scales are integrated over: the cost grows with their cube."""
-KNOWN_SCALE = 0.1
-"""Scales known to this part need no integration: it would widen results by one per cent at most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -185,7 +183,8 @@ class ScaleProblem:
         if len(self.readings) > CERTAIN_READINGS:
             least = np.inf
         elif self.readings.beams > INTEGRATED_BEAMS:
-            least = KNOWN_SCALE
+            # To integrate over what is known so well would widen results by one per cent at most.
+            least = KNOWN
         points, log_weight, left = design(self._log_posterior, mode, self.scales.bounds, least)
         return LearnedScales(
             self.scales,

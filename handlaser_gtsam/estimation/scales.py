@@ -24,7 +24,7 @@ from ..data.recording import Readings
 from ..data.value import Value
 from ..model.weighting import Variances
 from ..progress import tell
-from ..quantities import MOST_ROUNDS, TINY
+from ..quantities import MOST_ROUNDS, SAME_OPTIMUM, TINY
 from .information import NoiseSet
 from .options import CalibrationOptions
 
@@ -36,9 +36,6 @@ DIFFERENCE_STEP = 0.02
 """Step of differences in the logarithm of a scale: short beside any posterior, long beside rounding."""
 LONGEST_STEP = 0.75
 """Longest step in the logarithm of a scale: a longer one may end where rounding fits well."""
-LAST_STEP = 1e-2
-"""A Newton step shorter than this ends the search: it leaves an error of about its square. So does one
-that had to be shortened to this without going upwards."""
 REACH = {RANGE: (1.5, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
 """Scales lie within these logarithms below and above their priors: rounding would decide far below."""
 MOST_POSE_ERROR = 30.0
@@ -159,9 +156,11 @@ def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray
     for _ in range(MOST_ROUNDS):
         tell("scales")
         step = _upwards(slope, curvature, here, bounds)
-        if np.abs(step).max() < LAST_STEP:
+        # A short Newton step leaves an error of about its square. The search ends, too, where a step
+        # had to be shortened as much without going upwards.
+        if np.abs(step).max() < SAME_OPTIMUM:
             return np.clip(here + step, bounds[:, 0], bounds[:, 1])
-        while np.abs(step).max() >= LAST_STEP:
+        while np.abs(step).max() >= SAME_OPTIMUM:
             there = np.clip(here + step, bounds[:, 0], bounds[:, 1])
             ahead, *expansion = _expansion(log_posterior, there, DIFFERENCE_STEP)
             if ahead > value:

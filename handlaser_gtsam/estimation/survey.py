@@ -13,6 +13,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.noise import Noise
+from ..data.screen import FINEST_STEP
 from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
@@ -26,7 +27,7 @@ from ..model.shots import Mixed, Unexplained
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
-from ..quantities import IN_PERCENT, MM, MOST_ROUNDS
+from ..quantities import IN_PERCENT, MM, MOST_ROUNDS, SAME_OPTIMUM
 from .dense import DenseRows, dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, descended, judged, minimum
 from .survey_mirror import best_image, numbers_of, with_images
@@ -51,12 +52,8 @@ GROSS = 6.0
 HALVES = 12
 """Halves of the shots that starts are looked for from, where most shots do not fit. Of eighteen with
 two wrong ones a fifth of the halves has none, and one of twelve with 93 %."""
-SIZES_SETTLED = 0.01
-"""Sizes of the noise that change by less than this part have settled."""
 MOST_LEFT_OUT = 0.4
 """Largest part of the shots, of all and of one target, that may be rejected."""
-TAKEN_BACK = 0.01
-"""A rejected shot counts again where chance puts one so far off with at least this probability."""
 FIRST_OUT = 0.5
 """Of the shots of a target, those go first whose misfit is at least this part of its largest: least
 squares share the error of one among all that see the same target."""
@@ -66,12 +63,8 @@ BODY_HELD = 0.01
 """A body may go this part of the range, or turn so far [rad], along what its faces leave open."""
 MOST_GRAZING_ROUNDS = 4
 """Minima after which it is settled which rays graze their spheres: one at the limit may come and go."""
-NO_SPHERE = np.ones((1, 0, 4))
-"""Values of no sphere."""
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
-FINEST_AIMING = 1e-6
-"""No spot is aimed better than this [m]: the likelihood has no bound where all are aimed exactly."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -230,7 +223,7 @@ class SurveyState:
                 return False
             self.rows = fewer
             return self.minimize(iterations)
-        if (again.get(SPHERE.name, NO_SPHERE)[..., 3] < 0.0).any():
+        if SPHERE.name in again and (again[SPHERE.name][..., 3] < 0.0).any():
             again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
             again = ended(again)
         if again is None:
@@ -621,14 +614,14 @@ def _learned(state: SurveyState) -> bool:
         root = covariance_roots(state.pose_covariance())[state.stations(owner)]
         rows.by_pose[:] = np.einsum("ri,rij->rj", rows.by_pose, root)
     finest = np.full(len(state.sizes.sigma), FINEST)
-    finest[-1] = FINEST_AIMING
+    finest[-1] = FINEST_STEP  # the likelihood has no bound where all are aimed exactly
     prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
     source, inside = state.sources(owner), _inside(state.rows)
     new = components(rows, source, inside, state.sizes, state.stated, prior, finest)
     before = np.array([*state.sizes.sigma, *state.sizes.pose])
     after = np.array([*new.sigma, *new.pose])
     state.sizes = new
-    return bool((np.abs(after - before) > SIZES_SETTLED * np.maximum(after, before)).any())
+    return bool((np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any())
 
 
 def _worst_changed(state: SurveyState) -> bool:
@@ -640,10 +633,10 @@ def _worst_changed(state: SurveyState) -> bool:
         return True
     misfit = np.where(state.used | grazing(state.rows), np.inf, misfits(state))
     for best in np.argsort(misfit)[: np.isfinite(misfit).sum()]:
-        # How far it may be off depends on how well the others predict it.
+        # How far it may be off depends on how well the others predict it: one that agrees counts again.
         trial = replace(state, used=state.used | (np.arange(len(state.used)) == best))
         p, _, tested = _agreement(trial)
-        if p[tested == best] >= TAKEN_BACK:
+        if p[tested == best] >= FAMILY_LEVEL:
             state.used = trial.used
             return True
     return False

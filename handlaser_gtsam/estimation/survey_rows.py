@@ -31,7 +31,7 @@ from ..model.shots import (
 from ..model.targets.plane import Plane
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere, continued
-from ..quantities import MM
+from ..quantities import MM, ROUNDING
 from .dense import Unknowns, unknowns_of
 
 TARGETS: dict[str, type[Plane] | type[Sphere]] = {PLANE.name: Plane, SPHERE.name: Sphere}
@@ -42,8 +42,6 @@ NO_EDGE = 0.5
 """Two lines that misfit a profile by more than this part of what one line does are no groove."""
 RANGE_ERRORS = np.array([0.05, 0.02, 0.1, 0.05])
 """Standard deviations of range errors before any reading: k0 [m], k1 [1], k2 [1/m] and scale [1]."""
-HELD_AT_ZERO = 1e9
-"""Inverse of a standard deviation that holds a range error at zero."""
 AIMING = ("aiming", 0)
 """Names the standard deviation of spots across their rays, where they are aimed at points."""
 AIMING_SIGMA = 0.5 * MM
@@ -458,7 +456,7 @@ def priors_of(rows: Rows) -> list[Block]:
     if any(one.free for one in shots):
         free = np.array([[error in one.free for error in RAY_ERRORS] for one in shots])
         # Where another sensor has it free, an error that this one has not is held at zero.
-        root = np.where(free, 1.0 / RANGE_ERRORS, HELD_AT_ZERO) * free.any(axis=0)
+        root = np.where(free, 1.0 / RANGE_ERRORS, 1.0 / ROUNDING) * free.any(axis=0)
         weights = Weights((root > 0.0).astype(float)[None])
         priors.append(VectorPrior(SENSOR.name, root[None], np.zeros(free.shape), weights))
     return priors

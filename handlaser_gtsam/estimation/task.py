@@ -20,7 +20,7 @@ from ..observability.held import Judge
 from ..observability.other_solutions import least_observed
 from ..observability.rank import Observability, observability
 from ..progress import Trial, tell_trial
-from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
+from ..quantities import EXACT, MOST_ROUNDS, SAME_OPTIMUM, UNIT_SIGMA
 from ..solvers.beam_problem import beam_problem, newton_step, require_steep
 from ..solvers.graph import PosePriors, build_graph, pose_priors
 from ..solvers.levenberg import Status, levenberg_marquardt
@@ -39,8 +39,6 @@ MOST_INCREASE = 4.0
 MOST_NUMBERS = 200_000
 """Derivatives in the factors of a graph; beyond, their sums go to GTSAM. A graph of this size takes
 as long as all steps of the reduction."""
-COARSE_TOLERANCE = 1e-2
-"""Standard deviations that an equally weighted solution may be off where another follows it."""
 
 NO_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit: the readings tell hardly a
@@ -190,7 +188,7 @@ class SolutionTask:
         """
         solver = self._solver(start)
         if coarse and self.determined:
-            solver = replace(solver, step_tolerance=max(solver.step_tolerance, COARSE_TOLERANCE))
+            solver = replace(solver, step_tolerance=max(solver.step_tolerance, SAME_OPTIMUM))
         if most is not None:
             solver = replace(solver, max_iterations=min(solver.max_iterations, most))
         if isinstance(noise, Whitening) and noise.is_coupled and self.loss != GAUSSIAN:
