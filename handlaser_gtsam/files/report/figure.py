@@ -35,7 +35,11 @@ MOST_POINTS = 1000
 """Points, segments or hands that a picture draws at most: a page with more is slow to turn and to
 load."""
 MOST_SHAPES = 60
-"""Planes and bands that a picture draws at most: an eye tells no more of them apart."""
+"""Planes, bands, points of a profile, or rays of a sensor that a picture draws at most: an eye tells no
+more of them apart."""
+CLEAR = 1.15
+"""Planes and scales that are drawn reach this many times as far as what they show: it stands clear of
+their edge."""
 LETTERS_BELOW = 48
 """Letters of all labels below a picture on a phone."""
 SHORTEST_LABEL = 3

@@ -18,6 +18,7 @@ from ...quantities import IN_DEG, IN_MM
 from ..checked_text import Record
 from ..exports.picture import logarithmic_ticks
 from .figure import (
+    CLEAR,
     COLOURS,
     LEGEND,
     LETTERS_BELOW,
@@ -42,8 +43,6 @@ BESIDE = 0.7
 apart."""
 LABELS_ABOVE = 7
 """Labels of an axis that fit above one another."""
-CLEAR = 0.06
-"""Room above and below a logarithmic curve, in decades: its line stands clear of the edge."""
 SHADES = ("#08306b", "#6baed6", "#f7f8fa", "#fc9272", "#7f0000")
 """Of correlations from -1 to 1: pale up to a strong one, and dark beyond."""
 
@@ -231,7 +230,7 @@ def _logarithmic(values: Sequence[float]) -> Record:
     """
     if not values:  # of readings without noise
         return {"type": "linear"}
-    low, high = math.log10(min(values)) - CLEAR, math.log10(max(values)) + CLEAR
+    low, high = math.log10(min(values) / CLEAR), math.log10(max(values) * CLEAR)
     inside = logarithmic_ticks(low, high)
     inside = inside[:: math.ceil(len(inside) / LABELS_ABOVE) or 1]
     words = [f"{tick:g}" for tick in inside]

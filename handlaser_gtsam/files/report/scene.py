@@ -15,6 +15,7 @@ from ...quantities import IN_MM
 from ..checked_text import Record
 from .figure import (
     AXIS_COLOURS,
+    CLEAR,
     LEGEND,
     MOST_POINTS,
     MOST_SHAPES,
@@ -28,9 +29,6 @@ from .figure import (
 )
 from .subject import Subject
 
-PLANE_SIZE = 1.15
-"""The size of a plane that is drawn, in sizes of what its spots take up: they stand clear of its
-edge."""
 AXIS_SIZE = 0.05
 """Length of the axes of a hand, as a part of the extent of the picture: many hands do not cover it."""
 Segments = tuple[str, FloatArray, tuple[str, ...]]
@@ -158,7 +156,7 @@ def plate(n: FloatArray, on: FloatArray) -> FloatArray:
     basis = model.tangent_basis(n[None])[0].T if axes is None else axes
     basis = basis - (basis @ n)[:, None] * n
     flat = (on - middle) @ basis.T
-    low, high = PLANE_SIZE * flat.min(axis=0), PLANE_SIZE * flat.max(axis=0)
+    low, high = CLEAR * flat.min(axis=0), CLEAR * flat.max(axis=0)
     corners = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
     return np.asarray((middle + np.array(corners) @ basis) * IN_MM)
 

@@ -21,6 +21,7 @@ from ...quantities import IN_MM
 from ...results.survey import SurveyCalibration, SurveyTarget
 from ..checked_text import Record
 from .figure import (
+    CLEAR,
     MOST_POINTS,
     MOST_SHAPES,
     STYLE,
@@ -38,16 +39,10 @@ from .figure import (
 from .figures import BESIDE
 from .scene import AXIS_SIZE, Geometry, hands_at, plate, scene_figure, xyz
 
-POINTS_OF_PROFILE = 60
-"""Points that a drawn profile has at most."""
 MOST_TARGETS = 4
 """Targets that are drawn one by one at most: a page with more is long, and slow."""
-ROOM = 1.3
-"""A scale reaches this many times as far as the largest mean of a shot that was used."""
 SHOWN_OF_POINTS = 0.99
 """Part of the distances of points within the scale of their colours."""
-RAYS_IN_HAND = 40
-"""Rays of each sensor that are drawn in the hand: more hide each other."""
 CORNERS_OF_A_RING = 49
 """Corners of a circle that looks round."""
 
@@ -154,7 +149,7 @@ def in_hand(seen: Sequence[Seen]) -> Geometry:
     """Return the picture of all sensors in the hand, with some of the rays of their used shots."""
     beams, ends = [], [np.zeros((1, 3))]
     for one in seen:
-        rows = _some(np.flatnonzero(one.used), RAYS_IN_HAND)
+        rows = _some(np.flatnonzero(one.used), MOST_SHAPES)
         segments = np.stack((one.source[rows], one.hand[rows]), axis=1)
         ends.append(segments.reshape(-1, 3))
         beams.append((one.called, segments * IN_MM, (label(one.called),) * len(rows)))
@@ -241,7 +236,7 @@ def _means(
             if some.any():
                 means.append((index, good, station, float(one.off[some].mean())))
     used = [abs(mean) for _, good, _, mean in means if good]
-    most = ROOM * max(used, default=1e-3) * IN_MM or 1.0
+    most = CLEAR * max(used, default=1e-3) * IN_MM or 1.0
     for index, good in product(range(len(seen)), (True, False)):
         shots = [(s, mean * IN_MM) for i, kept, s, mean in means if (i, kept) == (index, good)]
         if not shots:
@@ -282,7 +277,7 @@ def along_the_rays(seen: Sequence[Seen]) -> Figure | None:
         traces.append(trace("rays", one.along[rows[some]], e[some], 4) | more)
     if not traces:
         return None
-    most = ROOM * max(far) or 1.0
+    most = CLEAR * max(far) or 1.0
     side = axis("distance, standard deviations of a reading", range=[-most, most])
     shown = layout("place in the field of view", "", legend=len(many) > 1) | {"yaxis": side}
     return Figure("along", traces, shown)
@@ -334,7 +329,7 @@ def profiles(survey: Survey, seen: Sequence[Seen]) -> Figure | None:
         for place, station in enumerate(_some(used, MOST_SHAPES).tolist()):
             rows = np.flatnonzero(shots.station == station)
             rows = rows[np.argsort(shots.across[rows, 0], kind="stable")]
-            rows = rows[evenly(len(rows), POINTS_OF_PROFILE)]
+            rows = rows[evenly(len(rows), MOST_SHAPES)]
             rays = KINDS[shots.kind].rays(shots.across[rows])
             p = (rays.origin + shots.reading[rows, None] * rays.direction) * IN_MM
             x, y = p[:, KINDS[shots.kind].axes].T
