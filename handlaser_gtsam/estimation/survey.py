@@ -38,6 +38,7 @@ from .survey_rows import (
     Entity,
     Rows,
     blocks_of,
+    continued_items,
     priors_of,
     relations_of,
     rows_of,
@@ -579,7 +580,8 @@ def _settle_grazing(state: SurveyState) -> bool:
     """Judge at the minimum which single readings graze their sphere, and keep all the others.
 
     The search rejected readings that grazed a sphere on the way to the minimum. Which readings count at
-    the end must not depend on that way. Where the judgement does not settle, nothing changes.
+    the end must not depend on that way. Tell whether all that count meet their spheres: the others have
+    ranges that are made up.
     """
     for _ in range(MOST_GRAZING_ROUNDS):
         rows = without_grazing(state.rows, state.values, again=True)
@@ -591,7 +593,7 @@ def _settle_grazing(state: SurveyState) -> bool:
             break
         state.rows, state.used = trial.rows, trial.used
         state.values, state.sizes = trial.values, trial.sizes
-    return True
+    return not (state.used & continued_items(state.rows, state.values)).any()
 
 
 def _by_hand(state: SurveyState) -> float:

@@ -316,6 +316,15 @@ def without_grazing(rows: Rows, values: Values, *, again: bool = False) -> Rows 
     return None if same else replace(rows, items=tuple(items))
 
 
+def continued_items(rows: Rows, values: Values) -> BoolArray:
+    """Tell which items have a ray whose range its sphere continues."""
+    on_sphere = [i for i, item in enumerate(rows.items) if item.target[0] == SPHERE.name]
+    found = np.zeros(len(rows.items), dtype=bool)
+    by_place = _by_place([rows.items[i] for i in on_sphere], values) if on_sphere else []
+    found[on_sphere] = [bool(continued(derivative).any()) for derivative in by_place]
+    return found
+
+
 def _by_place(items: Sequence[Item], values: Values) -> list[FloatArray]:
     """Return the derivatives (3, S) of the ranges of some items by the place of the hand."""
     exact = {name: x.copy() if name == SENSOR.name else x for name, x in values.items()}

@@ -141,7 +141,7 @@ def _redundancy(own: Sequence[Item], there: Iterable[Entity]) -> int:
 
     Range errors do not count.
     """
-    readings = sum(1 if item.shot is None else len(item.shot.reading) for item in own)
+    readings = sum(item.numbers for item in own)
     errors = {SENSOR.name: len(RAY_ERRORS), BEAM.name: BEAM.dim - MOUNT_DIM}
     return readings - sum(FAMILIES[family].dim - errors.get(family, 0) for family, _ in there)
 
@@ -447,7 +447,6 @@ def _searched(
     blocks, _ = blocks_of(own, sigmas, start)
     # Relations between targets that a sensor sees, and no more.
     seen = {rows.label(item.target) for item in own}
-    seen |= {label.removeprefix("plane:") for label in seen}
     ties = [r for known, r in relations_of(rows) if seen.issuperset(known.of)]
     sought = {entity[0]} if held is not None else set(rows.counts()) - {"body"}
     unknown = {f: u for f, u in rows.unknown().items() if f in sought}

@@ -8,7 +8,7 @@ go where the motion has been too poor. That bound only guides the choice: standa
 only where survey and stations determine everything.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..data.value import Value
 from ..errors import InputError
 from ..estimation.dense import dense_rows, with_pose_errors
 from ..estimation.estimate import information_axes, least_information
-from ..estimation.survey_rows import TARGETS, Item, missed
+from ..estimation.survey_rows import TARGETS, Entity, Item, missed
 from ..model.block import Weights
 from ..model.families import (
     BEAM,
@@ -171,7 +171,8 @@ def plan_survey(
     pool, most = joined([part for part, _ in parts]), max(said.shape[1] for _, said in parts)
     padded = [np.pad(said, ((0, 0), (0, most - said.shape[1]), (0, 0))) for _, said in parts]
     rows, labels = np.concatenate(padded), [of.label(target) for target in targets]
-    mounts, known = list(_mounts(calibration)), _Known(calibration)
+    planned = {(family, member) for family, member, _ in looks}
+    mounts, known = list(_mounts(calibration, planned)), _Known(calibration)
     weight = goal_rows(Goal("spot"), mounts)
 
     def best(some: IntArray, number: int, beside: IntArray) -> IntArray:
@@ -236,16 +237,21 @@ class _Known:
         return Forecast(unsaid * location, unsaid * direction, unsaid * spot, np.nan)
 
 
-def _mounts(calibration: SurveyCalibration) -> Iterator[Mount]:
-    """Yield what a goal asks of every sensor and beam."""
+def _mounts(calibration: SurveyCalibration, planned: Container[Entity]) -> Iterator[Mount]:
+    """Yield what a goal asks of every sensor and beam that stations are planned for."""
     found = calibration._found
     of, values = found.rows.places(), found.estimate.values
     unknowns, sensors = len(of.names), calibration.sensors.values()
-    for place, sensor in zip(of.place.get(SENSOR.name, ()), sensors, strict=True):
+    every = zip(of.place.get(SENSOR.name, ()), sensors, strict=True)
+    for member, (place, sensor) in enumerate(every):
+        if (SENSOR.name, member) not in planned:
+            continue
         turn, shift = np.eye(POSE.dim, unknowns, int(place)).reshape(2, 3, -1)
         spot = shift - skew(sensor.spot) @ turn
         yield Mount(sensor.rotation @ shift, turn[:, None], spot)
     for member, place in enumerate(of.place.get(BEAM.name, ())):
+        if (BEAM.name, member) not in planned:
+            continue
         d = [i.reading for i in found.rows.items if i.mount == (BEAM.name, member)]
         x = values[BEAM.name][member]
         yield beam_mount(int(place), unknowns, x, bases(x[OF_DIRECTION]), float(np.median(d)))
