@@ -12,7 +12,7 @@ Each sensor, and each beam, is searched by itself from all its starts together; 
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain
+from itertools import chain, product
 from operator import itemgetter
 
 import numpy as np
@@ -58,10 +58,16 @@ POOR = 25.0
 """A mean square misfit beyond this [squared standard deviations] is no good fit."""
 TRIMMED = 0.75
 """Part of the shots, those that fit best, by which the ends of searches are compared."""
+BESIDE = (-0.6, 0.0, 0.6)
+"""Beams are tried that pass the centres of spheres by these parts of the radius."""
 ASIDE = 0.95
 """Rays pass the centre of a sphere at a start within this part of its radius, and so meet it."""
 HARMLESS = {SENSOR.name: [0, 4, 8], BEAM.name: [5], PLANE.name: [2], SPHERE.name: [3]}
 """Numbers that are one where nothing is known yet: no turn, directions along z, a radius of 1 m."""
+SPARE = 3
+"""Numbers beyond the unknowns of a mount by which the ends of its searches are compared, at least."""
+ERRORS_OF = {SENSOR.name: len(RAY_ERRORS), BEAM.name: BEAM.dim - MOUNT_DIM}
+"""How many unknowns of sensors and beams are range errors."""
 FAR_AND_NEAR = (0.1, 0.9)
 """Quantiles of readings between which points on a virtual beam stand for it."""
 
@@ -142,8 +148,7 @@ def _redundancy(own: Sequence[Item], there: Iterable[Entity]) -> int:
     Range errors do not count.
     """
     readings = sum(item.numbers for item in own)
-    errors = {SENSOR.name: len(RAY_ERRORS), BEAM.name: BEAM.dim - MOUNT_DIM}
-    return readings - sum(FAMILIES[family].dim - errors.get(family, 0) for family, _ in there)
+    return readings - sum(FAMILIES[family].dim - ERRORS_OF.get(family, 0) for family, _ in there)
 
 
 def _search_again(
@@ -153,7 +158,7 @@ def _search_again(
     own = [item for item in rows.items if item.mount == entity]
     candidates = [values[entity[0]][0, entity[1]]]
     if entity[0] == BEAM.name and all(item.target[0] == SPHERE.name for item in own):
-        candidates += _beam_on_spheres(rows, own, values[SPHERE.name][0])
+        candidates += _beams_on_spheres(rows, own, values[SPHERE.name][0])
     found = _searched(rows, entity, own, candidates, sigmas, thorough=True, held=values)
     if found is not None:
         values[entity[0]][0, entity[1]] = found[1][entity]
@@ -355,14 +360,23 @@ def _beam_on_points(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     yield from _beam_through(R, d, -t, _unknown_places(items)[1])
 
 
-def _beam_on_spheres(
+def _beams_on_spheres(
     rows: Rows, items: Sequence[Item], spheres: FloatArray
 ) -> Iterator[FloatArray]:
-    """Yield the beam that goes through the known centres of spheres (n, 4), linearly."""
+    """Yield the beam through the known centres of spheres (n, 4), linearly, and others beside it.
+
+    Where a beam meets a sphere is on any side of the centre, and few readings have a minimum on each.
+    """
     R, t = _hand_at(rows, items)
     at = spheres[[item.target[1] for item in items]]
-    d = np.array([item.reading for item in items]) + np.abs(at[:, 3])
-    yield from _beam_through(R, d, at[:, :3] - t, np.zeros((len(items), 3, 0)))
+    radius = np.abs(at[:, 3])
+    d = np.array([item.reading for item in items]) + radius
+    for x in _beam_through(R, d, at[:, :3] - t, np.zeros((len(items), 3, 0))):
+        across = tangent_basis(x[None, 3:6])[0]
+        for parts in product(BESIDE, repeat=4):
+            shift, lean = np.median(radius) * np.reshape(parts, (2, 2)) @ across.T
+            v = x[3:6] + lean / np.median(d)
+            yield np.concatenate((x[:3] + shift, v / np.linalg.norm(v), np.zeros(2)))
 
 
 def _beam_through(
@@ -463,7 +477,11 @@ def _searched(
     # The mean square misfits of the shots, those that fit worst left out.
     white = (whitened(block.evaluate(ended.values), block.weights)[-1] for block in blocks)
     q = np.sort(np.concatenate([(e**2).mean(axis=2) for e in white], axis=1), axis=1)
-    cost = q[:, : max(int(np.ceil(TRIMMED * q.shape[1])), 1)].mean(axis=1)
+    # What is left has to say more than the mount has unknowns, or it fits anywhere.
+    mount = FAMILIES[entity[0]].dim - ERRORS_OF[entity[0]]
+    least = -(-(mount + SPARE) // min(item.numbers for item in own))
+    most = min(max(int(np.ceil(TRIMMED * q.shape[1])), least), q.shape[1])
+    cost = q[:, :most].mean(axis=1)
     cost = np.where(np.isfinite(ended.cost), cost, np.inf)
     k = int(cost.argmin())
     if not np.isfinite(cost[k]):
