@@ -58,13 +58,13 @@ POOR = 25.0
 """A mean square misfit beyond this [squared standard deviations] is no good fit."""
 TRIMMED = 0.75
 """Part of the shots, those that fit best, by which the ends of searches are compared."""
-BESIDE = (-0.6, 0.0, 0.6)
+PASSED_BESIDE = (-0.6, 0.0, 0.6)
 """Beams are tried that pass the centres of spheres by these parts of the radius."""
 ASIDE = 0.95
 """Rays pass the centre of a sphere at a start within this part of its radius, and so meet it."""
 HARMLESS = {SENSOR.name: [0, 4, 8], BEAM.name: [5], PLANE.name: [2], SPHERE.name: [3]}
 """Numbers that are one where nothing is known yet: no turn, directions along z, a radius of 1 m."""
-SPARE = 3
+LEAST_BEYOND = 3
 """Numbers beyond the unknowns of a mount by which the ends of its searches are compared, at least."""
 ERRORS_OF = {SENSOR.name: len(RAY_ERRORS), BEAM.name: BEAM.dim - MOUNT_DIM}
 """How many unknowns of sensors and beams are range errors."""
@@ -373,7 +373,7 @@ def _beams_on_spheres(
     d = np.array([item.reading for item in items]) + radius
     for x in _beam_through(R, d, at[:, :3] - t, np.zeros((len(items), 3, 0))):
         across = tangent_basis(x[None, 3:6])[0]
-        for parts in product(BESIDE, repeat=4):
+        for parts in product(PASSED_BESIDE, repeat=4):
             shift, lean = np.median(radius) * np.reshape(parts, (2, 2)) @ across.T
             v = x[3:6] + lean / np.median(d)
             yield np.concatenate((x[:3] + shift, v / np.linalg.norm(v), np.zeros(2)))
@@ -479,7 +479,7 @@ def _searched(
     q = np.sort(np.concatenate([(e**2).mean(axis=2) for e in white], axis=1), axis=1)
     # What is left has to say more than the mount has unknowns, or it fits anywhere.
     mount = FAMILIES[entity[0]].dim - ERRORS_OF[entity[0]]
-    least = -(-(mount + SPARE) // min(item.numbers for item in own))
+    least = -(-(mount + LEAST_BEYOND) // min(item.numbers for item in own))
     most = min(max(int(np.ceil(TRIMMED * q.shape[1])), least), q.shape[1])
     cost = q[:, :most].mean(axis=1)
     cost = np.where(np.isfinite(ended.cost), cost, np.inf)
