@@ -317,8 +317,12 @@ def without_grazing(rows: Rows, values: Values, *, again: bool = False) -> Rows 
 
 
 def continued_items(rows: Rows, values: Values) -> BoolArray:
-    """Tell which items have a ray whose range its sphere continues."""
-    on_sphere = [i for i, item in enumerate(rows.items) if item.target[0] == SPHERE.name]
+    """Tell which items have a ray whose range its sphere continues.
+
+    Cones do not count: with a wrong half angle their edges miss, and that has a warning of its own.
+    """
+    beams = [item.target[0] == SPHERE.name and not item.half_angle for item in rows.items]
+    on_sphere = np.flatnonzero(beams).tolist()
     found = np.zeros(len(rows.items), dtype=bool)
     by_place = _by_place([rows.items[i] for i in on_sphere], values) if on_sphere else []
     found[on_sphere] = [bool(continued(derivative).any()) for derivative in by_place]
