@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 import handlaser_gtsam as hl
-from benchmarks import rigs_by_distance, rigs_by_rays
+from benchmarks import rigs, rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import RELATIONS as STATED_RELATIONS
 from benchmarks.rigs import body_of, errors_of, stated_relation, survey_of
 from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, TARGETS, normal_label
@@ -102,6 +102,22 @@ def test_wrong_shots_are_left_out_as_wholes():
     out = {int(one.station) - 1 for one in result.rejected}
     assert wrong
     assert wrong == out
+
+
+def test_noise_that_next_to_nothing_tells_makes_no_result_usable():
+    """Eight readings of one plane, and seven unknowns: a beam was 180 standard deviations off."""
+    kind, options, _ = rigs.ROWS["mixed"]
+    survey = survey_of(getattr(rigs_by_rays, kind)(181, **options))
+    result = hl.calibrate(survey)
+    assert (result.status, result.usable) == ("converged", False)
+    (warning,) = result.warnings
+    assert warning.code == "few-readings"
+    assert warning.values["spare"] < 1.0
+    assert "single beams" in result.verdict
+    stated = hl.calibrate(survey, hl.Noise(range_sigma=1e-4))
+    assert stated.usable
+    far = 10.0 * result.beams["beam"].location_sigma
+    assert (stated.beams["beam"].location_sigma > far).all()
 
 
 def test_what_is_left_out_is_named_with_its_kind():

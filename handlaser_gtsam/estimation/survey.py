@@ -27,7 +27,7 @@ from ..model.shots import Mixed, Unexplained
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
-from ..quantities import IN_PERCENT, MM, MOST_ROUNDS, SAME_OPTIMUM
+from ..quantities import IN_PERCENT, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import DenseRows, dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, descended, judged, minimum
 from .survey_mirror import best_image, numbers_of, with_images
@@ -156,6 +156,21 @@ class SurveyEstimate:
         """
         values = {name: x[None] for name, x in self.estimate.values.items()}
         return self.at(values, self.noise).problem()[0]
+
+    def redundancy(self) -> FloatArray:
+        """Return how many numbers beyond the unknowns tell the noise of each sensor, beams and aiming.
+
+        A row has the part of one that the unknowns leave of it; readings inside shots count, too.
+        """
+        state = self.at({name: x[None] for name, x in self.estimate.values.items()}, self.noise)
+        rows, owner = state.dense()
+        J, _ = rows.whitened()
+        scale = np.sqrt((J**2).sum(axis=0))
+        U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+        left = 1.0 - (U[:, size > NEGLIGIBLE * size[0]] ** 2).sum(axis=1)
+        source, inside = state.sources(owner), _inside(self.rows)[1]
+        own = np.bincount(source[source >= 0], left[source >= 0], len(inside))
+        return np.asarray(own + inside)
 
     def at(self, values: Mapping[str, FloatArray], sizes: Components) -> "SurveyState":
         """Return the same shots at other values and sizes of the noise, which are not learned."""

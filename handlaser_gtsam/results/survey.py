@@ -21,7 +21,7 @@ from ..estimation.estimate import (
 )
 from ..estimation.survey import RelationTest, SurveyEstimate
 from ..estimation.survey_rows import Rows
-from ..model.distributions import SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
 from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
@@ -39,6 +39,8 @@ from .survey_motion import open_words
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
+FEW = "few-readings"
+"""Code of the warning that hardly more readings than unknowns tell the noise."""
 FALSE_RELATION = "relation-contradicted"
 """Code of the warning that readings contradict what is said to be known."""
 CAUSES = (*MISREAD, FALSE_RELATION, "sigmas-too-small", "range-error")
@@ -259,16 +261,18 @@ class SurveyCalibration(Value):
     def usable(self) -> bool:
         """Whether it can be used.
 
-        It cannot where it has not converged, where a relation is contradicted, or where a range error
-        that was found moves a spot by more than what is stated of it.
+        It cannot where it has not converged, where a relation is contradicted, where a range error that
+        was found moves a spot by more than what is stated of it, or where next to nothing tells a noise
+        on which the standard deviations rest.
         """
+        few = any(one.code == FEW for one in self.warnings)
         contradicted = any(one.contradicted for one in self.relations)
         moved = any(
             error.found and abs(error.size) * error.spot_shift > sensor.spot_error
             for sensor in self.sensors.values()
             for error in sensor.errors
         )
-        return self.status == "converged" and not contradicted and not moved
+        return self.status == "converged" and not contradicted and not moved and not few
 
     @property
     def verdict(self) -> str:
@@ -520,6 +524,7 @@ def _warnings(
         yield no_fit(found.rows, found.first, causes, found.given)
     yield from causes
     yield from _sigmas(found)
+    yield from _few(found)
     for sensor in sensors.values():
         found_errors = [error for error in sensor.errors if error.found]
         if found_errors:
@@ -581,6 +586,19 @@ def _counted_towards(rows: Rows) -> Iterator[str]:
         met = any(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
         if shots.kind == "profiler" and before and not met and np.median(shots.reading) < 0.0:
             yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
+
+
+def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of noise that was learned from so few readings that it may be far larger."""
+    learned = np.isnan(found.stated.sigma)
+    if found.estimate.status != "converged" or not learned.any():
+        return
+    names = [f"sensor {shots.name}" for shots in found.rows.survey.shots]
+    names += ["the single beams", "the aiming at points"]
+    spare = found.redundancy()
+    for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
+        values: Values = {"spare": float(spare[i]), "sigma": float(found.noise.sigma[i])}
+        yield warned(f"{FEW}:survey", values, source=names[i])
 
 
 def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
