@@ -92,7 +92,7 @@ def plan(
         warnings: list[str] = []
         failure, robot = None, None if rig.workspace is None else rig.workspace.robot
         if isinstance(planned, SurveyPlan):
-            lines, text = survey_plan_lines(planned, robot), survey_plan_text(planned)
+            lines, text = survey_plan_lines(planned, rig.goal, robot), survey_plan_text(planned)
             warnings, failure = survey_plan_gaps(planned)
         else:
             warnings = [] if calibration is None else _uncounted(calibration)

@@ -37,7 +37,11 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path, *, plain: boo
         "incidence_sigma_mm": rig.noise.incidence_sigma > 0.0,
         "rms_mm in [limits]": rig.limits.rms is not None,
     }
-    how = [] if plain else ["options of how beams before planes are calibrated"]
+    how = (
+        []
+        if plain
+        else ["options of how beams before planes are calibrated (such as --free or --loss)"]
+    )
     found = [*stated, *how, *(name for name, given in fields.items() if given)]
     if found:
         words = f"{', '.join(found)}, with sensors of many rays, other targets or relations"

@@ -79,7 +79,7 @@ def station_lines(stations: "StationList") -> list[str]:
     return lines_of("stations", stations=stations, named=named, most=SHOWN_ROWS)
 
 
-def survey_plan_lines(plan: "SurveyPlan", robot: "Robot | None") -> list[str]:
+def survey_plan_lines(plan: "SurveyPlan", goal: "Goal", robot: "Robot | None") -> list[str]:
     """Return how well spots are known before and after each station, and what ways were checked."""
     from ..planning.route import VIA
 
@@ -91,7 +91,14 @@ def survey_plan_lines(plan: "SurveyPlan", robot: "Robot | None") -> list[str]:
     looks = [(sensor, target) for sensor, target in labels if sensor]
     passed = len(plan.stations) - len(looks)
     return lines_of(
-        "survey_plan", plan=plan, looks=looks, within=within, passed=passed, via=VIA, robot=robot
+        "survey_plan",
+        plan=plan,
+        looks=looks,
+        within=within,
+        needless=plan.reached is not None and plan.forecast.reaches(goal) == 0,
+        passed=passed,
+        via=VIA,
+        robot=robot,
     )
 
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.noise import Noise
-from ..data.screen import FINEST_STEP
 from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
@@ -60,6 +59,8 @@ FIRST_OUT = 0.5
 squares share the error of one among all that see the same target."""
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
+FINEST_AIMING = 1e-6
+"""No spot is aimed better than this [m]: the likelihood has no bound where all are aimed exactly."""
 BODY_HELD = 0.01
 """A body may go this part of the range, or turn so far [rad], along what its faces leave open."""
 MOST_GRAZING_ROUNDS = 4
@@ -220,8 +221,7 @@ class SurveyState:
     def minimize(self, iterations: int | None = None) -> bool:
         """Go to the minimum of what counts, or `iterations` steps towards it; say whether one exists.
 
-        Where a single reading that grazes or misses its sphere ends the search, such readings do not
-        count. Readings of a sphere have the square of its radius only: it is taken above zero.
+        Readings of a sphere have the square of its radius only: it is taken above zero.
         """
         self.used = self.used & ~grazing(self.rows)
         problem, _ = self.problem()
@@ -233,13 +233,7 @@ class SurveyState:
             return descended(problem, blocks, values, iterations)
 
         again = ended(self.values)
-        if again is None:
-            fewer = without_grazing(self.rows, self.values)
-            if fewer is None:
-                return False
-            self.rows = fewer
-            return self.minimize(iterations)
-        if SPHERE.name in again and (again[SPHERE.name][..., 3] < 0.0).any():
+        if again is not None and SPHERE.name in again and (again[SPHERE.name][..., 3] < 0.0).any():
             again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
             again = ended(again)
         if again is None:
@@ -594,14 +588,12 @@ def _settle_sorted(state: SurveyState) -> bool:
 def _settle_grazing(state: SurveyState) -> bool:
     """Judge at the minimum which single readings graze their sphere, and keep all the others.
 
-    The search rejected readings that grazed a sphere on the way to the minimum. Which readings count at
-    the end must not depend on that way. Tell whether all that count meet their spheres: the others have
-    ranges that are made up.
+    Tell whether all that count meet their spheres: the others have ranges that are made up.
     """
     for _ in range(MOST_GRAZING_ROUNDS):
-        rows = without_grazing(state.rows, state.values, again=True)
+        rows = without_grazing(state.rows, state.values)
         if rows is None:
-            break
+            return True
         back = grazing(state.rows) & ~grazing(rows)
         trial = replace(state, rows=rows, used=state.used | back, values=dict(state.values))
         if not _settle(trial):
@@ -631,7 +623,7 @@ def _learned(state: SurveyState) -> bool:
         root = covariance_roots(state.pose_covariance())[state.stations(owner)]
         rows.by_pose[:] = np.einsum("ri,rij->rj", rows.by_pose, root)
     finest = np.full(len(state.sizes.sigma), FINEST)
-    finest[-1] = FINEST_STEP  # the likelihood has no bound where all are aimed exactly
+    finest[-1] = FINEST_AIMING
     prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
     source, inside = state.sources(owner), _inside(state.rows)
     new = components(rows, source, inside, state.sizes, state.stated, prior, finest)

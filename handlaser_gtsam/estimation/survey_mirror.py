@@ -29,7 +29,6 @@ from ..observability.rank import ObservabilityOptions
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS
 from .estimate import Estimate, descended
 from .survey_rows import Entity, Rows
-from .task import STEPS_IN_VAIN
 
 if TYPE_CHECKING:
     from .survey import SurveyState
@@ -38,6 +37,9 @@ SAME_CHI2 = 0.01
 """An image whose chi2 differs by less is a minimum itself, because all that counts is symmetric: to
 search for it would only wander along undetermined heights. A relation that tells
 images apart makes chi2 differ by the square of standard deviations."""
+STEPS_TO_AN_IMAGE = 100
+"""Walls that noise makes lean a little are not quite their own images: a search from the image of one
+sensor alone has chi2 at rest within thirty steps, and its undetermined height perhaps never."""
 TURNS = {SENSOR.name: slice(0, 3), BEAM.name: DIRECTION, PLANE.name: PLANE.tangents[0]}
 """Tangent coordinates of rotations, directions and normals, by family."""
 
@@ -89,10 +91,8 @@ def best_image(
             trial = replace(state, values=values)
             more = _chi2(trial) - here
             if abs(more) > SAME_CHI2:
-                # Walls that noise makes lean a little are not quite their own images: chi2 is at rest
-                # within thirty steps, and an undetermined height perhaps never.
                 problem, _ = trial.problem()
-                lower = descended(problem, problem.blocks, values, STEPS_IN_VAIN)
+                lower = descended(problem, problem.blocks, values, STEPS_TO_AN_IMAGE)
                 trial = trial if lower is None else replace(state, values=lower)
                 more = _chi2(trial) - here
             if more < least:

@@ -17,7 +17,7 @@ from ..model.ranges import PoseVariables, Ranges
 from ..model.relations import Relation
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
-from ..model.sensors.kinds import KINDS
+from ..model.sensors.kinds import KINDS, Rayset
 from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.shots import (
     MOST_SLANTED,
@@ -283,22 +283,22 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
     return [(f"plane:{name}.left", rows[: cut - 1]), (f"plane:{name}.right", rows[cut + 1 :])]
 
 
-def without_grazing(rows: Rows, values: Values, *, again: bool = False) -> Rows | None:
+def without_grazing(rows: Rows, values: Values) -> Rows | None:
     """Return the rows without readings that graze or miss their sphere; None for no change.
 
     These are single readings, of beams and of shots with few readings, whose own shape does not say
-    which of them graze, and shots and cones with a ray whose range the sphere continues. With `again`,
-    readings that were rejected before are judged again.
+    which of them graze, and shots and cones with a ray whose range the sphere continues. Readings
+    that were rejected before are judged again.
     """
     items = list(rows.items)
     judged = {
         i: replace(item, shot=shot, points=points)
         for i, item in enumerate(items)
-        for shot, points in [(again and item.whole) or (item.shot, item.points)]
-        if item.target[0] == SPHERE.name and (again or not item.grazing)
+        for shot, points in [item.whole or (item.shot, item.points)]
+        if item.target[0] == SPHERE.name
     }
-    by_place = _by_place(list(judged.values()), values)
-    for i, derivative in zip(judged, by_place, strict=True):
+    derivatives = _derivatives(list(judged.values()), values)
+    for i, derivative in zip(judged, derivatives, strict=True):
         item, shot, points = items[i], judged[i].shot, judged[i].points
         if item.half_angle or (shot is not None and not of_single_readings(shot)):
             if item.grazing != bool(continued(derivative).any()):
@@ -324,26 +324,24 @@ def continued_items(rows: Rows, values: Values) -> BoolArray:
     beams = [item.target[0] == SPHERE.name and not item.half_angle for item in rows.items]
     on_sphere = np.flatnonzero(beams).tolist()
     found = np.zeros(len(rows.items), dtype=bool)
-    by_place = _by_place([rows.items[i] for i in on_sphere], values) if on_sphere else []
-    found[on_sphere] = [bool(continued(derivative).any()) for derivative in by_place]
+    derivatives = _derivatives([rows.items[i] for i in on_sphere], values) if on_sphere else []
+    found[on_sphere] = [bool(continued(derivative).any()) for derivative in derivatives]
     return found
 
 
-def _by_place(items: Sequence[Item], values: Values) -> list[FloatArray]:
+def _derivatives(items: Sequence[Item], values: Values) -> list[FloatArray]:
     """Return the derivatives (3, S) of the ranges of some items by the place of the hand."""
-    exact = {name: x.copy() if name == SENSOR.name else x for name, x in values.items()}
-    if SENSOR.name in exact:  # of errors of the readings the way of the rays knows nothing
-        exact[SENSOR.name][..., -len(RAY_ERRORS) :] = 0.0
+    exact = without_range_errors(values)
     blocks, owner = blocks_of(items, defaultdict(lambda: 1.0), exact)
     found: list[FloatArray] = [np.empty(0)] * len(items)
     first = 0
     for block in blocks:
         ranges = block.ranges if isinstance(block, Mixed) else block
-        columns = ranges.evaluate(exact).columns
-        G, S = columns.shape[2:]
+        derivatives = by_place(ranges.evaluate(exact))
+        G, S = derivatives.shape[1:]
         if not isinstance(block, Unexplained):
             for g, number in enumerate(owner[first : first + G * S : S].tolist()):
-                found[number] = columns[-4:-1, 0, g]
+                found[number] = derivatives[:, g]
         first += G * S
     return found
 
@@ -414,9 +412,49 @@ def blocks_of(
     return blocks, np.concatenate(owners) if owners else np.zeros(0, dtype=np.intp)
 
 
+def rays_before(
+    member: int, rays: Rayset, target: str, seen: IntArray, station: IntArray
+) -> Ranges:
+    """Return the block of all n rays of a sensor at each of N stations, for readings of zero.
+
+    Its residuals are the ranges where the values are `without_range_errors`.
+
+    Parameters
+    ----------
+    member : int
+        Number of the sensor.
+    rays : Rayset
+    target : str
+        Family of the targets.
+    seen, station : (N,)
+        Number of the target, and of the pose, of each station.
+    """
+    shape = (1, len(station), len(rays.origin))
+    o, u = (np.broadcast_to(x.T[:, None, None], (3, *shape)) for x in (rays.origin, rays.direction))
+    sensor = Mounted(np.full(len(station), member), o, u, np.zeros((len(RAY_ERRORS), *shape)))
+    return Ranges(sensor, TARGETS[target](seen), PoseVariables(station), np.zeros(shape))
+
+
+def without_range_errors(values: Values) -> dict[str, FloatArray]:
+    """Return values with sensors whose readings have no errors: the way of the rays knows of none."""
+    exact = dict(values)
+    if SENSOR.name in exact:
+        exact[SENSOR.name] = exact[SENSOR.name].copy()
+        exact[SENSOR.name][..., -len(RAY_ERRORS) :] = 0.0
+    return exact
+
+
+def by_place(rows: BlockRows) -> FloatArray:
+    """Return the derivatives (3, G, S) of ranges by the place of the hand."""
+    return rows.columns[-4:-1, 0]
+
+
 def missed(target: str, rows: BlockRows) -> BoolArray:
-    """Tell which readings (G, S) before a family of targets graze or miss theirs."""
-    lost = continued(rows.columns[-4:-1, 0]) & (target == SPHERE.name)
+    """Tell which readings (G, S) before a family of targets graze or miss theirs.
+
+    Derivatives are of ranges: the values have to be `without_range_errors`.
+    """
+    lost = continued(by_place(rows)) & (target == SPHERE.name)
     return lost if rows.impossible is None else lost | rows.impossible[0]
 
 

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray, IntArray
-from ..data.survey import RAY_ERRORS
 from ..errors import HandlaserError
 from ..model.block import Values, whitened
 from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE
@@ -64,10 +63,8 @@ ASIDE = 0.95
 """Rays pass the centre of a sphere at a start within this part of its radius, and so meet it."""
 HARMLESS = {SENSOR.name: [0, 4, 8], BEAM.name: [5], PLANE.name: [2], SPHERE.name: [3]}
 """Numbers that are one where nothing is known yet: no turn, directions along z, a radius of 1 m."""
-LEAST_BEYOND = 3
-"""Numbers beyond the unknowns of a mount by which the ends of its searches are compared, at least."""
-ERRORS_OF = {SENSOR.name: len(RAY_ERRORS), BEAM.name: BEAM.dim - MOUNT_DIM}
-"""How many unknowns of sensors and beams are range errors."""
+OF_MOUNT = {SENSOR.name: POSE.dim, BEAM.name: MOUNT_DIM}
+"""Unknowns of where a sensor or beam is, without range errors."""
 FAR_AND_NEAR = (0.1, 0.9)
 """Quantiles of readings between which points on a virtual beam stand for it."""
 
@@ -101,14 +98,15 @@ def start_of(
         return {}, tuple(without)
     values = _empty(rows)
     # Each target as the sensor has it that fits best for its size. One without redundancy fits
-    # perfectly, wherever it and its targets are.
-    most = min(0, max(redundancy for redundancy, _, _ in ends) - 1)
-    for _, _, there in sorted(ends, key=lambda end: (end[0] > most, -end[1])):
+    # perfectly, wherever it and its targets are: it counts only if no other has more.
+    best = max(redundancy for redundancy, _, _ in ends)
+    trusted = [redundancy > 0 or redundancy == best for redundancy, _, _ in ends]
+    for _, _, there in sorted(ends, key=lambda end: (end[0] > 0 or end[0] == best, -end[1])):
         for (family, member), x in there.items():
             values[family][0, member] = x
-    known = {e for redundancy, _, there in ends if redundancy > most for e in there}
-    for (redundancy, _, there), entity in zip(ends, entities, strict=True):
-        if redundancy <= most and known.issuperset(set(there) - {entity}):
+    known = {e for (_, _, there), trust in zip(ends, trusted, strict=True) if trust for e in there}
+    for (_, _, there), entity, trust in zip(ends, entities, trusted, strict=True):
+        if not trust and known.issuperset(set(there) - {entity}):
             _search_again(rows, entity, values, sigmas)
     _complete_bodies(rows, values)
     return values, ()
@@ -143,12 +141,12 @@ def start_beside(
 
 
 def _redundancy(own: Sequence[Item], there: Iterable[Entity]) -> int:
-    """Return how many readings a sensor or beam has beyond what it and its targets have unknowns.
+    """Return how many more numbers the readings of a sensor or beam give than there are unknowns.
 
-    Range errors do not count.
+    These are of its mount and of its targets; range errors do not count.
     """
-    readings = sum(item.numbers for item in own)
-    return readings - sum(FAMILIES[family].dim - ERRORS_OF.get(family, 0) for family, _ in there)
+    numbers = sum(item.numbers for item in own)
+    return numbers - sum(OF_MOUNT.get(family, FAMILIES[family].dim) for family, _ in there)
 
 
 def _search_again(
@@ -246,7 +244,8 @@ def _others(rows: Rows, entity: Entity, own: Sequence[Item]) -> list[FloatArray]
     seen = {item.target[0] for item in own}
     if entity[0] == BEAM.name:
         points = [item for item in own if item.target[0] == POINT.name]
-        found = list(_beam_on_points(rows, points)) if points else []
+        on_points = _beam_on_points(rows, points) if points else None
+        found = [] if on_points is None else [on_points]
         return found + (_random_beams() if seen == {SPHERE.name} else [])
     found = list(_swept(rows, [item for item in own if item.target[0] == PLANE.name]))
     spheres = [item for item in own if item.target[0] == SPHERE.name and _shaped(item)]
@@ -353,11 +352,11 @@ def _columns(rows: FloatArray, axes: Sequence[int]) -> FloatArray:
     return found
 
 
-def _beam_on_points(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
-    """Yield the beam that solves R (r + d v) + t = C linearly, with the points C."""
+def _beam_on_points(rows: Rows, items: Sequence[Item]) -> FloatArray | None:
+    """Return the beam that solves R (r + d v) + t = C linearly, with the points C."""
     R, t = _hand_at(rows, items)
     d = np.array([item.reading for item in items])
-    yield from _beam_through(R, d, -t, _unknown_places(items)[1])
+    return _beam_through(R, d, -t, _unknown_places(items)[1])
 
 
 def _beams_on_spheres(
@@ -371,23 +370,24 @@ def _beams_on_spheres(
     at = spheres[[item.target[1] for item in items]]
     radius = np.abs(at[:, 3])
     d = np.array([item.reading for item in items]) + radius
-    for x in _beam_through(R, d, at[:, :3] - t, np.zeros((len(items), 3, 0))):
-        across = tangent_basis(x[None, 3:6])[0]
-        for parts in product(PASSED_BESIDE, repeat=4):
-            shift, lean = np.median(radius) * np.reshape(parts, (2, 2)) @ across.T
-            v = x[3:6] + lean / np.median(d)
-            yield np.concatenate((x[:3] + shift, v / np.linalg.norm(v), np.zeros(2)))
+    x = _beam_through(R, d, at[:, :3] - t, np.zeros((len(items), 3, 0)))
+    if x is None:
+        return
+    across = tangent_basis(x[None, 3:6])[0]
+    for parts in product(PASSED_BESIDE, repeat=4):
+        shift, lean = np.median(radius) * np.reshape(parts, (2, 2)) @ across.T
+        v = x[3:6] + lean / np.median(d)
+        yield np.concatenate((x[:3] + shift, v / np.linalg.norm(v), np.zeros(2)))
 
 
 def _beam_through(
     R: FloatArray, d: FloatArray, places: FloatArray, unknown: FloatArray
-) -> Iterator[FloatArray]:
-    """Yield the beam of R (r + d v) + unknown x = places (n, 3) that fits them best."""
+) -> FloatArray | None:
+    """Return the beam of R (r + d v) + unknown x = places (n, 3) that fits best; None for no length."""
     A = np.concatenate((R, d[:, None, None] * R, unknown), axis=2)
     x = np.linalg.lstsq(A.reshape(3 * len(d), -1), places.ravel(), rcond=None)[0]
     length = float(np.linalg.norm(x[3:6]))
-    if length > 0.0:
-        yield np.concatenate((x[:3], x[3:6] / length, np.zeros(2)))
+    return np.concatenate((x[:3], x[3:6] / length, np.zeros(2))) if length > 0.0 else None
 
 
 def _hand_at(rows: Rows, items: Sequence[Item]) -> tuple[FloatArray, FloatArray]:
@@ -477,10 +477,7 @@ def _searched(
     # The mean square misfits of the shots, those that fit worst left out.
     white = (whitened(block.evaluate(ended.values), block.weights)[-1] for block in blocks)
     q = np.sort(np.concatenate([(e**2).mean(axis=2) for e in white], axis=1), axis=1)
-    # What is left has to say more than the mount has unknowns, or it fits anywhere.
-    mount = FAMILIES[entity[0]].dim - ERRORS_OF[entity[0]]
-    least = -(-(mount + LEAST_BEYOND) // min(item.numbers for item in own))
-    most = min(max(int(np.ceil(TRIMMED * q.shape[1])), least), q.shape[1])
+    most = max(int(np.ceil(TRIMMED * q.shape[1])), 1)
     cost = q[:, :most].mean(axis=1)
     cost = np.where(np.isfinite(ended.cost), cost, np.inf)
     k = int(cost.argmin())

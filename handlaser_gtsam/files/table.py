@@ -50,7 +50,7 @@ MOST_TITLES = 20
 """A header stands behind this number of lines of titles at most."""
 MOST_CHARACTERS = 10**9
 """Polars has texts of less than 2^32 bytes, and a character has four of them at most."""
-A_HEADER = "names of columns; state them by --header where the file has none"
+A_HEADER = "names of columns in the first line, or from `handlaser convert LOG --header NAMES`"
 
 
 @dataclass(frozen=True, slots=True)

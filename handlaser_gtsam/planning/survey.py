@@ -16,12 +16,19 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray, evenly
 from ..checks import require_count, require_kind
 from ..data.station_list import StationList
-from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..errors import InputError
 from ..estimation.dense import dense_rows, with_pose_errors
 from ..estimation.estimate import information_axes, least_information
-from ..estimation.survey_rows import TARGETS, Entity, Item, missed
+from ..estimation.survey_rows import (
+    TARGETS,
+    Entity,
+    Item,
+    by_place,
+    missed,
+    rays_before,
+    without_range_errors,
+)
 from ..model.block import Weights
 from ..model.families import (
     BEAM,
@@ -76,7 +83,7 @@ class SurveyPlan(Value):
     stations : StationList
         Those named "via 1", ... lie on the way, as in a `Plan`; with an arm, all have its joints.
     sensors : names
-        The sensor or beam that looks at the target, at each station; empty on the way.
+        The sensor that looks at the target, or `beam NAME`, at each station; empty on the way.
     forecast : Forecast
         The largest of all sensors and beams, each at its own working distance; NaN as long as the
         survey, with the stations up to there, leaves anything undetermined.
@@ -138,6 +145,12 @@ def plan_survey(
     require_count("count", count, 1, MOST_PLANNED)
     if calibration.status not in ("converged", "undetermined"):
         raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
+    if goal is not None and (goal.criterion in ("D", "E") or goal.working_distance or goal.tells):
+        raise InputError(
+            "criterion D or E, working_distance_mm or tells in [goal], with sensors of many rays or "
+            "other targets",
+            "what is enough: stations are chosen for spots at the typical readings",
+        )
     of, rng = calibration._found.rows, generator(rng)
     if of.survey.half_angle and not calibration.sensors:
         raise InputError(
@@ -152,6 +165,12 @@ def plan_survey(
         if item.target[0] in TARGETS and not item.half_angle:
             looks.setdefault((item.family, item.member, item.target), []).append(item)
     targets = list(dict.fromkeys(target for _, _, target in looks))
+    if workspace.robot is not None and len(targets) > 1:
+        raise InputError(
+            f"an arm before {len(targets)} targets that stand at once",
+            "one target: ways of the arm are checked against one plate; leave [robot] away, and check "
+            "the ways before you drive them",
+        )
     plates: list[Plate | None] = [None] * len(targets)
     names, parts = list[str](), list[tuple[Stations, FloatArray]]()
     for (family, member, target), items in looks.items():
@@ -162,7 +181,8 @@ def plan_survey(
         stations, plates[at] = stations[seen], look.plate()
         near = reached(workspace, stations, plates)
         parts.append((stations[near], said[near]))
-        names += [of.names(family)[member]] * int(near.sum())
+        name = of.names(family)[member]
+        names += [f"beam {name}" if family == BEAM.name else name] * int(near.sum())
     if not names:
         raise InputError(
             "no place from which a sensor sees its target",
@@ -319,34 +339,29 @@ class _Look:
         count, state = len(stations), self.found.at(self.values, self.found.noise)
         poses = np.hstack((stations.world_R_hand.reshape(-1, 9), stations.world_t_hand))
         values = {**self.values, POSE.name: poses[None]}
-        sensor: Beam | Mounted
+        seen_at = np.full(count, number)
         if self.first.family == BEAM.name:
             beams = values[BEAM.name].shape[1]
-            sensor = Beam(np.tile(np.arange(beams), count))
             station, rays, heavier = np.repeat(np.arange(count), beams), 1, 1.0
+            single, zero = Beam(np.tile(np.arange(beams), count)), np.zeros((1, len(station), 1))
+            target = TARGETS[family](np.repeat(seen_at, beams))
+            block = Ranges(single, target, PoseVariables(station), zero)
         else:
             shots = self.found.rows.survey.shots[member]
             points = max((i.points for i in self.items if i.points is not None), key=len)
             some = points[evenly(len(points), RAYS)]  # which have the weight of all
             own = KINDS[shots.kind].rays(shots.across[some])
             station, rays, heavier = np.arange(count), len(some), len(points) / len(some)
-            origin, direction = (
-                np.broadcast_to(x.T[:, None, None], (3, 1, count, rays))
-                for x in (own.origin, own.direction)
-            )
-            no_errors = np.zeros((len(RAY_ERRORS), 1, count, rays))
-            sensor = Mounted(np.full(count, member), origin, direction, no_errors)
-        target = TARGETS[family](np.full(len(station), number))
-        block = Ranges(sensor, target, PoseVariables(station), np.zeros((1, len(station), rays)))
-        met = block.evaluate(values)
+            block = rays_before(member, own, family, seen_at, station)
+        met = block.evaluate(without_range_errors(values))
         d = np.concatenate(
             [np.atleast_1d(i.reading if i.shot is None else i.shot.reading) for i in self.items]
         )
-        s = met.columns[-1, 0]
+        s, sensor = met.columns[-1, 0], block.sensor
         good = (s > 0.8 * d.min()) & (s < 1.2 * d.max())
         good &= ~missed(family, met)
         if isinstance(sensor, Beam) and family == SPHERE.name:  # a survey counts none that graze it
-            good &= np.linalg.norm(met.columns[-4:-1, 0], axis=0) < MOST_SLANTED
+            good &= np.linalg.norm(by_place(met), axis=0) < MOST_SLANTED
         s = np.where(good, s, 0.0)
         if isinstance(sensor, Mounted):
             seen, reading = good.mean(axis=1) >= FEWEST[family], s

@@ -203,14 +203,21 @@ def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> Surv
     redundancy = int((~predicted).sum()) - known_rank
     learned = bool(np.isnan([*whole.stated.sigma, *whole.stated.pose]).any())
     p = f_sf(squares / dof, dof, max(redundancy, 1)) if learned else chi2_sf(squares, dof)
-    # By how much spots at working distance move at most; of beams, their locations.
+    # By how much spots at working distance move at most.
     rest_of, shifts = survey_calibration(found), [0.0]
     for own, sensor in calibration.sensors.items():
         other, spot = rest_of.sensors[own], sensor.spot
         there = other.rotation @ spot + other.location
         shifts.append(float(np.linalg.norm(sensor.rotation @ spot + sensor.location - there)))
-    for own, beam in calibration.beams.items():
-        shifts.append(float(np.linalg.norm(beam.location - rest_of.beams[own].location)))
+    for i, (own, beam) in enumerate(calibration.beams.items()):
+        assert whole.rows.survey.ranges is not None
+        d = float(np.nanmedian(whole.rows.survey.ranges[:, i]))
+        spots = [
+            one.location + d * (1.0 + k1 + k2 * d) * one.direction
+            for one in (beam, rest_of.beams[own])
+            for k1, k2 in [one.range_error]
+        ]
+        shifts.append(float(np.linalg.norm(spots[1] - spots[0])))
     return SurveyLeftOut(name, len(test), squares, dof, float(p), max(shifts))
 
 

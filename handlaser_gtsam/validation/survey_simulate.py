@@ -11,16 +11,16 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..data.station_list import StationList
-from ..data.survey import RAY_ERRORS, Shots, Survey, kind_of, normal_label
+from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..data.value import Value
 from ..errors import InputError
-from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, missed
+from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, missed, rays_before
 from ..model.families import BEAM, PLANE, POSE
 from ..model.ranges import PoseVariables, Ranges
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS
-from ..model.sensors.mounted import SENSOR, Mounted
+from ..model.sensors.mounted import SENSOR
 from ..model.shots import OF_MANY
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..text import shown, some
@@ -159,17 +159,11 @@ def _ranges_of_rays(
 ) -> FloatArray:
     """Return the ranges of a sensor's rays at all stations (M, n) [m]; NaN where it reads nothing."""
     rays, working = KINDS[fan.kind].rays(fan.across), float(fan.reading[0])
-    origin, direction = (x.T[:, None, None] for x in (rays.origin, rays.direction))
     s = np.full((count, len(fan.reading)), np.nan)
     for family in TARGETS:
         if family in seen:
             at, target = seen[family]
-            # Of readings of zero, and without range errors, the residuals are the ranges.
-            zero = np.zeros((1, len(at), s.shape[1]))
-            o, u = (np.broadcast_to(x, (3, *zero.shape)) for x in (origin, direction))
-            none = np.zeros((len(RAY_ERRORS), *zero.shape))
-            sensor = Mounted(np.full(len(at), member), o, u, none)
-            rows = Ranges(sensor, TARGETS[family](target), PoseVariables(at), zero).evaluate(values)
+            rows = rays_before(member, rays, family, target, at).evaluate(values)
             s[at] = np.where(missed(family, rows), np.nan, rows.columns[-1, 0])
     s[~((s > LEAST_READ * working) & (s < MOST_READ * working))] = np.nan
     s[np.isfinite(s).mean(axis=1) < OF_MANY] = np.nan

@@ -22,8 +22,8 @@ TAKEN = {
 }
 """Formats in which an option means something."""
 NEEDED = {
-    "pose_format": "the convention of the poses, such as kuka: docs/logs.md",
-    "link": "the link whose frame is the hand, such as tool0",
+    "pose_format": "the convention of the poses, such as kuka (--pose-format kuka; docs/logs.md)",
+    "link": "the link whose frame is the hand, such as tool0 (--link tool0)",
     "tool": "the number of the first UTOOL that may be replaced",
 }
 """Options without which the formats that take them mean nothing, and what they are."""
