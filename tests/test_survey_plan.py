@@ -145,7 +145,7 @@ def test_single_beams_are_planned_before_planes_and_spheres():
                     for R, t, label in poses
                 ]
             )
-            named = [survey.beam_names.index(name) for name in plan.sensors]
+            named = [survey.beam_names.index(name.removeprefix("beam ")) for name in plan.sensors]
             assert not np.isnan(more[np.arange(8), named]).any()
             k = np.array([beam.range_error for beam in found.beams.values()])
             more = 2.0 * more / (1 + k[:, 0] + np.sqrt((1 + k[:, 0]) ** 2 + 4 * k[:, 1] * more))
@@ -190,6 +190,47 @@ def test_an_arm_reaches_the_stations_of_a_survey(tmp_path):
     far = replace(here, robot=replace(robot, base_t=base + 3.0))
     with pytest.raises(hl.InputError, match="no place from which a sensor sees its target"):
         plan_survey(first, 3, far)
+
+
+@needs_pinocchio
+def test_an_arm_before_several_targets_is_refused(tmp_path):
+    """Its ways are checked against one plate, and all targets of a survey stand at once."""
+    rng = np.random.default_rng(2)
+    poses = list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng))
+    survey = measured(poses, rng)
+    labels = ("plane:A",) * 3 + ("plane:B",) * (len(survey.stations) - 3)
+    of = hl.StationList(survey.stations.world_R_hand, survey.stations.world_t_hand, labels)
+    several = hl.calibrate(replace(survey, stations=of), EXACT)
+    low, high = -np.ones(3), np.ones(3)
+    robot = hl.planning.Robot(small_arm(tmp_path), "hand", np.eye(3), np.zeros(3))
+    here = Workspace(low, high, np.eye(3), robot=robot)
+    with pytest.raises(hl.InputError, match=r"an arm before 2 targets .* one target"):
+        plan_survey(several, 3, here)
+
+
+@pytest.mark.parametrize(
+    "more", [{"criterion": "D"}, {"working_distance": 0.5}, {"tells": ("cubic",)}]
+)
+def test_what_a_goal_cannot_say_of_a_survey_is_refused(more):
+    rng = np.random.default_rng(2)
+    first = hl.calibrate(measured(list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng)), rng), EXACT)
+    with pytest.raises(hl.InputError, match=r"criterion D or E, working_distance_mm or tells"):
+        plan_survey(first, 3, goal=hl.planning.Goal(spot=1e-4, **more))
+
+
+def test_a_cone_beside_a_profiler_does_not_hide_what_is_planned(handlaser, tmp_path):
+    """No stations are planned for cones: what is forecast, and reached, is of the profiler."""
+    (tmp_path / "given.toml").write_text(
+        '[sensor]\nhalf_angle_deg = 5.0\n[[sensors]]\nname = "p"\nkind = "profiler"\n'
+    )
+    words = ("--targets", "plane:A,plane:B,sphere:b", "--beams", 1, "--seed", 1, "--stations", 12)
+    assert handlaser("simulate", tmp_path / "out", "--rig", tmp_path / "given.toml", *words)[0] == 0
+    survey = hl.read_survey(tmp_path / "out" / "stations.csv", tmp_path / "out" / "rig.toml")
+    result = hl.calibrate(survey, hl.read_rig(tmp_path / "out" / "rig.toml").noise)
+    assert result.status == "converged"
+    plan = plan_survey(result, 3)
+    assert plan.spot_errors[0] == pytest.approx(result.sensors["p"].spot_error, rel=1e-5)
+    assert plan.spot_errors[-1] < 0.95 * plan.spot_errors[0]
 
 
 @pytest.mark.slow
