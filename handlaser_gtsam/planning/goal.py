@@ -13,11 +13,18 @@ from ..data.value import Value
 from ..errors import InputError
 from ..model.effects import EFFECTS, OF_READINGS
 from ..model.effects.plausible import how_to_state
-from ..model.families import BEAM, DIRECTION, LOCATION
+from ..model.families import (
+    BEAM,
+    DIRECTION,
+    LOCATION,
+    OF_DIRECTION,
+    OF_LOCATION,
+    OF_RANGE_ERROR,
+)
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
-from ..results.spot_error import radius
+from ..results.spot_error import radius, spot_of
 from .choice import CRITERIA, Criterion
 
 LOCATION_UNIT = 1e-4
@@ -59,11 +66,10 @@ def beam_mount(
     basis : (3, 2)
         Tangent basis of the direction.
     reading : float
-        The working distance d [m], which puts the spot at r + (d + k1 d + k2 d^2) v.
+        The working distance [m].
     """
-    v, (k1, k2), d = beam[3:6], beam[6:], reading
-    own = np.eye(BEAM.dim, unknowns, first)
-    spot = np.hstack((np.eye(3), d * (1.0 + k1 + k2 * d) * basis, np.outer(v, [d, d * d])))
+    own, (_, J) = np.eye(BEAM.dim, unknowns, first), spot_of(beam, reading)
+    spot = np.hstack((J[:, OF_LOCATION], J[:, OF_DIRECTION] @ basis, J[:, OF_RANGE_ERROR]))
     return Mount(own[LOCATION], own[DIRECTION][None], spot @ own)
 
 

@@ -80,9 +80,16 @@ def spot_at(
         expected = "a positive range" if least == 0.0 else f"a range of {least:g} m or more"
         raise InputError(f"a reading of {reading:g} m", expected)
     k1, k2 = beam.range_error
-    g, v = reading * (1.0 + k1 + k2 * reading), beam.direction[:, None]
-    J = np.hstack((np.eye(3), g * np.eye(3), reading * v, reading**2 * v))
-    return beam.location + g * beam.direction, J, float(1.0 + k1 + 2.0 * k2 * reading)
+    x, J = spot_of(np.concatenate((beam.location, beam.direction, beam.range_error)), reading)
+    return x, J, float(1.0 + k1 + 2.0 * k2 * reading)
+
+
+def spot_of(beam: FloatArray, reading: float) -> tuple[FloatArray, FloatArray]:
+    """Return the spot x (3,) of a reading d [m], and dx by the coordinates (8,) of the beam."""
+    r, v, (k1, k2) = beam[OF_LOCATION], beam[OF_DIRECTION], beam[OF_RANGE_ERROR]
+    g = reading * (1.0 + k1 + k2 * reading)
+    J = np.hstack((np.eye(3), g * np.eye(3), np.outer(v, [reading, reading**2])))
+    return r + g * v, J
 
 
 def radius(covariance: FloatArray, dof: float = math.inf) -> float:

@@ -20,6 +20,7 @@ from ..estimation.survey import estimate_survey
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf
 from ..model.families import POSE
 from ..quantities import SINGULAR
+from ..results.spot_error import spot_of
 from ..results.survey import SurveyCalibration, survey_calibration
 from .cross_check import CrossCheck, cross_check_survey, fits
 from .leave_out import PART_LEFT_OUT, USUAL_SPLITS
@@ -213,9 +214,8 @@ def _left_out(calibration: SurveyCalibration, name: str, out: BoolArray) -> Surv
         assert whole.rows.survey.ranges is not None
         d = float(np.nanmedian(whole.rows.survey.ranges[:, i]))
         spots = [
-            one.location + d * (1.0 + k1 + k2 * d) * one.direction
+            spot_of(np.concatenate((one.location, one.direction, one.range_error)), d)[0]
             for one in (beam, rest_of.beams[own])
-            for k1, k2 in [one.range_error]
         ]
         shifts.append(float(np.linalg.norm(spots[1] - spots[0])))
     return SurveyLeftOut(name, len(test), squares, dof, float(p), max(shifts))
