@@ -280,7 +280,7 @@ def test_the_command(handlaser, tmp_path):
     out = tmp_path / "next.csv"
     code, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3", "--out", out)
     assert code == 0
-    assert said.startswith("3 stations: spots within")
+    assert said.startswith("3 stations: spots of all sensors and beams within")
     assert len(hl.read_stations(out).station_names) == 3
     assert "qx qy qz qw" not in said
     _, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3")

@@ -141,6 +141,8 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
     others = first_image(state)
     first = first_fit(state)
+    if not first.fits:  # in the words of `calibrate`, which holds nothing near the hand
+        first = first_fit(first_state(rows, noise))
     state = replace(state, relations=[one for one in state.relations if one[0] not in holds])
     problem, _ = state.problem()
     information, axes, _ = information_axes(problem, problem.blocks, state.values)
