@@ -42,13 +42,12 @@ WORDS = {
     "--delimiter": "abc",
     "--pose-format": "abc",
     "--rotation": "abc",
-    "--report-date": "abc",
     **{f"--{name}-column": "abc" for name in ("plane", "station", "time")},
     **{f"--{name}-columns": "abc" for name in ("pose", "range")},
 }
 """Bad values of options that take text."""
 FREE = {
-    *("--beam", "--link", "--into", "--out", "--picture", "--report", "--host", "--scheduler"),
+    *("--beam", "--link", "--into", "--out", "--report", "--host", "--scheduler"),
     "--write-log",
     *("--plane", "--header", "--sheet", "--pose-topic", "--frames"),
     *("--beam-column", "--range-column"),  # both or none

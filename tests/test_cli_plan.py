@@ -2,7 +2,6 @@
 
 import json
 import re
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -44,10 +43,8 @@ def test_a_first_motion(handlaser, tmp_path):
 
 
 def test_from_a_recording(handlaser, tmp_path, rig):
-    out, picture = tmp_path / "stations.csv", tmp_path / "forecast.svg"
-    code, text, err = handlaser(
-        *("plan", RECORDING, "--rig", rig, "--stations", 6, "--out", out, "--picture", picture)
-    )
+    out = tmp_path / "stations.csv"
+    code, text, err = handlaser("plan", RECORDING, "--rig", rig, "--stations", 6, "--out", out)
     assert (code, err) == (0, "")
     assert "stations  location mm  direction deg  spot mm" in " ".join(text.split("\n"))
     stations = hl.read_stations(out)
@@ -55,7 +52,6 @@ def test_from_a_recording(handlaser, tmp_path, rig):
     assert len(stations) == 6
     assert set(stations.plane_labels) <= set(recording.plane_names)
     assert not set(stations.station_names) & set(recording.station_names)
-    assert ElementTree.parse(picture).getroot().tag.endswith("svg")
 
 
 def test_json_alone_on_stdout(handlaser, tmp_path, rig):

@@ -4,7 +4,6 @@ import dataclasses
 import struct
 from xml.etree import ElementTree
 
-import numpy as np
 import pytest
 from helpers import GRIPPER
 
@@ -15,7 +14,7 @@ from handlaser_gtsam.results.description.tables import NAME_IN_TABLE
 from handlaser_gtsam.text import shortened
 
 HOSTILE = ("<script>alert(1)</script>", "$x^2$ & </td>", "_hidden", "%{x}" + "y" * 100)
-FLAT = ("by-range", "by-incidence", "by-station", "by-plane", "qq", "correlation", "by-count")
+FLAT = ("by-range", "by-incidence", "by-station", "by-plane", "qq", "by-count")
 SPACE = ("space-world", "space-hand")
 
 
@@ -106,13 +105,6 @@ def test_points_are_the_residuals(drawn, calibration, gripper):
         assert line.get_ydata() == pytest.approx(residuals, rel=1e-5)
 
 
-def test_the_correlations_are_a_map_of_unit_diagonal(drawn):
-    (image,) = drawn["correlation"].axes[0].get_images()
-    C = np.asarray(image.get_array())
-    assert np.allclose(np.diagonal(C), 1.0)
-    assert C.shape == (28, 28)
-
-
 def test_names_in_pictures_are_shown_as_they_are(hostile):
     pytest.importorskip("matplotlib", reason="needs the extra plots")
     drawn = hl.plot(hostile)
@@ -126,7 +118,7 @@ def test_names_in_pictures_are_shown_as_they_are(hostile):
 # --- files -------------------------------------------------------------------------------------------
 
 
-def test_the_command_draws_a_recording_and_a_calibration(handlaser, tmp_path):
+def test_the_command_draws_a_recording(handlaser, tmp_path):
     pytest.importorskip("matplotlib", reason="needs the extra plots")
     recording, rig = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
     folder = tmp_path / "pictures"
@@ -141,11 +133,6 @@ def test_the_command_draws_a_recording_and_a_calibration(handlaser, tmp_path):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     handlaser("plot", recording, "--rig", rig, "--out", folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    handlaser("calibrate", recording, "--rig", rig, "--quiet", "--out", tmp_path / "a.json")
-    code, printed, _ = handlaser("plot", tmp_path / "a.json", "--out", tmp_path / "of-file")
-    assert code == 0
-    drawn = sorted(path.name for path in (tmp_path / "of-file").iterdir())
-    assert drawn == ["correlation.png", "space-hand.png"]
 
 
 def test_an_undetermined_recording_draws_what_it_can(handlaser, gripper, tmp_path):

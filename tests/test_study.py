@@ -28,7 +28,7 @@ EXACT = hl.Noise(3e-5, 0.0, 0.0)
 PAPER = partial(draw_scene, layout=Layout(2, 3, 11), errors=Errors(3e-5))
 REDUCED = partial(hl.validation.reduce_together, noise=EXACT)
 ONE, TWO = partial(ThreadPoolExecutor, 1), partial(ProcessPoolExecutor, 2)
-HAS_DASK, HAS_MATPLOTLIB = find_spec("distributed") is not None, find_spec("matplotlib") is not None
+HAS_DASK = find_spec("distributed") is not None
 
 
 def reduced(runs, seed=3, draw=PAPER):
@@ -279,15 +279,12 @@ def test_a_declaration_is_checked(tmp_path, old, new, words):
 
 def test_the_command_prints_a_line_for_every_case(tmp_path, handlaser):
     path = declared(tmp_path, STUDY[: STUDY.index("[treatments.default]")])
-    out, picture = tmp_path / "runs.parquet", tmp_path / "study.svg"
+    out = tmp_path / "runs.parquet"
     arguments = ["study", str(path), "--out", str(out), "--jobs", "1", "--runs", "10"]
-    if HAS_MATPLOTLIB:
-        arguments += ["--picture", str(picture)]
     code, shown, err = handlaser(*arguments)
     assert (code, err) == (0, "")
     assert "together" in shown
     assert hl.files.read_runs(out).height == 20
-    assert picture.exists() == HAS_MATPLOTLIB
     summary = json.loads(handlaser(*arguments, "--json")[1])["summary"]
     assert [one["runs"] for one in summary] == [10, 10]
     code, _, err = handlaser(*arguments, "--seed", "6")

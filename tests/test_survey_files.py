@@ -668,14 +668,6 @@ def test_how_files_were_read_stands_wherever_the_result_does(folder, handlaser):
     assert json.loads(handlaser("check", *words, "--json")[1])["read"] == read
 
 
-@pytest.mark.parametrize("stated", ["20260331", "2026-03-31"])
-def test_a_report_has_the_date_that_is_stated(folder, handlaser, stated):
-    report = folder / "report.html"
-    words = (folder / "poses.csv", "--rig", folder / "rig.toml", "--quiet", "--report-date", stated)
-    assert handlaser("calibrate", *words, "--report", report)[0] == 0
-    assert re.search(r"2026-03-31\s*<", report.read_text())
-
-
 OUTPUTS = {
     "calibrate": ("--out", "--report"),
     "plan": ("--out",),

@@ -82,8 +82,6 @@ class Output:
         Write a report, one HTML page, to this file.
     verbose : bool
         Print all tables: planes, intervals, spots.
-    report_date : str, optional
-        Date of the report, as 2026-03-31; default: the date of the recording's file.
     """
 
     out: OutOption = None
@@ -92,7 +90,6 @@ class Output:
     verbose: Annotated[bool, typer.Option("--verbose", "-v")] = False
     quiet: QuietOption = False
     json_: JsonOption = False
-    report_date: str | None = None
 
 
 def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output: Output) -> None:
@@ -121,10 +118,6 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
         rig = given.read()
         outputs = {"--out": output.out, "--report": output.report}
         require_outputs(outputs, (recording, given.rig, *rig.log.files))
-        if output.report_date is not None:
-            from ..files.report.options import iso_day
-
-            iso_day(output.report_date)
         read = read_any_kind(rig, recording)
         if isinstance(read, Survey):
             stated = [] if output.at_range_mm is None else ["--at-range-mm"]
@@ -179,12 +172,11 @@ def _of_beams(
 
         advice = advised(recording, rig, result)
     if output.report is not None:
-        from ..files.report.options import ReportOptions, called_as, iso_day
+        from ..files.report.options import ReportOptions, called_as
         from ..files.report.page import write_report
 
-        day = None if output.report_date is None else iso_day(output.report_date)
         words = called_as(sys.argv[1:])
-        options = ReportOptions(rig, reading, path, rig_file, log.beside, words, day, advice)
+        options = ReportOptions(rig, reading, path, rig_file, log.beside, words, advice)
         write_report(output.report, result, options)
     compared = [] if check is None else [cross_check_line(check)]
     before += compared

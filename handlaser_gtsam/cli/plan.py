@@ -34,7 +34,6 @@ def plan(
     stations: OneOrMore = None,
     seed: Seed = 0,
     out: OutOption = None,
-    picture: OutOption = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -64,8 +63,6 @@ def plan(
         Draws the candidates.
     out : Path, optional
         Write the stations to this CSV file.
-    picture : Path, optional
-        Write the forecast to this picture, SVG.
     json_, quiet
 
     Examples
@@ -73,19 +70,18 @@ def plan(
     handlaser plan recording.csv --rig rig.toml \
         --stations 12 --out stations.csv
     handlaser plan recording.csv --rig rig.toml \
-        --stations 5 --picture forecast.svg
+        --stations 5
     """
-    from ..files.exports.picture import forecast_svg
     from ..files.plan_json import plan_text, survey_plan_text
     from ..files.recording_csv import write_stations
-    from ..files.writing import require_outputs, write_text
+    from ..files.writing import require_outputs
     from ..planning.survey import SurveyPlan
     from .survey import require_outputs_of, survey_plan_gaps
     from .words import plan_lines, station_lines, survey_plan_lines
 
     with Working():
         rig = given.read()
-        outputs = {"--out": out, "--picture": picture}
+        outputs = {"--out": out}
         require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
         require_outputs_of(outputs, rig)
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
@@ -101,9 +97,7 @@ def plan(
             write_stations(out, planned.stations)
         else:
             lines += station_lines(planned.stations)
-        if picture is not None:
-            write_text(picture, forecast_svg(planned.forecast, rig.goal))
-        lines += wrote(out, picture)
+        lines += wrote(out)
         answer = Answer(text, lines, warnings, failure)
     answer.give(json=json_, quiet=quiet)
 

@@ -112,14 +112,10 @@ def survey_answer(
     if output.out is not None:
         write_text(output.out, text)
     if output.report is not None:
-        from ..files.report.options import changed_on, iso_day
+        from ..files.report.options import changed_on
         from ..files.report.survey import survey_report
 
-        stated = output.report_date
-        if stated is None:
-            day = f"{changed_on(path).isoformat()} (of the recording's file)"
-        else:
-            day = iso_day(stated).isoformat()
+        day = f"{changed_on(path).isoformat()} (of the recording's file)"
         page = survey_report(result, survey, path.name, day, checks)
         write_text(output.report, page)
     after = [*compared, *_read_lines(survey), *wrote(output.out, output.report)]

@@ -28,7 +28,7 @@ SYMBOLS = STYLE["symbols"]
 AXIS_COLOURS = ("#c0392b", "#2e8b57", "#2c6fbb")
 """Colours of x, y and z of the hand."""
 LEGEND = len(COLOURS)
-"""Beams that have a legend, and a place on the map of correlations, at most: one for every colour."""
+"""Beams that have a legend at most: one for every colour."""
 NAME_IN_PICTURE = 26
 """Characters of a name in a picture: half of its width."""
 MOST_POINTS = 1000

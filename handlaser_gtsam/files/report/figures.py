@@ -12,16 +12,12 @@ import numpy as np
 
 from ...arrays import FloatArray, IntArray, evenly
 from ...model.distributions import CONFIDENCE, beta_quantile, gaussian_quantile
-from ...model.families import BEAM
-from ...model.joint import STRONG, correlation_matrix
 from ...quantities import IN_DEG, IN_MM
 from ..checked_text import Record
-from ..exports.picture import logarithmic_ticks
 from .figure import (
     CLEAR,
     COLOURS,
     LEGEND,
-    LETTERS_BELOW,
     MOST_POINTS,
     MOST_SHAPES,
     STYLE,
@@ -33,7 +29,6 @@ from .figure import (
     layout,
     marker,
     numbers,
-    tick_labels,
     trace,
 )
 from .subject import ReadingRows, Subject
@@ -43,17 +38,11 @@ BESIDE = 0.7
 apart."""
 LABELS_ABOVE = 7
 """Labels of an axis that fit above one another."""
-SHADES = ("#08306b", "#6baed6", "#f7f8fa", "#fc9272", "#7f0000")
-"""Of correlations from -1 to 1: pale up to a strong one, and dark beyond."""
 
 
 def flat_figures(subject: Subject) -> list[Figure]:
     """Return the flat figures that there are something to draw for."""
     figures = [*residual_figures(subject), qq_figure(subject)]
-    joint = subject.calibration.covariance
-    if joint is not None and subject.solved:
-        names, directions = joint.beam_names[:LEGEND], subject.calibration.parameters().directions
-        figures.append(correlation_figure(names, directions[:LEGEND], joint.matrix(names, [])))
     figures.append(stations_figure(subject))
     return [figure for figure in figures if figure is not None]
 
@@ -157,40 +146,6 @@ def qq_figure(subject: Subject) -> Figure | None:
     return Figure("qq", traces, layout("expected", "residual, standard deviations"))
 
 
-def correlation_figure(
-    names: Sequence[str], directions: FloatArray, covariance: FloatArray
-) -> Figure:
-    """Return the correlations of beams as a map; arguments as of `correlation_matrix`."""
-    unknowns, C = correlation_matrix(names, directions, covariance)
-    owners = [unknown.beam for unknown in unknowns]
-    beams = list(dict.fromkeys(owners))
-    first = [owners.index(beam) for beam in beams]
-    numbered = {beam: label(beam) for beam in beams}
-    if len(set(numbered.values())) < len(beams):  # names that differ only where they are cut
-        numbered = {beam: f"{label(beam)} ({i})" for i, beam in enumerate(beams, 1)}
-    words = [f"beam {numbered[one.beam]} {BEAM.labels[one.number]}" for one in unknowns]
-    at = (0.0, 0.5 * (1.0 - STRONG), 0.5, 0.5 * (1.0 + STRONG), 1.0)
-    drawn: Record = {"z": [numbers(row, 3) for row in C], "x": words, "y": words}
-    drawn["colorscale"] = list(zip(at, SHADES, strict=True))
-    side = axis(
-        "beam",
-        type="category",
-        tickvals=[(a + b - 1) / 2.0 for a, b in pairwise((*first, len(owners)))],
-        ticktext=tick_labels(beams, LETTERS_BELOW // 2),
-        ticks="",
-    )
-    side |= STYLE["names"]
-    borders = [  # between the beams
-        STYLE["border"] | {f"{across}ref": "paper", f"{across}0": 0, f"{across}1": 1} | edge
-        for at_row in first[1:]
-        for across, along in ("xy", "yx")
-        for edge in [{f"{along}0": at_row - 0.5, f"{along}1": at_row - 0.5}]
-    ]
-    upright = side | {"autorange": "reversed", "tickangle": -90}
-    square: Record = {"height": 420, "xaxis": side, "yaxis": upright, "shapes": borders}
-    return Figure("correlation", [STYLE["correlations"] | drawn], layout("", "") | square)
-
-
 def stations_figure(subject: Subject) -> Figure | None:
     """Return how the uncertainty fell with the stations, and what the next ones promise."""
     past, plan = subject.history, subject.plan
@@ -231,7 +186,9 @@ def _logarithmic(values: Sequence[float]) -> Record:
     if not values:  # of readings without noise
         return {"type": "linear"}
     low, high = math.log10(min(values) / CLEAR), math.log10(max(values) * CLEAR)
-    inside = logarithmic_ticks(low, high)
+    powers = range(math.floor(low), math.ceil(high) + 1)
+    ticks = [step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0)]
+    inside = [tick for tick in ticks if low <= math.log10(tick) <= high]
     inside = inside[:: math.ceil(len(inside) / LABELS_ABOVE) or 1]
     words = [f"{tick:g}" for tick in inside]
     return {"type": "log", "range": [low, high], "tickvals": inside, "ticktext": words}

@@ -28,9 +28,7 @@ def head_of(subject: Subject) -> Mapping[str, object]:
     """Return what the sections on what was calibrated, and how it was made, are filled with."""
     options, recording = subject.options, subject.calibration.recording
     date = "not stated"
-    if options.day is not None:
-        date = options.day.isoformat()
-    elif options.recording_file is not None:
+    if options.recording_file is not None:
         date = f"{changed_on(options.recording_file).isoformat()} (of the recording's file)"
     sensor = options.rig.sensor
     parts = [] if sensor.kind is None else [sensor.kind]

@@ -8,7 +8,7 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from ...checks import require_kind, require_number
-from ...errors import ArgumentError, InputError
+from ...errors import InputError
 from ...planning.route import Plan
 from ...quantities import LARGEST_LENGTH
 from ...text import shown
@@ -35,17 +35,13 @@ class ReportOptions:
         Further files of a log: its readings, or its planes; likewise.
     command : str
         The command line, or the call, that made the calibration.
-    day : datetime.date, optional
-        Date of the report; the day on which the recording's file was last changed where not given, in
-        UTC, so that the same files always make the same page.
     plan : Plan, optional
         The next best stations; a few are chosen where not given.
 
     Raises
     ------
     InputError
-        A working distance that no sensor has, a command that is no text, or what is no rig, date or
-        plan.
+        A working distance that no sensor has, a command that is no text, or what is no rig or plan.
     """
 
     rig: Rig = field(default_factory=Rig)
@@ -54,7 +50,6 @@ class ReportOptions:
     rig_file: Path | str | None = None
     beside: tuple[Path | str, ...] = ()
     command: str = ""
-    day: date | None = None
     plan: Plan | None = None
 
     def __post_init__(self) -> None:
@@ -64,8 +59,6 @@ class ReportOptions:
         if not isinstance(self.command, str) or len(self.command) > MOST_COMMAND:
             found = f"{shown(self.command)} as a command"
             raise InputError(found, f"text of at most {MOST_COMMAND} characters")
-        if self.day is not None:
-            require_kind("day", self.day, date, "datetime.date(...)")
         if self.plan is not None:
             require_kind("plan", self.plan, Plan)
         for name, path in self.sources:
@@ -121,17 +114,3 @@ def called_as(arguments: Sequence[str]) -> str:
     """Return a command line of `handlaser`, cut where it is longer than a report repeats."""
     whole = shlex.join(("handlaser", *arguments))
     return whole if len(whole) <= MOST_COMMAND else whole[: MOST_COMMAND - 3] + "..."
-
-
-def iso_day(text: str) -> date:
-    """Return a day given as text.
-
-    Raises
-    ------
-    InputError
-        It is none.
-    """
-    try:
-        return date.fromisoformat(text)
-    except ValueError as error:
-        raise ArgumentError("report_date", shown(text), "a day such as 2026-03-31") from error

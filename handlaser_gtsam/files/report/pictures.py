@@ -13,15 +13,12 @@ import numpy as np
 
 from ...checks import require_kind
 from ...errors import InputError
-from ...model.families import BEAM
 from ...results.calibration import Calibration
-from ..calibration_file import CalibrationFile
-from ..calibration_reading import mounts_of
 from ..writing import path_of, write_bytes
-from .figure import LEGEND, STYLE, SYMBOLS, Figure
-from .figures import correlation_figure, flat_figures
+from .figure import STYLE, SYMBOLS, Figure
+from .figures import flat_figures
 from .options import ReportOptions
-from .scene import in_hand, in_world, of_hand, scene_figure
+from .scene import in_hand, in_world, scene_figure
 from .subject import subject_of
 
 if TYPE_CHECKING:
@@ -36,16 +33,12 @@ DPI = 130
 GREY, LINE = (STYLE["axis"][name] for name in ("linecolor", "gridcolor"))
 
 
-def plot(
-    calibration: Calibration | CalibrationFile, options: ReportOptions | None = None
-) -> "dict[str, Drawing]":
+def plot(calibration: Calibration, options: ReportOptions | None = None) -> "dict[str, Drawing]":
     """Return the figures of a report as matplotlib figures, by their names.
 
     Parameters
     ----------
-    calibration : Calibration or CalibrationFile
-        Of one that was read from a file, which holds no residuals and no planes' covariances, only the
-        beams and their correlations are drawn.
+    calibration : Calibration
     options : ReportOptions, optional
 
     Raises
@@ -58,20 +51,17 @@ def plot(
     except ImportError as error:
         expected = "pip install 'handlaser-gtsam[plots]'"
         raise InputError("no matplotlib, which draws pictures", expected) from error
-    if isinstance(calibration, CalibrationFile):
-        figures = _of_file(calibration)
-    else:
-        require_kind("calibration", calibration, Calibration)
-        subject = subject_of(calibration, options or ReportOptions())
-        spaces = in_world(subject), in_hand(subject)
-        figures = [scene_figure(one) for one in spaces if one is not None]
-        figures += flat_figures(subject)
+    require_kind("calibration", calibration, Calibration)
+    subject = subject_of(calibration, options or ReportOptions())
+    spaces = in_world(subject), in_hand(subject)
+    figures = [scene_figure(one) for one in spaces if one is not None]
+    figures += flat_figures(subject)
     return {one.name: (_in_space if "scene" in one.layout else _flat)(one) for one in figures}
 
 
 def write_pictures(
     folder: Path | str,
-    calibration: Calibration | CalibrationFile,
+    calibration: Calibration,
     options: ReportOptions | None = None,
 ) -> tuple[Path, ...]:
     """Write the figures of a report as PNG files into a folder, which is made where it is missing.
@@ -113,21 +103,6 @@ def _png(figure: "Drawing") -> bytes:
     return content.getvalue()
 
 
-def _of_file(calibration: CalibrationFile) -> list[Figure]:
-    """Return what the file of a calibration tells: its beams, and their correlations."""
-    if calibration.status != "converged" or calibration.beam_covariance is None:
-        return []
-    mounts = mounts_of(calibration)
-    beams = mounts.locations, mounts.directions, mounts.range_errors
-    reach = np.array(
-        [np.nan if beam.spot is None else beam.spot.reading_m for beam in calibration.beams]
-    )
-    hand = of_hand(mounts.names, beams, reach)
-    S = mounts.covariance[: BEAM.size * LEGEND, : BEAM.size * LEGEND]
-    flat = correlation_figure(mounts.names[:LEGEND], mounts.directions[:LEGEND], S)
-    return [flat] if hand is None else [scene_figure(hand), flat]
-
-
 def _flat(figure: Figure) -> "Drawing":
     """Draw the traces and the layout that the figures of a report have."""
     from matplotlib.figure import Figure as Drawing
@@ -141,11 +116,8 @@ def _flat(figure: Figure) -> "Drawing":
         _axis(sides["y2"], layout["yaxis2"], "y")
     before: Any = None
     for trace in figure.data:
-        if trace["type"] == "heatmap":
-            _map(axes, trace)
-        else:
-            _trace(sides[str(trace.get("yaxis", "y"))], trace, before)
-            before = trace
+        _trace(sides[str(trace.get("yaxis", "y"))], trace, before)
+        before = trace
     for shape in layout.get("shapes", ()):
         _shape(axes, shape)
     _axis(axes, layout["xaxis"], "x")
@@ -191,21 +163,9 @@ def _trace(axes: "Axes", trace: Mapping[str, Any], before: Mapping[str, Any] | N
         drawn.set_gid(str(trace["name"]))
 
 
-def _map(axes: "Axes", trace: Mapping[str, Any]) -> None:
-    from matplotlib.colors import LinearSegmentedColormap
-
-    colours = LinearSegmentedColormap.from_list("flagged", list(trace["colorscale"]))
-    z = np.array([_numbers(row) for row in trace["z"]])
-    drawn = axes.imshow(z, cmap=colours, vmin=trace["zmin"], vmax=trace["zmax"])
-    axes.figure.colorbar(drawn, ax=axes, shrink=0.85, ticks=trace["colorbar"]["tickvals"])
-
-
 def _shape(axes: "Axes", shape: Mapping[str, Any]) -> None:
-    """Draw a band across the figure, or a line."""
-    if shape["type"] == "line":
-        draw = axes.axhline if shape.get("xref") == "paper" else axes.axvline
-        draw(shape["y0"] if shape.get("xref") == "paper" else shape["x0"], color="white", lw=1.2)
-    elif shape.get("xref") == "paper":
+    """Draw a band across the figure."""
+    if shape.get("xref") == "paper":
         axes.axhspan(shape["y0"], shape["y1"], color=GREY, alpha=0.2, lw=0)
     else:
         axes.axvspan(shape["x0"], shape["x1"], color=GREY, alpha=0.13, lw=0)

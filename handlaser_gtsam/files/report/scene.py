@@ -10,7 +10,6 @@ import numpy as np
 
 from ... import model
 from ...arrays import FloatArray, evenly
-from ...data.parameters import Beams
 from ...quantities import IN_MM
 from ..checked_text import Record
 from .figure import (
@@ -133,18 +132,14 @@ def in_hand(subject: Subject) -> Geometry | None:
     reach = np.full(len(calibration.beams), calibration.fit.typical_range)
     if rows is not None:
         np.maximum.at(reach, rows.beam, rows.reading)
-    return of_hand(tuple(calibration.beams), calibration.parameters().beams, reach)
-
-
-def of_hand(names: tuple[str, ...], beams: Beams, reach: FloatArray) -> Geometry | None:
-    """Return beams (r, v, k) up to readings `reach` (B,) [m]; None where these are not known."""
-    if not np.isfinite(reach).all():
+    if not np.isfinite(reach).all():  # a graph does not tell its readings
         return None
-    r, v, k = beams
+    r, v, k = calibration.parameters().beams
     ends = np.stack((r, r + model.corrected(reach, k)[:, None] * v), axis=1) * IN_MM
     extent = np.ptp(np.concatenate((ends.reshape(-1, 3), np.zeros((1, 3)))), axis=0)
     length = 4.0 * AXIS_SIZE * max(float(extent.max()), 1.0)
     hand = hands_at(np.eye(3)[None], np.zeros((1, 3)), length)
+    names = list(calibration.beams)
     drawn = zip(names, ends[:, None], ((f"beam {short(name)}",) for name in names), strict=True)
     return Geometry("hand", (), tuple(drawn), hand, ("hand",))
 
