@@ -41,7 +41,7 @@ def watch(
         Address to listen at. Other computers see the page only where this says so: 0.0.0.0 lets all
         that reach this one.
     port : int, optional
-        Port to listen at, 0 for any that is free; default: 8642, or the next that is free.
+        Port to listen at, 0 for any that is free; default: 8642, or any where that is taken.
     open_ : bool
         Open the page in the browser.
     at_range_mm : float, optional

@@ -75,7 +75,6 @@ class Follower:
         self._asked: tuple[Fingerprint, bool, float] | None = None
         self._answered: tuple[Fingerprint, bool] | None = None
         self._refused_since: float | None = None
-        self._ended_at: Fingerprint | None = None
 
     def stop(self) -> None:
         """Let `run` return."""
@@ -106,7 +105,7 @@ class Follower:
         if self._answered in ((seen, settled), (seen, True)):
             return
         self._asked = (seen, settled, now)
-        if self._worker is None:
+        if self._worker is None or not self._worker.process.is_alive():
             self._worker = Worker(self._watched)
         with contextlib.suppress(OSError):  # it has ended; `_listen` finds out how
             self._worker.asked.send(settled)
@@ -124,15 +123,10 @@ class Follower:
         except (EOFError, OSError):
             worker.end()
             self._worker = None
-            if (
-                self._ended_at != self._asked[0]
-            ):  # it may have been for want of memory: try once more
-                self._ended_at, self._asked = self._asked[0], None
-                return
             code = worker.process.exitcode or 0
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             answer = FileAnswer(
-                error=f"the calibration ended with {how}; the next change begins anew"
+                error=f"the calibration ended with {how}; the next change begins again"
             )
         seen, settled, _ = self._asked
         self._answered, self._asked = (seen, settled), None

@@ -9,7 +9,6 @@ import re
 import socket
 from http import HTTPStatus
 from http.client import HTTP_PORT
-from typing import NamedTuple
 
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
@@ -26,42 +25,6 @@ HEADERS = {
 }
 
 
-class HostNames(NamedTuple):
-    """By what names a server may be asked.
-
-    Attributes
-    ----------
-    port : int
-    names : frozenset of str
-        In lower case, IPv6 addresses in brackets.
-    any_address : bool
-        Whether every numerical address will do: where others may ask, nobody can tell which of them
-        lead here; no name can be made to lead to them.
-    """
-
-    port: int
-    names: frozenset[str]
-    any_address: bool
-
-    def allow(self, authority: str) -> bool:
-        """Tell whether `authority`, a host with a port, is this server."""
-        found = AUTHORITY.fullmatch(authority.lower())
-        if found is None or int(found[2] or HTTP_PORT) != self.port:
-            return False
-        return found[1] in self.names or (self.any_address and _is_address(found[1]))
-
-
-def names_of(host: str, bound: socket.socket) -> HostNames:
-    """Return the names of a server that was asked to listen at `host`, and does so at `bound`."""
-    address, port = bound.getsockname()[:2]
-    here = {spelt(host), spelt(address)}
-    if is_loopback(bound):
-        return HostNames(port, frozenset(here | {"localhost", "127.0.0.1", "[::1]"}), False)
-    name = socket.gethostname().lower()
-    everywhere = {"localhost", name, f"{name.partition('.')[0]}.local"}
-    return HostNames(port, frozenset(here | everywhere), True)
-
-
 def is_loopback(bound: socket.socket) -> bool:
     """Tell whether only this computer reaches a socket."""
     return ipaddress.ip_address(bound.getsockname()[0].partition("%")[0]).is_loopback
@@ -73,19 +36,29 @@ def spelt(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-def _is_address(host: str) -> bool:
-    try:
-        ipaddress.ip_address(host.strip("[]"))
-    except ValueError:
-        return False
-    return True
-
-
 class Guard:
-    """Refuses requests under a foreign name or from a foreign page, and sets headers of security."""
+    """Refuses requests under a foreign name or from a foreign page, and sets headers of security.
 
-    def __init__(self, app: ASGIApp, names: HostNames, policy: str) -> None:
-        self._app, self._names = app, names
+    Parameters
+    ----------
+    app : ASGIApp
+    host : str
+        Where the server was asked to listen.
+    bound : socket
+        Where it listens.
+    policy : str
+        The content security policy of the page.
+    """
+
+    def __init__(self, app: ASGIApp, host: str, bound: socket.socket, policy: str) -> None:
+        self._app, self._loopback = app, is_loopback(bound)
+        address, self._port = bound.getsockname()[:2]
+        self._names = {spelt(host), spelt(address), "localhost"}
+        if self._loopback:
+            self._names |= {"127.0.0.1", "[::1]"}
+        else:
+            name = socket.gethostname().lower()
+            self._names |= {name, f"{name.partition('.')[0]}.local"}
         headers = HEADERS | {"content-security-policy": policy}
         self._headers = [(name.encode(), value.encode()) for name, value in headers.items()]
 
@@ -104,12 +77,28 @@ class Guard:
     def fault(self, headers: Headers) -> str:
         """Return why a request is refused; empty where it is not."""
         hosts = headers.getlist("host")
-        if len(hosts) != 1 or not self._names.allow(hosts[0]):
+        if len(hosts) != 1 or not self.allows(hosts[0]):
             return "refused: asked under a name that is not that of this server"
-        for origin in headers.getlist("origin"):
-            if origin.lower() != f"http://{hosts[0].lower()}":
-                return "refused: asked from another page"
-        site, mode = headers.get("sec-fetch-site"), headers.get("sec-fetch-mode")
-        if site in ("cross-site", "same-site") and mode != "navigate":
+        own = f"http://{hosts[0].lower()}"
+        if any(origin.lower() != own for origin in headers.getlist("origin")):
             return "refused: asked from another page"
         return ""
+
+    def allows(self, authority: str) -> bool:
+        """Tell whether `authority`, a host with a port, is this server.
+
+        Where others may ask, every numerical address will do: nobody can tell which of them lead here,
+        and no name can be made to lead to them.
+        """
+        found = AUTHORITY.fullmatch(authority.lower())
+        if found is None or int(found[2] or HTTP_PORT) != self._port:
+            return False
+        return found[1] in self._names or (not self._loopback and _is_address(found[1]))
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host.strip("[]"))
+    except ValueError:
+        return False
+    return True

@@ -5,7 +5,7 @@ reading holds up nobody, and costs what one message takes.
 """
 
 import asyncio
-import hashlib
+import secrets
 from collections.abc import Mapping
 
 BEAT_S = 10.0
@@ -20,8 +20,12 @@ class Hub:
     def __init__(self, page: str) -> None:
         self.clients = 0
         self._page = page
-        # By topic: a mark, which is another one where the text is, and the server-sent event.
-        self._newest: dict[str, tuple[str, bytes]] = {}
+        self._server = secrets.token_hex(
+            4
+        )  # another one after a restart, which begins to count again
+        self._number = 0
+        # By topic: the number of the publication that changed its text, and the text.
+        self._newest: dict[str, tuple[int, str]] = {}
         self._changed = asyncio.Event()
 
     @property
@@ -34,37 +38,38 @@ class Hub:
 
         The event has the name of the topic up to a colon.
         """
+        self._number += 1
         for topic, text in messages.items():
-            mark = hashlib.sha256(text.encode()).hexdigest()[:16]
-            name = f"id: {mark}\n" if topic == STATE else ""
-            event = f"event: {topic.partition(':')[0]}\n{name}data: {text}\n\n".encode()
-            self._newest[topic] = (mark, event)
+            if topic not in self._newest or self._newest[topic][1] != text:
+                self._newest[topic] = self._number, text
         self._changed.set()
         self._changed = asyncio.Event()
 
-    def known_to(self, mark: str) -> dict[str, str]:
-        """Return what a client has heard that comes back with the mark of a state."""
-        marks = {topic: newest for topic, (newest, _) in self._newest.items() if topic != STATUS}
-        return marks if marks.get(STATE) == mark else {}
+    def known_to(self, mark: str) -> int:
+        """Return the publication up to which a client knows all that comes back with a state's mark."""
+        server, _, number = mark.partition(".")
+        return int(number) if server == self._server and number.isdecimal() else 0
 
-    def unheard(self, heard: dict[str, str]) -> bytes:
-        """Return what is new to a client, and note that it is not any more."""
-        found = b""
-        for topic in sorted(self._newest):  # figures, sections, the state, its status
-            mark, event = self._newest[topic]
-            if heard.get(topic) != mark:
-                heard[topic] = mark
-                found += event
-        return found
+    def unheard(self, known: int) -> bytes:
+        """Return the events of what has changed since a publication."""
+        found = []
+        for topic, (number, text) in sorted(
+            self._newest.items()
+        ):  # figures, sections, state, status
+            if number > known:
+                mark = f"id: {self._server}.{number}\n" if topic == STATE else ""
+                found.append(f"event: {topic.partition(':')[0]}\n{mark}data: {text}\n\n")
+        return "".join(found).encode()
 
-    async def news(self, heard: dict[str, str]) -> bytes:
-        """Wait until there is something new to a client; a beat where there is not for long."""
+    async def news(self, known: int) -> tuple[int, bytes]:
+        """Wait until there is something new to a client; a beat where there is not for long.
+
+        Returns the publication up to which the client then knows all, and the events.
+        """
         changed = self._changed
-        found = self.unheard(heard)
-        if found:
-            return found
-        try:
-            await asyncio.wait_for(changed.wait(), BEAT_S)
-        except TimeoutError:
-            return b"event: beat\ndata:\n\n"
-        return self.unheard(heard)
+        if known == self._number:
+            try:
+                await asyncio.wait_for(changed.wait(), BEAT_S)
+            except TimeoutError:
+                return known, b"event: beat\ndata:\n\n"
+        return self._number, self.unheard(known)
