@@ -36,7 +36,9 @@ def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list
         if home and home != ".":
             module = import_module(home, package)
             if name in dir(module):
-                return getattr(module, name)
+                found: object = getattr(module, name)
+                setattr(sys.modules[package], name, found)  # a second look is as fast as any name's
+                return found
         if home:
             return import_module(f"{home.rstrip('.')}.{name}", package)
         message = f"module {package!r} has no attribute {name!r}"
