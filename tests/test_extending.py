@@ -281,7 +281,7 @@ def test_bad_starts_are_refused_in_one_line(page):
     with pytest.raises(hl.InputError, match="beside blocks"):
         hl.calibrate(problem, hl.Noise())
     with pytest.raises(hl.InputError, match="two families named sphere"):
-        register(Family("sphere", (Vector(2),), ("a", "b"), (0, 0)))
+        register(Family("sphere", Vector("a", "b")))
 
 
 def general(readings):

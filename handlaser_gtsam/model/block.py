@@ -98,7 +98,12 @@ class Block(Protocol):
     def evaluate(self, values: Values) -> Rows:
         """Return the rows at values of K problems."""
 
-    def picked(self, problems: IntArray) -> "Block":
+
+@runtime_checkable
+class OfProblems(Block, Protocol):
+    """Rows whose numbers, beside the values, are of one problem each; all problems share any others."""
+
+    def picked(self, problems: IntArray) -> "OfProblems":
         """Return the block of some problems."""
 
 

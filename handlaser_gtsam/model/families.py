@@ -10,8 +10,6 @@ angle, 1 / L for a curvature of the range error.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import accumulate, pairwise
 from typing import Protocol
 
@@ -25,33 +23,41 @@ from .geometry import skew, tangent_basis
 
 
 class Part(Protocol):
-    """A manifold: `size` numbers a point, `dim` coordinates a step."""
+    """A manifold: numbers of a point, and coordinates of a step, by their names with units."""
 
     @property
     def size(self) -> int:
         """Numbers of a point."""
 
     @property
-    def dim(self) -> int:
-        """Coordinates of a step."""
-
-    def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
-        """Return points (..., size) moved by steps (..., dim)."""
-
-    def tangents_at(self, x: FloatArray) -> FloatArray:
-        """Return the derivatives (..., size, dim) of the numbers of points by a step."""
-
-
-@dataclass(frozen=True, slots=True)
-class Vector:
-    """Numbers that a step is added to."""
-
-    dim: int
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates of a step: `x_m`, `v1`, `k2_per_m`."""
 
     @property
-    def size(self) -> int:
-        """As many as a step has."""
-        return self.dim
+    def numbers(self) -> tuple[str, ...]:
+        """Names of the numbers that people and files see."""
+
+    def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
+        """Return points (..., size) moved by steps (..., coordinates)."""
+
+    def tangents_at(self, x: FloatArray) -> FloatArray:
+        """Return the derivatives (..., size, coordinates) of the numbers of points by a step."""
+
+
+class Vector:
+    """Numbers that a step is added to.
+
+    Parameters
+    ----------
+    coordinates : str, each
+        Their names with units.
+    numbers : tuple of str, optional
+        What people and files see them called; the same where not given.
+    """
+
+    def __init__(self, *coordinates: str, numbers: tuple[str, ...] = ()) -> None:
+        self.coordinates, self.numbers = coordinates, numbers or coordinates
+        self.size = len(coordinates)
 
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Add."""
@@ -59,15 +65,23 @@ class Vector:
 
     def tangents_at(self, x: FloatArray) -> FloatArray:
         """Return the unit matrix."""
-        return np.broadcast_to(np.eye(self.dim), (*x.shape, self.dim))
+        return np.broadcast_to(np.eye(self.size), (*x.shape, self.size))
 
 
-@dataclass(frozen=True, slots=True)
 class Direction:
-    """A unit vector, which moves along `tangent_basis` and is normalised again."""
+    """A unit vector, which moves along `tangent_basis` and is normalised again.
 
-    size: int = 3
-    dim: int = 2
+    Parameters
+    ----------
+    letter : str
+        Of its names: v1 and v2, and vx, vy, vz.
+    """
+
+    size = 3
+
+    def __init__(self, letter: str) -> None:
+        self.coordinates = (f"{letter}1", f"{letter}2")
+        self.numbers = tuple(letter + axis for axis in "xyz")
 
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Move along the tangents."""
@@ -80,15 +94,15 @@ class Direction:
         return bases(x)
 
 
-@dataclass(frozen=True, slots=True)
 class Motion:
     """A rigid motion: its rotation matrix row by row, then its translation.
 
     A step (omega, u) multiplies it on the right, in the order of `gtsam.Pose3`.
     """
 
-    size: int = 12
-    dim: int = 6
+    size = 12
+    coordinates: tuple[str, ...] = ("rx", "ry", "rz", "x_m", "y_m", "z_m")
+    numbers = coordinates
 
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Turn and shift in the own frame."""
@@ -100,19 +114,27 @@ class Motion:
     def tangents_at(self, x: FloatArray) -> FloatArray:
         """Return how the matrix turns about each of its axes, and the axes themselves."""
         R = x[..., :9].reshape(*x.shape[:-1], 3, 3)
-        tangents = np.zeros((*x.shape, self.dim))
+        tangents = np.zeros((*x.shape, len(self.coordinates)))
         turned = np.einsum("...ab,jbc->...acj", R, skew(np.eye(3)))
         tangents[..., :9, :3] = turned.reshape(*x.shape[:-1], 9, 3)
         tangents[..., 9:, 3:] = R
         return tangents
 
 
-@dataclass(frozen=True, slots=True)
 class Constant:
-    """Numbers that travel with a member and never move."""
+    """Numbers that travel with a member and never move.
 
-    size: int
-    dim: int = 0
+    Parameters
+    ----------
+    names : str, each
+        Of the numbers, which no file has.
+    """
+
+    coordinates: tuple[str, ...] = ()
+    numbers: tuple[str, ...] = ()
+
+    def __init__(self, *names: str) -> None:
+        self.size = len(names)
 
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:  # noqa: ARG002  (it is empty)
         """Stay."""
@@ -123,72 +145,45 @@ class Constant:
         return np.empty((*x.shape, 0))
 
 
-@dataclass(frozen=True)
+UNITS = {"_per_m": -1, "_m": 1, "": 0}
+"""Powers of the metre by what a name with such a unit ends with, the longest ending first."""
+
+
 class Family:
     """A kind of variable.
 
-    Attributes
+    Parameters
     ----------
     name : str
-    parts : tuple of Part
-    coordinates : tuple of str
-        Names of the tangent coordinates.
+    parts : Part, each
+    labels : sequence of str, optional
+        The numbers that people see in words; their names where not given.
+
+    Attributes
+    ----------
+    coordinates, numbers : tuple of str
+        Names of the tangent coordinates, and of the numbers of a member that people and files see,
+        without units.
+    keys : tuple of str
+        Names of the latter with units, as in tables and files: `x_m`, `k2_per_m`.
     powers : tuple of int
-        Of the typical range in the natural unit of each tangent coordinate.
-    numbers : tuple of str, optional
-        Names of the numbers of a member that people and files see, the first of them all; the tangent
-        coordinates where not given.
-    number_powers : tuple of int, optional
-        Of the metre in the unit of each of these numbers; `powers` where not given.
-    labels : tuple of str, optional
-        These numbers in words; their names where not given.
+        Of the metre in the units of the tangent coordinates.
+    size, dim : int
+        Numbers and tangent coordinates of a member.
+    places, tangents : tuples of slice
+        Where the numbers, and the tangent coordinates, of each part stand.
     """
 
-    name: str
-    parts: tuple[Part, ...]
-    coordinates: tuple[str, ...]
-    powers: tuple[int, ...]
-    numbers: tuple[str, ...] = ()
-    number_powers: tuple[int, ...] = ()
-    labels: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name, usual in (
-            ("numbers", "coordinates"),
-            ("number_powers", "powers"),
-            ("labels", "numbers"),
-        ):
-            object.__setattr__(self, name, getattr(self, name) or getattr(self, usual))
-
-    @cached_property
-    def keys(self) -> tuple[str, ...]:
-        """Names of the numbers with their units, as in tables and files: `x_m`, `k2_per_m`."""
-        pairs = zip(self.numbers, self.number_powers, strict=True)
-        return tuple(name + SUFFIXES[power] for name, power in pairs)
-
-    def number_units(self, length: float) -> FloatArray:
-        """Return the natural units of the numbers that people see, for a typical range [m]."""
-        return float(length) ** np.array(self.number_powers, dtype=float)
-
-    @cached_property
-    def size(self) -> int:
-        """Numbers of a member."""
-        return sum(part.size for part in self.parts)
-
-    @cached_property
-    def dim(self) -> int:
-        """Tangent coordinates of a member."""
-        return sum(part.dim for part in self.parts)
-
-    @cached_property
-    def places(self) -> tuple[slice, ...]:
-        """Where the numbers of each part stand in a member."""
-        return _cuts(part.size for part in self.parts)
-
-    @cached_property
-    def tangents(self) -> tuple[slice, ...]:
-        """Where the tangent coordinates of each part stand."""
-        return _cuts(part.dim for part in self.parts)
+    def __init__(self, name: str, *parts: Part, labels: Sequence[str] = ()) -> None:
+        self.name, self.parts = name, parts
+        spelled = [key for part in parts for key in part.coordinates]
+        self.keys = tuple(key for part in parts for key in part.numbers)
+        self.coordinates, self.powers = zip(*map(_unit_of, spelled), strict=True)
+        self.numbers, self._number_powers = zip(*map(_unit_of, self.keys), strict=True)
+        self.labels = tuple(labels) or self.numbers
+        self.places = _cuts(part.size for part in parts)
+        self.tangents = _cuts(len(part.coordinates) for part in parts)
+        self.size, self.dim = self.places[-1].stop, len(spelled)
 
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Return members (..., size) moved by steps (..., dim)."""
@@ -207,33 +202,38 @@ class Family:
         """Return the natural units (dim,) of the tangent coordinates for a typical range [m]."""
         return float(length) ** np.array(self.powers, dtype=float)
 
+    def number_units(self, length: float) -> FloatArray:
+        """Return the natural units of the numbers that people see, for a typical range [m]."""
+        return float(length) ** np.array(self._number_powers, dtype=float)
+
+
+def _unit_of(key: str) -> tuple[str, int]:
+    """Return a name without its unit, and the power of the metre that this is."""
+    ending = next(ending for ending in UNITS if key.endswith(ending))
+    return key.removesuffix(ending), UNITS[ending]
+
 
 def _cuts(lengths: Iterable[int]) -> tuple[slice, ...]:
     """Return slices of some lengths, one behind the other."""
     return tuple(slice(*ends) for ends in pairwise(accumulate(lengths, initial=0)))
 
 
-SUFFIXES = {1: "_m", 0: "", -1: "_per_m"}
-"""What a name ends with where its number has a unit, by the power of the metre."""
 FAMILIES: dict[str, Family] = {}
 """All families by name."""
 
 
 def register(family: Family) -> Family:
-    """Make a family known under its name.
+    """Make a family known under its name; one with the same numbers again changes nothing.
 
     Raises
     ------
     InputError
-        Another family has this name, or coordinates and units are not one a tangent coordinate.
+        Another family has this name.
     """
-    if FAMILIES.get(family.name, family) != family:
+    known = FAMILIES.setdefault(family.name, family)
+    if (known.keys, known.size, known.powers) != (family.keys, family.size, family.powers):
         raise InputError(f"two families named {family.name}", "a name of its own for each")
-    if not len(family.coordinates) == len(family.powers) == family.dim:
-        given = f"{len(family.coordinates)} names and {len(family.powers)} units"
-        raise InputError(given, f"one for each of the {family.dim} coordinates of {family.name}")
-    FAMILIES[family.name] = family
-    return family
+    return known
 
 
 def bases(unit: FloatArray) -> FloatArray:
@@ -244,12 +244,11 @@ def bases(unit: FloatArray) -> FloatArray:
 BEAM = register(
     Family(
         "beam",
-        (Vector(3), Direction(), Vector(2)),
-        ("x", "y", "z", "v1", "v2", "k1", "k2"),
-        (1, 1, 1, 0, 0, 0, -1),
-        ("x", "y", "z", "vx", "vy", "vz", "k1", "k2"),
-        (1, 1, 1, 0, 0, 0, 0, -1),
-        (*(f"{what} {axis}" for what in ("location", "direction") for axis in "xyz"), "k1", "k2"),
+        Vector("x_m", "y_m", "z_m"),
+        Direction("v"),
+        Vector("k1", "k2_per_m"),
+        labels=[f"{what} {axis}" for what in ("location", "direction") for axis in "xyz"]
+        + ["k1", "k2"],
     )
 )
 """Location and direction in the hand, then the range error (k1, k2)."""
@@ -262,22 +261,13 @@ MOUNT_DIM: int = DIRECTION.stop
 PLANE = register(
     Family(
         "plane",
-        (Direction(), Vector(1), Constant(3)),
-        ("n1", "n2", "offset"),
-        (0, 0, 1),
-        ("nx", "ny", "nz", "b"),
-        (0, 0, 0, 1),
+        Direction("n"),
+        Vector("offset_m", numbers=("b_m",)),
+        Constant("centre x", "centre y", "centre z"),
     )
 )
 """Normal n and height h about a fixed centre c: n . (x - c) + h = 0, world frame."""
-POSE = register(
-    Family(
-        "pose",
-        (Motion(),),
-        ("rx", "ry", "rz", "x", "y", "z"),
-        (0, 0, 0, 1, 1, 1),
-    )
-)
+POSE = register(Family("pose", Motion()))
 """A hand pose, world_T_hand."""
 
 

@@ -13,13 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from .families import BEAM, OF_DIRECTION, PLANE, POSE, Family, Motion, bases, register
+from .families import BEAM, OF_DIRECTION, PLANE, Family, Motion, bases, register
 from .geometry import skew
 from .relations import Numbers, Relation
 from .sensors.mounted import SENSOR
 from .targets.sphere import SPHERE
 
-BODY = register(Family("body", (Motion(),), POSE.coordinates, POSE.powers))
+BODY = register(Family("body", Motion()))
 """The pose of a rigid body whose planes are known in its own frame."""
 DIRECTIONS = {PLANE.name: PLANE.places[0], BEAM.name: OF_DIRECTION}
 """Where the unit vector stands among the numbers of a variable."""

@@ -126,9 +126,6 @@ class Robot(OfVariable, Protocol):
     def pull(self, columns: FloatArray) -> FloatArray:
         """Return de by its tangent coordinates, from those (6, K, G, S) by the hand pose."""
 
-    def picked(self, problems: IntArray) -> "Robot":
-        """Return the robot of some problems."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranges:
@@ -137,8 +134,8 @@ class Ranges:
     Attributes
     ----------
     sensor, target, robot
-    reading : (K, G, S)
-        [m]; K is 1 where all problems share them.
+    reading : (1, G, S)
+        [m]
     weights : Weights
         Zero for what is no reading.
     """
@@ -185,20 +182,10 @@ class Ranges:
         impossible = np.broadcast_to(hits.impossible, shape)
         return Rows(np.concatenate(whole), impossible if impossible.any() else None)
 
-    def picked(self, problems: IntArray) -> "Ranges":
-        """Return the readings of some problems."""
-        reading = self.reading if len(self.reading) == 1 else self.reading[problems]
-        return replace(
-            self,
-            robot=self.robot.picked(problems),
-            reading=reading,
-            weights=self.weights.picked(problems),
-        )
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GivenPoses:
-    """Hand poses that are known: R (3, 3, K, G, S), t (3, K, G, S) [m]; K is 1 where all share them."""
+    """Hand poses that are known: R (3, 3, 1, G, S), t (3, 1, G, S) [m]."""
 
     R: FloatArray
     t: FloatArray
@@ -207,7 +194,7 @@ class GivenPoses:
 
     @classmethod
     def of(cls, R: FloatArray, t: FloatArray) -> "GivenPoses":
-        """Return the poses of one problem, R (G, S, 3, 3) and t (G, S, 3)."""
+        """Return the poses R (G, S, 3, 3) and t (G, S, 3)."""
         return cls(np.moveaxis(R, (2, 3), (0, 1))[:, :, None], np.moveaxis(t, 2, 0)[:, None])
 
     def pose(self, values: Values) -> tuple[FloatArray, FloatArray]:  # noqa: ARG002  (they are given)
@@ -217,12 +204,6 @@ class GivenPoses:
     def pull(self, columns: FloatArray) -> FloatArray:
         """Return nothing: they have no variable."""
         return columns[:0]
-
-    def picked(self, problems: IntArray) -> "GivenPoses":
-        """Return the poses of some problems."""
-        if self.R.shape[2] == 1:
-            return self
-        return GivenPoses(self.R[:, :, problems], self.t[:, problems])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,10 +221,6 @@ class PoseVariables:
     def pull(self, columns: FloatArray) -> FloatArray:
         """Return the columns as they are."""
         return columns
-
-    def picked(self, problems: IntArray) -> "PoseVariables":  # noqa: ARG002  (all have the same)
-        """Return the same."""
-        return self
 
 
 def members(values: Values, family: str, member: IntArray) -> FloatArray:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..errors import InputError
 from ..quantities import SINGULAR
 from .block import Rows, Slot, Values, Weights
@@ -74,7 +74,3 @@ class Relation:
         columns: FloatArray = e.imag / SINGULAR
         columns[-1] = e[-1].real
         return Rows(columns[:, :, None])
-
-    def picked(self, problems: IntArray) -> "Relation":  # noqa: ARG002  (all have the same)
-        """Return the same."""
-        return self

@@ -19,7 +19,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_count, require_number
 from ..progress import Trial
 from ..quantities import LARGEST_NUMBER, TINY
-from .block import Block, Rows, Values, impossible, whitened
+from .block import Block, OfProblems, Rows, Values, impossible, whitened
 from .losses import Loss
 from .reduction import Normal, Reduction, damped_step
 
@@ -268,7 +268,10 @@ class LeastSquares:
 
     def picked(self, problems: IntArray) -> "LeastSquares":
         """Return some of the problems."""
-        blocks = tuple(block.picked(problems) for block in self.blocks)
+        blocks = tuple(
+            block.picked(problems) if isinstance(block, OfProblems) else block
+            for block in self.blocks
+        )
         return replace(
             self,
             blocks=blocks,

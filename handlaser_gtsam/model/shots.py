@@ -537,11 +537,6 @@ class Mixed:
             )
         return Rows((rows.columns[..., None, :] @ self.mix)[..., 0, :], impossible)
 
-    def picked(self, problems: IntArray) -> "Mixed":
-        """Return the block of some problems."""
-        ranges, weights = self.ranges.picked(problems), self.weights.picked(problems)
-        return replace(self, ranges=ranges, weights=weights)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unexplained:
@@ -575,7 +570,3 @@ class Unexplained:
         columns[-1 - len(RAY_ERRORS) : -1] = np.moveaxis(self.by_error, 2, 0)[:, None]
         columns[-1] = e
         return Rows(columns)
-
-    def picked(self, problems: IntArray) -> "Unexplained":
-        """Return the block of some problems."""
-        return replace(self, weights=self.weights.picked(problems))

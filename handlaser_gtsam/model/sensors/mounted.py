@@ -11,22 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...data.survey import RAY_ERRORS
 from ...quantities import TINY
 from ..block import Values
-from ..families import POSE, Family, Motion, Vector, register
+from ..families import Family, Motion, Vector, register
 from ..ranges import Rays, by_motion, members, turned, turned_back
 
 LEAST_SLOPE = 0.05
 """A true range grows with its reading by at least this part; below it a search has gone astray."""
-SENSOR = register(
-    Family(
-        "sensor",
-        (Motion(), Vector(len(RAY_ERRORS))),
-        (*POSE.coordinates, *RAY_ERRORS),
-        (*POSE.powers, 1, 0, -1, 0),
-    )
-)
+SENSOR = register(Family("sensor", Motion(), Vector("k0_m", "k1", "k2_per_m", "scale")))
 """hand_T_sensor, moved in the sensor's own frame; then the range error."""
 
 

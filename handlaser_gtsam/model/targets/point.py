@@ -6,7 +6,7 @@ aiming does. The three rows of a reading are a' y for axes a that are held: minu
 where the rows were made, and two vectors across it.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ..block import Rows, Slot, Values, Weights
 from ..families import Family, Vector, bases, register
 from ..ranges import Robot, Sensor, by_motion, dot, members, slots_of, turned, turned_back
 
-POINT = register(Family("point", (Vector(3),), ("x", "y", "z"), (1, 1, 1)))
+POINT = register(Family("point", Vector("x_m", "y_m", "z_m")))
 """A position, world frame."""
 
 
@@ -28,7 +28,7 @@ class SpotsOnPoints:
     sensor, robot
     member : (G,)
         Which point each spot lies on.
-    reading : (K, G, 1)
+    reading : (1, G, 1)
         [m]
     axes : (3, 1, G, 3)
         In the hand: minus the ray, and two vectors across it, as columns of the last axis.
@@ -66,16 +66,6 @@ class SpotsOnPoints:
             columns.append(self.robot.pull(by_motion(-to_hand, a)))
         whole = [np.broadcast_to(c, (len(c), *e.shape)) for c in (*columns, e[None])]
         return Rows(np.concatenate(whole))
-
-    def picked(self, problems: IntArray) -> "SpotsOnPoints":
-        """Return the readings of some problems."""
-        reading = self.reading if len(self.reading) == 1 else self.reading[problems]
-        return replace(
-            self,
-            robot=self.robot.picked(problems),
-            reading=reading,
-            weights=self.weights.picked(problems),
-        )
 
 
 def axes_along(direction: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from ..ranges import Hits, dot, members
 GRAZING_PART = 0.1
 """Ranges of rays that meet the sphere with less than this cosine, or miss it, are continued. With a
 tenth of it searches stall where the slope changes: 7 of 42 surveys with beams on balls."""
-SPHERE = register(Family("sphere", (Vector(4),), ("x", "y", "z", "radius"), (1, 1, 1, 1)))
+SPHERE = register(Family("sphere", Vector("x_m", "y_m", "z_m", "radius_m")))
 """Centre and radius, world frame."""
 
 
