@@ -16,7 +16,7 @@ from handlaser_gtsam.estimation.selection import settle
 from handlaser_gtsam.model.distributions import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.model.distributions import holm, needed, two_sided
 from handlaser_gtsam.model.effects import EFFECTS
-from handlaser_gtsam.model.effects.tool_displaced import DIRECTIONS
+from handlaser_gtsam.model.effects.tool_displaced import directions
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import BeamAndPlaneNames
 from handlaser_gtsam.quantities import POWER
@@ -292,11 +292,11 @@ def test_the_blocked_projection_agrees_with_a_dense_one(prior):
     biased = found["beam-on-plane"]
     assert len(biased.plane) == 12
     moves = found["tool-displaced"]
-    assert len(moves.position) == 8 * len(DIRECTIONS)
+    assert len(moves.position) == 8 * len(directions())
     for m in range(0, len(moves.position), 5):
         first = moves.position[m]
         share = position / position.max() if first < 0 else 1.0 * (position >= first)
-        column = -(x.location @ DIRECTIONS[m % len(DIRECTIONS)]) * (share - share.mean())
+        column = -(x.location @ directions()[m % len(directions())]) * (share - share.mean())
         _agree(moves, m, by_hand(column, moves.strained[m]), at)
     for m in range(len(biased.plane)):
         rows = (readings.plane == biased.plane[m]) & (readings.beam == biased.beam[m])

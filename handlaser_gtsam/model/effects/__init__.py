@@ -1,49 +1,56 @@
-"""Systematic errors that the model does not hold, one a file, and the list of them all.
+"""Systematic errors that the model does not hold, one a file, and the table of them all.
 
-What is added here is counted with its plausible size in the verdict, and named in every view. What a
-recording can show is tested for; what none can (`unseen`) is only counted.
+What is added here, and to `effects.toml`, is counted with its plausible size in the verdict, and named
+in every view. What a recording can show is tested for; what none can, because unknowns of the
+calibration are the same, is only counted.
 """
 
-from .beam_on_plane import BEAM_ON_PLANE
-from .carry_over import CARRY_OVER
-from .cubic import CUBIC
-from .displaced import DISPLACED
-from .drift import DRIFT
-from .effect import Effect
-from .incidence import INCIDENCE
-from .lag import LAG
-from .sag import SAG
-from .tool_displaced import TOOL_DISPLACED
-from .translation_scale import TRANSLATION_SCALE
-from .turn_scale import TURN_SCALE
-from .unseen import INVERSE_COSINE, RANGE_OFFSET, TILT, TOOL_FRAME
+from collections.abc import Callable
 
+from . import (
+    beam_on_plane,
+    displaced,
+    drift,
+    lag,
+    sag,
+    tool_displaced,
+    translation_scale,
+    turn_scale,
+)
+from .carry_over import column as carried_over
+from .cubic import column as cubic
+from .effect import STATED, Effect, Everywhere, OnPlanes, SeenStations
+from .incidence import column as of_incidence
+
+OF_READINGS = {"incidence": of_incidence, "cubic": cubic, "carry-over": carried_over}
+"""Columns of the errors that a reading has by itself, whenever it is taken."""
+MEMBERS: dict[str, Callable[[SeenStations], Everywhere | OnPlanes]] = {
+    "sag": sag.members,
+    "drift": drift.members,
+    "displaced": displaced.members,
+    "tool-displaced": tool_displaced.members,
+    "beam-on-plane": beam_on_plane.members,
+}
+"""Columns of errors with members of their own."""
+TWISTS = {
+    "lag": lag.twists,
+    "tool-displaced": tool_displaced.twists,
+    "turn-scale": turn_scale.twists,
+    "translation-scale": translation_scale.twists,
+}
+"""Errors of the hand poses."""
 EFFECTS = {
-    effect.code: effect
-    for effect in (
-        INCIDENCE,
-        CUBIC,
-        SAG,
-        LAG,
-        DRIFT,
-        DISPLACED,
-        TOOL_DISPLACED,
-        BEAM_ON_PLANE,
-        TURN_SCALE,
-        TRANSLATION_SCALE,
-        CARRY_OVER,
-        TILT,
-        INVERSE_COSINE,
-        TOOL_FRAME,
-        RANGE_OFFSET,
+    code: Effect(
+        code=code,
+        members=MEMBERS.get(code),
+        of_readings=OF_READINGS.get(code),
+        twists=TWISTS.get(code),
+        **stated,
     )
+    for code, stated in STATED.items()
 }
 """All systematic errors by their codes."""
-OF_READINGS = {
-    code: effect.of_readings for code, effect in EFFECTS.items() if effect.of_readings is not None
-}
-"""Columns of the errors that a reading has by itself, whenever it is taken."""
-OF_STATIONS = (*OF_READINGS, SAG.code, TURN_SCALE.code, TRANSLATION_SCALE.code)
+OF_STATIONS = (*OF_READINGS, "sag", "turn-scale", "translation-scale")
 """Errors that a station has by itself, whenever and after whatever other station it is measured. A lag
 goes by the station before and after; the unknowns of a drift and of what is displaced by all stations
 up to the last one; and a new plate brings biases of its own."""

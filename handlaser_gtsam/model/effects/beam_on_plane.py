@@ -6,8 +6,7 @@ is then the location of the beam along itself, or the offset of the plane.
 
 import numpy as np
 
-from .cubic import CUBIC
-from .effect import Effect, OnPlanes, SeenStations
+from .effect import OnPlanes, SeenStations
 
 
 def members(stations: SeenStations) -> OnPlanes:
@@ -18,11 +17,3 @@ def members(stations: SeenStations) -> OnPlanes:
     seen = first < np.iinfo(np.intp).max
     plane, beam = np.nonzero(seen & (seen.sum(axis=0) > 1) & (seen.sum(axis=1) > 1)[:, None])
     return OnPlanes(stations.longer, plane, beam, first[plane, beam])
-
-
-BEAM_ON_PLANE = Effect(
-    code="beam-on-plane",
-    members=members,
-    of_sensor=CUBIC.of_sensor,
-)
-"""Colours err as linearity does: see `cubic`."""

@@ -8,7 +8,7 @@ not explain of the difference would be these errors.
 import numpy as np
 
 from ...arrays import FloatArray
-from .effect import Effect, SeenStations
+from .effect import SeenStations
 
 
 def column(stations: SeenStations, _largest: float) -> FloatArray:
@@ -21,14 +21,3 @@ def column(stations: SeenStations, _largest: float) -> FloatArray:
     table[station, readings.beam] = expected
     before = table[station, channel_before[readings.beam]]
     return stations.longer * np.nan_to_num(before - expected)
-
-
-CARRY_OVER = Effect(
-    code="carry-over",
-    unit="1",
-    of_readings=column,
-    least_beams=2,
-    of_cell=0.02,
-)
-"""The sampling capacitor brings C / (C + C_input) of the channel before along: 2 % for 20 pF at an
-input of 1 nF (Microchip, "Channel to channel crosstalk and error")."""

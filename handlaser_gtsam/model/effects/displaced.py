@@ -5,7 +5,7 @@ Planes with more than `MOST_SPLITS` splits are tested at this number of them.
 
 import numpy as np
 
-from .effect import Effect, OnPlanes, SeenStations
+from .effect import OnPlanes, SeenStations
 
 LEAST_STATIONS = 2
 """Stations that there are at least before and after a displacement, of a plane or of the tool frame."""
@@ -28,11 +28,3 @@ def members(stations: SeenStations) -> OnPlanes:
     splits = np.concatenate(chosen)
     all_beams = np.full_like(splits, -1)
     return OnPlanes(stations.linear.offset, plane[splits], all_beams, when[splits])
-
-
-DISPLACED = Effect(
-    code="displaced",
-    members=members,
-    of_cell=1e-3,
-)
-"""Held by hand-tightened clamps a plate moves by up to 1 mm."""

@@ -1,6 +1,6 @@
 """What a systematic error is: its column of derivatives, and its plausible size.
 
-The words for all of them stand in `words.toml`, by their codes.
+Words and plausible sizes of all of them stand in `effects.toml`, by their codes.
 
 A column is the derivative of the residuals e = s - g(d) (`model`) by the size of the error, at zero.
 With n the normal that points away from the sensor and c = -1 / (n_H . v), a surface that lies h farther
@@ -30,14 +30,8 @@ from ...data.readings import Readings
 from ..equation import Linearization, Scene, linearize, residuals, scene
 from ..weighting import slopes
 
-WORDS = tomllib.loads((pkgutil.get_data(__name__, "words.toml") or b"").decode())
-"""The words for each systematic error by its code."""
-UNSAID = {
-    "reveal": "",
-    "confounded": "the unknowns of the calibration in this recording",
-    "anywhere": "",
-}
-"""Words where `WORDS` has none."""
+STATED = tomllib.loads((pkgutil.get_data(__name__, "effects.toml") or b"").decode())
+"""Words and plausible sizes of each systematic error by its code."""
 
 
 class SeenStations:
@@ -194,12 +188,6 @@ class Effect:
     Attributes
     ----------
     code : str
-    unit : str
-        Of its size: "m", or "1" for a part.
-    of_sensor : mapping of str to float
-        Its largest plausible size by kind of sensor, as a part of the measuring range.
-    of_cell : float, optional
-        Its largest plausible size with any sensor.
     members : callable, optional
         Returns its columns at the stations; None where `of_readings` or `twists` give them. An error
         that has none of the three is one that no recording can show.
@@ -209,42 +197,29 @@ class Effect:
     twists : callable, optional
         Of an error of the hand poses: returns what moves the hands (omega, u) (S, 6, c) from their
         recorded poses, one a unit of size; its columns follow where there are no `members`.
-    power : int, optional
-        Power of the reading by which it moves the laser spots along their beams; they stay where not
-        given, because spots are judged at right angles, amid the recording, all channels alike.
-    least_beams : int
-        With fewer beams there is no such error.
-    is_k1 : bool
-        Whether k1 of all beams is the same, so that it shows only where the model has none.
-    across : bool
-        Whether a location of the beam that is off to the side by its size is the same.
-    in_order : bool
-        Whether the order counts in which stations of different planes were recorded.
     phrase, remedy, reveal, confounded, anywhere : str
-        The words for it, from `WORDS`.
+        The words for it.
+    unit, of_sensor, of_cell, power, least_beams, is_k1, across, in_order
+        As in `effects.toml`, where they are stated.
     """
 
     code: str
-    phrase: str = field(init=False)
-    remedy: str = field(init=False)
-    reveal: str = field(init=False)
-    confounded: str = field(init=False)
-    anywhere: str = field(init=False)
-    unit: str = "m"
-    of_sensor: Mapping[str, float] = field(default_factory=dict)
-    of_cell: float | None = None
     members: Callable[[SeenStations], Everywhere | OnPlanes] | None = None
     of_readings: Callable[[SeenStations, float], FloatArray] | None = None
     twists: Callable[[SeenStations], FloatArray] | None = None
+    phrase: str
+    remedy: str
+    reveal: str = ""
+    confounded: str = "the unknowns of the calibration in this recording"
+    anywhere: str = ""
+    unit: str = "m"
+    of_sensor: Mapping[str, float] = field(default_factory=dict)
+    of_cell: float | None = None
     power: int | None = None
     least_beams: int = 1
     is_k1: bool = False
     across: bool = False
     in_order: bool = False
-
-    def __post_init__(self) -> None:
-        for name, words in (UNSAID | WORDS[self.code]).items():
-            object.__setattr__(self, name, words)
 
     def at(self, stations: SeenStations) -> Everywhere | OnPlanes | None:
         """Return its members at the stations; None where no recording can show it."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ..geometry import steps_between
-from .effect import Effect, SeenStations
+from .effect import SeenStations
 
 
 def twists(stations: SeenStations) -> FloatArray:
@@ -32,12 +32,3 @@ def twists(stations: SeenStations) -> FloatArray:
     step[order, :3] = turn / count
     step[order, 3:] = np.einsum("mij,mi->mj", R[order], shift / count)
     return step[..., None]
-
-
-LAG = Effect(
-    code="lag",
-    unit="1",
-    twists=twists,
-    of_cell=0.1,
-)
-"""A reading is taken up to a tenth of a step before or after its pose."""

@@ -3,7 +3,7 @@
 Another middle is another tilt and offset of the plate: no other unknown follows.
 """
 
-from .effect import Effect, Everywhere, SeenStations
+from .effect import Everywhere, SeenStations
 
 
 def members(stations: SeenStations) -> Everywhere:
@@ -11,11 +11,3 @@ def members(stations: SeenStations) -> Everywhere:
     middles, largest = stations.plates
     square = ((stations.spots - middles[stations.readings.plane]) ** 2).sum(axis=1)
     return Everywhere((stations.linear.offset * square / largest)[:, None])
-
-
-SAG = Effect(
-    code="sag",
-    members=members,
-    of_cell=2e-4,
-)
-"""A machined face of up to 300 mm is flat to 0.2 mm (ISO 2768-2, class H)."""

@@ -8,19 +8,10 @@ from itertools import product
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
+from ..geometry import normalized
 from .displaced import LEAST_STATIONS
-from .effect import Effect, Everywhere, SeenStations
+from .effect import Everywhere, SeenStations
 
-DIRECTIONS = np.array(
-    [
-        axis
-        for axis in product((0.0, 1.0, -1.0), repeat=3)
-        if any(axis) and axis > tuple(-x for x in axis)
-    ]
-)
-"""Directions in which a tool frame may be displaced (13, 3): the axes and diagonals of a cube, one of
-which has a cosine of 0.886 or more to any direction."""
-DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 TOOL_STEPS = 7
 """Evenly spaced stations from which on a tool frame may be displaced: a step half-way between two of
 them correlates by 0.88 or more with one of the two."""
@@ -32,6 +23,17 @@ def _since(stations: SeenStations) -> IntArray:
     splits = np.linspace(0, len(times), TOOL_STEPS + 2)[1:-1].round().astype(np.intp)
     splits = np.unique(splits[(splits >= LEAST_STATIONS) & (splits <= len(times) - LEAST_STATIONS)])
     return np.concatenate(([-1], times[splits]))
+
+
+def directions() -> FloatArray:
+    """Return directions (13, 3) in which a tool frame may be displaced.
+
+    They are the axes and diagonals of a cube, one of which has a cosine of 0.886 or more to any
+    direction.
+    """
+    corners = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
+    half = corners[len(corners) // 2 + 1 :]  # the others are opposite
+    return normalized(half)
 
 
 def twists(stations: SeenStations) -> FloatArray:
@@ -56,21 +58,11 @@ def _shares(stations: SeenStations) -> FloatArray:
 
 def members(stations: SeenStations) -> Everywhere:
     """Return a member for every direction, and for every time at which it may happen."""
-    since = _since(stations)
-    each_time = np.kron(np.eye(len(since)), DIRECTIONS.T)
+    since, along = _since(stations), directions()
+    each_time: FloatArray = np.kron(np.eye(len(since)), along.T)
     # What `by_poses` makes of the twists, but for their zeros: these are many.
     columns = -_shares(stations)[:, :, None] * stations.linear.pose[:, None, 3:]
     columns = columns.reshape(len(columns), -1)
     times = ["steadily" if n < 0 else f"from station number {n + 1} on" for n in since.tolist()]
     parts = tuple(f"along {axis} {time}" for time in times for axis in "xyz")
-    return Everywhere(columns, each_time, np.repeat(since, len(DIRECTIONS)), parts)
-
-
-TOOL_DISPLACED = Effect(
-    code="tool-displaced",
-    members=members,
-    twists=twists,
-    in_order=True,
-    of_cell=2.5e-4,
-)
-"""A tool frame steps or creeps by half a millimetre while recording: half of that from its middle."""
+    return Everywhere(columns, each_time, np.repeat(since, len(along)), parts)

@@ -6,7 +6,7 @@ They count from the origin of the plane's frame, in which the plane shifts.
 import numpy as np
 
 from ...arrays import FloatArray
-from .effect import Effect, SeenStations
+from .effect import SeenStations
 
 
 def twists(stations: SeenStations) -> FloatArray:
@@ -14,14 +14,3 @@ def twists(stations: SeenStations) -> FloatArray:
     readings, row = stations.readings, stations.first[0]
     shift = np.einsum("mij,mi->mj", readings.world_R_hand[row], readings.world_t_hand[row])
     return np.hstack((np.zeros_like(shift), shift))[..., None]
-
-
-TRANSLATION_SCALE = Effect(
-    code="translation-scale",
-    unit="1",
-    is_k1=True,
-    twists=twists,
-    of_cell=1e-3,
-)
-"""Lengths of a six-axis arm are wrong by up to 0.65 mm over a metre (Slamani, Nubiola and Bonev,
-Industrial Robot 2012)."""

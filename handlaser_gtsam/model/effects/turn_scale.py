@@ -4,19 +4,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
-from .effect import Effect, SeenStations
+from .effect import SeenStations
 
 
 def twists(stations: SeenStations) -> FloatArray:
     """Return the turns (S, 6, 1) from the mean orientation."""
     turn = (Rotation.from_matrix(stations.middle).inv() * stations.rotations).as_rotvec()
     return np.hstack((turn, np.zeros_like(turn)))[..., None]
-
-
-TURN_SCALE = Effect(
-    code="turn-scale",
-    unit="1",
-    twists=twists,
-    of_cell=1e-3,
-)
-"""As the lengths: see `translation_scale`."""
