@@ -59,7 +59,7 @@ def _shares(stations: SeenStations) -> FloatArray:
 def members(stations: SeenStations) -> Everywhere:
     """Return a member for every direction, and for every time at which it may happen."""
     since, along = _since(stations), directions()
-    each_time: FloatArray = np.kron(np.eye(len(since)), along.T)
+    each_time = np.asarray(np.kron(np.eye(len(since)), along.T), dtype=float)
     # What `by_poses` makes of the twists, but for their zeros: these are many.
     columns = -_shares(stations)[:, :, None] * stations.linear.pose[:, None, 3:]
     columns = columns.reshape(len(columns), -1)
