@@ -1,7 +1,7 @@
-"""What pyproject.toml claims, for the gate: `claims.py others`, `oldest` or `lowest`.
+"""What pyproject.toml claims, for the gate: `claims.py newest`, `oldest` or `lowest`.
 
-others    the paths of the oldest and the newest Python that is claimed and found on this machine,
-          without the version that runs this file
+newest    the path of the newest Python that is claimed and found on this machine, or nothing
+          where that is the version that runs this file
 oldest    the path of the oldest
 lowest    a constraints file for pip: every lower bound as the version to install
 """
@@ -47,10 +47,10 @@ def oldest() -> list[str]:
     return list(pythons().values())[:1]
 
 
-def others() -> list[str]:
-    """Return the paths of the oldest and the newest Python besides this one."""
+def newest() -> list[str]:
+    """Return the path of the newest Python, unless it runs this file."""
     found = pythons()
-    return [found[m] for m in sorted({min(found), max(found)} - {sys.version_info.minor})]
+    return [found[minor] for minor in {max(found)} - {sys.version_info.minor}]
 
 
-print("\n".join({"others": others, "oldest": oldest, "lowest": lowest}[sys.argv[1]]()))
+print("\n".join({"newest": newest, "oldest": oldest, "lowest": lowest}[sys.argv[1]]()))

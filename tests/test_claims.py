@@ -33,12 +33,14 @@ def test_the_python_that_runs_this_is_claimed():
     assert len(versions) == last - first + 1
 
 
-def test_other_pythons_are_not_the_one_that_runs_this():
-    others = claims("others")
-    found = [
-        subprocess.run([path, "-V"], capture_output=True, text=True, check=True).stdout
-        for path in others
-    ]
-    own = f"Python {sys.version_info.major}.{sys.version_info.minor}."
-    assert len(others) <= 2
-    assert not any(version.startswith(own) for version in found)
+def test_the_oldest_and_the_newest_python_are_those_of_the_first_and_last_claim():
+    """The newest is named where another one runs this; both are claimed."""
+    claimed = re.findall(r"3\.(\d+)", PROJECT["requires-python"])
+    minors = {}
+    for what in ("oldest", "newest"):
+        for path in claims(what):
+            output = subprocess.run([path, "-V"], capture_output=True, text=True, check=True).stdout
+            minors[what] = int(re.match(r"Python 3\.(\d+)", output)[1])
+    assert int(claimed[0]) <= minors["oldest"] <= sys.version_info.minor
+    assert sys.version_info.minor < minors.get("newest", 99)
+    assert minors.get("newest", 0) < int(claimed[1])
