@@ -132,7 +132,7 @@ def test_the_command_calibrates_a_bag_and_says_what_is_wrong_with_one(tmp_path, 
     file = rig_file(tmp_path, rig, "scanner", ["scanner"])
     code, out, _ = handlaser("calibrate", bag, "--rig", file)
     assert code == 0
-    assert out.startswith("Usable: scanner within")
+    assert out.startswith("Usable: sensor scanner within")
     text = file.read_text()
     wrong = {
         'topics = ["scan"]': "found topic 'scan' of type none",

@@ -193,7 +193,7 @@ def test_readings_that_graze_a_ball_end_no_search(seed):
     """On the way, or with noise, a ray misses: such a reading is left out, and said to be."""
     made, locations = two_cones(seed)
     result = hl.calibrate(made, STATED)
-    assert result.usable, result.verdict
+    assert result.usable, result.verdict.sentence
     for beam, r in zip(result.beams.values(), locations, strict=True):
         assert (np.abs(beam.location - r) < 4.0 * beam.location_sigma).all()
     assert "grazing" in {one.reason for one in result.rejected}
@@ -217,7 +217,7 @@ def test_cones_on_a_hand_are_honest_and_their_half_angle_is_known_to_be_wrong():
     for seed in range(cones):
         made, locations = two_cones(seed)
         result = hl.calibrate(made, STATED)
-        assert result.usable, (seed, result.verdict)
+        assert result.usable, (seed, result.verdict.sentence)
         for beam, r in zip(result.beams.values(), locations, strict=True):
             error = beam.location - r
             squares += error @ np.linalg.solve(beam.covariance[:3, :3], error)
@@ -235,8 +235,8 @@ def test_within_the_cone_its_direction_is_open_and_its_location_is_not() -> None
     result = hl.calibrate(made, STATED)
     assert result.status == "undetermined"
     assert not result.usable
-    assert "direction of sonar: all readings are within the cone" in result.verdict
-    assert "more than 12 degrees" in result.verdict
+    assert "direction of sonar: all readings are within the cone" in result.verdict.sentence
+    assert "more than 12 degrees" in result.verdict.sentence
     beam = result.beams["sonar"]
     assert np.isfinite(beam.location_sigma).all()
     assert (np.abs(beam.location - r) < 4.0 * beam.location_sigma).all()

@@ -113,18 +113,17 @@ def test_words_hold_what_their_call_gives_and_each_is_used():
 
     package, given, tables = ROOT / "handlaser_gtsam", {"checks"}, set()
     used = {"checks", "survey-checks"}  # one stands in others, one is a constant of its module
-    for path in (
-        *(package / "results").rglob("*.py"),
-        *(package / "files" / "report").glob("*.py"),
-    ):
-        tree = ast.parse(path.read_text())
-        constants = {
-            node.targets[0].id: node.value.value
-            for node in tree.body
-            if isinstance(node, ast.Assign)
-            and isinstance(node.value, ast.Constant)
-            and isinstance(node.targets[0], ast.Name)
-        }
+    paths = *(package / "results").rglob("*.py"), *(package / "files" / "report").glob("*.py")
+    trees = {path: ast.parse(path.read_text()) for path in paths}
+    constants = {
+        node.targets[0].id: node.value.value
+        for tree in trees.values()
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.targets[0], ast.Name)
+    }
+    for path, tree in trees.items():
         for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
             keys = {
                 key.value
@@ -135,7 +134,7 @@ def test_words_hold_what_their_call_gives_and_each_is_used():
             }
             for call in ast.walk(function):
                 called = getattr(getattr(call, "func", None), "id", "")
-                if called not in ("warned", "said", "_best", "table_of", "listed"):
+                if called not in ("warned", "said", "improvement_of", "table_of", "listed"):
                     continue
                 first = call.args[0]
                 words = ast.unparse(first)
@@ -143,7 +142,7 @@ def test_words_hold_what_their_call_gives_and_each_is_used():
                     continue  # what the calls of these functions name
                 table = MESSAGES["warnings" if called == "warned" else "sentences"]
                 parts = first.values if isinstance(first, ast.JoinedStr) else [first]
-                pattern = "best:" if called == "_best" else ""
+                pattern = "best:" if called == "improvement_of" else ""
                 if called in ("table_of", "listed"):
                     pattern = "table:"
                     tables.add(first.value)

@@ -113,7 +113,7 @@ def test_noise_that_next_to_nothing_tells_makes_no_result_usable():
     (warning,) = result.warnings
     assert warning.code == "few-readings"
     assert warning.values["spare"] < 1.0
-    assert "single beams" in result.verdict
+    assert "single beams" in result.verdict.sentence
     stated = hl.calibrate(survey, hl.Noise(range_sigma=1e-4))
     assert stated.usable
     far = 10.0 * result.beams["beam"].location_sigma
@@ -128,7 +128,10 @@ def test_what_is_left_out_is_named_with_its_kind():
     ranges[row, 0] += 0.05
     result = hl.calibrate(replace(survey, ranges=ranges), hl.Noise())
     station, beam = survey.stations.station_names[row], survey.beam_names[0]
-    assert f"beam {beam} at station {station} (contradicted)" in dict(facts(result))["left out"]
+    assert (
+        f"beam {beam} at station {station} (contradicted)"
+        in dict(facts(result, result.verdict))["left out"]
+    )
     lost = RejectedShot("s", "2", "plane:A", "too-few-points")
     assert lost.words(result.beams) == "sensor s at station 2"
 
@@ -577,7 +580,7 @@ def test_a_false_face_is_named_and_not_the_shots_that_contradict_it(seed):
     assert hl.calibrate(survey_of(rig, [true]), EXACT).usable
     result = hl.calibrate(survey_of(rig, [false]), EXACT)
     assert result.relations[0].contradicted
-    assert "the readings contradict what is said to be known: body of" in result.verdict
+    assert "the readings contradict what is said to be known: body of" in result.verdict.sentence
     assert not result.rejected
 
 

@@ -74,7 +74,7 @@ def test_the_wrong_convention_is_named_in_the_headline():
     survey, _, _ = rough(3, stations=12, sigma=2e-4, stated="perpendicular")
     found = hl.calibrate(survey)
     assert not found.usable
-    assert 'set convention = "radial"' in found.verdict
+    assert 'set convention = "radial"' in found.verdict.sentence
 
 
 def test_the_reach_of_noise_is_where_anything_else_is_as_probable():
@@ -122,7 +122,7 @@ def test_what_is_pulled_by_a_near_echo_is_named_and_left_out():
     found = hl.calibrate(survey, EXACT)
     assert not found.usable
     (warning,) = [one for one in found.warnings if one.code == "behind-echo"]
-    limit = int(re.search(r"set clear_mm = (\d+)", found.verdict).group(1))
+    limit = int(re.search(r"set clear_mm = (\d+)", found.verdict.sentence).group(1))
     assert warning.values["limit_mm"] == limit
     assert 70 <= limit <= 85  # the next of the limits that are tried
     (shots,) = survey.shots
@@ -230,7 +230,7 @@ def test_a_real_array_is_told_what_pulls_its_far_echoes(name, convention):
     """At one pose two recordings see the table in one bin of the histogram, and read it 45 mm apart."""
     found = hl.calibrate(recorded(name, convention))
     assert not found.usable
-    limit = int(re.search(r"set clear_mm = (\d+)", found.verdict).group(1))
+    limit = int(re.search(r"set clear_mm = (\d+)", found.verdict.sentence).group(1))
     assert 60 <= limit <= 85
 
 

@@ -54,7 +54,7 @@ def test_from_log_to_urdf_and_report(handlaser, folder):
     words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
     code, out, err = handlaser(*words, "--out", str(result), "--report", str(report))
     assert (code, err) == (0, "")
-    assert out.startswith("Usable: scanner within")
+    assert out.startswith("Usable: sensor scanner within")
     assert "sphere:ball" in out
     page = report.read_text()
     assert 'data-figure="profiles"' in page
@@ -344,7 +344,7 @@ def test_a_true_relation_helps_and_a_false_one_is_named(folder, handlaser):
     assert "radius of sphere:ball" in err
     _, out, _ = handlaser(*words, "--out", str(folder / "out.json"))
     said = " ".join(out.split())
-    assert f"without radius of sphere:ball: {plain.verdict}" in said
+    assert f"without radius of sphere:ball: {plain.verdict.sentence}" in said
     found, old = plain.sensors["scanner"], wrong.sensors["scanner"]
     shift = 1e3 * np.linalg.norm(found.location - old.location)
     assert f"scanner without it: moves by {shift:.2g} mm and" in said
@@ -363,7 +363,7 @@ def test_of_a_false_relation_the_headline_says_nothing_else(folder, noise):
     (words,) = (one.message for one in result.warnings if one.code == "relation-contradicted")
     assert result.status == ("contradicted" if noise else "not_converged")
     assert result.message == words
-    assert result.verdict == f"Not usable: {words}."
+    assert result.verdict.sentence == f"Not usable: {words}."
     assert noise == {} or "range-error" in {one.code for one in result.warnings}
 
 

@@ -172,14 +172,14 @@ def test_another_solution_of_scipy_is_a_headline_and_an_exit_code(monkeypatch):
         "Not usable: SciPy, point by point, finds another solution, by 0.01"
     )
     answer = survey_validation(survey_of(rig), Rig(), 0, 0)
-    assert answer.failure == (3, found.verdict)
+    assert answer.failure == (3, found.verdict.sentence)
     assert not json.loads(answer.json)["verdict"]["usable"]
     monkeypatch.undo()
     farther = replace(found, reference=replace(found.reference, largest=0.51))
     assert not farther.usable
     # Standard deviations that differ by more than half are a consequence of their own.
     closer = replace(found, reference=replace(found.reference, largest=0.1, largest_sigma=0.52))
-    assert "standard deviations that differ by 52 %" in closer.verdict
+    assert "standard deviations that differ by 52 %" in closer.verdict.sentence
     fine = replace(found, reference=replace(closer.reference, largest_sigma=0.1))
     assert fine.disagreement is None
     assert fine.verdict == fine.calibration.verdict

@@ -256,4 +256,4 @@ def _failure(
         words = f"plane by plane is {comparison.largest:.2g} standard deviations from all at once"
     if words:
         return UNDETERMINED, f"{words}; expected the same optimum: do not use this calibration"
-    return unusable(judged.exceeded, judged.sentence, usable=judged.usable)
+    return unusable(judged)

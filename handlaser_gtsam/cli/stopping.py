@@ -12,6 +12,10 @@ import signal
 import threading
 from collections.abc import Sequence
 from types import FrameType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..results.verdict import Verdict
 
 BAD_INPUT = 2
 """Input, options or files that were refused: the code of shells for a wrong usage."""
@@ -37,10 +41,11 @@ def left_open(undetermined: Sequence[str], advice: Sequence[str]) -> tuple[int, 
     return UNDETERMINED, open_sentence(undetermined, advice)
 
 
-def unusable(exceeded: Sequence[str], verdict: str, *, usable: bool) -> tuple[int, str] | None:
+def unusable(judged: "Verdict") -> tuple[int, str] | None:
     """Return the exit code and the words of a result that is not to be used; None of any other."""
-    words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else verdict
-    return None if usable and not exceeded else (NOT_USABLE, words)
+    exceeded = judged.exceeded
+    words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else judged.sentence
+    return None if judged.usable else (NOT_USABLE, words)
 
 
 class CtrlC:

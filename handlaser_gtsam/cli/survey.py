@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
     from ..planning.survey import SurveyPlan
     from ..results.description.tables import Table
-    from ..results.limits import LimitCheck
     from ..results.survey import SurveyCalibration
+    from ..results.verdict import Verdict
     from .calibrate import Output
 
 
@@ -96,7 +96,7 @@ def survey_answer(
     from ..files.writing import write_text
     from ..pipeline import calibrate
     from ..quantities import SAME_OPTIMUM
-    from ..results.survey import survey_limits
+    from ..results.survey_verdict import survey_verdict
 
     require_outputs_of({"--out": output.out, "--report": output.report}, rig)
     taught, compared, largest = None, list[str](), 0.0
@@ -108,7 +108,8 @@ def survey_answer(
         largest = comparison.largest
     else:
         result = calibrate(survey, rig.noise)
-    text, checks = survey_text(result), survey_limits(result, rig.limits)
+    judged = survey_verdict(result, rig.limits)
+    text = survey_text(result, judged)
     if output.out is not None:
         write_text(output.out, text)
     if output.report is not None:
@@ -116,12 +117,12 @@ def survey_answer(
         from ..files.report.survey import survey_report
 
         day = f"{changed_on(path).isoformat()} (of the recording's file)"
-        page = survey_report(result, survey, path.name, day, checks)
+        page = survey_report(result, survey, path.name, day, judged)
         write_text(output.report, page)
     after = [*compared, *_read_lines(survey), *wrote(output.out, output.report)]
-    lines = _lines(result, checks, taught, after)
+    lines = _lines(result, judged, taught, after)
     warnings = result.warnings if output.json_ or output.quiet else ()
-    failure = _failure(result, checks)
+    failure = _failure(result, judged)
     if largest > SAME_OPTIMUM:
         found = f"target by target is {largest:.2g} standard deviations from all at once"
         failure = UNDETERMINED, f"{found}; expected the same optimum: do not use this calibration"
@@ -195,10 +196,10 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
     from .words import lines_of
 
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
-    failure = _failure(result.calibration, [])
+    failure = _failure(result.calibration, result.calibration.verdict)
     if failure is None and not result.usable:
         code = NOT_USABLE if result.disagreement is None else UNDETERMINED
-        failure = code, result.verdict
+        failure = code, result.verdict.sentence
     lines = lines_of("survey_validation", result=result)
     return Answer(survey_validation_text(result), lines, failure=failure)
 
@@ -248,7 +249,7 @@ def _read_lines(survey: "Survey") -> list[str]:
 
 def _lines(
     result: "SurveyCalibration",
-    checks: "Sequence[LimitCheck]",
+    judged: "Verdict",
     taught: "Table | None",
     after: Sequence[str],
 ) -> Iterator[str]:
@@ -257,7 +258,7 @@ def _lines(
     from ..results.description.survey import beams_table, facts, sensors_table, targets_table
 
     width = text_width()
-    yield from text_lines([result.verdict], width)
+    yield from text_lines([judged.sentence], width)
     for title, table in (
         ("sensors", sensors_table(result)),
         ("beams", beams_table(result)),
@@ -265,13 +266,12 @@ def _lines(
         ("target by target", taught),
     ):
         yield from () if table is None else full_table(title, table, width)
-    lines = [f"{name}: {words}" for name, words in facts(result, checks)]
+    lines = [f"{name}: {words}" for name, words in facts(result, judged)]
     lines += [*result.undetermined[1:], *(f"WARNING: {one.message}" for one in result.warnings)]
     yield from text_lines([*lines, *after], width)
 
 
-def _failure(result: "SurveyCalibration", checks: "Sequence[LimitCheck]") -> tuple[int, str] | None:
+def _failure(result: "SurveyCalibration", judged: "Verdict") -> tuple[int, str] | None:
     if result.status != "converged":
         return UNDETERMINED, result.message
-    failed = [one.failure for one in checks if not one.held]
-    return unusable(failed, result.verdict, usable=result.usable)
+    return unusable(judged)

@@ -150,13 +150,15 @@ class SurveyEstimate:
         """Whether most shots fit each other, at once or with noise that was learned."""
         return self.first.fits or self.estimate.status == "converged"
 
-    def problem(self) -> BlockProblem:
+    def problem(self, pose_variances: float = 1.0) -> BlockProblem:
         """Return the blocks of what was used, in standard deviations, errors of the hand counted.
 
-        They are made again: rules of relations cannot be pickled with a result.
+        They are made again: rules of relations cannot be pickled with a result. The variances of the
+        hand poses may be other ones, by a factor.
         """
         values = {name: x[None] for name, x in self.estimate.values.items()}
-        return self.at(values, self.noise).problem()[0]
+        turn, shift = (float(np.sqrt(pose_variances)) * size for size in self.noise.pose)
+        return self.at(values, replace(self.noise, pose=(turn, shift))).problem()[0]
 
     def redundancy(self) -> FloatArray:
         """Return how many numbers beyond the unknowns tell the noise of each sensor, beams and aiming.
@@ -260,12 +262,10 @@ class SurveyState:
 
     def pose_covariance(self) -> FloatArray:
         """Return the covariance (M, 6, 6) of the hand poses."""
-        count = len(self.rows.survey.stations)
-        if self.noise.pose_covariance is not None:
-            return self.noise.pose_covariances(count)
-        turn, shift = self.sizes.pose
-        S = np.diag([turn**2] * 3 + [shift**2] * 3)
-        return np.broadcast_to(S, (count, 6, 6))
+        count, size = len(self.rows.survey.stations), np.repeat(self.sizes.pose, 3)
+        stated = self.noise.pose_covariance is not None
+        C = self.noise.pose_covariances(count) if stated else np.eye(6)
+        return np.broadcast_to(C * np.outer(size, size), (count, 6, 6))
 
     def stations(self, owner: IntArray) -> IntArray:
         """Return the stations of rows of items; any of rows that have none."""

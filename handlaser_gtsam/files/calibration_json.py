@@ -41,7 +41,7 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
         schema.CalibrationFile,
         format="handlaser-calibration",
         version=1,
-        verdict=_verdict(verdict),
+        verdict=verdict_record(verdict),
         beams=[_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         beam_covariance=None if joint is None else joint.matrix(planes=[]),
         planes=[
@@ -154,7 +154,8 @@ def _beam(beam: Beam, calibration: Calibration, reading: float) -> Record:
     )
 
 
-def _verdict(verdict: Verdict) -> Record:
+def verdict_record(verdict: Verdict) -> Record:
+    """Return a verdict as the JSON of calibrations, and of surveys, holds it."""
     hidden, best, spot_error, may_hide = verdict.hidden, verdict.best, None, None
     if verdict.spot_error is not None:
         spot_error = verdict.spot_beam, verdict.reading, verdict.spot_error

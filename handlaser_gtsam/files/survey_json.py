@@ -8,8 +8,10 @@ from pydantic import Field
 from ..checks import require_kind
 from ..results.survey import SurveyCalibration
 from ..results.survey_check import SurveyCheck
+from ..results.verdict import Verdict
 from ..validation.survey import SurveyValidation
 from .calibration_file import Known, Many, Numbers, Vector, Version, WarningRecord
+from .calibration_json import verdict_record
 from .checked_text import FileRecord, Record, json_text, json_value, read_checked, record
 from .writing import path_of, write_text
 
@@ -49,22 +51,22 @@ class SurveyFile(FileRecord, extra="ignore"):
     warnings: Many[WarningRecord]
 
 
-def survey_text(result: SurveyCalibration) -> str:
-    """Return a result as JSON text."""
+def survey_text(result: SurveyCalibration, verdict: Verdict | None = None) -> str:
+    """Return a result as JSON text, with a verdict: its own where none is given."""
     tested = "code size sigma detectable found spot_shift"
     sensor = (
         "name kind location_sigma_m rotation_sigma_rad covariance reading_sigma_m spot_error_m shots "
         "rejected rotation location_m range_error working_distance_m range_errors_tested"
     )
     beam = (
-        "name direction location_sigma_m reading_sigma_m readings rejected covariance location_m "
-        "direction_sigma_rad range_error"
+        "name direction location_sigma_m reading_sigma_m spot_error_m readings rejected covariance "
+        "location_m direction_sigma_rad range_error"
     )
     rotation, translation = result.pose_sigma
     whole: Record = {
         "status": result.status,
         "message": result.message,
-        "verdict": {"usable": result.usable, "sentence": result.verdict},
+        "verdict": verdict_record(result.verdict if verdict is None else verdict),
         "warnings": [record(one, WarningRecord) for one in result.warnings],
         "read": result.read,
         "sensors": [
@@ -76,7 +78,9 @@ def survey_text(result: SurveyCalibration) -> str:
             )
             for one in result.sensors.values()
         ],
-        "beams": [record(one, beam) for one in result.beams.values()],
+        "beams": [
+            record(one, beam, working_distance_m=one.reading) for one in result.beams.values()
+        ],
         "targets": [record(one, "label kind values sigma") for one in result.targets.values()],
         "pose_sigma": {
             "rotation_rad": rotation,
@@ -89,7 +93,7 @@ def survey_text(result: SurveyCalibration) -> str:
         ],
         "without_contradicted": None if result.without is None else _mounts(result.without),
         "rejected": [record(one, "sensor station target reason") for one in result.rejected],
-        **record(result, "undetermined chi2 dof"),
+        **record(result, "undetermined advice chi2 dof"),
     }
     return json_text("survey", whole)
 
@@ -107,7 +111,7 @@ def survey_validation_text(result: SurveyValidation) -> str:
     """Return a validation of a survey as JSON text."""
     left_out = "name shots chi2 dof p_value shift_m message"
     whole: Record = {
-        "verdict": {"usable": result.usable, "sentence": result.verdict},
+        "verdict": verdict_record(result.verdict),
         "reference": record(result.reference, "largest parameter largest_sigma sigma_parameter"),
         "targets_left_out": [record(one, left_out) for one in result.targets],
         "splits": [record(one, left_out) for one in result.splits],

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Container, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -22,7 +22,18 @@ from ..estimation.estimate import (
 from ..estimation.survey import RelationTest, SurveyEstimate
 from ..estimation.survey_rows import Rows
 from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
-from ..model.families import BEAM, DIRECTION, FAMILIES, LOCATION, PLANE
+from ..model.families import (
+    BEAM,
+    DIRECTION,
+    FAMILIES,
+    LOCATION,
+    OF_DIRECTION,
+    OF_LOCATION,
+    OF_RANGE_ERROR,
+    PLANE,
+    RANGE_ERROR,
+    bases,
+)
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -30,24 +41,16 @@ from ..model.targets.sphere import SPHERE
 from ..observability.wording import open_sentence
 from ..quantities import IN_MM
 from ..text import count, some
-from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
-from .messages import Values, said, warned
-from .spot_error import radius
+from .messages import Values, warned
+from .spot_error import radius, spot_of
 from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit, pulled
 from .survey_motion import open_words
+from .survey_verdict import FALSE_RELATION, FEW, survey_verdict
+from .verdict import Verdict
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
-FEW = "few-readings"
-"""Code of the warning that hardly more readings than unknowns tell the noise."""
-FALSE_RELATION = "relation-contradicted"
-"""Code of the warning that readings contradict what is said to be known."""
-CAUSES = (*MISREAD, FALSE_RELATION, "sigmas-too-small", "range-error")
-"""Codes of warnings that say why shots do not fit each other.
-
-A false relation looks like errors of readings, too, so that the last two are no causes beside it.
-"""
 NOTABLE_SIGMA = 1.5
 """Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
 
@@ -124,11 +127,25 @@ class SensorMount(Value):
     rejected: int
     errors: tuple[SensorError, ...]
 
+    @property
+    def subject(self) -> str:
+        """Whom limits and findings concern."""
+        return f"{SENSOR.name} {self.name}"
+
+    @property
+    def largest_sigmas(self) -> tuple[float, float]:
+        """Largest standard deviations of a coordinate of the location [m] and of a turn [rad]."""
+        return float(self.location_sigma.max()), float(self.rotation_sigma.max())
+
     def matrix(self) -> FloatArray:
         """Return hand_T_sensor (4, 4)."""
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = self.rotation, self.location
         return T
+
+    def spot_by(self) -> FloatArray:
+        """Return how its spot moves with a turn and a shift (3, 6), in the frame of the sensor."""
+        return np.hstack((-skew(self.spot), np.eye(3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -148,6 +165,11 @@ class BeamMount(Value):
         The larger one [rad].
     reading_sigma : float
         Standard deviation of a reading [m], which all single beams share.
+    reading : float
+        Working distance: the median reading [m].
+    spot_error : float
+        Radius around its spot at that distance that holds it with 95 % [m]; infinite where something of
+        it is undetermined.
     readings, rejected : int
     """
 
@@ -159,8 +181,26 @@ class BeamMount(Value):
     location_sigma: FloatArray
     direction_sigma: float
     reading_sigma: float
+    reading: float
+    spot_error: float
     readings: int
     rejected: int
+
+    @property
+    def subject(self) -> str:
+        """Whom limits and findings concern."""
+        return f"{BEAM.name} {self.name}"
+
+    @property
+    def largest_sigmas(self) -> tuple[float, float]:
+        """Largest standard deviations of a coordinate of the location [m] and of a turn [rad]."""
+        return float(self.location_sigma.max()), self.direction_sigma
+
+    def spot_by(self) -> FloatArray:
+        """Return how its spot moves with its coordinates (3, 7), in the hand."""
+        return _spot_by(
+            np.concatenate((self.location, self.direction, self.range_error)), self.reading
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -227,6 +267,8 @@ class SurveyCalibration(Value):
         Whether one of them was estimated.
     undetermined : tuple of str
         What is undetermined, in sentences, and what determines it.
+    advice : tuple of str
+        What determines it, by itself.
     relations : tuple of RelationTest
     rejected : tuple of RejectedShot
     warnings : tuple of CalibrationWarning
@@ -244,6 +286,7 @@ class SurveyCalibration(Value):
     pose_sigma: tuple[float, float]
     pose_sigma_estimated: bool
     undetermined: tuple[str, ...]
+    advice: tuple[str, ...]
     relations: tuple[RelationTest, ...]
     rejected: tuple[RejectedShot, ...]
     warnings: tuple[CalibrationWarning, ...]
@@ -258,68 +301,22 @@ class SurveyCalibration(Value):
         return self._found.rows.survey.lines
 
     @property
-    def usable(self) -> bool:
-        """Whether it can be used.
-
-        It cannot where it has not converged, where a relation is contradicted, where a range error that
-        was found moves a spot by more than what is stated of it, or where next to nothing tells a noise
-        on which the standard deviations rest.
-        """
-        few = any(one.code == FEW for one in self.warnings)
-        contradicted = any(one.contradicted for one in self.relations)
-        moved = any(
-            error.found and abs(error.size) * error.spot_shift > sensor.spot_error
-            for sensor in self.sensors.values()
-            for error in sensor.errors
-        )
-        return self.status == "converged" and not contradicted and not moved and not few
+    def mounts(self) -> tuple[SensorMount | BeamMount, ...]:
+        """All sensors, then all beams."""
+        return *self.sensors.values(), *self.beams.values()
 
     @property
-    def verdict(self) -> str:
-        """What to do with it, in one sentence."""
-        if self.status != "converged":
-            why = self.undetermined[:2] if self.undetermined else (self.message,)
-            if not any(one.code == NO_FIT for one in self.warnings):  # which names its causes
-                codes = {one.code for one in self.warnings}
-                among = (*MISREAD, FALSE_RELATION) if FALSE_RELATION in codes else CAUSES
-                causes = [one.message for one in self.warnings if one.code in among]
-                why = tuple(dict.fromkeys((*causes, *why)))
-            return f"Not usable: {'; '.join(one.rstrip('.') for one in why)}."
-        parts = [
-            said("verdict:sensor", name=sensor.name, spot=sensor.spot_error, at=sensor.reading)
-            for sensor in self.sensors.values()
-        ]
-        parts += [
-            said("verdict:beam", name=beam.name, sigma=float(beam.location_sigma.max()))
-            for beam in self.beams.values()
-        ]
-        opening = "Usable" if not self.warnings else "Usable with care"
-        if not self.usable:
-            opening = "Not usable"
-        words = some(parts, NAMES_IN_LINE)
-        if self.warnings:
-            words += f"; {self.warnings[0].message.rstrip('.')}"
-        return f"{opening}: {words}."
+    def verdict(self) -> Verdict:
+        """Whether to use it, what it is good for, and what would improve it most.
 
+        Without limits of a user, as of a `Calibration`.
+        """
+        return survey_verdict(self)
 
-def survey_limits(result: SurveyCalibration, limits: Limits) -> tuple[LimitCheck, ...]:
-    """Compare the standard deviations of a result with the limits of its user.
-
-    A limit of the rms residual is none of a survey, whose readings weigh differently.
-    """
-    mounts = [
-        (f"sensor {one.name}", one.location_sigma, float(one.rotation_sigma.max()))
-        for one in result.sensors.values()
-    ]
-    mounts += [
-        (f"beam {one.name}", one.location_sigma, one.direction_sigma)
-        for one in result.beams.values()
-    ]
-    checks: list[LimitCheck] = []
-    for name, location, turn in mounts:
-        sigmas = float(location.max()), turn
-        checks += sigmas_checked(name, sigmas, sigmas, limits)
-    return tuple(checks)
+    @property
+    def usable(self) -> bool:
+        """Whether it can be used, by its verdict."""
+        return self.verdict.usable
 
 
 def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
@@ -342,14 +339,16 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     relations = found.tests
     warnings = tuple(_warnings(found, sensors, relations, rejected))
     wrong = next((one.message for one in warnings if one.code in (NO_FIT, *MISREAD)), None)
-    status, message, undetermined = estimate.status, estimate.message, tuple[str, ...]()
+    status, message = estimate.status, estimate.message
+    undetermined, advice = tuple[str, ...](), tuple[str, ...]()
     if wrong is not None:
         # What is undetermined means nothing where shots are read as what they are not.
         status, message = "not_converged" if status == "not_converged" else "contradicted", wrong
     elif estimate.undetermined or found.images:
         information, axes, _ = _information(found)
         null = axes[:, information < least_information(information)]
-        undetermined = (open_sentence(*open_words(rows, estimate, null, found.images)),)
+        moving, advice = open_words(rows, estimate, null, found.images)
+        undetermined = (open_sentence(moving, advice),)
         message = undetermined[0]
     elif status != "converged" and any(one.contradicted for one in relations):
         # Labels and noise may be right, and rows do not fit because of the relation.
@@ -363,6 +362,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         (math.nan, math.nan) if stated else (turn, shift),
         bool(np.isnan(found.stated.pose).any()),
         undetermined,
+        advice,
         relations,
         rejected,
         warnings,
@@ -383,7 +383,6 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
     C = own[np.ix_(kept, kept)]
     reading = float(np.median(shots.reading))
     spot = _spot_of(shots.kind, shots.across, reading)
-    J = np.hstack((-skew(spot), np.eye(3)))
     located = R @ C[3:6, 3:6] @ R.T
     if found.estimate.status == "undetermined" and np.isnan(located).any():
         # An undetermined direction of the hand has a part along each axis of the sensor.
@@ -392,7 +391,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         functionals = np.zeros((3, len(unit)))
         functionals[:, shift] = R * unit[shift]
         located = covariance_along(information, axes, functionals)
-    return SensorMount(
+    mount = SensorMount(
         shots.name,
         shots.kind,
         R,
@@ -404,10 +403,11 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         float(found.noise.sigma[member]),
         reading,
         spot,
-        radius(J @ C[:6, :6] @ J.T) if np.isfinite(C[:6, :6]).all() else math.inf,
+        math.inf,
         *_taken(found, SENSOR.name, member),
         errors,
     )
+    return replace(mount, spot_error=_spot_error(mount.spot_by(), C[:6, :6]))
 
 
 def _information(found: SurveyEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -429,7 +429,8 @@ def _beam(found: SurveyEstimate, member: int) -> BeamMount:
     rows = found.rows
     turn = C[DIRECTION, DIRECTION]
     known = bool(np.isfinite(turn).all())
-    return BeamMount(
+    own = [i.reading for i in rows.items if (i.family, i.member) == (BEAM.name, member)]
+    mount = BeamMount(
         rows.survey.beam_names[member],
         x[:3],
         x[3:6],
@@ -438,8 +439,26 @@ def _beam(found: SurveyEstimate, member: int) -> BeamMount:
         np.sqrt(np.diagonal(C)[LOCATION]),
         math.sqrt(float(np.linalg.eigvalsh(turn)[-1])) if known else math.inf,
         float(found.noise.sigma[-2]),
+        float(np.median(own)) if own else math.nan,
+        math.inf,
         *_taken(found, BEAM.name, member),
     )
+    return replace(mount, spot_error=_spot_error(mount.spot_by(), C))
+
+
+def _spot_by(beam: FloatArray, reading: float) -> FloatArray:
+    """Return how the spot of a reading moves with the tangent coordinates of a beam (3, 7)."""
+    _, J = spot_of(beam, reading)
+    lift = np.zeros((BEAM.size, BEAM.dim))
+    lift[OF_LOCATION, LOCATION], lift[OF_RANGE_ERROR, RANGE_ERROR] = np.eye(3), np.eye(2)
+    lift[OF_DIRECTION, DIRECTION] = bases(beam[OF_DIRECTION])
+    return np.asarray(J @ lift)
+
+
+def _spot_error(J: FloatArray, covariance: FloatArray) -> float:
+    """Return the 95 % radius of a spot [m]; infinite where something of its mount is undetermined."""
+    known = bool(np.isfinite(covariance).all())
+    return radius(J @ covariance @ J.T) if known else math.inf
 
 
 def _taken(found: SurveyEstimate, family: str, member: int) -> tuple[int, int]:
@@ -541,7 +560,7 @@ def _warnings(
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
         names = some([one.words(beams) for one in out], NAMES_IN_LINE)
         total = len(found.rows.items)
-        yield warned("many-rejected", {"shots": len(out)}, total=total, names=names)
+        yield warned("many-rejected", {"shots": len(out), "total": total}, names=names)
     yield from unread_stations(found.rows)
     yield from found.rows.survey.warnings
 
@@ -618,7 +637,8 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         p = float((chi2_cdf if smaller else chi2_sf)(square, many))
         if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > NOTABLE_SIGMA:
             how, stated = "large" if smaller else "small", shots.sigma
-            values: Values = {"sigma_mm": inside * IN_MM, "p": p}
+            times = inside / shots.sigma
+            values: Values = {"sigma_mm": inside * IN_MM, "times": times, "p": p}
             yield warned(
                 f"sigmas-too-{how}:shots", values, sensor=shots.name, inside=inside, stated=stated
             )

@@ -29,6 +29,8 @@ from .warnings import MANY_OUTLIERS
 
 OPENING = MESSAGES["openings"]
 """How a sentence begins, by the code of its verdict."""
+MARKS = {"usable": "good", "usable-with-care": "care"}
+"""Colours of the verdicts on what can be used; all others are bad."""
 RANDOM_ONLY = "; random errors only: state [sensor] kind"
 """What stands beside a radius where nothing says which systematic errors are plausible."""
 CAUSE = "file-mistake"
@@ -45,7 +47,8 @@ class Improvement:
     ----------
     code : str
         `systematic`, `effect-undetermined`, `hidden`, `outliers`, `sigmas`, `limit-rms`, `stops`,
-        `poses`, `range-span`, `motion`, `more-stations`, `more-motion` or `recording`.
+        `poses`, `range-span`, `motion`, `more-stations`, `more-motion` or `recording`; of surveys
+        codes of warnings that say what to do, too.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -56,6 +59,11 @@ class Improvement:
     code: str
     words: str
     number: float | None = None
+
+    @property
+    def clause(self) -> str:
+        """The last part of a sentence."""
+        return f"best improvement: {clause(self.words)}"
 
 
 def improvement(
@@ -87,18 +95,18 @@ def improvement(
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
     if fit.outliers > MANY_OUTLIERS * total:
-        return _best("outliers", fit.outliers, total=total)
+        return improvement_of("outliers", fit.outliers, total=total)
     if codes & {"sigmas-too-small", "sigmas-too-large"}:
-        return _best("sigmas", fit.sigma0)
+        return improvement_of("sigmas", fit.sigma0)
     if any(one.quantity == "rms" for one in failed):
-        return _best("limit-rms")
+        return improvement_of("limit-rms")
     if undetermined is not None:
         code = undetermined.code
-        return _best("effect-undetermined", code=code, reveal=EFFECTS[code].reveal)
+        return improvement_of("effect-undetermined", code=code, reveal=EFFECTS[code].reveal)
     if doubtful is not None:
-        return _best("hidden", reveal=EFFECTS[doubtful.code].reveal)
+        return improvement_of("hidden", reveal=EFFECTS[doubtful.code].reveal)
     if "correlated-in-time" in codes:
-        return _best("stops")
+        return improvement_of("stops")
     few = freedom(calibration) < FEW_DEGREES
     if shares is not None and not few:  # what would lower the largest share
         condition = calibration.observability.condition
@@ -109,17 +117,22 @@ def improvement(
         worst = max(causes, key=lambda one: np.nan_to_num(causes[one], nan=-1.0))
         if causes[worst] > 0.5:  # a cause of more than half of the variance is worth the first word
             percent = IN_PERCENT * min(causes[worst], 0.99)
-            return _best(worst, causes[worst], percent=percent)
-    if failed:
-        times = max(one.ratio for one in failed) ** 2
-        rounded = f"{math.ceil(10.0 * times) / 10.0:.1f}" if times < 10.0 else f"{math.ceil(times)}"
-        return _best("more-stations:limits", times, times=rounded)
-    if few:
-        return _best("more-stations:few", dof=fit.dof)
-    return _best("more-stations", 4.0)
+            return improvement_of(worst, causes[worst], percent=percent)
+    if few and not failed:
+        return improvement_of("more-stations:few", dof=fit.dof)
+    return more_stations(failed)
 
 
-def _best(message: str, number: float | None = None, **words: float | str) -> Improvement:
+def more_stations(failed: tuple[LimitCheck, ...]) -> Improvement:
+    """Return how many times as many stations meet limits that are exceeded, or halve the error."""
+    if not failed:
+        return improvement_of("more-stations", 4.0)
+    times = max(one.ratio for one in failed) ** 2
+    rounded = f"{math.ceil(10.0 * times) / 10.0:.1f}" if times < 10.0 else f"{math.ceil(times)}"
+    return improvement_of("more-stations:limits", times, times=rounded)
+
+
+def improvement_of(message: str, number: float | None = None, **words: float | str) -> Improvement:
     """Return an improvement by its code, with a suffix where one code has several words."""
     if number is not None:
         words = {"number": number, **words}
@@ -144,7 +157,7 @@ class Verdict:
     reading : float
         The working distance [m].
     spot_beam : str
-        The beam whose laser spot is least certain; empty where there is no covariance.
+        The beam, or the sensor, whose spot is least certain; empty where there is no covariance.
     spot_error : float or None
         The radius [m] around its stated place that holds that spot with 95 %, from the calibration
         alone.
@@ -184,7 +197,17 @@ class Verdict:
     @property
     def usable(self) -> bool:
         """Whether the calibration can be used."""
-        return self.code in ("usable", "usable-with-care")
+        return self.code in MARKS
+
+    @property
+    def opening(self) -> str:
+        """What the verdict is, in a few words."""
+        return OPENING[self.code]
+
+    @property
+    def mark(self) -> str:
+        """Its colour: `good`, `care` or `bad`."""
+        return MARKS.get(self.code, "bad")
 
     @property
     def sentence(self) -> str:
@@ -192,7 +215,7 @@ class Verdict:
         planes = f", confirmed by {count(self.confirmed_by, 'plane')} left out"
         confirmed = planes if self.confirmed_by else ""
         words = "; ".join(self.findings)
-        return f"{OPENING[self.code]}{confirmed}: {words}."
+        return f"{self.opening}{confirmed}: {words}."
 
     @property
     def worst_limits(self) -> tuple[LimitCheck, ...]:
@@ -264,25 +287,21 @@ def verdict(
         shares=shares,
     )
     named = [warning for warning in calibration.warnings if warning.code == CAUSE]
-    words = (_clause(warning.message) for warning in named)
+    words = (clause(warning.message) for warning in named)
     causes = (*named, *_causes(found, calibration))
     return replace(found, findings=(*words, *_findings(found, calibration)), causes=causes)
 
 
 def _causes(judged: Verdict, calibration: CalibrationData) -> Iterator[CalibrationWarning]:
     """Yield what keeps a solved calibration from being simply usable, beside mistakes of the file."""
-    for check in judged.limits:
-        if not check.held:
-            values: dict[str, float | str] = {
-                "quantity": check.quantity,
-                "subject": check.subject,
-                "value": check.value,
-                "limit": check.limit,
-            }
-            yield CalibrationWarning("outside-limits", check.failure, values)
+    yield from failures_of(judged.limits)
     error = judged.harmful
     if error is not None:
-        values = {"subject": error.subject, "size": error.size, "p_value": error.p_value}
+        values: dict[str, float | str] = {
+            "subject": error.subject,
+            "size": error.size,
+            "p_value": error.p_value,
+        }
         yield CalibrationWarning(error.code, error.message, values)
     yield from (warning for warning in calibration.warnings if warning.code != CAUSE)
 
@@ -312,7 +331,7 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     if found.code == "outside-limits":
         yield failures(found.limits)
     if found.code == "systematic-error" and found.harmful is not None:
-        yield _clause(found.harmful.message)
+        yield clause(found.harmful.message)
     elif found.spot_error is not None:
         spot, at = _mm(found.spot_error), _mm(found.reading)
         random = RANDOM_ONLY if calibration.sensor_kind is None else ""
@@ -329,22 +348,17 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
         yield f"within the limits ({nearest.comparison})"
     if found.code == "usable-with-care" and warnings:
         yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
-    yield best_improvement(found.best)
-
-
-def best_improvement(best: Improvement) -> str:
-    """Return the last part of a sentence."""
-    return f"best improvement: {_clause(best.words)}"
+    yield found.best.clause
 
 
 def _none(calibration: CalibrationData, reading: float) -> Verdict:
     """Return the verdict on what did not converge."""
     found = calibration.observability
     if calibration.status != "unobservable":
-        best = _best("recording")
+        best = improvement_of("recording")
         says_why = any(one.message == calibration.message for one in calibration.warnings)
         code = "no-fit" if says_why else "not-converged"
-        words = _clause(calibration.message).removeprefix("the readings do not fit: ")
+        words = clause(calibration.message).removeprefix("the readings do not fit: ")
         causes = calibration.warnings
         if not says_why:
             causes = (CalibrationWarning(code, calibration.message), *causes)
@@ -357,7 +371,7 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
         what = first + (f"; and unknowns of {some(others, NAMES_IN_LINE)}" if others else "")
     best = Improvement("more-motion", words)
     causes = CalibrationWarning("undetermined", calibration.message), *calibration.warnings
-    return Verdict("undetermined", (_clause(what), _clause(words)), best, reading, causes=causes)
+    return Verdict("undetermined", (clause(what), clause(words)), best, reading, causes=causes)
 
 
 def failures(checks: tuple[LimitCheck, ...]) -> str:
@@ -370,7 +384,20 @@ def failures(checks: tuple[LimitCheck, ...]) -> str:
     )
 
 
-def _clause(words: str) -> str:
+def failures_of(checks: tuple[LimitCheck, ...]) -> Iterator[CalibrationWarning]:
+    """Yield the limits that are exceeded, each with its numbers."""
+    for check in checks:
+        if not check.held:
+            values: dict[str, float | str] = {
+                "quantity": check.quantity,
+                "subject": check.subject,
+                "value": check.value,
+                "limit": check.limit,
+            }
+            yield CalibrationWarning("outside-limits", check.failure, values)
+
+
+def clause(words: str) -> str:
     """Return words without a full stop."""
     return words.rstrip(". ")
 

@@ -22,7 +22,7 @@ from ..results.calibration import Calibration
 from ..results.limits import Limits, rms_checked
 from ..results.lines import NAMES_IN_LINE
 from ..results.mounts import Mounts
-from ..results.verdict import Verdict, best_improvement, failures, verdict
+from ..results.verdict import Verdict, failures, verdict
 from ..text import some
 from .hold_out import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
@@ -187,7 +187,7 @@ def verdict_of_validation(validation: Validation, limits: Limits | None = None) 
         for check in rms_checked(f"without plane {plane}", result.rms, limits or Limits())
     )
     p_values = {plane: result.p_value for plane, result in left_out.items()}
-    against, last = contradicted(p_values), best_improvement(found.best)
+    against, last = contradicted(p_values), found.best.clause
     found = replace(found, limits=(*found.limits, *checks), contradicted_by=against)
     if not found.usable:
         return found

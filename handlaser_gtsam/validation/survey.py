@@ -15,13 +15,14 @@ from ..checks import require_count, require_kind
 from ..data.noise import Noise
 from ..data.survey import Survey, normal_label
 from ..data.value import Value
-from ..errors import HandlaserError, SolverError
+from ..errors import CalibrationWarning, HandlaserError, SolverError
 from ..estimation.survey import estimate_survey
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf
 from ..model.families import POSE
 from ..quantities import SINGULAR
 from ..results.spot_error import spot_of
 from ..results.survey import SurveyCalibration, survey_calibration
+from ..results.verdict import Verdict
 from .cross_check import CrossCheck, cross_check_survey, fits
 from .leave_out import PART_LEFT_OUT, USUAL_SPLITS
 from .simulate import generator
@@ -101,19 +102,30 @@ class SurveyValidation(Value):
     @property
     def usable(self) -> bool:
         """Whether the calibration is usable, SciPy agrees, and every part is predicted by the rest."""
-        return self.calibration.usable and self.disagreement is None and not self.contradicted
+        return self.verdict.usable
 
     @property
-    def verdict(self) -> str:
-        """What to do with the calibration after these tests, in one sentence."""
-        if not self.calibration.usable:
-            return self.calibration.verdict
-        why = [] if self.disagreement is None else [self.disagreement]
-        against = [one.name for one in self.contradicted]
+    def verdict(self) -> Verdict:
+        """The verdict on the calibration after these tests."""
+        judged, why = self.calibration.verdict, list[CalibrationWarning]()
+        if not judged.usable:
+            return judged
+        if self.disagreement is not None:
+            why.append(CalibrationWarning("reference-disagrees", self.disagreement))
+        against = tuple(one.name for one in self.contradicted)
         if against:
             which = f"(p below {SINGLE_LEVEL:g}): {', '.join(against)}"
-            why.append(f"what the rest of the survey does not predict {which}")
-        return f"Not usable: {'; '.join(why)}." if why else self.calibration.verdict
+            words = f"what the rest of the survey does not predict {which}"
+            why.append(CalibrationWarning("not-predicted", words))
+        if not why:
+            return judged
+        return replace(
+            judged,
+            code="contradicted",
+            findings=tuple(one.message for one in why),
+            contradicted_by=against,
+            causes=(*why, *judged.causes),
+        )
 
     @property
     def contradicted(self) -> tuple[SurveyLeftOut, ...]:
@@ -154,7 +166,7 @@ def validate_survey(
     whole = estimate_survey(survey, noise)
     calibration = survey_calibration(whole)
     if not fits(calibration):
-        raise SolverError(calibration.verdict)
+        raise SolverError(calibration.verdict.sentence)
     reference = cross_check_survey(calibration)
     labels = np.array([normal_label(label) for label in survey.stations.plane_labels])
     different = sorted(set(labels.tolist()))

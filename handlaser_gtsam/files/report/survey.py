@@ -4,8 +4,8 @@ from ... import __version__
 from ...data.survey import Survey
 from ...results.description.survey import beams_table, facts, sensors_table, targets_table
 from ...results.description.tables import listed, name_cell, sentence, text
-from ...results.limits import LimitCheck
 from ...results.survey import SurveyCalibration
+from ...results.verdict import Verdict
 from .figure import STYLE, Figure
 from .page import page_of, script_of, sections_of
 from .scene import scene_figure
@@ -29,7 +29,7 @@ def survey_report(
     survey: Survey,
     source: str,
     day: str = "",
-    checks: tuple[LimitCheck, ...] = (),
+    verdict: Verdict | None = None,
 ) -> str:
     """Return the page; the same result makes the same page.
 
@@ -42,10 +42,10 @@ def survey_report(
         Name of the file of stations.
     day : str
         Date of the report; none where not given.
-    checks : tuple of LimitCheck
-        Of its user's limits.
+    verdict : Verdict, optional
+        With its user's limits; `result.verdict` where not given.
     """
-    opening, sections, figures = survey_content(result, survey, source, day, checks)
+    opening, sections, figures = survey_content(result, survey, source, day, verdict)
     script = script_of("page.js")
     return page_of(f"{opening} · {source}", sections, figures, script=script, labels=SECTIONS)
 
@@ -55,7 +55,7 @@ def survey_content(
     survey: Survey,
     source: str,
     day: str = "",
-    checks: tuple[LimitCheck, ...] = (),
+    verdict: Verdict | None = None,
 ) -> tuple[str, dict[str, str], dict[str, Figure]]:
     """Return the opening of the verdict, sections as HTML and figures by name; as `survey_report`."""
     seen = list(seen_by_all(result, survey))
@@ -67,17 +67,13 @@ def survey_content(
     made = [("program", f"handlaser {__version__}"), ("stations", source)]
     made += [("read", "; ".join(survey.lines))] if survey.lines else []
     made += [("date", day)] if day else []
-    mark = "good" if result.usable and not result.warnings else "care" if result.usable else "bad"
-    opening, _, words = result.verdict.partition(": ")
+    verdict = result.verdict if verdict is None else verdict
     values = {
         "title": source,
         "shown": {
-            "mark": mark,
-            "opening": opening,
-            "findings": [
-                part if part.startswith(tuple(result.sensors)) else sentence(part)
-                for part in words.split("; ")
-            ],
+            "mark": verdict.mark,
+            "opening": verdict.opening,
+            "findings": [sentence(part) for part in verdict.findings],
             "counts": (
                 ("stations", len(survey.stations)),
                 ("targets", len(result.targets)),
@@ -89,7 +85,7 @@ def survey_content(
         "warnings": [one.message for one in result.warnings],
         "mounts": [t for t in (sensors_table(result), beams_table(result)) if t],
         "targets": targets_table(result),
-        "rows": facts(result, checks),
+        "rows": facts(result, verdict),
         "rejected": listed(
             "rejected:survey",
             result.rejected,
@@ -103,4 +99,4 @@ def survey_content(
         "figures": figures,
         "on_targets": [(target, figure.name) for target, figure in on],
     }
-    return opening, sections_of("survey.html.j2", SECTIONS, values), figures
+    return verdict.opening, sections_of("survey.html.j2", SECTIONS, values), figures

@@ -16,7 +16,7 @@ from ...data.survey import Survey
 from ...errors import HandlaserError, InputError
 from ...estimation.options import CalibrationOptions
 from ...pipeline import calibrate
-from ...results.survey import survey_limits
+from ...results.survey_verdict import survey_verdict
 from ...text import printable
 from ..logs.report import LogReport
 from ..points_table import AWAITED
@@ -164,10 +164,10 @@ class Calibrator:
             stated = "options of how beams before planes are calibrated, with a survey"
             raise InputError(stated, "none of them")
         found = calibrate(survey, rig.noise)
-        source, checks = self._watched.recording.name, survey_limits(found, rig.limits)
-        opening, sections, figures = survey_content(found, survey, source, checks=checks)
+        source, judged = self._watched.recording.name, survey_verdict(found, rig.limits)
+        opening, sections, figures = survey_content(found, survey, source, verdict=judged)
         empty = dict.fromkeys(LIVE_SECTIONS, "")
-        result = safe_json(json.loads(survey_text(found)))
+        result = safe_json(json.loads(survey_text(found, judged)))
         return messages_of(opening, empty | sections, figures, result)
 
 

@@ -9,12 +9,9 @@ from functools import cached_property
 
 from ...text import count
 from ..reports import CalibrationData
-from ..verdict import OPENING, Verdict
+from ..verdict import Verdict
 from . import evidence, parameters
 from .tables import sentence
-
-MARKS = {"usable": "good", "usable-with-care": "care"}
-"""Colour of a verdict; all others are bad."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +35,12 @@ class Description:
     @property
     def opening(self) -> str:
         """The verdict in a few words."""
-        return OPENING[self.verdict.code]
+        return self.verdict.opening
 
     @property
     def mark(self) -> str:
         """The colour of the verdict: `good`, `care` or `bad`."""
-        return MARKS.get(self.verdict.code, "bad")
+        return self.verdict.mark
 
     @property
     def findings(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """What there is to say of the result of a survey: terminal and report render it."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,10 +13,10 @@ from ...model.families import BEAM, RANGE_ERROR
 from ...model.sensors.mounted import SENSOR
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
-from ..limits import LimitCheck, worst_of_each
 from ..lines import NAMES_IN_LINE, UNDETERMINED, decimals
 from ..messages import said
 from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
+from ..verdict import Verdict
 from .tables import (
     NONE,
     Cell,
@@ -89,6 +89,7 @@ def _beam_row(beam: BeamMount) -> tuple[Cell, ...]:
         *_located(beam.location, beam.location_sigma),
         *(determined(x, beam.direction_sigma, 5, NONE) for x in beam.direction.tolist()),
         significant(beam.direction_sigma * IN_DEG, 2),
+        significant(beam.spot_error * IN_MM, 2),
         Cell(str(beam.readings), beam.readings),
     )
 
@@ -112,7 +113,7 @@ def _target_row(target: SurveyTarget) -> tuple[Cell, ...]:
     )
 
 
-def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts:
+def facts(result: SurveyCalibration, verdict: Verdict) -> Facts:
     """Return noise, fit, limits, relations and tests as pairs of a name and words."""
     found = [("fit", f"chi2 {result.chi2:.4g} at {result.dof} degrees of freedom{_counts(result)}")]
     noise = [
@@ -135,7 +136,7 @@ def facts(result: SurveyCalibration, checks: Sequence[LimitCheck] = ()) -> Facts
         errors = dict(zip(BEAM.coordinates[RANGE_ERROR], beam.range_error, strict=True))
         sigmas = np.sqrt(np.diagonal(beam.covariance)[RANGE_ERROR])
         found.append((f"range error of beam {beam.name}", _errors(errors, sigmas)))
-    for check in worst_of_each(tuple(checks)):
+    for check in verdict.worst_limits:
         found.append(("limit", check.comparison if check.held else check.failure))
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
@@ -162,7 +163,7 @@ def _counts(result: SurveyCalibration) -> str:
 def _without(result: SurveyCalibration, other: SurveyCalibration) -> Iterator[tuple[str, str]]:
     """Yield what follows without the relations that are contradicted: how far each mount moves."""
     false = " and ".join(one.known.words for one in result.relations if one.contradicted)
-    yield f"without {false}", other.verdict
+    yield f"without {false}", other.verdict.sentence
     for name, sensor in other.sensors.items():
         before = result.sensors[name]
         turn = float(Rotation.from_matrix(before.rotation.T @ sensor.rotation).magnitude())

@@ -1,0 +1,211 @@
+"""The verdict on the calibration of a survey, in the terms of that on beams before planes.
+
+Its findings name every sensor and beam with the radius around its spot at its working distance. What
+would improve it most is looked for in the same order: what makes the stated numbers wrong, then the
+largest share of the variance of the spot that is least certain.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..estimation.estimate import covariance_along, information_axes
+from ..model.families import BEAM
+from ..model.sensors.mounted import SENSOR
+from ..quantities import IN_PERCENT
+from ..text import some
+from .limits import LimitCheck, Limits, sigmas_checked
+from .lines import NAMES_IN_LINE
+from .messages import said
+from .survey_misfit import MISREAD, NO_FIT
+from .verdict import (
+    Improvement,
+    Verdict,
+    clause,
+    failures,
+    failures_of,
+    improvement_of,
+    more_stations,
+)
+
+if TYPE_CHECKING:
+    from .survey import SurveyCalibration
+
+FEW = "few-readings"
+"""Code of the warning that hardly more readings than unknowns tell the noise."""
+FALSE_RELATION = "relation-contradicted"
+"""Code of the warning that readings contradict what is said to be known."""
+CAUSES = (*MISREAD, FALSE_RELATION, "sigmas-too-small", "range-error")
+"""Codes of warnings that say why shots do not fit each other.
+
+A false relation looks like errors of readings, too, so that the last two are no causes beside it.
+"""
+
+
+def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) -> Verdict:
+    """Return the verdict on the calibration of a survey.
+
+    Parameters
+    ----------
+    result : SurveyCalibration
+    limits : Limits, optional
+        What its user demands. A limit of the rms residual is none of a survey, whose readings weigh
+        differently.
+    """
+    if result.status != "converged":
+        return _of_no_calibration(result)
+    checks = tuple(_checked(result, limits or Limits()))
+    failed = tuple(one for one in checks if not one.held)
+    harmful, excess = _most_harmful(result)
+    contradicted = [one.message for one in result.warnings if one.code == FALSE_RELATION]
+    few = [one.message for one in result.warnings if one.code == FEW]
+    code, first = "usable", ""
+    if contradicted:
+        code, first = "contradicted", contradicted[0]
+    elif excess > 1.0:
+        code, first = "systematic-error", _warning(result, "range-error")
+    elif few:
+        code, first = "undetermined", few[0]
+    elif failed:
+        code, first = "outside-limits", failures(checks)
+    elif result.warnings:
+        code, first = "usable-with-care", ""
+    findings = [clause(first)] if first else []
+    findings += [some(list(_located(result)), NAMES_IN_LINE)]
+    if code == "usable-with-care":
+        findings.append(clause(result.warnings[0].message))
+    best = _improvement(result, harmful, failed)
+    if code in ("usable", "usable-with-care", "outside-limits"):
+        findings.append(best.clause)
+    worst = result.mounts[_least_certain(result)]
+    known = math.isfinite(worst.spot_error)
+    return Verdict(
+        code,
+        tuple(findings),
+        best,
+        worst.reading,
+        spot_beam=worst.name if known else "",
+        spot_error=worst.spot_error if known else None,
+        limits=checks,
+        causes=(*failures_of(checks), *result.warnings),
+    )
+
+
+def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
+    """Return the verdict on what is undetermined, contradicted or has not converged."""
+    codes = {one.code for one in result.warnings}
+    among = (*MISREAD, FALSE_RELATION) if FALSE_RELATION in codes else CAUSES
+    causes = [one for one in result.warnings if one.code in among]
+    why = result.undetermined[:2] or (result.message,)
+    if NO_FIT not in codes:  # which names its causes
+        why = (*(one.message for one in causes), *why)
+    if result.status == "undetermined":
+        code = "undetermined"
+    elif FALSE_RELATION in codes and not codes & {NO_FIT, *MISREAD}:
+        code = "contradicted"
+    else:
+        code = (
+            "not-converged"
+            if result.status == "not_converged" and NO_FIT not in codes
+            else "no-fit"
+        )
+    best = improvement_of("recording")
+    if result.advice:
+        best = Improvement("more-motion", "; ".join(result.advice))
+    elif causes:  # each says what to do
+        best = Improvement(causes[0].code, clause(causes[0].message))
+    findings = tuple(dict.fromkeys(clause(one) for one in why))
+    return Verdict(code, findings, best, math.nan, causes=result.warnings)
+
+
+def _checked(result: "SurveyCalibration", limits: Limits) -> Iterator[LimitCheck]:
+    """Compare the standard deviations of a result with the limits that there are."""
+    for one in result.mounts:
+        yield from sigmas_checked(one.subject, one.largest_sigmas, one.largest_sigmas, limits)
+
+
+def _located(result: "SurveyCalibration") -> Iterator[str]:
+    """Say how well each sensor and beam is known: its spot, or where it is if its spot is open."""
+    for one in result.mounts:
+        if math.isfinite(one.spot_error):
+            yield said("verdict:mount", name=one.subject, spot=one.spot_error, at=one.reading)
+        else:
+            yield said("verdict:located", name=one.subject, sigma=one.largest_sigmas[0])
+
+
+def _least_certain(result: "SurveyCalibration") -> int:
+    """Return the number of the mount whose spot is least certain."""
+    return int(np.argmax([one.spot_error for one in result.mounts]))
+
+
+def _warning(result: "SurveyCalibration", code: str) -> str:
+    """Return the words of the first warning of a code."""
+    return next(one.message for one in result.warnings if one.code == code)
+
+
+def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, float]:
+    """Return the sensor and the code of the range error found that moves its spot most, and how far.
+
+    That is in units of the 95 % radius of the spot.
+    """
+    moved = {
+        (sensor.name, error.code): abs(error.size) * error.spot_shift / sensor.spot_error
+        for sensor in result.sensors.values()
+        for error in sensor.errors
+        if error.found
+    }
+    worst = max(moved, key=lambda one: moved[one], default=None)
+    return worst, 0.0 if worst is None else moved[worst]
+
+
+def _improvement(
+    result: "SurveyCalibration", harmful: tuple[str, str] | None, failed: tuple[LimitCheck, ...]
+) -> Improvement:
+    """Return the one thing that would improve a converged calibration most."""
+    warnings = {one.code: one for one in reversed(result.warnings)}
+    if FALSE_RELATION in warnings:
+        return improvement_of(FALSE_RELATION)
+    if harmful is not None:
+        return improvement_of("range-error", sensor=harmful[0], code=harmful[1])
+    if "many-rejected" in warnings:
+        out = warnings["many-rejected"].values["shots"]
+        total = warnings["many-rejected"].values["total"]
+        return improvement_of("outliers", float(out), total=total)
+    for how in ("small", "large"):
+        if f"sigmas-too-{how}" in warnings:
+            return improvement_of("sigmas", float(warnings[f"sigmas-too-{how}"].values["times"]))
+    if FEW in warnings:
+        return improvement_of("more-stations:few", dof=f"{warnings[FEW].values['spare']:.1f}")
+    share = _pose_share(result)
+    if share > 0.5:  # a cause of more than half of the variance is worth the first word
+        return improvement_of("poses", share, percent=IN_PERCENT * min(share, 0.99))
+    return more_stations(failed)
+
+
+def _pose_share(result: "SurveyCalibration") -> float:
+    """Return the part of the variance of the least certain spot that errors of the hand make.
+
+    The variance is homogeneous in the variances of the readings and of the hand poses, so that its
+    logarithmic derivative by the latter is their share, as in `spot_error`.
+    """
+    number = _least_certain(result)
+    if not math.isfinite(result.mounts[number].spot_error):
+        return 0.0
+    low, high = (_spot_variance(result, number, times) for times in (0.5, 2.0))
+    return math.log(high / low) / (2.0 * math.log(2.0)) if low > 0.0 else 0.0
+
+
+def _spot_variance(result: "SurveyCalibration", number: int, times: float) -> float:
+    """Return the trace of the covariance of a spot [m^2], for the pose variances times a factor."""
+    found, J, sensors = result._found, result.mounts[number].spot_by(), len(result.sensors)
+    entity = (SENSOR.name, number) if number < sensors else (BEAM.name, number - sensors)
+    problem = found.problem(times)
+    values = {name: x[None] for name, x in found.estimate.values.items()}
+    information, axes, unit = information_axes(problem, problem.blocks, values)
+    # Range errors of a sensor stand after the unknowns of where it is.
+    index = problem.places().place[entity[0]][entity[1]] + np.arange(J.shape[1])
+    functionals = np.zeros((3, len(unit)))
+    functionals[:, index] = J * unit[index]
+    return float(np.trace(covariance_along(information, axes, functionals)))

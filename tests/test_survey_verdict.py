@@ -1,0 +1,94 @@
+"""The verdict on a survey: its code, causes and remedies for programs, and its radius around a spot."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks import rigs_by_rays
+from benchmarks.rigs import survey_of
+from handlaser_gtsam.files.calibration_file import VerdictRecord
+from handlaser_gtsam.files.survey_json import survey_text
+from handlaser_gtsam.results.limits import Limits
+from handlaser_gtsam.results.survey_verdict import survey_verdict
+
+EXACT = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
+
+
+def record_of(result, limits=None):
+    """The verdict as its JSON has it, which must be that of calibrations of beams before planes."""
+    content = json.loads(survey_text(result, survey_verdict(result, limits)))
+    VerdictRecord.model_validate(content["verdict"])
+    return content["verdict"]
+
+
+def test_a_program_reads_code_causes_and_remedies():
+    survey = survey_of(rigs_by_rays.profiler(3, targets="planes+sphere"))
+    result = hl.calibrate(survey, EXACT)
+    sigma = float(result.sensors["profiler"].location_sigma.max())
+    good = record_of(result)
+    assert (good["code"], good["usable"]) == ("usable", True)
+    assert good["spot"]["radius_m"] == result.sensors["profiler"].spot_error
+    assert [one["code"] for one in good["remedies"]] == ["more-stations"]
+    bad = record_of(result, Limits(location_sigma=sigma / 3.0))
+    assert (bad["code"], bad["usable"]) == ("outside-limits", False)
+    (cause,) = bad["causes"]
+    assert cause["values"]["value"] == sigma
+    assert bad["remedies"][0]["number"] == pytest.approx(9.0)
+
+
+def test_what_is_undetermined_has_the_motion_as_its_remedy():
+    survey = survey_of(rigs_by_rays.profiler(3))
+    result = hl.calibrate(survey.part(np.arange(len(survey.stations)) < 3), EXACT)
+    verdict = record_of(result)
+    assert (verdict["code"], verdict["usable"], verdict["spot"]) == ("undetermined", False, None)
+    (remedy,) = verdict["remedies"]
+    assert remedy["code"] == "more-motion"
+    assert remedy["message"].startswith("turn the hand about two different axes")
+
+
+def test_a_false_relation_and_a_range_error_are_codes():
+    rig = rigs_by_rays.profiler(3, targets="planes+sphere")
+    survey, radius = survey_of(rig), rig.truth["targets"]["sphere:S1"]["radius"]
+    false = hl.Known("radius", ("sphere:S1",), radius + 0.002, sigma=1e-4)
+    verdict = record_of(hl.calibrate(replace(survey, known=(false,)), EXACT))
+    assert verdict["code"] == "contradicted"
+    (remedy,) = verdict["remedies"]
+    assert remedy["code"] == "relation-contradicted"
+    assert "relation-contradicted" in {one["code"] for one in verdict["causes"]}
+    (shots,) = survey.shots
+    longer = replace(survey, shots=(replace(shots, reading=1.001 * shots.reading),))
+    verdict = record_of(hl.calibrate(longer, EXACT))
+    assert verdict["code"] == "no-fit"
+    assert [one["code"] for one in verdict["remedies"]] == ["range-error"]
+
+
+def test_the_robot_is_named_where_its_errors_are_most_of_the_spot():
+    """The share is what the variance of the spot loses where the hand has no errors."""
+    hand = 2e-4, 1e-3
+    survey = survey_of(rigs_by_rays.profiler(7, hand_sigma=hand, planes=3, stations=14))
+    noise = hl.Noise(pose_translation_sigma=hand[0], pose_rotation_sigma=hand[1])
+    (remedy,) = record_of(hl.calibrate(survey, noise))["remedies"]
+    assert remedy["code"] == "poses"
+    assert 0.9 < remedy["number"] <= 1.0
+    covariance = np.diag([hand[1] ** 2] * 3 + [hand[0] ** 2] * 3)
+    (stated,) = record_of(hl.calibrate(survey, hl.Noise(pose_covariance=covariance)))["remedies"]
+    assert stated["number"] == pytest.approx(remedy["number"], rel=1e-6)
+
+
+def test_the_radius_around_the_spot_of_a_beam_holds_95_of_100():
+    result = hl.calibrate(survey_of(rigs_by_rays.mixed(101)), hl.Noise())
+    beam = result.beams["beam"]
+    rng = np.random.default_rng(1)
+    drawn = rng.multivariate_normal(np.zeros(7), beam.covariance, 20000)
+    v = beam.direction
+    across = np.linalg.svd(v[None])[2][
+        1:
+    ]  # tangents of its own: their turn about v changes nothing
+    cosines = beam.covariance[3:5, 3:5]
+    assert np.linalg.eigvalsh(cosines)[-1] == pytest.approx(beam.direction_sigma**2)
+    assert across.shape == (2, 3)
+    away = np.linalg.norm(drawn @ beam.spot_by().T, axis=1)
+    assert (away < beam.spot_error).mean() == pytest.approx(0.95, abs=0.01)
