@@ -1,6 +1,7 @@
 """What may hide: plausible sizes of systematic errors, by formulas of their own."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,6 @@ import handlaser_gtsam as hl
 from benchmarks.cell_mistakes import make_cell
 from handlaser_gtsam.model.effects import EFFECTS
 from handlaser_gtsam.model.effects.plausible import CODES, KINDS
-from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.information import recorded_rows, with_errors
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.spot_error import spot_at
 from handlaser_gtsam.results.verdict import verdict
@@ -230,7 +229,7 @@ def test_tilts_of_a_sensor_look_like_another_place():
 # Stations that tell what may hide
 
 
-def planned_in_cell(tells, seed=1):
+def planned_in_cell(free, seed=1):
     """Plan 12 stations after the recording of a cell, read there, and calibrate with all."""
     noise = hl.Noise(2e-5, pose_translation_sigma=4e-5, pose_rotation_sigma=math.radians(0.008))
     sensor = hl.Sensor(0.02, 0.25, math.radians(65.0), kind="triangulation")
@@ -239,7 +238,8 @@ def planned_in_cell(tells, seed=1):
     cell.record_poses()
     cell.read()
     before = hl.calibrate(recording_of(cell), noise, options)
-    plan = hl.plan(before, 12, sensor, goal=hl.planning.Goal(tells=tells))
+    known = hl.calibrate(recording_of(cell), noise, replace(options, free=free))
+    plan = hl.plan(known, 12, sensor)
     first = [cell.labels.index(label) for label in plan.stations.plane_labels]
     more = make_cell(seed)
     more.R, more.t = plan.stations.world_R_hand, plan.stations.world_t_hand
@@ -268,37 +268,6 @@ def test_planned_stations_tell_an_error_with_incidence():
     # What may be there counts in the forecast, before and after.
     assert plan.forecast.location_sigma[0] > 3.0 * other.forecast.location_sigma[0]
     assert plan.forecast.location_sigma[-1] > other.forecast.location_sigma[-1]
-
-
-def test_a_belief_with_errors_is_that_of_the_joint_information():
-    cell = cell_with("drift", 0.0, noisy=True)
-    found = calibrated(cell)
-    belief = belief_of(found)
-    joint = with_errors(belief, found.recording, {"incidence": 1e-3, "carry-over": 0.02})
-    rows = recorded_rows(joint, found.recording).reshape(-1, len(joint.covariance))
-    own, x = np.arange(2), np.arange(2, len(joint.covariance))
-    information = np.diag(np.zeros(len(joint.covariance)))
-    information[np.ix_(x, x)] = np.linalg.inv(belief.covariance)
-    information[np.ix_(own, x)] = rows[:, own].T @ rows[:, x]
-    information[np.ix_(x, own)] = information[np.ix_(own, x)].T
-    information[np.ix_(own, own)] = rows[:, own].T @ rows[:, own]
-    information[own, own] += 3.0 / np.array([1e-3, 0.02]) ** 2
-    unit = 1.0 / np.sqrt(np.diagonal(information))
-    inverse = np.linalg.inv(information * np.outer(unit, unit)) * np.outer(unit, unit)
-    scale = np.sqrt(np.outer(np.diagonal(inverse), np.diagonal(inverse)))
-    assert np.allclose(joint.covariance / scale, inverse / scale, atol=1e-4)
-
-
-def test_a_goal_that_tells_what_has_no_size_is_refused(tmp_path):
-    rig = tmp_path / "rig.toml"
-    rig.write_text('[goal]\ntells = ["incidence"]\n')
-    with pytest.raises(hl.InputError, match=r"kind in \[sensor\]"):
-        hl.read_rig(rig)
-    rig.write_text('[goal]\ntells = ["drift"]\n')
-    with pytest.raises(hl.InputError, match=r"goal\.tells 'drift'"):
-        hl.read_rig(rig)
-    rig.write_text('[sensor]\nkind = "confocal"\n[goal]\ntells = ["incidence", "cubic"]\n')
-    assert hl.read_rig(rig).goal.tells == ("incidence", "cubic")
 
 
 def test_every_error_of_which_a_size_is_plausible_has_a_field_and_no_other_has():

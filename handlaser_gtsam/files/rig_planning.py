@@ -8,8 +8,7 @@
 [blind]      location_mm and direction: three numbers a beam; location_within_mm, cone_deg;
              plate_point_mm, plate_normal, plate_within_mm, plate_tilt_deg
 [goal]       criterion = "A", "D", "E" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
-             working_distance_mm, tells = ["incidence", "cubic", "carry-over"]: systematic errors that
-             stations are to tell
+             working_distance_mm
 [placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be moved
 """
 
@@ -18,12 +17,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, Strict
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..errors import ArgumentError, InputError
-from ..model.sensor import Sensor
 from ..planning.bounds import Bounds, Placement, Plate
 from ..planning.choice import Criterion
 from ..planning.goal import Goal
@@ -114,7 +112,6 @@ class GoalTable(
     """What to plan for."""
 
     criterion: Criterion = "A"
-    tells: Annotated[tuple[str, ...], Strict(False)] = ()
 
 
 class PlacementTable(numbers("largest_tilt_deg within_mm tilt_deg")):  # type: ignore[misc]
@@ -152,22 +149,21 @@ class PlanTables(FileRecord):
     goal: GoalTable = GoalTable()
     placement: PlacementTable = PlacementTable()
 
-    def plans(self, folder: Path, sensor: Sensor) -> Plans:
+    def plans(self, folder: Path) -> Plans:
         """Return what they say, with files named from a folder on.
 
         Raises
         ------
         InputError
-            A value that cannot be, or errors to tell of which no size is known.
+            A value that cannot be.
         """
-        goal = made("goal", self.goal, Goal)
-        goal.plausible(sensor, 1.0)
         bounds = None if self.blind is None else self.blind.to_si()
         robot = None if self.robot is None else self.robot.to_si(folder)
         if robot is not None and self.workspace is None:
             expected = "both: [workspace] says where the hand may go"
             raise InputError("a table [robot] without [workspace]", expected)
         workspace = None if self.workspace is None else self.workspace.to_si(robot)
+        goal = made("goal", self.goal, Goal)
         return Plans(workspace, bounds, goal, made("placement", self.placement, Placement))
 
 

@@ -194,7 +194,7 @@ class _Rig(SurveyRig):
     limits: _Limits = _Limits()
     log: LogTable = LogTable()
 
-    def plans(self, folder: Path, sensor: Sensor) -> "Plans | None":
+    def plans(self, folder: Path) -> "Plans | None":
         """Return what a file without tables for plans says for them: nothing."""
 
 
@@ -324,7 +324,7 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
         least, most = map(float, span)
         sensor = Sensor(least, most, plausible=plausible, **given)
         require_number("half_angle", half_angle, 0.0, WIDEST_CONE, unit="rad")
-    log, plans = rig.log.to_format(folder), rig.plans(folder, sensor)
+    log, plans = rig.log.to_format(folder), rig.plans(folder)
     return Rig(noise_of(rig.noise), sensor, limits, log, plans, rig.survey(folder), half_angle)
 
 

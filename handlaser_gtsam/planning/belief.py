@@ -57,8 +57,8 @@ class Belief:
         How far the truth may be from the mean. It differs from `covariance` in what a person knows
         and the calibration does not use: where a plate stands roughly.
     errors : tuple of str
-        Codes of systematic errors that are unknowns: freed ones, and the ones that the stations are to
-        determine. A size that goes with a power of the reading is that at one metre.
+        Codes of freed systematic errors, which are unknowns. A size that goes with a power of the
+        reading is that at one metre.
     turned_from : (3, 3)
         Mean orientation of the hand in the recording behind it, from which errors of turns count.
     bent_from : (P, 3) and float, or None

@@ -8,11 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import FloatArray
-from ..checks import require_kind, require_number, require_word
+from ..checks import require_number, require_word
 from ..data.value import Value
-from ..errors import InputError
-from ..model.effects import EFFECTS, OF_READINGS
-from ..model.effects.plausible import how_to_state
 from ..model.families import (
     BEAM,
     DIRECTION,
@@ -90,9 +87,6 @@ class Goal:
         Radius around every laser spot that is to hold it with 95 % [m].
     working_distance : float, optional
         A reading [m]; the middle of the sensor's range where not given.
-    tells : tuple of str
-        Systematic errors that the stations are to determine: `incidence`, `cubic`, `carry-over`. Their
-        plausible size counts in all that is to be reached.
 
     Raises
     ------
@@ -105,7 +99,6 @@ class Goal:
     direction_sigma: float | None = None
     spot: float | None = None
     working_distance: float | None = None
-    tells: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_word("criterion", self.criterion, CRITERIA)
@@ -116,35 +109,11 @@ class Goal:
             require_number(
                 "working_distance", self.working_distance, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m"
             )
-        require_kind("tells", self.tells, tuple, "codes of systematic errors in a tuple")
-        for code in self.tells:
-            require_word("tells", code, tuple(OF_READINGS))
 
     @property
     def stated(self) -> bool:
         """Whether there is anything to reach."""
         return any(x is not None for x in (self.location_sigma, self.direction_sigma, self.spot))
-
-    def plausible(self, sensor: Sensor, largest: float) -> dict[str, float]:
-        """Return the plausible sizes of the errors that the stations are to determine.
-
-        They depend on the `largest` reading [m]; a size that goes with a power of the
-        reading is that at one metre.
-
-        Raises
-        ------
-        InputError
-            A size that is not known, or nothing.
-        """
-        known = sensor.plausible_sizes(largest)
-        for code in self.tells:
-            if not known.get(code, 0.0) > 0.0:
-                raise InputError(
-                    f"a goal that tells {code}, of which no plausible size is stated",
-                    f"in the rig file, {how_to_state(code)}",
-                )
-        powers = {code: EFFECTS[code].power or 0 for code in self.tells}
-        return {code: known[code] / largest**power for code, power in powers.items()}
 
     @property
     def units(self) -> tuple[float, float]:

@@ -9,8 +9,7 @@ beams and of that plane are not zero. From the covariance C before the station f
 after it (the update of a Kalman filter).
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from ..data.recording import Readings, Recording
 from ..model.effects import EFFECTS, OF_READINGS
 from ..model.effects.effect import Everywhere, SeenStations
 from ..model.families import BEAM, DIRECTION, PLANE
-from ..model.weighting import covariance_roots, reading_sigmas, whitening
+from ..model.weighting import reading_sigmas, whitening
 from ..validation.simulate import Stations, predicted_readings
 from .belief import Belief
 
@@ -108,39 +107,6 @@ def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
     stations = Stations(recording.world_R_hand, recording.world_t_hand, plane)[facing]
     read = ~np.isnan(recording.ranges[facing])
     return np.where(read[..., None], station_rows(belief, stations), 0.0)
-
-
-def with_errors(belief: Belief, recording: Recording, plausible: Mapping[str, float]) -> Belief:
-    r"""Return a belief in which systematic errors may be there that the recording did not show.
-
-    Parameters
-    ----------
-    belief : Belief
-        Of a calibration without these errors.
-    recording : Recording
-        Behind that calibration.
-    plausible : mapping
-        Largest size by code. An error is taken for Gaussian with a third of its square.
-
-    Notes
-    -----
-    With C the covariance of the unknowns x, J and A the whitened derivatives of the recorded readings
-    by x and by the sizes a, the joint information of a is V^-1 = A'A - A'J C J'A + 3 / plausible^2, and
-
-        cov(a) = V,   cov(x, a) = -C J'A V,   cov(x) = C + C J'A V A'J C.
-    """
-    count, C = len(plausible), belief.covariance
-    errors, wide = (*plausible, *belief.errors), np.pad(C, (count, 0))
-    joint = replace(belief, covariance=wide, errors=errors)
-    rows = recorded_rows(joint, recording).reshape(-1, len(wide))
-    A, J = rows[:, :count], rows[:, count:]
-    response = C @ (J.T @ A)
-    # What was shown of the errors: but for rounding, which the root cuts off, it is not negative.
-    (root,) = covariance_roots((A.T @ A - (J.T @ A).T @ response)[None])
-    V = np.linalg.inv(root @ root.T + np.diag([3.0 / size**2 for size in plausible.values()]))
-    move = np.vstack((np.eye(count), -response))
-    covariance = wide + move @ V @ move.T
-    return replace(joint, covariance=covariance, spread=covariance)
 
 
 def updates(covariance: FloatArray, rows: FloatArray) -> Iterator[FloatArray]:

@@ -145,10 +145,10 @@ def plan_survey(
     require_count("count", count, 1, MOST_PLANNED)
     if calibration.status not in ("converged", "undetermined"):
         raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
-    if goal is not None and (goal.criterion in ("D", "E") or goal.working_distance or goal.tells):
+    if goal is not None and (goal.criterion in ("D", "E") or goal.working_distance):
         raise InputError(
-            "criterion D or E, working_distance_mm or tells in [goal], with sensors of many rays or "
-            "other targets",
+            "criterion D or E, or working_distance_mm in [goal], with sensors of many rays or other "
+            "targets",
             "what is enough: stations are chosen for spots at the typical readings",
         )
     of, rng = calibration._found.rows, generator(rng)

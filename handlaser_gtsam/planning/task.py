@@ -17,7 +17,7 @@ from .belief import Belief, belief_of
 from .bounds import Plate
 from .choice import choose
 from .goal import Forecast, Goal, forecast, goal_rows
-from .information import outlook, updates, with_errors
+from .information import outlook, updates
 from .workspace import (
     Workspace,
     drawn_turns,
@@ -214,8 +214,7 @@ def planning_task(
     Raises
     ------
     InputError
-        No covariance, plane or workspace is known; or the goal asks for errors of which no plausible
-        size is known, or without the recording that may show them.
+        No covariance, plane or workspace is known.
     """
     recording = None if isinstance(calibration, Mounts) else calibration.recording
     if workspace is None:
@@ -225,16 +224,6 @@ def planning_task(
             )
         workspace = workspace_of(recording)
     belief = belief_of(calibration)
-    if goal.tells:
-        if isinstance(calibration, Mounts) or recording is None:
-            raise InputError(
-                "a goal that tells systematic errors without the recording behind the calibration",
-                "a calibration from its recording",
-            )
-        used = calibration.used_in(recording)
-        sizes = goal.plausible(sensor, float(np.nanmax(used.ranges)))
-        unknown = {code: size for code, size in sizes.items() if code not in belief.errors}
-        belief = with_errors(belief, used, unknown)
     if plates is not None:
         belief = belief.before(plates)
     if not belief.plane_names:
