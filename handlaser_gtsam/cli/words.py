@@ -95,7 +95,7 @@ def survey_plan_lines(plan: "SurveyPlan", goal: "Goal", robot: "Robot | None") -
         plan=plan,
         looks=looks,
         within=within,
-        needless=plan.reached is not None and plan.forecast.reaches(goal) == 0,
+        goal=goal,
         passed=passed,
         via=VIA,
         robot=robot,
