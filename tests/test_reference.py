@@ -16,7 +16,7 @@ from handlaser_gtsam.validation.scenes import Layout
 
 
 def of_a_recording():
-    """Beams before planes, with priors and errors of the poses."""
+    """Beams before planes, with priors, errors of the poses and systematic errors as unknowns."""
     recording, _ = simulated(layout=Layout(planes=3, stations=12))
     start = find_start(recording.readings()).parameters
     beams, stations = len(recording.beam_names), len(recording.plane_labels)
@@ -27,6 +27,7 @@ def of_a_recording():
         (0, 1, 2, 2),
         Variances(np.full(beams, 3e-5), 1e-5, pose),
         RangeErrorPrior(np.tile([0.01, np.inf], (beams, 1))),
+        {"lag": 0.05, "incidence": 1e-3},
         of_reading=True,
     )
 

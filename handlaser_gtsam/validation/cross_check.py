@@ -1,7 +1,7 @@
 """Does an independent solver agree? Differences in units of the standard deviation."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from ..model.weighting import Variances
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
 from ..results.survey import SurveyCalibration
+from ..solvers.reference.errors import ERRORS, SystematicErrors
 from ..solvers.reference.problem import (
     ERRORS_BEFORE,
     Problem,
@@ -44,6 +45,7 @@ COMPARED_PARTS = {
     PLANE.name: {"normal": slice(0, 3), "offset": slice(3, None)},
     SPHERE.name: {"centre": slice(0, 3), "radius": slice(3, None)},
     POINT.name: {"position": slice(0, None)},
+    "size": {"size": slice(0, None)},
 }
 """What is compared at a time of each kind of variable."""
 
@@ -81,8 +83,8 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     Raises
     ------
     InputError
-        The calibration did not converge, its loss is robust (SciPy solves least squares), or
-        systematic errors are among its unknowns.
+        The calibration did not converge, its loss is robust (SciPy solves least squares), or a
+        systematic error was freed for which the reference has no formula.
     """
     of_surveys = "a Calibration; hl.validation.cross_check_survey takes the result of a Survey"
     require_kind("calibration", calibration, Calibration, of_surveys)
@@ -91,10 +93,11 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     if calibration.fit.loss != "gaussian":
         raise InputError(f"a {calibration.fit.loss} loss", "the gaussian loss, which SciPy checks")
-    if calibration.effects:
-        codes = ", ".join(dict.fromkeys(effect.code for effect in calibration.effects))
+    freed = {effect.code: effect.prior_sigma for effect in calibration.effects}
+    without = [code for code in freed if code not in ERRORS]
+    if without:
         raise InputError(
-            f"a calibration with free {codes}", "one without systematic errors, which SciPy checks"
+            f"a freed {without[0]}", f"free of these, to be checked: {', '.join(ERRORS)}"
         )
     scaled, variances = calibration.at_scales, calibration.variances
     at = calibration.parameters() if scaled is None else scaled.parameters
@@ -102,18 +105,27 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     if joint is None:
         raise InputError("a calibration without covariance", "a converged one")
     used = calibration.used_in(recording)
-    start = find_start(used.readings()).parameters
+    start, solved = find_start(used.readings()).parameters, None
+    if calibration.recorded is not None:  # with the errors in it; their priors have units
+        used, solved = calibration.recorded, ~np.isnan(calibration.fit.residuals)
     if variances is None:
         variances = Variances(np.full(len(calibration.beams), calibration.fit.range_sigma))
     prior = None if scaled is None else scaled.range_error_prior
     terms = tuple(beam.terms for beam in calibration.beams.values())
-    of_reading = calibration.variances is not None
-    problem = recording_problem(used, start, terms, variances, prior, of_reading=of_reading)
+    of_reading = calibration.variances is not None or bool(freed)
+    problem = recording_problem(
+        used, start, terms, variances, prior, freed, of_reading=of_reading, used=solved
+    )
     beams = zip(calibration.beams, np.hstack(at.beams), joint.all_beams(), strict=True)
     numbers = np.column_stack((at.normals, at.offsets))
     planes = zip(calibration.planes, numbers, joint.all_planes(), strict=True)
     rows = [((BEAM.name, i), f"beam {name}", *of) for i, (name, *of) in enumerate(beams)]
     rows += [((PLANE.name, i), f"plane {name}", *of) for i, (name, *of) in enumerate(planes)]
+    members = [] if problem.errors is None else problem.errors.members
+    sizes = {(effect.code, effect.subject): effect for effect in calibration.effects}
+    for i, member in enumerate(members):
+        size, variance = np.array([sizes[member].size]), np.array([[sizes[member].sigma ** 2]])
+        rows.append((("size", i), " ".join(member).strip(), size, variance))
     return compared(rows, solve(problem))
 
 
@@ -123,8 +135,10 @@ def recording_problem(
     terms: tuple[int, ...],
     variances: Variances,
     prior: RangeErrorPrior | None = None,
+    freed: Mapping[str, float] | None = None,
     *,
     of_reading: bool = False,
+    used: BoolArray | None = None,
 ) -> Problem:
     """Return what SciPy solves of beams before planes.
 
@@ -136,10 +150,17 @@ def recording_problem(
         Range-error terms.
     variances : Variances
     prior : RangeErrorPrior, optional
+    freed : mapping of str to float, optional
+        Systematic errors that are unknowns, of `ERRORS`, with the sigmas of their priors.
     of_reading : bool
         As of `Observed`.
+    used : (M, B) of bool, optional
+        Which of the readings are solved; all of them where not given. The errors are defined by those
+        between the smallest and the largest of these.
     """
-    seen = ~np.isnan(recording.ranges)
+    used = ~np.isnan(recording.ranges) if used is None else used
+    low, high = recording.ranges[used].min(), recording.ranges[used].max()
+    seen = (recording.ranges >= low) & (recording.ranges <= high)
     station, beam = np.nonzero(seen)
     range_sigma = variances.range_sigma[beam]
     if recording.samples is not None:
@@ -153,10 +174,13 @@ def recording_problem(
         range_sigma,
         of_reading=of_reading,
         incidence_sigma=variances.incidence_sigma,
+        used=used[seen],
     )
+    errors = SystematicErrors(freed, recording, seen) if freed else None
     beams = np.full((len(terms), BEAM.size), np.inf)
     known = beams[:, OF_RANGE_ERROR] if prior is None else prior.sigma
     beams[:, OF_RANGE_ERROR] = np.where([[n > 0, n > 1] for n in terms], known, 0.0)
+    sizes = np.zeros((0, 1)) if errors is None else errors.sigma[:, None]
     zero = np.zeros_like(start.normals)
     return Problem(
         [observed],
@@ -164,9 +188,11 @@ def recording_problem(
         {
             BEAM.name: np.hstack(start.beams),
             PLANE.name: np.column_stack((start.normals, start.offsets, zero)),
+            "size": np.zeros_like(sizes),
         },
-        {BEAM.name: beams},
+        {BEAM.name: beams, "size": sizes},
         variances.pose,
+        errors=errors,
     )
 
 

@@ -3,8 +3,8 @@ r"""Least squares of any readings, relations and priors with SciPy.
 Derivatives are SciPy's differences. Covariances follow from Gauss-Markov, inv(J'J) of residuals in
 standard deviations. Errors of the hand are found by moving the poses: for the derivatives A of a
 station's residuals by them, in standard deviations, the weight is the inverse root of I + A A', by its
-singular values. Weights, and the noise of the readings that the residuals show, are held while SciPy
-runs and then updated at its solution.
+singular values. Weights, the noise of the readings that the residuals show, and what a systematic error
+of size 1 does, are held while SciPy runs and then updated at its solution.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray, IntArray
 from ...data.survey import Known
+from .errors import SystematicErrors
 from .readings import DIFFERENCE, Observed
 from .relations import relation_residuals
 from .unknowns import At, Unknowns
@@ -29,6 +30,8 @@ DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""
 TOLERANCE = 1e-11
 """SciPy's; a Gauss-Newton step at the end takes its solution beyond."""
+INNER_TOLERANCE = 1e-10
+"""Tolerance of the iterative solution of a sparse step: SciPy's own stalls far from the optimum."""
 REWEIGHTINGS = 4
 """Updates of the weights; each leaves about a thousandth of the error that the one before left."""
 
@@ -50,6 +53,8 @@ class Problem:
         Of spots across their rays, about points [m].
     known : sequence of (Known, variables)
         Relations with the kind and number of each variable that they are of, and of a body first.
+    errors : SystematicErrors, optional
+        Whose sizes are unknowns.
     beside : float
         All unknowns begin so far [m], [rad] from the start, to either side.
     """
@@ -61,6 +66,7 @@ class Problem:
     pose: FloatArray | None = None
     aiming_sigma: float = 1.0
     known: Sequence[tuple[Known, Sequence[tuple[str, int]]]] = ()
+    errors: SystematicErrors | None = None
     beside: float = 0.0
 
 
@@ -102,7 +108,9 @@ class Residuals:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.unknowns = Unknowns(problem.start, problem.sigma)
-        self._station = np.concatenate([np.tile(one.station, one.rows) for one in problem.observed])
+        self._station = np.concatenate(
+            [np.tile(one.station[one.solved], one.rows) for one in problem.observed]
+        )
         self._weights: list[tuple[IntArray, FloatArray, FloatArray]] = []
         self._known = np.flatnonzero(np.isfinite(self.unknowns.sigma))
         self.weigh(self.unknowns.x0)
@@ -118,15 +126,15 @@ class Residuals:
     def __call__(self, x: FloatArray) -> FloatArray:
         """Return all residuals at a vector of unknowns."""
         at = self.unknowns.at(x)
-        e = self._whitened(self._readings(at, *self.problem.hands))
+        e = self._whitened(self._readings(at, *self._hands(at)))
         relations = [relation_residuals(*one, at) for one in self.problem.known]
         return np.concatenate((e, *relations, (x / self.unknowns.sigma)[self._known]))
 
     def weigh(self, x: FloatArray) -> None:
         """Update the weights at a vector of unknowns."""
         problem, at = self.problem, self.unknowns.at(x)
-        R, t = problem.hands
-        self._counted = [one.counted(at, R, t) for one in problem.observed]
+        R, t = self._hands(at)
+        self._counted = [one.counted(at, R, t, problem.errors) for one in problem.observed]
         if problem.pose is not None:
             A = by_poses(partial(self._readings, at), R, t)
             order = np.argsort(self._station, kind="stable")
@@ -140,7 +148,7 @@ class Residuals:
         heavy = self._whitened(self._whitened(self._readings(at, R, t)))
         end = 0
         for i, one in enumerate(problem.observed):
-            begin, end = end, end + one.rows * len(one.reading)
+            begin, end = end, end + one.rows * len(one.solved)
             if one.of_reading:
                 self._counted[i] = one.freed_of_noise(at, self._counted[i], heavy[begin:end])
 
@@ -150,11 +158,12 @@ class Residuals:
         if count <= DENSE_UNKNOWNS:
             return None
         place = self.unknowns.place
-        depends: list[IntArray] = []
+        sizes, depends = place["size"][:, 0], []
         for one in self.problem.observed:
-            of_sensor = place[one.sensor_kind][one.sensor]
-            of_target = place[one.target_kind][one.target]
-            depends += list(np.tile(np.hstack((of_sensor, of_target)), (one.rows, 1)))
+            of_sensor = place[one.sensor_kind][one.sensor[one.solved]]
+            of_target = place[one.target_kind][one.target[one.solved]]
+            each = np.tile(np.hstack((of_sensor, of_target)), (one.rows, 1))
+            depends += [np.concatenate((columns, sizes)) for columns in each]
         readings = _pattern(depends, count)
         if self._weights:  # all residuals of a station are mixed
             stations = _pattern(self._station[:, None], int(self._station.max()) + 1)
@@ -166,6 +175,11 @@ class Residuals:
             others += [columns] * len(relation_residuals(known, variables, x0))
         others += list(self._known[:, None])
         return csr_array(vstack((readings, _pattern(others, count))))
+
+    def _hands(self, at: At) -> tuple[FloatArray, FloatArray]:
+        """Return the hand poses that systematic errors leave."""
+        errors = self.problem.errors
+        return self.problem.hands if errors is None else errors.hands(at.numbers["size"].ravel())
 
     def _readings(self, at: At, R: FloatArray, t: FloatArray) -> FloatArray:
         """Return the residuals of all readings, each in its own standard deviations."""
@@ -208,15 +222,14 @@ def minimize(
     millionth of a standard deviation and better.
     """
     sparsity = residuals.sparsity()
-    # SciPy's own tolerance of a sparse step stalls far from the optimum.
-    inner = {} if sparsity is None else {"atol": TOLERANCE, "btol": TOLERANCE}
     return least_squares(
         residuals,
         x0,
         jac=differences,
         jac_sparsity=sparsity,
+        method="trf",
         x_scale="jac",
-        tr_options=inner,
+        tr_options={} if sparsity is None else {"atol": INNER_TOLERANCE, "btol": INNER_TOLERANCE},
         ftol=TOLERANCE,
         xtol=TOLERANCE,
         gtol=TOLERANCE,

@@ -14,11 +14,13 @@ residuals e of a station, the level is d + g'(d) sigma^2 inv(C) e, and the base 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray
+from .errors import SystematicErrors
 from .unknowns import At
 
 DIFFERENCE = 1e-6
@@ -35,6 +37,8 @@ class Counted(NamedTuple):
     ----------
     base, level : (n,)
         [m]
+    per_size : (n, q)
+        By how much systematic errors of size 1 make readings longer.
     sigma : (n,)
         Of the residuals, for an exact hand [m].
     share : (n,)
@@ -44,6 +48,7 @@ class Counted(NamedTuple):
 
     base: FloatArray
     level: FloatArray
+    per_size: FloatArray
     sigma: FloatArray
     share: FloatArray
 
@@ -75,6 +80,8 @@ class Observed:
         errors multiply; else for noise of the range.
     incidence_sigma : float
         Of a beam's range at 45 degrees of incidence, then [m].
+    used : (n,) of bool, optional
+        Which of the readings are solved; systematic errors are defined by all.
     """
 
     target_kind: str
@@ -89,6 +96,13 @@ class Observed:
     half_angle: float = 0.0
     of_reading: bool = False
     incidence_sigma: float = 0.0
+    used: BoolArray | None = None
+
+    @cached_property
+    def solved(self) -> IntArray:
+        """The rows that are solved."""
+        used = np.ones(len(self.reading), dtype=bool) if self.used is None else self.used
+        return np.flatnonzero(used)
 
     @property
     def sensor_kind(self) -> str:
@@ -159,23 +173,28 @@ class Observed:
     def residuals(
         self, at: At, R: FloatArray, t: FloatArray, counted: Counted, aiming_sigma: float
     ) -> FloatArray:
-        """Return the residuals (rows * n,) at hand poses, in standard deviations."""
+        """Return the residuals (rows * solved,) at hand poses, in standard deviations."""
         o, u = self.rays(at, R, t)
         k0, k1, k2 = self.range_errors(at)
-        true = counted.base + k0 + counted.level * (k1 + k2 * counted.level)
+        longer = counted.per_size @ at.numbers["size"].ravel()
+        level = counted.level - longer
+        true = counted.base - longer + k0 + level * (k1 + k2 * level)
         if self.target_kind == "point":
             e = o + true[:, None] * u - at.numbers["point"][self.target]
             along = (e * u).sum(axis=1) / counted.sigma
             rows = np.vstack((along, np.cross(e, u).T / aiming_sigma))
         else:
             rows = ((self.ranges(at, o, u) - true) / counted.sigma)[None]
-        return rows.ravel()
+        return rows[:, self.solved].ravel()
 
-    def counted(self, at: At, R: FloatArray, t: FloatArray) -> Counted:
+    def counted(
+        self, at: At, R: FloatArray, t: FloatArray, errors: SystematicErrors | None
+    ) -> Counted:
         """Return how the readings count, before the noise that residuals of beams show is known."""
-        d, none = self.reading, np.zeros(len(self.reading))
+        d, n = self.reading, len(self.reading)
+        none, per_size = np.zeros(n), np.zeros((n, len(at.numbers["size"])))
         if self.across is None and not self.of_reading:
-            return Counted(d, d, self.sigma, none)
+            return Counted(d, d, per_size, self.sigma, none)
         k0, k1, k2 = self.range_errors(at)
         o, u = self.rays(at, R, t)
         if self.across is not None:
@@ -184,11 +203,16 @@ class Observed:
                 ahead, behind = (self.rays(at, R, t, shift) for shift in (DIFFERENCE, -DIFFERENCE))
                 slope = (self.ranges(at, *ahead) - self.ranges(at, *behind)) / (2.0 * DIFFERENCE)
             sigma = np.hypot(self.sigma, slope * self.sigma_across)
-            return Counted(d, d + s - (d + k0 + d * (k1 + k2 * d)), sigma, none)
-        slope = 1.0 + k1 + 2.0 * k2 * d
-        tangent = np.sqrt(np.maximum(self.cosines(at, u) ** -2 - 1.0, 0.0))
+            return Counted(d, d + s - (d + k0 + d * (k1 + k2 * d)), per_size, sigma, none)
+        s, cosine = self.ranges(at, o, u), self.cosines(at, u)
+        if errors is not None:
+            slope = 1.0 + k1 + 2.0 * k2 * d
+            expected = d + (s - d * (1.0 + k1 + k2 * d)) / slope
+            per_size = errors.longer(d, expected, cosine, slope, o + s[:, None] * u)
+        slope = 1.0 + k1 + 2.0 * k2 * (d - per_size @ at.numbers["size"].ravel())
+        tangent = np.sqrt(np.maximum(cosine**-2 - 1.0, 0.0))
         sigma = np.hypot(slope * self.sigma, self.incidence_sigma * tangent)
-        return Counted(d, d, sigma, slope * self.sigma**2 / sigma)
+        return Counted(d, d, per_size, sigma, slope * self.sigma**2 / sigma)
 
     def freed_of_noise(self, at: At, counted: Counted, heavy: FloatArray) -> Counted:
         """Return how readings of beams count without the noise that their residuals show.
@@ -198,11 +222,13 @@ class Observed:
         at : At
         counted : Counted
             Of the readings themselves.
-        heavy : (n,)
+        heavy : (solved,)
             Residuals times the inverse of their covariance, both in standard deviations `sigma`.
         """
         _, k1, k2 = self.range_errors(at)
-        d, most = self.reading, NOISE_LIMIT * self.sigma
-        level = d + np.clip(counted.share * heavy, -most, most)
+        longer = counted.per_size @ at.numbers["size"].ravel()
+        d, most = self.reading - longer, NOISE_LIMIT * self.sigma
+        level, rows = d.copy(), self.solved
+        level[rows] += np.clip(counted.share[rows] * heavy, -most[rows], most[rows])
         base = d + d * (k1 + k2 * d) - level * (k1 + k2 * level)
-        return counted._replace(base=base, level=level)
+        return counted._replace(base=base + longer, level=level + longer)

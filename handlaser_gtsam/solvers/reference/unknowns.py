@@ -21,10 +21,11 @@ NUMBERS = {
     "sphere": 4,
     "point": 3,
     "body": 6,
+    "size": 1,
 }
 """Numbers of a variable of each kind: of a sensor of many rays its turn, shift and range errors, of a
-beam location, direction, k1 and k2, of a plane normal and offset, of a sphere centre and radius, and
-of a body turn and shift."""
+beam location, direction, k1 and k2, of a plane normal and offset, of a sphere centre and radius, of a
+body turn and shift, and the size of a systematic error."""
 UNIT = {"beam": slice(3, 6), "plane": slice(0, 3)}
 """Where a unit vector stands among the numbers of a variable."""
 MOTIONS = "sensor", "body"
