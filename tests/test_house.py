@@ -2,13 +2,15 @@
 
 import re
 import sys
+from pathlib import Path
 
 import pytest
 from helpers import ROOT
 
 import handlaser_gtsam as hl
 
-PACKAGE = ROOT / "handlaser_gtsam"
+PACKAGE = Path(hl.__file__).parent
+"""Where the package that runs is: installed, it may be elsewhere than these tests."""
 PAGE = (ROOT / "docs" / "house.md").read_text()
 
 
