@@ -32,20 +32,18 @@ HARMLESS = ("none", "gross-3%", "readings-1mm", "poses-rounded", "tool-wrong-thr
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_the_headline_names_the_mistake(name):
-    rows = [judge((name, seed), None) for seed in (3, 4)]
-    assert all(row.named for row in rows), [row.headline for row in rows]
-    assert not any(row.outcome == "silent" for row in rows)
-    # What is named is said once.
-    assert all(row.headline.count("read so") <= 1 for row in rows)
+    row = judge((name, 3), None)
+    assert row.named, row.headline
+    assert row.outcome != "silent"
+    assert row.headline.count("read so") <= 1  # what is named is said once
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HARMLESS)
 def test_what_does_no_harm_stays_usable_and_right(name):
-    for seed in (3, 4):
-        row = judge((name, seed), None)
-        assert row.outcome in ("silent", "care"), row.headline
-        assert not row.wrong
+    row = judge((name, 3), None)
+    assert row.outcome in ("silent", "care"), row.headline
+    assert not row.wrong
 
 
 @pytest.mark.slow

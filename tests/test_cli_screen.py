@@ -52,8 +52,7 @@ def test_the_shipped_recording_fits_on_the_screen(handlaser, tmp_path):
         assert len(row.split()) == 12
 
 
-@pytest.mark.parametrize("beams", [1, 8, 20])
-@pytest.mark.parametrize("scene", ["paper", "arm"])
+@pytest.mark.parametrize(("beams", "scene"), [(1, "paper"), (8, "arm"), (20, "paper")])
 def test_simulated_scenes_fit_on_the_screen(handlaser, tmp_path, beams, scene):
     options = ("--scene", scene, "--beams", beams, "--planes", 6, "--k1", 0.01)
     handlaser("simulate", tmp_path, *options, "--quiet")

@@ -105,6 +105,7 @@ def test_no_result_rests_on_rays_that_miss_their_ball(monkeypatch):
     assert not estimation._settle_grazing(replace(state, values=far))
 
 
+@pytest.mark.slow
 def test_the_shift_of_a_target_left_out_is_that_of_the_spots():
     """Of beams, too: a location that moves along its beam moves no spot."""
     survey = rigs.survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))

@@ -214,6 +214,7 @@ def test_what_a_goal_cannot_say_of_a_survey_is_refused():
         plan_survey(first, 3, goal=hl.planning.Goal(spot=1e-4, working_distance=0.5))
 
 
+@pytest.mark.slow
 def test_a_cone_beside_a_profiler_does_not_hide_what_is_planned(handlaser, tmp_path):
     """No stations are planned for cones: what is forecast, and reached, is of the profiler."""
     (tmp_path / "given.toml").write_text(

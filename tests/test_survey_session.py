@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import first_and_slow
 
 import handlaser_gtsam as hl
 from benchmarks import rigs
@@ -38,15 +39,8 @@ def assert_alike(one, other):
         assert mine.location_sigma == pytest.approx(sensor.location_sigma, rel=SAME_OPTIMUM)
 
 
-@pytest.mark.parametrize(
-    ("kind", "options"),
-    [
-        KINDS[0],
-        pytest.param(*KINDS[1], marks=pytest.mark.slow),
-        pytest.param(*KINDS[2], marks=pytest.mark.slow),
-    ],
-)
-@pytest.mark.parametrize("generator", rigs.GENERATORS)
+@pytest.mark.parametrize(("kind", "options"), first_and_slow(*KINDS))
+@pytest.mark.parametrize("generator", first_and_slow(*rigs.GENERATORS))
 def test_every_step_is_the_calibration_of_all_stations_so_far(generator, kind, options):
     survey = rigs.survey_of(getattr(rigs.GENERATORS[generator], kind)(0, **options), [])
     names, labels = targets_of(survey)
@@ -178,7 +172,7 @@ def test_a_relation_that_a_survey_states_comes_back_with_it():
     assert both[0].joined(both[1]).known == (radius, angle)
 
 
-@pytest.mark.parametrize(("seed", "zones"), [(3, 5), (11, 5)])
+@pytest.mark.parametrize(("seed", "zones"), first_and_slow((3, 5), (11, 5)))
 def test_a_wrong_label_beside_a_ball_is_found_by_sessions_and_at_once(seed, zones):
     """A start beside the calibration before is no start where its search fails, and shots without a
     single steep reading count no more than such beams."""
