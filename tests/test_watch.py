@@ -222,6 +222,20 @@ def test_too_many_are_refused(server, look_on):
 # --- who may ask -------------------------------------------------------------------------------------
 
 
+def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
+    monkeypatch.setattr("handlaser_gtsam.files.watch.server.READ_TIMEOUT_S", 0.3)
+    stopped, live = look_on(server.port, buffer=4096, begin=False), look_on(server.port)
+    until(lambda: server.clients == 2)
+    for number in range(30):
+        server.publish({"state": json.dumps([number, "x" * 400_000])})
+        time.sleep(0.05)
+    until(lambda: server.clients == 1)
+    until(lambda: live.state[0] == 29)
+    assert live.open
+    stopped.begin()
+    until(lambda: not stopped.open)
+
+
 @pytest.mark.parametrize("path", ["/", "/events", "/nothing"])
 @pytest.mark.parametrize(
     "headers",
@@ -241,6 +255,8 @@ def test_too_many_are_refused(server, look_on):
         {"Origin": "https://127.0.0.1:{port}"},
         {"Origin": "http://127.0.0.1:{port}.evil.example"},
         {"Origin": "null"},
+        {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "no-cors"},
+        {"Sec_Fetch_Site": "same-site", "Sec_Fetch_Mode": "cors"},
     ],
     ids=str,
 )

@@ -82,6 +82,10 @@ class Guard:
         own = f"http://{hosts[0].lower()}"
         if any(origin.lower() != own for origin in headers.getlist("origin")):
             return "refused: asked from another page"
+        # Browsers that send no origin with images and frames say where these are asked from.
+        elsewhere = headers.get("sec-fetch-site") in ("cross-site", "same-site")
+        if elsewhere and headers.get("sec-fetch-mode") != "navigate":
+            return "refused: asked from another page"
         return ""
 
     def allows(self, authority: str) -> bool:

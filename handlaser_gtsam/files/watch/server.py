@@ -1,4 +1,7 @@
-"""The server of the page, in a thread of its own: starlette finds the answer, uvicorn speaks HTTP."""
+"""The server of the page, in a thread of its own: starlette finds the answer, uvicorn speaks HTTP.
+
+It hangs up on clients that stop reading.
+"""
 
 import asyncio
 import errno
@@ -12,6 +15,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 from uvicorn import Config, Server
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ...errors import InputError
 from ..report.page import live_page
@@ -21,6 +25,8 @@ from .hub import Hub
 PORT = 8642
 """The port of the page where none is stated: one that no common server takes."""
 EVENTS = "text/event-stream"
+READ_TIMEOUT_S = 30.0
+"""Seconds in which a client has to read what fills the buffers on its way: slow networks take a few."""
 
 
 def listening(host: str, port: int | None) -> socket.socket:
@@ -72,7 +78,7 @@ class PageServer:
         self._server = Server(
             Config(
                 guarded,
-                http="h11",
+                http=PatientProtocol,
                 limit_concurrency=64,  # a browser has one connection a tab, and opens a few ahead
                 ws="none",
                 lifespan="off",
@@ -163,3 +169,28 @@ class PageServer:
                 yield news
         finally:
             self._hub.clients -= 1
+
+
+class PatientProtocol(H11Protocol):
+    """uvicorn's HTTP, which waits for clients that do not read, but not for ever."""
+
+    _waiting: asyncio.TimerHandle | None = None
+
+    def pause_writing(self) -> None:
+        """Begin to wait: what was sent fills all buffers on the way."""
+        super().pause_writing()
+        self._waiting = self.loop.call_later(READ_TIMEOUT_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """Go on: the client has read."""
+        self._rest()
+        super().resume_writing()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        self._rest()
+        super().connection_lost(exc)
+
+    def _rest(self) -> None:
+        if self._waiting is not None:
+            self._waiting.cancel()
