@@ -11,6 +11,7 @@ from typing import Literal, get_args, get_origin
 
 Units = Literal["m", "mm", "in"]
 AngleUnits = Literal["deg", "rad"]
+Delimiter = Literal["comma", "semicolon", "tab", "space"]
 Decimal = Literal["point", "comma"]
 Average = Literal["mean", "median"]
 TimeUnits = Literal["s", "ms", "us", "ns"]
@@ -65,8 +66,8 @@ class LogFormat:
         The same as CSV: plane,from,to.
     header : names
         Columns of a file that has no header.
-    delimiter : str
-        comma, semicolon, tab or space; default: recognised.
+    delimiter : {"comma", "semicolon", "tab", "space"}, optional
+        What stands between cells; default: recognised.
     decimal : {"point", "comma"}, optional
         The decimal mark; default: recognised.
     sheet : str
@@ -136,7 +137,7 @@ class LogFormat:
     plane_ranges: tuple[str, ...] = ()
     plane_file: Path | None = None
     header: tuple[str, ...] = ()
-    delimiter: str = ""
+    delimiter: Delimiter | None = None
     decimal: Decimal | None = None
     sheet: str = ""
     readings: Path | None = None
