@@ -160,7 +160,7 @@ def test_the_example_is_determined_and_says_what_it_holds(handlaser):
     assert (code, err) == (0, "")
     assert "profiler scanner: 24 shots of 1152 points" in out
     assert "plane:plate, 12 stations: 12 orientations, turns about 3 axes" in out
-    assert "60 numbers that shots say for 13 unknowns" in out  # 12 x 2 + 12 x 3; 6 + 3 + 4
+    assert "60 numbers from shots for 13 unknowns" in out  # 12 x 2 + 12 x 3; 6 + 3 + 4
     code, out, _ = handlaser(*words, "--json")
     found = json.loads(out)
     assert code == 0
@@ -205,7 +205,7 @@ def test_too_few_stations_are_said(tmp_path, handlaser):
     words = ["check", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
     code, out, err = handlaser(*words)
     assert code == 3
-    assert "6 numbers that shots say for 9 unknowns" in out
+    assert "6 numbers from shots for 9 unknowns" in out
     assert "the motion leaves open sensor scanner: location" in err
     assert "measure at more stations" in err
     assert json.loads(handlaser(*words, "--json")[1])["undetermined"]
@@ -290,10 +290,10 @@ def test_what_was_not_read_is_counted_as_by_a_calibration():
 def test_degrees_of_freedom_are_said_in_the_counts_of_a_check(handlaser):
     words = (str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml"))
     counted = re.search(
-        r"(\d+) numbers that shots say for (\d+) unknowns", handlaser("check", *words)[1]
+        r"(\d+) numbers from shots for (\d+) unknowns", handlaser("check", *words)[1]
     )
     fit = re.search(
-        r"at (\d+) degrees of freedom: (\d+) numbers that shots say, (\d+) more of errors and "
+        r"at (\d+) degrees of freedom: (\d+) numbers from shots, (\d+) more of errors and "
         r"relations, (\d+) unknowns",
         " ".join(handlaser("calibrate", *words)[1].split()),
     )

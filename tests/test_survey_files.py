@@ -701,7 +701,7 @@ def test_options_of_beams_are_refused(folder, handlaser):
     words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
     code, _, err = handlaser(*words, "--range-error", "k1")
     assert code == 2
-    assert "options of how beams" in err
+    assert "found --range-error, with sensors of many rays" in err
     with pytest.raises(hl.InputError, match="options or progress"):
         hl.calibrate(
             hl.read_survey(folder / "poses.csv", folder / "rig.toml"),

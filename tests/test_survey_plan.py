@@ -291,4 +291,4 @@ def test_the_command(handlaser, tmp_path):
     assert all(one["location_sigma_m"] > 0.0 for one in answer["stations"])
     code, _, err = handlaser("plan", poses, "--rig", rig, "--planes", "2")
     assert code == 2
-    assert "options of how beams before planes are calibrated" in err
+    assert "found --planes, with sensors of many rays" in err

@@ -121,8 +121,8 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
         read = read_any_kind(rig, recording)
         if isinstance(read, Survey):
             stated = [] if output.at_range_mm is None else ["--at-range-mm"]
-            plain = replace(manner, incremental=False) == Manner()
-            refuse_of_beams(rig, stated, recording, plain=plain)
+            stated += replace(manner, incremental=False).stated()
+            refuse_of_beams(rig, stated, recording)
             answer = survey_answer(recording, rig, read, output, incremental=manner.incremental)
         else:
             log, rig = read

@@ -43,7 +43,7 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
         known = known_rig(rig, {})
         any_kind = read_any_kind(known, recording)
         if isinstance(any_kind, Survey):
-            refuse_of_beams(known, [], recording, plain=True)
+            refuse_of_beams(known, [], recording)
             answer = survey_check(any_kind, known)
         else:
             answer = _of_beams(

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args, get_origin
@@ -134,6 +134,11 @@ class Model:
     estimate_noise: Annotated[bool, how] = False
     range_sigma_by_beam: Annotated[bool, how] = False
     free: Annotated[str | None, typer.Option(metavar="CODE,...", rich_help_panel=HOW)] = None
+
+    def stated(self) -> list[str]:
+        """Return the options that differ from their defaults, as they are called."""
+        changed = (one.name for one in fields(self) if getattr(self, one.name) != one.default)
+        return [f"--{name.replace('_', '-')}" for name in changed]
 
     def options(self, rig: "Rig") -> "CalibrationOptions":
         """Return the options of a calibration with the sensor of `rig`."""

@@ -140,8 +140,8 @@ def _planned(
     count = stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
     read = None if recording is None else read_any_kind(rig, recording)
     if isinstance(read, Survey):
-        plain = (model, planes) == (Model(), None)
-        refuse_of_beams(rig, [], recording or Path(), plain=plain)
+        stated = model.stated() + ([] if planes is None else ["--planes"])
+        refuse_of_beams(rig, stated, recording or Path())
         return survey_plan(read, rig, count, rng)
     require_range(rig.sensor)
     calibration: Calibration | Mounts

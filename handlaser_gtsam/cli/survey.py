@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from .calibrate import Output
 
 
-def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path, *, plain: bool) -> None:
+def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
     """Refuse what is stated and does not count with sensors of many rays, other targets or relations.
-
-    Unless the options are `plain`, how beams before planes are calibrated is stated, too.
 
     Raises
     ------
@@ -37,12 +35,7 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path, *, plain: boo
         "incidence_sigma_mm": rig.noise.incidence_sigma > 0.0,
         "rms_mm in [limits]": rig.limits.rms is not None,
     }
-    how = (
-        []
-        if plain
-        else ["options of how beams before planes are calibrated (such as --free or --loss)"]
-    )
-    found = [*stated, *how, *(name for name, given in fields.items() if given)]
+    found = [*stated, *(name for name, given in fields.items() if given)]
     if found:
         words = f"{', '.join(found)}, with sensors of many rays, other targets or relations"
         expected = "it with beams before planes only (errors of a sensor are `free` in [[sensors]])"

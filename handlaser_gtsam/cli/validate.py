@@ -67,7 +67,7 @@ def validate(
         if isinstance(read, Survey):
             against = calibration is not None or hold_out is not None
             stated = ["--calibration or --hold-out"] if against else []
-            refuse_of_beams(rig, stated, recording, plain=model == Model())
+            refuse_of_beams(rig, [*stated, *model.stated()], recording)
             answer = survey_validation(read, rig, splits, seed)
         else:
             report, rig = read

@@ -238,9 +238,9 @@ def check_lines(check: SurveyCheck) -> Iterator[str]:
         words += f"; not read by {', '.join(unread)}" if unread else ""
         yield f"{target.name}, {count(target.stations, 'station')}: {words}"
     yield (
-        f"{check.numbers} numbers that shots say for {check.unknowns} unknowns, without range errors"
+        f"{check.numbers} numbers from shots for {check.unknowns} unknowns, without range errors"
     )
     if check.doubt is not None:
         yield check.doubt
     elif not check.undetermined:
-        yield "the motion determines everything before the targets that there are"
+        yield "these stations and targets determine everything"
