@@ -18,7 +18,7 @@ from helpers import (
     recording_of,
     simulated,
 )
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.parameters import Parameters
@@ -236,18 +236,11 @@ def test_readings_that_do_not_determine_range_errors_leave_nothing_undetermined(
     assert calibration.status == "converged"
     assert not excluded(calibration).any()
     beam = calibration.beams["1"]
-    # What is expected of range errors, 1 % of the reading, bounds them and all that hangs on them. Of
-    # what is not known at all the tails are long, not as long as with a half-Cauchy scale up to 90 %.
+    # What is expected of range errors, 1 % of the reading, bounds them and all that hangs on them: not
+    # as wide as with a half-Cauchy scale up to 90 %.
     sigma = beam.range_error_sigma * np.array([1.0, 0.2])
     assert (sigma < math.sqrt(2.0 / math.pi * 0.01 * 0.9)).all()
     assert (sigma > 0.001).all()
-    k1 = norm(
-        beam.range_error[0] + calibration.mixture.means[:, 0, 6],
-        calibration.mixture.sigmas[:, 0, 6],
-    )
-    beyond = [1.0 - calibration.mixture.weight @ (k1.cdf(x) - k1.cdf(-x)) for x in (0.01, 0.03)]
-    assert beyond[0] < 0.35
-    assert beyond[1] < 0.15
     assert (np.abs(beam.location - truth.locations[0]) < 3.0 * beam.location_sigma).all()
     assert beam.location_sigma.max() < 0.02
 

@@ -114,7 +114,6 @@ def test_the_worst_case_of_everything_fits(calibration):
         beams=beams,
         fit=fit,
         covariance=None,
-        mixture=None,
         systematic=(error_of(np.full((8, 3), 1e-5), found=False),),
         warnings=(
             hl.CalibrationWarning("x", "look at every one of the readings of the recording " * 8),

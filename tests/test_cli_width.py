@@ -121,7 +121,7 @@ def calibration():
 def test_mounts_of_any_number_fit(calibration, width, count):
     beams = ([*calibration.beams.values()] * 3)[:count]
     named = {f"b{i}": replace(beam, name=f"b{i}") for i, beam in enumerate(beams)}
-    many = replace(calibration, beams=named, covariance=None, mixture=None)
+    many = replace(calibration, beams=named, covariance=None)
     table = Description(many, calibration.verdict).beams
     lines = text_table(table, width, 8)
     assert max(map(len, lines)) <= width

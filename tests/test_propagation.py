@@ -2,11 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.special import ndtr
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.estimation.mixture import mixture_quantiles
-from handlaser_gtsam.model.joint import Coordinate, Correlation, strong_correlations
 from handlaser_gtsam.results.spot_error import measured_plane, spot
 
 READING = 0.015
@@ -92,7 +89,7 @@ def test_intervals_of_known_noise_are_gaussian():
     recording = hl.read_recording("examples/gripper/recording.csv")
     options = hl.CalibrationOptions("k1k2", poses="exact")
     calibration = hl.calibrate(recording, hl.Noise(3e-5), options)
-    assert calibration.mixture is None
+    assert calibration.learned is None
     low, high = calibration.intervals("1").T
     beam = calibration.beams["1"]
     value = np.concatenate((beam.location, beam.direction, beam.range_error))
@@ -100,56 +97,3 @@ def test_intervals_of_known_noise_are_gaussian():
     assert np.allclose(0.5 * (low + high), value)
     narrow = calibration.intervals("1", level=0.5)
     assert (np.diff(narrow) < 0.4 * (high - low)[:, None] + 1e-15).all()
-
-
-@pytest.mark.parametrize("level", [0.5, 0.95])
-def test_intervals_of_a_mixture_hold_what_is_drawn(calibration, level):
-    """A component drawn by its weight, then a value; the sigma is that of all of them."""
-    beam, mixture = calibration.beams["1"], calibration.mixture
-    value = np.concatenate((beam.location, beam.direction, beam.range_error))
-    rng = np.random.default_rng(4)
-    which = rng.choice(len(mixture.weight), 200_000, p=mixture.weight)
-    drawn = mixture.means[which, 0] + mixture.sigmas[which, 0] * rng.standard_normal(
-        (len(which), 8)
-    )
-    low, high = calibration.intervals("1", level).T
-    # 200,000 draws tell a tail to 0.1 %.
-    assert np.allclose((drawn < low - value).mean(axis=0), 0.5 * (1.0 - level), atol=0.005)
-    assert np.allclose((drawn > high - value).mean(axis=0), 0.5 * (1.0 - level), atol=0.005)
-    # Components of small weight are left out of the mixture.
-    assert np.allclose(drawn.std(axis=0), beam.sigma, rtol=0.02)
-
-
-@pytest.mark.parametrize("probability", [1e-6, 0.025, 0.5, 0.999])
-def test_below_a_quantile_lies_its_probability(probability):
-    """Of mixtures of components that are alike, far apart, and up to a million times as wide."""
-    rng = np.random.default_rng(1)
-    weight = rng.dirichlet(np.full(12, 0.3))
-    means = rng.standard_normal((12, 60)) * 10.0 ** rng.uniform(-3.0, 2.0, 60)
-    sigmas = 10.0 ** rng.uniform(-6.0, 0.0, (12, 60))
-    sigmas[:, :20] = 1.0
-    found = mixture_quantiles(weight, means, sigmas, probability)
-    # A rounding error of the quantile, where the distribution is as steep as the narrowest component.
-    steep = 1e-14 * np.abs(found) / sigmas.min(axis=0)
-    below = weight @ ndtr((found - means) / sigmas)
-    assert (np.abs(below - probability) < 1e-14 + steep).all()
-    # And a component that is a point holds the quantiles that its weight covers.
-    point = mixture_quantiles(np.array([0.3, 0.7]), np.zeros((2, 1)), np.array([[0.0], [1.0]]), 0.6)
-    assert abs(point[0]) < 1e-14
-
-
-def test_strong_correlations_are_named_with_advice(calibration):
-    pairs = strong_correlations(calibration.covariance)
-    assert pairs == calibration.correlations
-    named = {(str(pair.first), str(pair.second)): pair for pair in pairs}
-    pair = named["beam 1 k1", "beam 1 k2"]
-    S = calibration.beams["1"].covariance
-    assert pair.coefficient == pytest.approx(S[6, 7] / np.sqrt(S[6, 6] * S[7, 7]))
-    assert "wider span of ranges" in pair.advice
-    assert strong_correlations(calibration.covariance, limit=0.9999) == ()
-    left, right = Coordinate("left front", 0), Coordinate("left k1 rear", 4)
-    assert "other normals" in Correlation(left, right, 0.99).advice
-    assert "turn the hand" in Correlation(left, Coordinate("left front", 4), 0.99).advice
-    assert "wider span" in Correlation(left, Coordinate("left k1 rear", 6), 0.99).advice
-    weak = strong_correlations(calibration.covariance, limit=0.5)
-    assert [abs(p.coefficient) for p in weak] == sorted(abs(p.coefficient) for p in weak)[::-1]

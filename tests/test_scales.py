@@ -13,17 +13,17 @@ import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.estimation import learned
-from handlaser_gtsam.estimation.information import Information, LinearReadings, NoiseSet
+from handlaser_gtsam.estimation.information import Information, LinearReadings
 from handlaser_gtsam.estimation.learned import ScaleProblem
 from handlaser_gtsam.estimation.mixture import BeamPosterior
 from handlaser_gtsam.estimation.posterior import posterior
 from handlaser_gtsam.estimation.range_error_grid import (
+    GRID_POINTS,
     SCALE_SPAN,
-    SCALE_STEP,
     RangeErrorGrid,
     near_largest,
     refined_grid,
-    widest_grid,
+    widest_grids,
     worst_known,
 )
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
@@ -159,7 +159,7 @@ def test_the_information_is_that_of_dense_matrices(terms, incidence, by_beam, al
     ranges = RANGE * (np.array([1.0, 2.0, 0.5]) if by_beam else np.ones(3))
     pose = np.array([ROTATION, 0.5 * ROTATION, 2.0 * ROTATION, 1e-5, TRANSLATION, 1e-4])
     sets = [(ranges, pose), (1.7 * ranges, 0.3 * pose), (0.6 * ranges, np.zeros(6))]
-    found, _ = rows.information([NoiseSet(*one) for one in sets])
+    found, _ = rows.information(*(np.array(scales) for scales in zip(*sets, strict=True)))
     expected = [dense.reduced(dense.covariance(*one, incidence)) for one in sets]
     for j, (matrix, vector, constant) in enumerate(expected):
         scale = np.sqrt(np.diag(matrix))
@@ -275,19 +275,19 @@ def prior_on_turned_axes(worst, best, alone, linearity=0.01):
 
 @pytest.mark.parametrize("linearity", [0.001, 0.01])
 def test_the_prior_of_the_scales_is_what_it_is_said_to_be(linearity):
-    cell = 3.0 * math.log(SCALE_STEP)
+    widest = max(SCALE_SPAN, math.log(0.9 / linearity))
+    cell = 3.0 * math.log((widest + SCALE_SPAN) / (GRID_POINTS - 1))
     angles = np.array([0.3, 0.2, 0.3, 0.4])
-    aligned, both = (widest_grid(linearity, 2, 4, one) for one in (None, angles))
-    for grid in (aligned, both):
-        densities = (shared_prior, math.log(1.0 if grid is aligned else 0.5))
-        turned = (prior_on_turned_axes, math.log(0.5))
-        rows = zip(grid.individual, grid.common, grid.turned.tolist(), grid.log_prior, strict=True)
-        for own, common, is_turned, value in list(rows)[::7]:
-            density, share = turned if is_turned else densities
-            expected = density(*np.log([*own, common]), linearity=linearity) + share + cell
+    grids = widest_grids(linearity, 2, 4, angles)
+    for grid, density in zip(grids, (shared_prior, prior_on_turned_axes), strict=True):
+        rows = zip(grid.individual, grid.common, grid.log_prior, strict=True)
+        for own, common, value in list(rows)[::7]:
+            expected = density(*np.log([*own, common]), linearity=linearity) + cell
             assert value == pytest.approx(expected, abs=1e-9)
-    assert set(both.turned.tolist()) == {False, True}
-    assert np.array_equal(both.angles, angles)
+        assert grid.common.max() == pytest.approx(max(90.0 * linearity, 0.9), rel=1e-3)
+    assert [grid.turned for grid in grids] == [False, True]
+    assert np.array_equal(grids[1].angles, angles)
+    assert len(widest_grids(linearity, 2, 4, None)) == 1
 
 
 def axes(angles):
@@ -313,10 +313,10 @@ def known_worst(covariance):
 
 def test_the_spread_of_a_beam_is_that_of_the_prior_in_the_mean_of_all():
     own, common, angles = np.array([0.02, 0.005]), 0.01, np.array([0.6, 0.9])
-    grid = RangeErrorGrid(
-        own[None], np.array([common]), np.ones(1, dtype=bool), np.zeros(1), angles
-    )
-    variance = np.diag(prior_covariance(own, common, angles))
+    grid = RangeErrorGrid(own[None], np.array([common]), np.zeros(1), angles)
+    covariance = prior_covariance(own, common, angles)
+    variance, basis = np.diag(covariance), grid.contrasts()
+    assert np.allclose(basis @ covariance @ basis.T, np.diag(grid.spread()[0] ** 2), atol=1e-15)
     assert np.allclose(grid.total()[0] ** 2, 0.5 * (variance[:2] + variance[2:]), rtol=1e-12)
 
 
@@ -355,13 +355,13 @@ def test_scales_of_range_errors_are_integrated_over(k):
     problem = ScaleProblem(truth, readings, 2, Variances(np.full(2, 1e-4)), scales, 0.01)
     learned = problem.learned(problem.mode(np.zeros(0)))
     beams, _ = problem.beams(learned.points)
-    mixture = beams.mixture(learned.grid, learned.log_weight, np.eye(14))
+    found_mean, covariance, _ = beams.integrated(learned.grids, learned.log_weight)
     dense = Dense(truth, readings, 2)
     C = dense.covariance(np.full(2, 1e-4), np.zeros(6))
     side = np.log(0.01) + np.linspace(-SCALE_SPAN, SCALE_SPAN, 13)
     alone = dense.posterior(C, 3.0 * 0.9**2 * np.eye(4))[2]
     angles = known_worst(alone[np.ix_(dense.at_k, dense.at_k)])
-    assert np.tan(learned.grid.angles) == pytest.approx(np.tan(angles), abs=1e-3)
+    assert np.tan(learned.grids[-1].angles) == pytest.approx(np.tan(angles), abs=1e-3)
 
     def evidence(angles, a, b, c):
         prior = prior_covariance(np.exp([a, b]), math.exp(c), angles)
@@ -376,11 +376,8 @@ def test_scales_of_range_errors_are_integrated_over(k):
     w, mean, S = averaged(points, evidence)
     sigma = np.sqrt(np.diag(S))
     # Half as many scales an axis stand for the posterior.
-    assert (np.abs(mixture.mean - mean) < 0.05 * sigma).all()
-    assert np.allclose(np.sqrt(np.diag(mixture.covariance)), sigma, rtol=0.1)
-    # Components of small weight are not kept for quantiles.
-    kept = np.sqrt(mixture.weight @ (mixture.sigmas**2 + mixture.means**2))
-    assert np.allclose(kept, np.sqrt(np.diag(mixture.covariance)), rtol=0.03)
+    assert (np.abs(found_mean - mean) < 0.05 * sigma).all()
+    assert np.allclose(np.sqrt(np.diag(covariance)), sigma, rtol=0.1)
     scale = problem.range_error_scales(learned.mode)
     total = [np.diag(prior_covariance(np.exp([a, b]), math.exp(c), x)) for x, a, b, c in points]
     total = np.mean(np.reshape(total, (len(points), 2, 2)), axis=1)  # over the beams
@@ -523,7 +520,7 @@ def test_beside_a_robust_loss_scales_are_estimated_but_not_integrated_over():
     recording, _, _ = robot(Layout(3, 4, 14))
     found = hl.calibrate(recording, options=hl.CalibrationOptions(loss="huber"))
     assert {beam.terms for beam in found.beams.values()} == {2}
-    assert found.mixture is None
+    assert found.learned is None
     assert found.fit.range_sigma == pytest.approx(RANGE, rel=0.5)
 
 
@@ -546,7 +543,8 @@ def test_a_prior_far_narrower_than_the_widest_loses_no_digit():
     k = np.array([[1e-9, -2e-9], [3e-9, 1e-9]])
     scale = np.array([2e-9, 1e-9])
     information = Information(matrix[None], vector[None], np.zeros(1))
-    mean, covariance = BeamPosterior(information, k, 0.9).conditional(scale)
+    known = [RangeErrorGrid.at(scale, 2)]
+    mean, covariance, _ = BeamPosterior(information, k, 0.9).integrated(known, np.zeros(1))
     places = np.array([5, 6, 12, 13])
     matrix[places, places] += np.tile(scale**-2, 2)
     vector[places] -= k.ravel() * np.tile(scale**-2, 2)
@@ -562,10 +560,11 @@ def test_a_prior_far_narrower_than_the_widest_loses_no_digit():
 
 def test_scales_are_found_where_the_evidence_is_beyond_all_bounds():
     """Beside 1e19, which readings that fit nothing reach, differences of the prior are rounding."""
-    grid = widest_grid(0.01, 2, 4)
-    fine = refined_grid(grid, np.full(len(grid.individual), -1e19), 0.01)
+    (grid,) = widest_grids(0.01, 2, 4, None)
+    ((near, _),) = near_largest([grid], [np.full(len(grid.individual), -1e19)])
+    fine = refined_grid(near, 0.01)
     assert np.isfinite(fine.individual).all()
-    assert near_largest(np.full(len(fine.individual), -1e19)).size
+    assert near_largest([fine], [np.full(len(fine.individual), -1e19)])
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ c including the determinants of C and of the planes' information: the restricted
 scales. Locations and offsets are in units of the typical range, and so is the inverse of k2.
 """
 
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -20,7 +19,6 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
-from ..data.value import Value
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, values_of
 from ..model.block import Rows, Weights, whitened
 from ..model.elimination import ReducedInformation, eliminated
@@ -35,22 +33,6 @@ from ..model.weighting import (
 )
 from ..quantities import NUMBERS_AT_ONCE, TINY
 from ..solvers.beam_problem import require_steep
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class NoiseSet(Value):
-    """One set of noise scales.
-
-    Attributes
-    ----------
-    range_sigma : (B,)
-        Of each beam [m].
-    pose : (6,)
-        Factors of the roots of the pose covariances: rotations, then translations.
-    """
-
-    range_sigma: FloatArray
-    pose: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,29 +124,44 @@ class LinearReadings:
             cells = self._block.of_cells(readings.station)
             self._root = covariance_roots(variances.pose)[cells].transpose(1, 2, 0)
 
-    def information(self, sets: Sequence[NoiseSet]) -> tuple[Information, ReducedInformation]:
+    def information(
+        self, range_sigma: FloatArray, pose: FloatArray
+    ) -> tuple[Information, ReducedInformation]:
         """Return what the readings say for each set of noise scales, and the same in full.
 
-        The latter has the planes that were eliminated, and natural units.
+        Parameters
+        ----------
+        range_sigma : (J, B)
+            Of each beam [m].
+        pose : (J, 6)
+            Factors of the roots of the pose covariances: rotations, then translations.
+
+        Returns
+        -------
+        Information
+        ReducedInformation
+            With the planes that were eliminated, in natural units.
         """
         unknowns = self._block.beams * int(np.sum(self._unknown[BEAM.name]))
         size = max(self._columns.size, POSE.dim * self._block.cells * unknowns)
         chunk = max(NUMBERS_AT_ONCE // size, 1)
-        parts = [self._for_some(sets[a : a + chunk]) for a in range(0, len(sets), chunk)]
+        starts = range(0, len(pose), chunk)
+        parts = [self._for_some(range_sigma[a : a + chunk], pose[a : a + chunk]) for a in starts]
         constant = np.concatenate([constant for constant, _ in parts])
         reduced = ReducedInformation.joined([reduced for _, reduced in parts])
         return Information(reduced.matrix, -reduced.gradient, constant), reduced
 
-    def _for_some(self, sets: Sequence[NoiseSet]) -> tuple[FloatArray, ReducedInformation]:
+    def _for_some(
+        self, range_sigma: FloatArray, pose: FloatArray
+    ) -> tuple[FloatArray, ReducedInformation]:
         """Return the constants c (J,), and what the readings say, for as many sets as memory holds."""
-        sigma = np.array([noise.range_sigma for noise in sets])[:, self._beam]
-        variance = sigma**2 * self._squared_slope + self._fixed
+        variance = range_sigma[:, self._beam] ** 2 * self._squared_slope + self._fixed
         log_det = np.log(variance).sum(axis=1)
         root = self._block.spread(1.0 / np.sqrt(variance))
-        block, shape = copy(self._block), (len(sets), *self._columns.shape[2:])
+        block, shape = copy(self._block), (len(pose), *self._columns.shape[2:])
         block.weights = Weights(root.reshape(shape))
-        if self._root is not None and any(noise.pose.any() for noise in sets):
-            scaled = np.array([noise.pose for noise in sets])[..., None, None] * self._root
+        if self._root is not None and pose.any():
+            scaled = pose[..., None, None] * self._root
             moved = np.einsum("jaxc,abc->xjbc", scaled, self._pose[:, 0])
             common, more = without_common(moved * root)
             station = np.tile(np.arange(block.cells), block.beams).reshape(shape[1:])

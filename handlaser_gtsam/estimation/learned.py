@@ -1,5 +1,6 @@
 """Learning unknown scales of noise and range errors from readings about a solution."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,14 +13,14 @@ from ..data.value import Value
 from ..model.elimination import ReducedInformation
 from ..model.weighting import Variances
 from ..quantities import KNOWN, REPRESENTATIVE_BEAMS
-from .information import LinearReadings
+from .information import Information, LinearReadings
 from .mixture import BeamPosterior
 from .range_error_grid import (
     RangeErrorGrid,
-    farthest,
     near_largest,
     refined_grid,
-    widest_grid,
+    widest_grids,
+    widest_scale,
 )
 from .scales import Scales, design, find_mode, with_scales
 
@@ -51,8 +52,8 @@ class LearnedScales(Value):
         The typical range [m]: range errors are in its units here.
     linearity : float or None
         Scale of the prior of the range errors' scales; None where range errors have no prior.
-    grid : RangeErrorGrid
-        Over their scales.
+    grids : tuple of RangeErrorGrid
+        Over their scales, one a prior.
     range_error : (T,)
         Standard deviations of the range errors of a beam, for the most probable noise.
     left : (d,)
@@ -67,14 +68,9 @@ class LearnedScales(Value):
     terms: int
     length: float
     linearity: float | None
-    grid: RangeErrorGrid
+    grids: tuple[RangeErrorGrid, ...]
     range_error: FloatArray
     left: FloatArray
-
-    @property
-    def widest(self) -> float:
-        """The widest scale of a range error's prior; infinite where there is none."""
-        return widest_scale(self.linearity)
 
     def prior(self, count: int) -> RangeErrorPrior | None:
         """Return the prior of the range errors of `count` beams at the most probable scales."""
@@ -83,32 +79,30 @@ class LearnedScales(Value):
         sigma = self.range_error / np.array([1.0, self.length])
         return RangeErrorPrior(np.tile(sigma, (count, 1)))
 
-    def along(self, angles: FloatArray | None) -> "LearnedScales":
-        """Return the same along axes of the beams turned by angles (B,), where any are turned."""
-        if angles is None or not self.grid.turned.any():
-            return self
-        return replace(self, grid=replace(self.grid, angles=angles))
+    def along(self, angles: FloatArray | None) -> tuple[RangeErrorGrid, ...]:
+        """Return the grids, those of turned axes along the angles (B,) where these are given."""
+        if angles is None:
+            return self.grids
+        return tuple(replace(g, angles=angles) if g.turned else g for g in self.grids)
 
     def apart(self, other: "LearnedScales") -> float:
         """Return by how much the most probable scales differ from others, in the logarithm."""
-        if self.grid.turned.any() != other.grid.turned.any():
-            return np.inf
         both = (np.append(learned.mode, np.log(learned.range_error)) for learned in (self, other))
         difference = np.subtract(*both)
         return float(np.abs(difference).max(initial=0.0))
 
-    def variances(self, u: FloatArray | None = None) -> Variances:
-        """Return the variances for logarithms (d,) of the scales; the most probable where not given."""
-        return with_scales(self.scales, self.base, self.mode if u is None else u)
+    def variances(self) -> Variances:
+        """Return the variances at the most probable scales."""
+        return with_scales(self.scales, self.base, self.mode)
 
 
-def widest_scale(linearity: float | None) -> float:
-    """Return the widest scale of a range error's prior; infinite where there is none."""
-    return np.inf if linearity is None else float(linearity * np.exp(farthest(linearity)))
-
-
-_AtMode = tuple[RangeErrorGrid, FloatArray, BeamPosterior, ReducedInformation]
-"""Scales of the range errors that are probable at a mode, their weights (G,), beams and planes."""
+def beam_posterior(
+    information: Information, range_errors: FloatArray, of: "LearnedScales | ScaleProblem"
+) -> BeamPosterior:
+    """Return what information that is linearised at range errors (B, 2) says of the beams."""
+    terms = 0 if of.linearity is None else of.terms
+    k = (range_errors * np.array([1.0, of.length]))[:, :terms]
+    return BeamPosterior(information, k, widest_scale(of.linearity or 1.0))
 
 
 @dataclass(eq=False)
@@ -140,21 +134,8 @@ class ScaleProblem:
 
     def __post_init__(self) -> None:
         self.length = self.length or self.readings.typical_range()
-        unit = np.array([1.0, self.length])[: self.terms]
-        self.k = self.parameters.range_errors[:, : self.terms] * unit
-        self.wide = self._widest(self.readings.beams)
         of = self.parameters, self.readings, self.terms, self.length, self.base
         self.rows = LinearReadings(*of)
-        self._last: tuple[FloatArray, _AtMode] | None = None
-
-    @cached_property
-    def _part(self) -> "ScaleProblem":
-        """The problem in which scales are searched for: a part of many readings, or this problem."""
-        alike = self.scales.common
-        few = self.readings.beams <= REPRESENTATIVE_BEAMS or not alike
-        if few and len(self.readings) <= SCALE_READINGS:
-            return self
-        return self._smaller(few_beams=alike)
 
     def mode(self, start: FloatArray) -> FloatArray:
         """Return the most probable logarithms of the scales of the noise."""
@@ -162,24 +143,16 @@ class ScaleProblem:
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
         """Return geometric posterior means (T,) of the sigmas of k1 and k2 D of a beam, noise known."""
-        grid, w = self._weighed(mode)
-        return np.asarray(np.exp(w @ np.log(grid.total())))
-
-    def _weighed(self, mode: FloatArray) -> tuple[RangeErrorGrid, FloatArray]:
-        """Return scales of the range errors, and their posterior weights (G,), noise known."""
-        many = self.readings.beams > REPRESENTATIVE_BEAMS
-        if many and self._part.readings.beams < self.readings.beams:
-            return self._part._weighed(mode)
-        return self._at(mode)[:2]
+        return self._typical(self._probable(mode))
 
     def learned(self, mode: FloatArray) -> LearnedScales:
         """Return the points at which the scales are integrated over, about their `mode`."""
         least = 0.0
-        grid, _, beams, _ = self._at(mode)
-        few, weight = self._weighed(mode)
-        scale = np.exp(weight @ np.log(few.total()))
-        if self.linearity is not None and self.readings.beams > REPRESENTATIVE_BEAMS:
-            grid = few.typical(weight, beams.worst_known())
+        probable = self._probable(mode)
+        grids = tuple(grid for grid, _ in probable)
+        scale = self._typical(probable)
+        if self.readings.beams > REPRESENTATIVE_BEAMS:
+            grids = (RangeErrorGrid.at(scale, self.readings.beams),)
         if len(self.readings) > CERTAIN_READINGS:
             least = np.inf
         elif self.readings.beams > INTEGRATED_BEAMS:
@@ -195,71 +168,69 @@ class ScaleProblem:
             self.terms,
             self.length,
             self.linearity,
-            grid,
+            grids,
             scale,
             left * np.sqrt(len(self._part.readings) / len(self.readings)),
         )
 
     def beams(self, points: FloatArray) -> tuple[BeamPosterior, ReducedInformation]:
         """Return what all readings say of the beams and planes for scales (J, d) of the noise."""
-        if len(points) == 1 and self._last is not None and np.array_equal(points[0], self._last[0]):
-            return self._last[1][2:]
-        return self._beams(points)
+        information, planes = self.rows.information(*self.scales.noise(points))
+        return beam_posterior(information, self.parameters.range_errors, self), planes
 
-    def step(self, mode: FloatArray, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return how far beams (n,) and planes (P, 3) are from their optimum for known scales.
-
-        Natural units; `mode` are logarithms (d,) of the noise scales, `scale` (T,) the scales of the
-        range errors. Zero for a solution of the marginalised form itself.
-        """
-        beams, planes = self.beams(mode[None])
-        mean, _ = beams.conditional(scale)
-        return mean, planes.local_step[0] - planes.local_response[0] @ mean
-
-    def _smaller(self, *, few_beams: bool) -> "ScaleProblem":
-        """Return the problem for a part of the readings, and of the beams if they are alike."""
+    @cached_property
+    def _part(self) -> "ScaleProblem":
+        """The problem in which scales are searched for: a part of many readings, or this problem."""
         readings, beams = self.readings, np.arange(self.readings.beams)
-        if few_beams and readings.beams > REPRESENTATIVE_BEAMS:
+        if self.scales.common:  # the beams are alike
             beams = evenly(readings.beams, REPRESENTATIVE_BEAMS)
-            readings = readings.subset(np.flatnonzero(np.isin(readings.beam, beams)))
-        readings = part_of(readings)
-        planes = np.unique(readings.plane)
-        readings = replace(
-            readings,
-            beam=np.searchsorted(beams, readings.beam),
-            plane=np.searchsorted(planes, readings.plane),
+        few = part_of(readings.subset(np.flatnonzero(np.isin(readings.beam, beams))))
+        if len(few) == len(readings):
+            return self
+        planes = np.unique(few.plane)
+        few = replace(
+            few,
+            beam=np.searchsorted(beams, few.beam),
+            plane=np.searchsorted(planes, few.plane),
             beams=len(beams),
             planes=len(planes),
         )
-        parameters = self.parameters.part(beams, planes)
-        part = replace(self, parameters=parameters, readings=readings)
-        part._part = part
-        return part
+        return replace(self, parameters=self.parameters.part(beams, planes), readings=few)
 
-    def _widest(self, beams: int, angles: FloatArray | None = None) -> RangeErrorGrid:
-        """Return a grid for `beams` beams."""
+    @cached_property
+    def _wide(self) -> RangeErrorGrid:
+        """All scales of the range errors that are possible, along k1 and k2 D."""
+        return self._widest(None)[0]
+
+    def _widest(self, angles: FloatArray | None) -> list[RangeErrorGrid]:
         terms = 0 if self.linearity is None else self.terms
-        return widest_grid(self.linearity or 1.0, terms, beams, angles)
-
-    def _beams(self, points: FloatArray) -> tuple[BeamPosterior, ReducedInformation]:
-        information, planes = self.rows.information([self.scales.noise(u) for u in points])
-        return BeamPosterior(information, self.k, widest_scale(self.linearity)), planes
+        return widest_grids(self.linearity or 1.0, terms, self.readings.beams, angles)
 
     def _log_posterior(self, points: FloatArray) -> FloatArray:
-        beams = self._part._beams(points)[0]
-        return beams.log_marginal(self._part.wide) + self.scales.log_prior(points)
+        part = self._part
+        return part.beams(points)[0].log_marginal(part._wide) + self.scales.log_prior(points)
 
-    def _at(self, mode: FloatArray) -> _AtMode:
-        if self._last is None or not np.array_equal(self._last[0], mode):
-            beams, planes = self._beams(mode[None])
-            wide = self._widest(self.readings.beams, beams.worst_known())
-            fine = refined_grid(wide, beams.log_evidence_of(wide)[0], self.linearity or 1.0)
-            value = beams.log_evidence_of(fine)[0] + fine.log_prior
-            near = near_largest(value)
-            weight = np.exp(value[near] - value.max())
-            weight /= weight.sum()
-            self._last = mode, (fine.part(near), weight, beams, planes)
-        return self._last[1]
+    def _probable(self, mode: FloatArray) -> list[tuple[RangeErrorGrid, FloatArray]]:
+        """Return scales of the range errors, and their posterior weights (G,), noise known."""
+        if self.readings.beams > REPRESENTATIVE_BEAMS and self._part is not self:
+            return self._part._probable(mode)
+        beams, _ = self.beams(mode[None])
+
+        def probable(grids: Sequence[RangeErrorGrid]) -> list[tuple[RangeErrorGrid, FloatArray]]:
+            values = [beams.log_evidence_of(grid)[0] + grid.log_prior for grid in grids]
+            return near_largest(grids, values)
+
+        coarse = probable(self._widest(beams.worst_known()))
+        fine = probable([refined_grid(grid, self.linearity or 1.0) for grid, _ in coarse])
+        most = max(float(value.max()) for _, value in fine)
+        weights = [np.exp(value - most) for _, value in fine]
+        total = sum(float(weight.sum()) for weight in weights)
+        return [(grid, w / total) for (grid, _), w in zip(fine, weights, strict=True)]
+
+    @staticmethod
+    def _typical(probable: list[tuple[RangeErrorGrid, FloatArray]]) -> FloatArray:
+        means = [weight @ np.log(grid.total()) for grid, weight in probable]
+        return np.asarray(np.exp(np.sum(means, axis=0)))
 
 
 def part_of(readings: Readings) -> Readings:

@@ -23,13 +23,12 @@ from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..model.elimination import inverse_of
 from ..model.families import BEAM, MOUNT_DIM, PLANE
-from ..model.joint import JointCovariance, beams_lift
+from ..model.joint import JointCovariance
 from ..observability.rank import Observability
 from ..solvers.beam_problem import moved
 from ..solvers.graph import CalibrationGraph, read_parameters
 from ..solvers.levenberg import linearize
 from .learned import LearnedScales, ScaleProblem
-from .mixture import Mixture
 from .scales import Scale
 
 
@@ -164,29 +163,19 @@ class Posterior:
     joint : JointCovariance
         Within and between the scales. Its origins, at which offsets are taken, lie amid the laser spots
         and are given in the frames of the planes.
-    mixture : Mixture
-        Of Gaussian components, with the ambient coordinates (8 B) of the beams as those asked for.
     scales : tuple of ScaleEstimate
         Of the noise.
-    range_error_scales : (2,) or None
-        Posterior means of the scales of k1 [1] and k2 [1/m]; None where range errors have no prior.
     learned : LearnedScales
         Over which was integrated.
     """
 
     parameters: Parameters
     joint: JointCovariance
-    mixture: Mixture
     scales: tuple[ScaleEstimate, ...]
-    range_error_scales: FloatArray | None
     learned: LearnedScales
 
 
-def posterior(
-    problem: ScaleProblem,
-    learned: LearnedScales,
-    solved: tuple[FloatArray, FloatArray] | None = None,
-) -> Posterior:
+def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
     """Return beams and planes with all scales integrated over.
 
     Parameters
@@ -194,34 +183,23 @@ def posterior(
     problem : ScaleProblem
         About a solution.
     learned : LearnedScales
-    solved : ((d,), (T,)), optional
-        Logarithms of the noise scales, and scales of the range errors, for which `problem` was solved;
-        taken from `learned` where not given. The difference between a solution with poses as variables
-        and the solution of the marginalised form is kept.
     """
-    known = (learned.mode, learned.range_error) if solved is None else solved
-    learned = learned.along(problem.beams(learned.mode[None])[0].worst_known())
+    axes = problem.beams(learned.mode[None])[0].worst_known()
     beams, planes = problem.beams(learned.points)
+    mean, covariance, sets = beams.integrated(learned.along(axes), learned.log_weight)
     unit = BEAM.natural_units(learned.length)[: MOUNT_DIM + learned.terms]
     unit = np.tile(unit, problem.readings.beams)
-    bases = model.tangent_basis(problem.parameters.directions)
-    lift = beams_lift(bases, [learned.terms] * len(bases)) * unit
-    mixture = beams.mixture(learned.grid, learned.log_weight, lift)
-    # The mean of the mixture, counted from a solution that is away from the optimum for its scales.
-    away = problem.step(*known)
-    plane_unit, sets = PLANE.natural_units(problem.length), mixture.sets
-    steps = planes.local_step - np.einsum("jpan,n->jpa", planes.local_response, mixture.mean)
-    plane = (np.einsum("j,jpa->pa", sets, steps) - away[1]) * plane_unit
-    beam = ((mixture.mean - away[0]) * unit).reshape(problem.readings.beams, -1)
+    plane_unit = PLANE.natural_units(problem.length)
     # Planes for known beams are averaged over the noise scales.
     response = np.einsum("j,jpan->pan", sets, planes.local_response)
+    step = np.einsum("j,jpa->pa", sets, planes.local_step)
     inverse = np.einsum("j,jpab->pab", sets, planes.local_inverse)
-    off = planes.local_step - np.einsum("j,jpa->pa", sets, planes.local_step)
+    off = planes.local_step - step
     inverse += np.einsum("j,jpa,jpb->pab", sets, off, off)
     joint = numbered(
         problem.parameters,
         (problem.terms,) * problem.readings.beams,
-        mixture.covariance * np.outer(unit, unit),
+        covariance * np.outer(unit, unit),
         response * plane_unit[:, None] / unit,
         inverse * np.outer(plane_unit, plane_unit),
         problem.rows.centres,
@@ -233,16 +211,7 @@ def posterior(
         spread = float(np.sqrt(sets @ (np.exp(u) - sets @ np.exp(u)) ** 2)) * scale.unit
         spread = float(np.hypot(spread, sigma * learned.left[column]))
         estimates.append(ScaleEstimate(scale, sigma, spread))
-    range_errors: FloatArray | None = None
-    if learned.linearity is not None:
-        range_errors = np.zeros(2)
-        range_errors[: learned.terms] = mixture.grid @ learned.grid.total()
-        range_errors = range_errors / np.array([1.0, learned.length])
-    return Posterior(
-        moved(problem.parameters, beam, plane, problem.rows.centres),
-        joint,
-        mixture,
-        tuple(estimates),
-        range_errors,
-        learned,
-    )
+    beam = (mean * unit).reshape(problem.readings.beams, -1)
+    plane = (step - response @ mean) * plane_unit
+    best = moved(problem.parameters, beam, plane, problem.rows.centres)
+    return Posterior(best, joint, tuple(estimates), learned)

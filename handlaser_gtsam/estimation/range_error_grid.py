@@ -1,50 +1,43 @@
 """The prior of range errors: the scales at which it is integrated over, and along what axes.
 
-With L the linearity of the sensor, S is half-Cauchy about L. Along the axes of k1 and k2 D, s1 and s2
-are drawn about a scale t that they share and that is half-Cauchy about L: 1 / (1 + s^2 / t^2), by which
-a range error that is known as well as t would be drawn to zero, is uniform (Daniels, Canadian Journal
-of Statistics 27(3), 1999). Along the axes of every beam that readings know least and best, the scale of
-the best known axis is half-Cauchy about L. The scale s of the other axis is drawn about h, the root
-mean square of both: the root of 1 / (1 + s^2 / h^2) is uniform (Strawderman, Annals of Mathematical
-Statistics 42(1), 1971). A range error that readings do not show then says nothing of one that they
-hardly see.
+With L the linearity of the sensor, the mean of the range errors of all beams has a scale S that is
+half-Cauchy about L, and what each beam has beside it has scales s1 and s2. These have one of two
+priors, each as probable as the other:
 
-`Contrasts` turn range errors into means over all beams and contrasts between them: there the prior is
-diagonal.
+- Along k1 and k2 D, s1 and s2 are drawn about a scale t that they share and that is half-Cauchy about
+  L: 1 / (1 + s^2 / t^2), by which a range error that is known as well as t would be drawn to zero, is
+  uniform (Daniels, Canadian Journal of Statistics 27(3), 1999).
+- Along the axes of every beam that readings know least and best, the scale of the best known axis is
+  half-Cauchy about L. The scale s of the other is drawn about h, the root mean square of both: the root
+  of 1 / (1 + s^2 / h^2) is uniform (Strawderman, Annals of Mathematical Statistics 42(1), 1971). A
+  range error that readings do not show then says nothing of one that they hardly see.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
+from scipy.linalg import helmert
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ..data.value import Value
-from ..model.families import MOUNT_DIM
 
 SCALE_SPAN = 4.5
 """Scales of range errors lie within exp(+-SCALE_SPAN), a hundredfold, of a stated linearity."""
-SCALE_STEP = 1.5
-"""Step of the coarse grid in the logarithm of a scale, before it is refined near the posterior."""
 LARGEST_RANGE_ERROR = 0.9
 """Scales reach up to this part of the reading, however good a sensor is said to be."""
-SHARED_SPAN = 16.0
-"""The shared scale t lies within exp(+-SHARED_SPAN) of the linearity: its density ends at 1e-7."""
-SHARED_STEP = 0.1
-"""Step in the logarithm of the shared scale t, far below the width of its densities."""
+GRID_POINTS = 8
+"""Points along each scale of the coarse grid over all, and of the finer one about probable ones."""
 LOG_DEPTH = 9.0
-"""A refined grid keeps points whose log posterior is within this of the largest: e^-9 is nothing."""
-REFINED_POINTS = 8
-"""Points of a refined grid along each scale: the smooth posterior there needs no more."""
+"""A grid keeps points whose log posterior is within this of the largest: e^-9 is nothing."""
 LEAST_ELONGATION = 3.0
 """With a smaller ratio of its standard deviations no combination of k1 and k2 D is the least known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RangeErrorGrid(Value):
-    """Scales of the range errors at which their prior is integrated over, natural units.
+    """Scales of the range errors at which one of their priors is integrated over, natural units.
 
     Attributes
     ----------
@@ -52,145 +45,128 @@ class RangeErrorGrid(Value):
         s1, s2: the scales of the individual range errors of the beams, for T terms.
     common : (G,)
         S: the scale of the range error that all beams share; zero for one beam.
-    turned : (G,) of bool
-        Whether s1 and s2 stand along the axes that readings know least and best, not k1 and k2 D.
     log_prior : (G,)
         Logarithm of the prior, with the volume of a cell.
     angles : (B,)
-        Angles from k1 and k2 D to these axes of every beam [rad].
+        Angles of the axes of s1 and s2 from those of k1 and k2 D, for every beam [rad].
     """
 
     individual: FloatArray
     common: FloatArray
-    turned: BoolArray
     log_prior: FloatArray
     angles: FloatArray
 
     @classmethod
-    def at(cls, individual: FloatArray, angles: FloatArray | None = None) -> "RangeErrorGrid":
-        """Return the single point of beams that share nothing, on turned axes where they are given."""
-        turned = np.full(1, angles is not None)
-        angles = np.zeros(0) if angles is None else angles
-        return cls(individual[None], np.zeros(1), turned, np.zeros(1), angles)
+    def at(cls, scale: FloatArray, beams: int) -> "RangeErrorGrid":
+        """Return the single point of known scales (T,) of beams that share nothing."""
+        return cls(scale[None], np.zeros(1), np.zeros(1), np.zeros(beams))
+
+    @property
+    def turned(self) -> bool:
+        """Whether s1 and s2 stand along other axes than k1 and k2 D."""
+        return bool(self.angles.any())
 
     def total(self) -> FloatArray:
-        """Return the standard deviations (G, T) of the range errors of a beam, in the mean of all."""
-        squares = self.individual**2
-        if self.turned.any():
-            squares[self.turned] = squares[self.turned] @ (axes(self.angles) ** 2).mean(axis=0)
+        """Return the standard deviations (G, T) of k1 and k2 D of a beam, in the mean of all."""
+        squares = self.individual**2 @ (self._axes() ** 2).mean(axis=0)
         return np.asarray(np.sqrt(squares + self.common[:, None] ** 2))
 
-    def typical(self, weight: FloatArray, angles: FloatArray | None) -> "RangeErrorGrid":
-        """Return a point for beams that share nothing, on the most probable axes.
+    def contrasts(self) -> FloatArray:
+        """Return the orthogonal matrix (B T, B T) that makes the prior diagonal.
 
-        `weight` (G,) are the weights of the points, and `angles` (B,) turn the axes of the beams.
+        Range errors, beam after beam, become their mean over the beams along each axis, times the root
+        of B, then contrasts between beams.
         """
-        turned, rows = max(self.bases(), key=lambda basis: float(weight[basis[1]].sum()))
-        scale = np.log(np.hypot(self.individual[rows], self.common[rows, None]))
-        scale = np.exp(weight[rows] @ scale / weight[rows].sum())
-        return RangeErrorGrid.at(scale, angles if turned else None)
+        size = self.individual.shape[1] * len(self.angles)
+        turned = np.einsum("ab,bst->asbt", helmert(len(self.angles), full=True), self._axes())
+        return np.asarray(turned.reshape(size, size))
 
-    def bases(self) -> Iterator[tuple[bool, IntArray]]:
-        """Yield the points whose axes are not turned, and those whose are."""
-        for turned in (False, True):
-            rows = np.flatnonzero(self.turned == turned)
-            if rows.size:
-                yield turned, rows
+    def spread(self) -> FloatArray:
+        """Return the standard deviations (G, B T) of the means and contrasts under the prior."""
+        count = len(self.angles)
+        variance = np.repeat(self.individual[:, None] ** 2, count, axis=1)
+        variance[:, 0] += count * self.common[:, None] ** 2
+        return np.asarray(np.sqrt(variance.reshape(len(variance), -1)))
 
     def part(self, rows: IntArray) -> "RangeErrorGrid":
         """Return some of the points."""
         individual, common = self.individual[rows], self.common[rows]
-        turned, log_prior = self.turned[rows], self.log_prior[rows]
-        return RangeErrorGrid(individual, common, turned, log_prior, self.angles)
+        return RangeErrorGrid(individual, common, self.log_prior[rows], self.angles)
+
+    def _axes(self) -> FloatArray:
+        """Return the axes (B, T, T) of every beam, a row each."""
+        cosine, sine = np.cos(self.angles), np.sin(self.angles)
+        terms = self.individual.shape[1]
+        rows = np.array([[cosine, sine], [-sine, cosine]])[:terms, :terms]
+        return np.moveaxis(rows, 2, 0)
 
 
-def near_largest(value: FloatArray) -> IntArray:
-    """Return the points whose value (G,), a logarithm, is not far below the largest."""
-    return np.flatnonzero(value >= value.max() - LOG_DEPTH)
+def near_largest(
+    grids: Sequence[RangeErrorGrid], values: Sequence[FloatArray]
+) -> list[tuple[RangeErrorGrid, FloatArray]]:
+    """Return the points of grids whose values (G,), logarithms, are near the largest of all."""
+    least = max(float(value.max()) for value in values) - LOG_DEPTH
+    near = [np.flatnonzero(value >= least) for value in values]
+    pairs = zip(grids, values, near, strict=True)
+    return [(grid.part(rows), value[rows]) for grid, value, rows in pairs if rows.size]
 
 
-def axes(angles: FloatArray) -> FloatArray:
-    """Return axes (B, 2, 2), a row each, that are turned by angles (B,) from k1 and k2 D."""
-    cosine, sine = np.cos(angles), np.sin(angles)
-    rows = np.array([[cosine, sine], [-sine, cosine]])
-    return np.moveaxis(rows, 2, 0)
+def widest_scale(linearity: float) -> float:
+    """Return the largest scale of the range errors that is possible."""
+    return max(linearity * math.exp(SCALE_SPAN), LARGEST_RANGE_ERROR)
 
 
-def farthest(linearity: float) -> float:
-    """Return the logarithm of the largest scale of range errors, as a multiple of the linearity."""
-    return max(
-        SCALE_SPAN, SCALE_STEP * math.ceil(math.log(LARGEST_RANGE_ERROR / linearity) / SCALE_STEP)
-    )
-
-
-def widest_grid(
-    linearity: float, terms: int, beams: int, angles: FloatArray | None = None
-) -> RangeErrorGrid:
-    """Return a coarse grid over all scales that are possible, with angles (B,) also on turned axes."""
-    aligned = _widest(linearity, terms, beams, turned=False)
-    if angles is None:
-        return aligned
-    return _joined([aligned, _widest(linearity, terms, beams, turned=True)], angles)
-
-
-def refined_grid(
-    grid: RangeErrorGrid, log_evidence: FloatArray, linearity: float
-) -> RangeErrorGrid:
-    """Return a finer grid where the posterior of the scales, (G,) without the prior, is not small."""
-    terms, most, grids = grid.individual.shape[1], farthest(linearity), []
+def widest_grids(
+    linearity: float, terms: int, beams: int, angles: FloatArray | None
+) -> list[RangeErrorGrid]:
+    """Return a coarse grid over all scales that are possible, and one along turned axes (B,) if any."""
     if terms == 0:
-        return grid
-    kept = grid.part(near_largest(log_evidence + grid.log_prior))
-    for turned, rows in kept.bases():
-        some = kept.part(rows)
-        shared = [some.common] if some.common.any() else []
-        points = np.column_stack((some.individual, *shared))
-        near = np.log(points / linearity)
-        low = np.maximum(near.min(axis=0) - 0.5 * SCALE_STEP, -SCALE_SPAN)
-        high = np.minimum(near.max(axis=0) + 0.5 * SCALE_STEP, most)
-        sides = np.linspace(low, high, REFINED_POINTS, axis=1)
-        grids.append(_grid(list(sides), linearity, terms, turned=turned))
-    return _joined(grids, grid.angles)
+        return [RangeErrorGrid.at(np.ones(0), beams)]
+    sides = [_side(linearity)] * (terms + int(beams > 1))
+    axes = [np.zeros(beams)] if angles is None else [np.zeros(beams), angles]
+    return [_grid(sides, linearity, terms, each) for each in axes]
 
 
-@cache
-def _widest(linearity: float, terms: int, beams: int, *, turned: bool) -> RangeErrorGrid:
+def refined_grid(near: RangeErrorGrid, linearity: float) -> RangeErrorGrid:
+    """Return a finer grid about the points of the coarse one that are near the most probable."""
+    terms = near.individual.shape[1]
     if terms == 0:
-        return RangeErrorGrid.at(np.ones(0))
-    side = np.arange(-SCALE_SPAN, farthest(linearity) + 0.5 * SCALE_STEP, SCALE_STEP)
-    return _grid([side] * (terms + int(beams > 1)), linearity, terms, turned=turned)
+        return near
+    shared = [near.common] if near.common.any() else []
+    points = np.log(np.column_stack((near.individual, *shared)) / linearity)
+    side = _side(linearity)
+    half = 0.5 * (side[1] - side[0])
+    low = np.maximum(points.min(axis=0) - half, side[0])
+    high = np.minimum(points.max(axis=0) + half, side[-1])
+    sides = np.linspace(low, high, GRID_POINTS, axis=1)
+    return _grid(list(sides), linearity, terms, near.angles)
 
 
-def _joined(grids: Sequence[RangeErrorGrid], angles: FloatArray) -> RangeErrorGrid:
-    """Return grids, each as probable, as one for beams whose axes are turned by angles (B,)."""
-    return RangeErrorGrid(
-        np.concatenate([grid.individual for grid in grids]),
-        np.concatenate([grid.common for grid in grids]),
-        np.concatenate([grid.turned for grid in grids]),
-        np.concatenate([grid.log_prior for grid in grids]) - math.log(len(grids)),
-        angles,
-    )
+def _side(linearity: float) -> FloatArray:
+    """Return logarithms of scales, as multiples of the linearity, over all that is possible."""
+    return np.linspace(-SCALE_SPAN, math.log(widest_scale(linearity) / linearity), GRID_POINTS)
 
 
 def _grid(
-    sides: Sequence[FloatArray], linearity: float, terms: int, *, turned: bool
+    sides: Sequence[FloatArray], linearity: float, terms: int, angles: FloatArray
 ) -> RangeErrorGrid:
+    """Return the grid over logarithms of scales over the linearity: of the axes, then of S if any."""
     x = np.stack([axis.ravel() for axis in np.meshgrid(*sides, indexing="ij")], axis=1)
     cell = sum(float(np.log(side[1] - side[0])) for side in sides)
-    density = _least_and_best_known(*sides[:2]) if turned else _alike(sides[:terms])
+    own = sides[:terms]
+    density = _least_and_best_known(*own) if angles.any() else _alike(own)
     for side in sides[terms:]:
         density = density[..., None] * _half_cauchy(side)
     scale = linearity * np.exp(x)
     common = scale[:, terms] if x.shape[1] > terms else np.zeros(len(x))
-    log_prior = np.log(density).ravel() + cell
-    individual = scale[:, :terms]
-    return RangeErrorGrid(individual, common, np.full(len(x), turned), log_prior, np.zeros(0))
+    return RangeErrorGrid(scale[:, :terms], common, np.log(density).ravel() + cell, angles)
 
 
 def _alike(sides: Sequence[FloatArray]) -> FloatArray:
     """Return the density of logarithms of scales that are drawn about one that they share."""
-    shared = np.arange(-SHARED_SPAN, SHARED_SPAN + 0.5 * SHARED_STEP, SHARED_STEP)
-    density = SHARED_STEP * _half_cauchy(shared)
+    step = 0.1  # far below the width of the densities, which at the ends are 1e-7
+    shared = np.arange(-16.0, 16.0 + 0.5 * step, step)
+    density = step * _half_cauchy(shared)
     for side in sides:  # what is shared stays the last axis; 1 / (1 + scale^2) is uniform
         density = density[..., None, :] * 0.5 / np.cosh(side[:, None] - shared) ** 2
     return np.asarray(density.sum(axis=-1))
@@ -207,64 +183,6 @@ def _least_and_best_known(worst: FloatArray, best: FloatArray) -> FloatArray:
 def _half_cauchy(x: FloatArray) -> FloatArray:
     """Return the density of the logarithm x of a half-Cauchy variable of scale 1: |x| below 700."""
     return np.asarray(1.0 / (np.pi * np.cosh(x)))
-
-
-@dataclass(frozen=True, slots=True)
-class Contrasts:
-    """Range errors of some beams as means over these and contrasts between them: K = B T.
-
-    Attributes
-    ----------
-    places : (K,)
-        Indices of the range errors among all unknowns.
-    terms : (K,)
-        The term of each mean or contrast.
-    turn : (K, K)
-        Orthogonal, from range errors, beam after beam, to means (times the root of B) and contrasts.
-    is_mean : (K,) of bool
-    widest : (K,)
-        Standard deviations under the widest prior: all the same, and so along any axes.
-    """
-
-    places: IntArray
-    terms: IntArray
-    turn: FloatArray
-    is_mean: BoolArray
-    widest: FloatArray
-
-    @classmethod
-    def of(cls, beams: IntArray, terms: int, width: int, widest: float) -> "Contrasts":
-        """Return the contrasts of `terms` range errors of some beams of `width` unknowns.
-
-        Term after term, the mean over the beams, times the root of their number, first.
-        """
-        count, places = len(beams), beams[:, None] * width + MOUNT_DIM + np.arange(terms)
-        helmert = np.eye(count)
-        if count > 1:
-            helmert = np.linalg.qr(np.column_stack((np.ones(count), np.eye(count)[:, 1:])))[0].T
-        return cls(
-            places.ravel(),
-            np.repeat(np.arange(terms), count),
-            # Rows are terms, then means and contrasts; columns are beams, then terms.
-            np.einsum("ab,st->sabt", helmert, np.eye(terms)).reshape((places.size,) * 2),
-            np.tile(np.arange(count) == 0, terms),
-            np.full(places.size, np.sqrt(1.0 + count) * widest),
-        )
-
-    def turned(self, angles: FloatArray) -> FloatArray:
-        """Return the matrix (K, K) to the same along axes turned by the angles (B,) of the beams."""
-        size = len(self.terms)
-        each = self.turn.reshape(size, len(angles), 2)
-        turned: FloatArray = np.einsum("kbt,bts->kbs", each, axes(angles)).reshape(size, size)
-        return turned @ self.turn.T
-
-    def spread(self, grid: RangeErrorGrid) -> FloatArray:
-        """Return the standard deviations (G, K) of the means over the beams and of their contrasts."""
-        if grid.individual.shape[1] == 0:  # range errors without a prior
-            return np.ones((len(grid.common), len(self.terms)))
-        count = np.sqrt(self.is_mean.size / max(int(self.is_mean.sum()), 1))
-        shared = np.where(self.is_mean, count, 0.0) * grid.common[:, None]
-        return np.asarray(np.hypot(grid.individual[:, self.terms], shared))
 
 
 def worst_known(V: FloatArray) -> FloatArray | None:

@@ -25,7 +25,6 @@ from ..data.value import Value
 from ..model.weighting import Variances
 from ..progress import tell
 from ..quantities import MOST_ROUNDS, SAME_OPTIMUM, TINY
-from .information import NoiseSet
 from .options import CalibrationOptions
 
 RANGE, TRANSLATION, ROTATION = "range", "pose translation", "pose rotation"
@@ -105,15 +104,19 @@ class Scales(Value):
     range_sigma: FloatArray
     pose: FloatArray
 
-    def noise(self, u: FloatArray) -> NoiseSet:
-        """Return the noise for logarithms (d,) of the unknown scales."""
-        ranges, pose = self.range_sigma.copy(), self.pose.copy()
-        for scale, value in zip(self.unknown, np.exp(u), strict=True):
+    def noise(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return range sigmas (..., B) and factors of poses (..., 6) for logarithms (..., d)."""
+        ranges, pose = (
+            np.broadcast_to(known, (*u.shape[:-1], known.size)).copy()
+            for known in (self.range_sigma, self.pose)
+        )
+        for column, scale in enumerate(self.unknown):
+            value = np.exp(u[..., column, None])
             if scale.name == RANGE:
-                ranges[slice(None) if scale.beam is None else scale.beam] = value
+                ranges[..., slice(None) if scale.beam is None else [scale.beam]] = value
             else:
-                pose[AXES[scale.name]] = value
-        return NoiseSet(ranges, pose)
+                pose[..., AXES[scale.name]] = value
+        return ranges, pose
 
     @property
     def common(self) -> bool:
@@ -135,9 +138,9 @@ class Scales(Value):
 
 def with_scales(scales: Scales, base: Variances, u: FloatArray) -> Variances:
     """Return the variances for logarithms (d,) of the unknown scales."""
-    noise = scales.noise(u)
-    pose = None if base.pose is None else base.pose * np.outer(noise.pose, noise.pose)
-    return Variances(noise.range_sigma, base.incidence_sigma, pose)
+    ranges, factor = scales.noise(u)
+    pose = None if base.pose is None else base.pose * np.outer(factor, factor)
+    return Variances(ranges, base.incidence_sigma, pose)
 
 
 LogPosterior = Callable[[FloatArray], FloatArray]

@@ -172,7 +172,7 @@ class _Learning:
         if solution.at.estimates_poses:
             problem = self._scale_problem(solution)
             u = problem.mode(u)
-        integrated = posterior(problem, problem.learned(u), self.used)
+        integrated = posterior(problem, problem.learned(u))
         return replace(solution, posterior=integrated, scales=integrated.scales)
 
     def _ahead(self, first: Solution) -> Parameters:

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from ..model.joint import Correlation as Correlation
     from .limits import LimitCheck as LimitCheck
     from .reports import Beam as Beam
-    from .reports import BeamMixture as BeamMixture
     from .reports import Determined as Determined
     from .reports import Fit as Fit
     from .reports import FreedEffect as FreedEffect

@@ -1,6 +1,6 @@
 """From a solution to the result people see, with how well it is known.
 
-That is its covariance, its scales of noise, and its mixture over them.
+That is its covariance, and its scales of noise.
 """
 
 from collections.abc import Mapping
@@ -15,7 +15,6 @@ from ..estimation.posterior import ScaleEstimate, covariance_of_determined
 from ..estimation.scales import RANGE
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
-from ..model.families import BEAM
 from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.sensor import BY_LIMITS
@@ -43,7 +42,6 @@ from .messages import said, warned
 from .problem import Problem, named_estimates
 from .reports import (
     Beam,
-    BeamMixture,
     Determined,
     Fit,
     FreedEffect,
@@ -154,7 +152,7 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
         sensor_kind=problem.sensor.kind,
         effects=effects,
     )
-    return with_scales(result, problem, solution, growth, freed)
+    return with_scales(result, problem, solution, freed)
 
 
 def _estimates(
@@ -330,7 +328,6 @@ def with_scales(
     result: Calibration,
     problem: Problem,
     solution: Solution,
-    growth: float | None,
     freed: Freed | None = None,
 ) -> Calibration:
     """Return a result with the scales of noise and range errors, and what follows from them.
@@ -340,16 +337,13 @@ def with_scales(
     result : Calibration
     problem : Problem
     solution : Solution
-    growth : float or None
-        By how much the standard deviations of the beams are larger than with independent noise; None
-        where they mean nothing.
     freed : Freed, optional
         Systematic errors that were unknowns.
     """
     fit, found, at, prior = result.fit, solution.posterior, solution.at, solution.prior
-    beams = np.argsort(problem.order.beams)
     unit = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
     if prior is not None:
+        beams = np.argsort(problem.order.beams)
         prior = RangeErrorPrior(
             prior.sigma[beams], None if prior.mean is None else prior.mean[beams]
         )
@@ -363,27 +357,19 @@ def with_scales(
     if found is None:
         return result
     scales = None
-    if found.range_error_scales is not None:
-        k1, k2 = found.range_error_scales.tolist()
-        scales = RangeErrorScales(k1, k2, found.learned.linearity or 0.0)
-    result = replace(result, range_error_scales=scales, learned=found.learned)
-    if growth is None:
+    learned = found.learned
+    if learned.linearity is not None:
+        k1, k2 = (learned.range_error / [1.0, learned.length]).tolist()
+        scales = RangeErrorScales(k1, k2, learned.linearity)
+    result = replace(result, range_error_scales=scales, learned=learned)
+    if result.covariance is None:
         return result
     at_scales = ScaledSolution(
         problem.in_world(solution.parameters),
         joint_covariance(problem, replace(solution, posterior=None), fit, freed),
         solution.prior,
     )
-    mixed = found.mixture
-    spread = mixed.sigmas
-    if freed is not None:
-        spread = np.hypot(spread, freed.beam_sigmas(solution.parameters.directions).ravel())
-    means, sigmas = (
-        growth * array.reshape(len(mixed.weight), -1, BEAM.size)[:, beams]
-        for array in (mixed.means, spread)
-    )
-    mixture = BeamMixture(mixed.weight, means, sigmas, mixed.members)
-    return replace(result, mixture=mixture, at_scales=at_scales)
+    return replace(result, at_scales=at_scales)
 
 
 def _variances(problem: Problem, solution: Solution, fit: Fit) -> Variances | None:

@@ -57,8 +57,6 @@ class Calibration(CalibrationData):
         Unknowns of the beams that the recording hardly tells apart.
     range_error_scales : RangeErrorScales or None
         Learned scales of the range errors; None where they have no prior.
-    mixture : BeamMixture or None
-        Of the beams, where scales were integrated over.
     at_scales : ScaledSolution or None
         The solution at the most probable scales, where they were.
     learned : LearnedScales or None

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from ..checks import require_kind, require_number
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
@@ -18,7 +18,6 @@ from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.learned import LearnedScales
-from ..estimation.mixture import mixture_quantiles
 from ..model.distributions import CONFIDENCE, chi2_sf, gaussian_quantile, student_quantile
 from ..model.effects import EFFECTS
 from ..model.effects.effect import size_in_words
@@ -311,25 +310,6 @@ class FreedEffect(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class BeamMixture(Value):
-    """The posterior of the beams as a mixture of Gaussians, one a set of scales.
-
-    Attributes
-    ----------
-    weight : (C,)
-    means, sigmas : (C, B, 8)
-        Of (x, y, z, vx, vy, vz, k1, k2); means counted from the estimate.
-    members : (C, 2) of int
-        Which points and scales of `Calibration.learned` are behind each.
-    """
-
-    weight: FloatArray
-    means: FloatArray
-    sigmas: FloatArray
-    members: IntArray
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ScaledSolution(Value):
     """The solution at the most probable scales, over which nothing is integrated: others can repeat it.
 
@@ -404,7 +384,6 @@ class CalibrationData(Value):
     covariance: JointCovariance | None = None
     correlations: tuple[Correlation, ...] = ()
     range_error_scales: RangeErrorScales | None = None
-    mixture: BeamMixture | None = None
     at_scales: ScaledSolution | None = None
     learned: LearnedScales | None = None
     systematic: tuple[SystematicError, ...] = ()
@@ -459,8 +438,8 @@ class CalibrationData(Value):
     def intervals(self, beam: str, level: float = CONFIDENCE) -> FloatArray | None:
         """Return where each coordinate of a beam lies with probability `level`, (8, 2).
 
-        Quantiles of the mixture where scales were integrated over; else Gaussian, or Student's t where
-        the range sigma comes from the residuals. None where there are no standard deviations; infinite
+        Gaussian, or Student's t where the residuals alone tell the range sigma, a scale over which
+        nothing is integrated. None where there are no standard deviations; infinite
         where the recording leaves a coordinate undetermined.
 
         Raises
@@ -474,14 +453,8 @@ class CalibrationData(Value):
         value, sigma = self.beams[beam].coordinates, self.beams[beam].sigma
         if sigma is None:
             return None
-        if self.mixture is not None:
-            mixture, i = self.mixture, list(self.beams).index(beam)
-            sides = [
-                mixture_quantiles(mixture.weight, mixture.means[:, i], mixture.sigmas[:, i], tail)
-                for tail in (0.5 * (1.0 - level), 0.5 * (1.0 + level))
-            ]
-            return value[:, None] + np.stack(sides, axis=1)
-        known = self.fit.range_sigma_given and not self.noise_estimate
+        given = self.fit.range_sigma_given and not self.noise_estimate
+        known = given or self.learned is not None
         tail = 0.5 * (1.0 + level)
         factor = float(
             gaussian_quantile(tail) if known else student_quantile(tail, max(self.fit.dof, 1))

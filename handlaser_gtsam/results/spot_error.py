@@ -111,7 +111,7 @@ def freedom(calibration: CalibrationData) -> float:
 
     Infinite where they are given, and where the covariance holds what their estimates may be off by.
     """
-    known = calibration.fit.range_sigma_given or calibration.mixture is not None
+    known = calibration.fit.range_sigma_given or calibration.learned is not None
     return math.inf if known else float(max(calibration.fit.dof, 1))
 
 

@@ -10,7 +10,6 @@ from ..arrays import BoolArray, FloatArray
 from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
-from ..estimation.information import NoiseSet
 from ..estimation.learned import LearnedScales
 from ..estimation.options import CalibrationOptions
 from ..factors.keys import BeamKeys, beam_keys
@@ -95,11 +94,14 @@ class SessionConfig:
         return tuple(beam_keys(i, self.terms) for i in range(len(self.names)))
 
     @cached_property
-    def sets(self) -> list[NoiseSet]:
-        """The noise at the most probable scales, then at all that are integrated over."""
+    def sets(self) -> tuple[FloatArray, FloatArray]:
+        """The noise at the most probable scales, then at all that are integrated over.
+
+        Range sigmas (J, B) and factors of the roots of pose covariances (J, 6).
+        """
         if self.learned is None:
-            return [NoiseSet(np.full(len(self.names), self.sigma), np.ones(6))]
-        return [self.learned.scales.noise(u) for u in (self.learned.mode, *self.learned.points)]
+            return np.full((1, len(self.names)), self.sigma), np.ones((1, 6))
+        return self.learned.scales.noise(np.vstack((self.learned.mode, self.learned.points)))
 
     @cached_property
     def _variances(self) -> Variances:

@@ -238,12 +238,12 @@ def fit_plane(
         for _ in range(2 if config.terms and config.weights_depend else 1):
             corrected, how = weighed(readings, parameters, variances, config.terms)
             rows = LinearReadings(parameters, corrected, config.terms, config.length, base)
-            _, planes = rows.information(config.sets[:1])
+            _, planes = rows.information(*(scales[:1] for scales in config.sets))
             if not planes.local_values[0, 0, 0] > KNOWN**-2:
                 return None
             parameters = moved(parameters, still, unit * planes.local_step[0], rows.centres)
         rows = LinearReadings(parameters, corrected, config.terms, config.length, base)
-        information, _ = rows.information(config.sets)
+        information, _ = rows.information(*config.sets)
         e = model.residuals(model.scene(parameters, corrected), corrected.distance)
     except GrazingBeamError:
         return None

@@ -18,7 +18,8 @@ from .. import model
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
-from ..estimation.mixture import BeamPosterior
+from ..estimation.learned import beam_posterior
+from ..estimation.range_error_grid import RangeErrorGrid
 from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
@@ -80,11 +81,13 @@ class SessionState:
         pieces = [plane.information for plane in self.contents.fitted.values()]
         total = sum(pieces[1:], start=pieces[0])
         terms, count = config.terms, len(config.names)
-        k = self.at[2][:, :terms] * np.array([1.0, learned.length])[:terms]
-        here, both = (BeamPosterior(part, k, learned.widest) for part in (total[:1], total[1:]))
-        mixture = both.mixture(learned.along(here.worst_known()).grid, learned.log_weight)
-        mean, _ = here.conditional(learned.range_error)
-        step = ((mixture.mean - mean) * config.unit).reshape(count, -1)
+        parts = total[:1], total[1:]
+        here, both = (beam_posterior(part, self.at[2], learned) for part in parts)
+        grids = learned.along(here.worst_known())
+        mean, covariance, _ = both.integrated(grids, learned.log_weight)
+        known = (RangeErrorGrid.at(learned.range_error, count),)
+        mean -= here.integrated(known, np.zeros(1))[0]
+        step = (mean * config.unit).reshape(count, -1)
         bases = model.tangent_basis(self.at[1])
         k = state.range_errors.copy()
         k[:, :terms] += step[:, RANGE_ERROR]
@@ -100,7 +103,7 @@ class SessionState:
             locations=state.locations + step[:, LOCATION],
             directions=model.normalized(state.directions + turned),
             range_errors=k,
-            covariance=lift @ mixture.covariance @ lift.T,
+            covariance=lift @ covariance @ lift.T,
         )
 
     @property
