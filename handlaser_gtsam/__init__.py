@@ -71,9 +71,9 @@ if TYPE_CHECKING:
     from .errors import NotConvergedError as NotConvergedError
     from .errors import SolverError as SolverError
     from .estimation.options import CalibrationOptions as CalibrationOptions
+    from .files.calibration_file import read_calibration as read_calibration
+    from .files.calibration_file import read_mounts as read_mounts
     from .files.calibration_json import write_calibration as write_calibration
-    from .files.calibration_reading import read_calibration as read_calibration
-    from .files.calibration_reading import read_mounts as read_mounts
     from .files.exports.export import ExportOptions as ExportOptions
     from .files.exports.export import export_text as export_text
     from .files.exports.export import write_export as write_export

@@ -20,7 +20,7 @@ WARNED = "WARNING: a reading is far\n"
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "calibration.json"
-    hl.write_calibration(path, calibrated())
+    path.write_text(calibrated().model_dump_json())
     return path
 
 
@@ -144,7 +144,7 @@ def test_inputs_are_never_replaced(handlaser, file, tmp_path):
 @pytest.mark.parametrize("status", ["unobservable", "not_converged"])
 def test_what_is_no_calibration_is_not_exported(handlaser, tmp_path, status):
     path, out = tmp_path / "calibration.json", tmp_path / "out"
-    hl.write_calibration(path, calibrated(status=status))
+    path.write_text(calibrated(status=status).model_dump_json())
     for to in ("kuka", "python"):
         code, printed, err = handlaser("export", path, "--to", to, "--out", out)
         assert (code, printed) == (3, "")
@@ -177,7 +177,7 @@ def test_python_refuses_what_is_no_calibration():
 @pytest.mark.parametrize("to", first_and_slow("python", "kuka"))
 def test_the_screen_of_any_encoding_shows_it(tmp_path, to):
     names = ("β1", "壁", "3")
-    hl.write_calibration(tmp_path / "foreign.json", calibrated(names=names))
+    (tmp_path / "foreign.json").write_text(calibrated(names=names).model_dump_json())
     code = "from handlaser_gtsam.cli import main; main()"
     run = subprocess.run(
         [sys.executable, "-c", code, "export", tmp_path / "foreign.json", "--to", to],

@@ -189,7 +189,7 @@ def test_names_the_field_of_a_study(tmp_path):
         ),
         (("beams", 0, "location_m"), [1.0] * 4, "expected an array of 3 or fewer"),
         (("beams", 0, "direction", 0), None, "beams.0.direction.0 = None; expected a number"),
-        (("fit", "chi2"), [], "fit.chi2 = []; expected a number"),
+        (("fit", "range_sigma_m"), [], "fit.range_sigma_m = []; expected a number"),
     ],
 )
 def test_names_the_field_of_a_calibration(calibrated, tmp_path, place, value, words):

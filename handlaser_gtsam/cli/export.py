@@ -13,8 +13,7 @@ from .options import OutOption, QuietOption
 
 if TYPE_CHECKING:
     from ..data.station_list import StationList
-    from ..files.calibration_file import CalibrationFile
-    from ..files.survey_json import SurveyFile
+    from ..files.calibration_file import CalibrationFile, SurveyFile
 
 FormatChoice = StrEnum(
     "FormatChoice",
@@ -111,9 +110,8 @@ def export(
 
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     """Return what a format takes of a file: stations, a calibration or the result of a survey."""
-    from ..files.calibration_reading import read_calibration
+    from ..files.calibration_file import is_survey_result, read_calibration, read_survey_result
     from ..files.recording_csv import read_stations
-    from ..files.survey_json import is_survey_result, read_survey_result
 
     if to in STATIONS:
         return read_stations(file)

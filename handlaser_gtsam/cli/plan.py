@@ -160,7 +160,7 @@ def _planned(
 
 def _uncounted(path: Path) -> list[str]:
     """Say which freed errors of a result a plan does not count at the stations to come."""
-    from ..files.calibration_reading import read_calibration
+    from ..files.calibration_file import read_calibration
 
     codes = dict.fromkeys(effect.code for effect in read_calibration(path).effects)
     if not codes:
@@ -175,7 +175,7 @@ def _uncounted(path: Path) -> list[str]:
 def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
     """Return the mounts of a result, and its planes as plates that are known as well as it says."""
     from ..errors import InputError
-    from ..files.calibration_reading import read_calibration, read_mounts
+    from ..files.calibration_file import read_calibration, read_mounts
     from ..planning.bounds import plate_of
 
     mounts = read_mounts(path)

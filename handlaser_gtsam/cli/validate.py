@@ -107,7 +107,7 @@ def _tested(
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
     from ..errors import SolverError
-    from ..files.calibration_reading import read_mounts
+    from ..files.calibration_file import read_mounts
     from ..files.rig_reading import read_with
     from ..files.validation_json import hold_out_text
     from ..model.distributions import SINGLE_LEVEL, p_words

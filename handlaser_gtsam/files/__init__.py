@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .calibration_file import CalibrationFile as CalibrationFile
+    from .calibration_file import SurveyFile as SurveyFile
+    from .calibration_file import read_survey_result as read_survey_result
     from .logs.report import LogReport as LogReport
     from .rig_planning import Plans as Plans
     from .rig_survey import SensorTable as SensorTable
@@ -11,8 +13,6 @@ if TYPE_CHECKING:
     from .rig_toml import Rig as Rig
     from .study_results import read_runs as read_runs
     from .study_results import write_runs as write_runs
-    from .survey_json import SurveyFile as SurveyFile
-    from .survey_json import read_survey_result as read_survey_result
 else:
     from ..lazy import lazy_names
 

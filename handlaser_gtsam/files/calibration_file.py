@@ -1,13 +1,23 @@
-"""What the JSON file of a calibration holds, field by field: the schema of docs/files.md.
+"""Results read back from their JSON files, field by field as docs/files.md has them.
 
-A field is called as it is called there, with its unit, and a file with any other field is refused.
+A field is called as it is called there, with its unit. What exports, plans and pictures take of a file
+is checked here; further fields of an object are there as attributes, as the file has them. What a file
+does not hold is not made up: the residual of every reading, the covariance of planes, and what
+intervals were computed from are gone.
 """
 
+from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
+import numpy as np
 from pydantic import Field, Strict
 
-from .checked_text import FileRecord
+from ..errors import InputError
+from ..model.families import BEAM
+from ..results.mounts import Mounts
+from ..text import shown
+from .checked_text import FileRecord, in_file, json_value, read_checked, square_matrix
+from .writing import path_of
 
 Item = TypeVar("Item")
 Many = Annotated[tuple[Item, ...], Strict(False)]  # strictly, the lists of JSON are no tuples
@@ -15,58 +25,31 @@ Numbers = Many[float]
 Known = Many[float | None]
 """Numbers, None where the recording leaves one undetermined."""
 Vector = Annotated[Numbers, Field(min_length=3, max_length=3)]
-Pair = Annotated[Known, Field(min_length=2, max_length=2)]
+Matrix = Annotated[Many[Numbers], Field(min_length=3, max_length=3)]
 # Whole numbers are bounded ints rather than literals: to a literal 1, True and 1.0 are the same.
 Terms = Annotated[int, Field(ge=0, le=2)]
 Version = Annotated[int, Field(ge=1, le=1)]
-Format = Literal["handlaser-calibration"]
 
 
-class WarningRecord(FileRecord):
-    """A warning of the calibration, with the numbers and names of its message."""
+class ObjectRecord(FileRecord, extra="allow"):
+    """An object of a file: its checked fields, and all others as they are."""
+
+
+class WarningRecord(ObjectRecord):
+    """A warning of a result."""
 
     code: str
     message: str
-    values: dict[str, int | float | str]
 
 
-class RangeErrorRecord(FileRecord):
+class RangeErrorRecord(ObjectRecord):
     """k1 [1] and k2 [1/m]."""
 
     k1: float
     k2_per_m: float
 
 
-class BeamSigmaRecord(FileRecord):
-    """Standard deviations of a beam; None where undetermined."""
-
-    location_m: Annotated[Known, Field(min_length=3, max_length=3)]
-    direction_rad: float | None
-    k1: float | None
-    k2_per_m: float | None
-
-
-class IntervalRecord(FileRecord):
-    """95 % intervals of a beam."""
-
-    location_m: Many[Pair]
-    direction: Many[Pair]
-    k1: Pair
-    k2_per_m: Pair
-
-
-class SpotRecord(FileRecord):
-    """The laser spot of a beam at one reading."""
-
-    reading_m: float
-    position_m: Vector
-    along_sigma_m: float
-    across_sigma_m: float
-    direction_sigma_rad: float
-    reading_sigma_m: float
-
-
-class BeamRecord(FileRecord):
+class BeamRecord(ObjectRecord):
     """A beam, hand frame."""
 
     name: str
@@ -74,21 +57,19 @@ class BeamRecord(FileRecord):
     direction: Vector
     range_error: RangeErrorRecord
     range_error_terms: Terms
-    range_error_excludes_zero: dict[str, bool] | None
-    sigma: BeamSigmaRecord | None
-    interval_95: IntervalRecord | None
-    covariance: Many[Numbers] | None
-    spot: SpotRecord | None
+    sigma: ObjectRecord | None = None
+    interval_95: ObjectRecord | None = None
+    spot: ObjectRecord | None = None
 
 
-class PlaneSigmaRecord(FileRecord):
+class PlaneSigmaRecord(ObjectRecord):
     """Standard deviations of a plane; None where undetermined."""
 
     normal_rad: float | None
     offset_m: float | None
 
 
-class PlaneRecord(FileRecord):
+class PlaneRecord(ObjectRecord):
     """A plane n . x + b = 0, world frame."""
 
     name: str
@@ -97,196 +78,160 @@ class PlaneRecord(FileRecord):
     sigma: PlaneSigmaRecord | None
 
 
-class ReadingRecord(FileRecord):
-    """Where a reading stands: its station and its beam."""
+class FitRecord(ObjectRecord):
+    """How well the readings agree, and the noise that they have."""
 
-    station: str
-    beam: str
-
-
-class RejectedRecord(ReadingRecord):
-    """A rejected reading."""
-
-    reason: str
-    residual_m: float | None
-
-
-class NoiseRecord(FileRecord):
-    """An estimated sigma."""
-
-    name: str
-    sigma: float
-    error: float | None
-    prior_carries: bool
-
-
-class FitRecord(FileRecord):
-    """How well the readings agree."""
-
-    readings: int
-    rms_m: float
-    max_m: float
-    max_at: ReadingRecord
-    chi2: float
-    dof: int
-    sigma0: float
     range_sigma_m: float
-    range_sigma_given: bool
-    poses: str
-    pose_covariance: Many[Numbers] | None
-    noise_estimate: Many[NoiseRecord]
-    rejected: Many[RejectedRecord]
+    pose_covariance: Many[Numbers] | None = None
+    max_at: ObjectRecord | None = None
+    noise_estimate: Many[ObjectRecord] = ()
+    rejected: Many[ObjectRecord] = ()
 
 
-class IndicesRecord(FileRecord):
-    """Observability indices."""
-
-    O1: float
-    O2: float
-    O3: float
-    O4: float
-
-
-class ObservabilityRecord(FileRecord):
-    """What the recording determines."""
-
-    rank: int
-    unknowns: int
-    condition: float | None
-    undetermined: Many[str]
-    advice: Many[str]
-    weakest: str | None
-    indices: IndicesRecord | None
-
-
-class CorrelationRecord(FileRecord):
-    """Two coordinates that the recording hardly tells apart."""
-
-    first: str
-    second: str
-    coefficient: float
-    advice: str
-
-
-class ScalesRecord(RangeErrorRecord):
-    """Learned scales of the range errors."""
-
-    linearity: float
-
-
-class SystematicRecord(FileRecord):
+class SystematicRecord(ObjectRecord):
     """A systematic error that was tested."""
 
     code: str
-    subject: str
-    unit: str
-    size: float | None
-    sigma: float | None
-    p_value: float | None
     found: bool
     explained_by: str | None
-    confounded: bool
-    detectable: float | None
-    alike: Many[str]
-    location_shift_m: Many[Known]
-    direction_shift_rad: Many[Known]
-    location_error_m: Many[Known]
-    direction_error_rad: Many[Known]
     message: str
     remedy: str
-    plausible: float | None = None
-    spot_shift_m: Known = ()
 
 
-class FreedEffectRecord(FileRecord):
-    """A systematic error that was an unknown: its estimate, and the sigma of its prior."""
+class EffectRecord(ObjectRecord):
+    """A systematic error that was an unknown."""
 
     code: str
-    subject: str
-    unit: str
-    size: float
-    sigma: float
-    prior_sigma: float
-    determined: bool
 
 
-class TriedRecord(FileRecord):
-    """A start that was tried, and the rms residual it led to; None if it led nowhere."""
-
-    method: str
-    rms_m: float | None
-
-
-class StartRecord(FileRecord):
-    """The start that was used, and all that were tried."""
-
-    method: str
-    tried: Many[TriedRecord]
-
-
-class SpotErrorRecord(FileRecord):
-    """The radius that holds the least certain laser spot with 95 %, from the calibration alone."""
-
-    beam: str
-    reading_m: float
-    radius_m: float
-
-
-class HiddenRecord(FileRecord):
-    """The systematic error that may be there unnoticed and moves a laser spot most, by how much."""
-
-    code: str
-    size: float
-    unit: str
-    spot_shift_m: float
-
-
-class RemedyRecord(FileRecord):
-    """What would improve the calibration, with the number behind it."""
-
-    code: str
-    message: str
-    number: float | None
-
-
-class VerdictRecord(FileRecord):
-    """Whether the calibration can be used, and why."""
-
-    code: str
-    usable: bool
-    sentence: str
-    spot: SpotErrorRecord | None
-    may_hide: HiddenRecord | None
-    causes: Many[WarningRecord]
-    remedies: Many[RemedyRecord]
-
-
-class CalibrationFile(FileRecord):
+class CalibrationFile(ObjectRecord):
     """What the JSON file of a calibration holds; see docs/files.md for its fields.
 
-    It can be compared, copied and pickled, and `write_calibration` writes it as it was. Matrices are
-    rows of numbers: `numpy.array(file.beam_covariance)`.
+    It can be compared, copied and pickled. Matrices are rows of numbers:
+    `numpy.array(file.beam_covariance)`.
     """
 
-    format: Format
+    format: Literal["handlaser-calibration"]
     version: Version
-    status: Literal["converged", "unobservable", "not_converged"]
-    message: str
-    verdict: VerdictRecord | None = None
-    warnings: Many[WarningRecord]
+    status: str
+    message: str = ""
+    verdict: ObjectRecord | None = None
+    warnings: Many[WarningRecord] = ()
     beams: Many[BeamRecord]
     beam_covariance: Many[Numbers] | None
-    planes: Many[PlaneRecord]
+    planes: Many[PlaneRecord] = ()
     fit: FitRecord
-    observability: ObservabilityRecord
-    correlations: Many[CorrelationRecord]
-    range_error_scales: ScalesRecord | None
-    systematic: Many[SystematicRecord]
-    start: StartRecord
-    iterations: int
-    effects: Many[FreedEffectRecord] = ()
+    observability: ObjectRecord | None = None
+    correlations: Many[ObjectRecord] = ()
+    range_error_scales: RangeErrorRecord | None = None
+    systematic: Many[SystematicRecord] = ()
+    start: ObjectRecord | None = None
+    effects: Many[EffectRecord] = ()
 
     @property
     def success(self) -> bool:
         """Whether the calibration converged."""
         return self.status == "converged"
+
+
+class SensorRecord(ObjectRecord):
+    """A sensor of many rays, hand frame."""
+
+    name: str
+    kind: str
+    rotation: Matrix
+    location_m: Vector
+    location_sigma_m: Known
+    rotation_sigma_rad: Known
+
+
+class SurveyBeamRecord(ObjectRecord):
+    """A single beam of a survey, hand frame."""
+
+    name: str
+    location_m: Vector
+    direction: Vector
+    range_error: Numbers
+    location_sigma_m: Known
+
+
+class SurveyFile(ObjectRecord):
+    """What the JSON file of a survey's result holds; see docs/files.md for its fields."""
+
+    format: Literal["handlaser-survey"]
+    version: Version
+    status: str
+    message: str
+    sensors: Many[SensorRecord]
+    beams: Many[SurveyBeamRecord]
+    warnings: Many[WarningRecord]
+
+
+def read_calibration(path: Path | str) -> CalibrationFile:
+    """Read what `write_calibration` or `handlaser calibrate --out` wrote.
+
+    Raises
+    ------
+    InputError
+        No such file, or one that is no calibration of this version.
+    """
+    return read_checked(path, CalibrationFile, json_value, "a calibration of handlaser, JSON")
+
+
+def read_survey_result(path: Path | str) -> SurveyFile:
+    """Read what `write_survey` or `handlaser calibrate --out` wrote of a survey.
+
+    Raises
+    ------
+    InputError
+        No such file, or one that is no result of this version.
+    """
+    return read_checked(path, SurveyFile, json_value, "a result of handlaser, JSON")
+
+
+def is_survey_result(path: Path) -> bool:
+    """Tell whether a file holds the result of a survey."""
+    try:
+        with path.open("rb") as file:
+            return b'"handlaser-survey"' in file.read(200)  # the format stands first
+    except OSError:
+        return False
+
+
+def read_mounts(path: Path | str) -> Mounts:
+    """Read the beams of a calibration and their joint covariance.
+
+    Raises
+    ------
+    InputError
+        No such file, no calibration that converged, or numbers that cannot be.
+    """
+    file = read_calibration(path)
+    with in_file(path_of(path)):
+        return mounts_of(file)
+
+
+def mounts_of(file: CalibrationFile) -> Mounts:
+    """Return the beams of a file that was read, and their joint covariance.
+
+    Raises
+    ------
+    InputError
+        No calibration that converged, or numbers that cannot be.
+    """
+    beams, pose, rows = file.beams, file.fit.pose_covariance, file.beam_covariance
+    if file.status != "converged" or rows is None:
+        found = f"a calibration that is {shown(file.status)[1:-1]}"
+        raise InputError(found, "a converged one, with its covariance")
+    if not beams:
+        raise InputError("no beams", "one or more")
+    return Mounts(
+        tuple(beam.name for beam in beams),
+        np.array([beam.location_m for beam in beams]),
+        np.array([beam.direction for beam in beams]),
+        np.array([(beam.range_error.k1, beam.range_error.k2_per_m) for beam in beams]),
+        tuple(beam.range_error_terms for beam in beams),
+        square_matrix(rows, BEAM.size * len(beams), "beam_covariance"),
+        file.fit.range_sigma_m,
+        None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
+    )

@@ -4,11 +4,9 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..arrays import FloatArray
 from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
 from ..data.recording import Recording
-from ..model.families import BEAM, OF_RANGE_ERROR
 from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.limits import Limits
@@ -16,14 +14,15 @@ from ..results.reports import Beam
 from ..results.spot_error import spot
 from ..results.verdict import Verdict
 from ..results.verdict import verdict as verdict_on
-from . import calibration_file as schema
-from .checked_text import Record, json_text, record
+from .checked_text import WARNING, Record, json_text, record, records
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:
     from ..observability.motion import MotionCheck
 
-RANGE_ERRORS = BEAM.keys[OF_RANGE_ERROR]
+RANGE_ERROR = "k1 k2_per_m"
+MOTION = "name stations orientations translations translating axes readings"
+"""What is said of the stations before a plane, or another target."""
 
 
 def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -> str:
@@ -35,42 +34,74 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
     `covariance` are null: the numbers beside them are one of many solutions.
     """
     verdict = calibration.verdict if verdict is None else verdict
-    reading, joint = verdict.reading, calibration.covariance
-    whole = record(
-        calibration,
-        schema.CalibrationFile,
-        format="handlaser-calibration",
-        version=1,
-        verdict=verdict_record(verdict),
-        beams=[_beam(beam, calibration, reading) for beam in calibration.beams.values()],
-        beam_covariance=None if joint is None else joint.matrix(planes=[]),
-        planes=[
+    reading, joint, fit = verdict.reading, calibration.covariance, calibration.fit
+    seen, scales = calibration.observability, calibration.range_error_scales
+    whole: Record = {
+        "status": calibration.status,
+        "message": calibration.message,
+        "verdict": verdict_record(verdict),
+        "warnings": records(calibration.warnings, WARNING),
+        "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
+        "beam_covariance": None if joint is None else joint.matrix(planes=[]),
+        "planes": [
             record(
                 plane,
-                schema.PlaneRecord,
-                sigma=None if plane.sigma is None else (plane.normal_sigma, plane.offset_sigma),
+                "name normal offset_m sigma",
+                sigma=None
+                if plane.sigma is None
+                else {"normal_rad": plane.normal_sigma, "offset_m": plane.offset_sigma},
             )
             for plane in calibration.planes.values()
         ],
-        fit=record(
-            calibration.fit,
-            schema.FitRecord,
-            max_m=calibration.fit.max_residual,
-            max_at=calibration.fit.max_residual_at,
+        "fit": record(
+            fit,
+            "readings rms_m max_m max_at chi2 dof sigma0 range_sigma_m range_sigma_given poses "
+            "pose_covariance noise_estimate rejected",
+            max_m=fit.max_residual,
+            max_at=record(fit.max_residual_at, "station beam"),
             pose_covariance=calibration.pose_covariance,
-            noise_estimate=calibration.noise_estimate,
+            noise_estimate=records(calibration.noise_estimate, "name sigma error prior_carries"),
+            rejected=records(fit.rejected, "station beam reason residual_m"),
         ),
-        systematic=[
-            record(one, schema.SystematicRecord, spot_shift_m=one.spots(reading, unnoticed=True))
+        "observability": record(
+            seen,
+            "rank unknowns condition undetermined advice weakest indices",
+            weakest=seen.weakest or None,
+            indices=None if seen.indices is None else record(seen.indices, "O1 O2 O3 O4"),
+        ),
+        "correlations": [
+            record(
+                one, "first second coefficient advice", first=str(one.first), second=str(one.second)
+            )
+            for one in calibration.correlations
+        ],
+        "range_error_scales": None if scales is None else record(scales, "k1 k2_per_m linearity"),
+        "systematic": [
+            record(
+                one,
+                "code subject unit size sigma p_value found explained_by confounded detectable alike "
+                "location_shift_m direction_shift_rad location_error_m direction_error_rad message "
+                "remedy plausible spot_shift_m",
+                explained_by=one.explained_by or None,
+                spot_shift_m=one.spots(reading, unnoticed=True),
+            )
             for one in calibration.systematic
         ],
-    )
+        "start": {
+            "method": calibration.start.method,
+            "tried": records(calibration.start.tried, "method rms_m"),
+        },
+        "iterations": calibration.iterations,
+        "effects": records(
+            calibration.effects, "code subject unit size sigma prior_sigma determined"
+        ),
+    }
     return json_text("calibration", whole)
 
 
 def write_calibration(
     path: Path | str,
-    calibration: Calibration | schema.CalibrationFile,
+    calibration: Calibration,
     reading: float | None = None,
     limits: Limits | None = None,
 ) -> None:
@@ -79,8 +110,7 @@ def write_calibration(
     Parameters
     ----------
     path : Path or str
-    calibration : Calibration or CalibrationFile
-        What `read_calibration` returned is written as it was read.
+    calibration : Calibration
     reading : float, optional
         Working distance at which laser spots are judged [m]; the median where not given. A graph that
         does not tell its readings has none.
@@ -92,64 +122,68 @@ def write_calibration(
     InputError
         What is no calibration, or a file that cannot be written.
     """
-    if isinstance(calibration, schema.CalibrationFile):
-        text = json_text("calibration", calibration.model_dump(mode="json"))
-    else:
-        require_kind("calibration", calibration, Calibration)
-        if reading is not None:
-            require_number("a reading of", reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
-        text = calibration_text(calibration, verdict_on(calibration, limits, reading))
-    write_text(path_of(path), text)
+    require_kind("calibration", calibration, Calibration)
+    if reading is not None:
+        require_number("a reading of", reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
+    judged = verdict_on(calibration, limits, reading)
+    write_text(path_of(path), calibration_text(calibration, judged))
 
 
 def check_text(check: "MotionCheck") -> str:
     """Return the check of a motion as JSON text."""
-    fields = "name stations orientations translations translating axes readings"
-    planes = [record(one, fields) for one in check.planes]
+    planes = records(check.planes, MOTION)
     fields = "readings unknowns planes undetermined advice"
     return json_text("check", record(check, fields, planes=planes))
 
 
 def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> None:
     """Write the true beams and planes behind a simulated recording."""
-    mounts = zip(truth.locations, truth.directions, truth.range_errors, strict=True)
-    planes = zip(recording.plane_names, truth.normals, truth.offsets, strict=True)
+    mounts = zip(
+        recording.beam_names, truth.locations, truth.directions, truth.range_errors, strict=True
+    )
     content: Record = {
         "beams": [
-            _mount(name, *mount) for name, mount in zip(recording.beam_names, mounts, strict=True)
+            record((name, r, v, record(k, RANGE_ERROR)), "name location_m direction range_error")
+            for name, r, v, k in mounts
         ],
-        "planes": [{"name": name, "normal": n, "offset_m": b} for name, n, b in planes],
+        "planes": records(
+            zip(recording.plane_names, truth.normals, truth.offsets, strict=True),
+            "name normal offset_m",
+        ),
     }
     write_text(path_of(path), json_text("truth", content))
 
 
-def _mount(name: str, r: FloatArray, v: FloatArray, k: FloatArray) -> Record:
-    return {
-        "name": name,
-        "location_m": r,
-        "direction": v,
-        "range_error": record(k, schema.RangeErrorRecord),
-    }
-
-
 def _beam(beam: Beam, calibration: Calibration, reading: float) -> Record:
     k, found = beam.range_error_sigma, calibration.intervals(beam.name)
-    excludes = place = None
+    sigmas = excludes = intervals = place = None
+    if k is not None:
+        of_beam = beam.location_sigma, beam.direction_sigma, *k
+        sigmas = record(of_beam, f"location_m direction_rad {RANGE_ERROR}")
     if found is not None:
-        ends = zip(RANGE_ERRORS[: beam.terms], found[6:], strict=False)
+        of_beam = found[:3], found[3:6], *found[6:]
+        intervals = record(of_beam, f"location_m direction {RANGE_ERROR}")
+        ends = zip(RANGE_ERROR.split()[: beam.terms], found[6:], strict=False)
         excludes = {name: bool(low > 0.0 or high < 0.0) for name, (low, high) in ends}
     # A graph does not tell its readings.
     if calibration.covariance is not None and not math.isnan(reading):
         at = spot(calibration, beam.name, reading)
-        sigmas = {"along_sigma_m": at.along, "across_sigma_m": at.across}
-        place = record(at, schema.SpotRecord, reading_m=reading, **sigmas)
+        place = record(
+            at,
+            "reading_m position_m along_sigma_m across_sigma_m direction_sigma_rad reading_sigma_m",
+            reading_m=reading,
+            along_sigma_m=at.along,
+            across_sigma_m=at.across,
+        )
     return record(
         beam,
-        schema.BeamRecord,
+        "name location_m direction range_error range_error_terms range_error_excludes_zero sigma "
+        "interval_95 covariance spot",
+        range_error=record(beam.range_error, RANGE_ERROR),
         range_error_terms=beam.terms,
         range_error_excludes_zero=excludes,
-        sigma=None if k is None else (beam.location_sigma, beam.direction_sigma, *k),
-        interval_95=None if found is None else (found[:3], found[3:6], *found[6:]),
+        sigma=sigmas,
+        interval_95=intervals,
         spot=place,
     )
 
@@ -158,13 +192,16 @@ def verdict_record(verdict: Verdict) -> Record:
     """Return a verdict as the JSON of calibrations, and of surveys, holds it."""
     hidden, best, spot_error, may_hide = verdict.hidden, verdict.best, None, None
     if verdict.spot_error is not None:
-        spot_error = verdict.spot_beam, verdict.reading, verdict.spot_error
+        at = verdict.spot_beam, verdict.reading, verdict.spot_error
+        spot_error = record(at, "beam reading_m radius_m")
     if hidden is not None:
-        may_hide = hidden.code, hidden.unnoticed, hidden.unit, verdict.hidden_error
+        by = hidden.code, hidden.unnoticed, hidden.unit, verdict.hidden_error
+        may_hide = record(by, "code size unit spot_shift_m")
     return record(
         verdict,
-        schema.VerdictRecord,
+        "code usable sentence spot may_hide causes remedies",
         spot=spot_error,
         may_hide=may_hide,
-        remedies=[(best.code, best.words, best.number)],
+        causes=records(verdict.causes, WARNING),
+        remedies=records([(best.code, best.words, best.number)], "code message number"),
     )

@@ -5,10 +5,10 @@ JSON as this package writes it has SI units, finite numbers only, and two blanks
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_origin
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
@@ -23,6 +23,8 @@ from .writing import path_of
 
 UNITS = {"mm": MM, "deg": DEG, "percent": 0.01}
 """Units that names of fields end with."""
+WARNING = "code message values"
+"""Fields of a warning in JSON."""
 Record = dict[str, object]
 Json = dict[str, "Json"] | list["Json"] | str | float | int | None
 
@@ -251,40 +253,25 @@ def json_text(kind: str, content: Record) -> str:
     return json.dumps(_plain(whole), indent=2, allow_nan=False) + "\n"
 
 
-def record(source: object, fields: type[BaseModel] | str, **others: object) -> Record:
-    """Return fields of a schema, or of names separated by blanks, in that order.
+def record(source: object, fields: str, **others: object) -> Record:
+    """Return fields, whose names are separated by blanks, in that order.
 
     A field is one of the `others`, or the attribute of `source` that has its name, or its name but for
-    the unit at the end; an array or a tuple has the fields in their order. What the schema says of a
-    field makes records of the objects in it, and no text of an empty one where there may be none.
+    the unit at the end; an array or a tuple has the fields in their order.
     """
-    kinds: dict[str, Any] = dict.fromkeys(fields.split()) if isinstance(fields, str) else {}
-    if not isinstance(fields, str):
-        kinds = {name: field.annotation for name, field in fields.model_fields.items()}
+    names = fields.split()
     if isinstance(source, np.ndarray | tuple):
-        return dict(zip(kinds, source, strict=True))
+        return dict(zip(names, source, strict=True))
     found: Record = {}
-    for name, kind in kinds.items():
+    for name in names:
         attribute = name if hasattr(source, name) else name.rpartition("_")[0]
-        value = others[name] if name in others else getattr(source, attribute)
-        found[name] = _formed(value, kind)
+        found[name] = others[name] if name in others else getattr(source, attribute)
     return found
 
 
-def _formed(value: Any, kind: Any) -> object:
-    """Return the value of a field as its type in a schema has it; without a type it stays as it is."""
-    parts = get_args(kind)
-    if type(None) in parts:
-        nothing = value is None or (isinstance(value, str) and not value)
-        return None if nothing else _formed(value, parts[0])
-    if get_origin(kind) is Annotated:
-        return _formed(value, parts[0])
-    if get_origin(kind) is tuple and hasattr(parts[0], "model_fields"):
-        many = value.values() if isinstance(value, Mapping) else value
-        return [_formed(one, parts[0]) for one in many]
-    if hasattr(kind, "model_fields") and not isinstance(value, dict):
-        return record(value, kind)
-    return str(value) if kind is str else value
+def records(sources: Iterable[object], fields: str) -> list[Record]:
+    """Return the `record` of each source."""
+    return [record(one, fields) for one in sources]
 
 
 def _plain(value: object) -> Json:

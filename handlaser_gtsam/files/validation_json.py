@@ -3,7 +3,7 @@
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import Validation
 from ..validation.prediction import Prediction
-from .checked_text import Record, json_text, record
+from .checked_text import Record, json_text, record, records
 
 
 def validation_text(validation: Validation) -> str:
@@ -32,7 +32,7 @@ def _hold_out(found: HoldOut) -> Record:
         found,
         "readings rms_m max_m chi2 dof noise_p_value drift drift_dof p_value beams",
         max_m=found.max_residual,
-        beams=[record(one, "name statistic p_value shift_m turn_rad") for one in found.beams],
+        beams=records(found.beams, "name statistic p_value shift_m turn_rad"),
     )
 
 
