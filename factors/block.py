@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handlaser_gtsam.arrays import FloatArray, IntArray, frozen_indices
+from handlaser_gtsam.arrays import FloatArray, frozen_indices
 from handlaser_gtsam.checks import number_array, require_number
 from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.errors import InputError
@@ -30,7 +30,8 @@ class RangeBlock:
     """Readings of beams to one plane, callable as the error function of a `CustomFactor`.
 
     Residual and Jacobians come from `handlaser_gtsam.model`, the latter in GTSAM's tangent bases.
-    It never refers to its factor: such a circle could not be collected.
+    It never refers to its factor: such a circle could not be collected. The rows are ones that
+    `require_rows` passes.
 
     Parameters
     ----------
@@ -100,36 +101,13 @@ class RangeBlock:
         self.distance = number_array("readings", distance)
         self.world_R_hand = number_array("rotations of the hand", world_R_hand)
         self.world_t_hand = number_array("positions of the hand", world_t_hand)
-        self.measured: FloatArray | Regressors
+        self.measured = self.distance if regressors is None else regressors
         self.prepared: Share | None = None
         self.gathering: Gathering | None = None
         self.alone: SharedEvaluation | None = None
-        require_rows(self.distance, self.world_R_hand, self.world_t_hand)
-        self.measured = self.distance if regressors is None else regressors
         self.beam_of = frozen_indices(np.zeros(len(self.distance)) if beam_of is None else beam_of)
         if len(self.beams) > 1 and whitening is None:
             raise ValueError("several beams without a whitening; expected one")
-
-    @classmethod
-    def of_checked(
-        cls,
-        beam: BeamKeys,
-        plane: int,
-        rows: tuple[FloatArray, FloatArray, FloatArray, IntArray],
-        whitening: Whitening | None,
-        measured: FloatArray | Regressors,
-    ) -> "RangeBlock":
-        """Return the block of one beam, for read-only rows that `require_rows` has passed.
-
-        The rows are the readings, rotations and positions of the hand, and zeros as `beam_of`;
-        `measured` is what residuals take of the readings.
-        """
-        block = cls.__new__(cls)
-        block.beams, block.plane, block.pose, block.whitening = (beam,), plane, None, whitening
-        block.distance, block.world_R_hand, block.world_t_hand, block.beam_of = rows
-        block.measured, block.prepared, block.gathering = measured, None, None
-        block.alone = None
-        return block
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""

@@ -28,7 +28,7 @@ from ..model.joint import beams_lift
 from ..model.weighting import Whitening, whitening
 from ..quantities import KNOWN, NEGLIGIBLE
 from ..solvers.beam_problem import jacobian_columns, moved
-from ..solvers.graph import pose_priors, station_blocks
+from ..solvers.graph import grouped_blocks, pose_priors
 from ..solvers.isam import BeamState, GraphPart
 from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
@@ -175,7 +175,7 @@ class FittedPlane:
             readings = replace(readings, station=number_of[readings.station])
             together = readings.station
         keys = self.config.keys, (plane_key(number),), priors
-        blocks = station_blocks(readings, how, rows, together, keys)
+        blocks = grouped_blocks(readings, how, rows, together, keys)
         return GraphPart(blocks, tuple(graph.at(i) for i in range(graph.size())), values)
 
     def _likely(self, chi2: float, free: int) -> bool:

@@ -10,7 +10,7 @@ from functools import cache, partial
 import gtsam
 import numpy as np
 
-from ..arrays import FloatArray, IntArray, frozen_indices
+from ..arrays import FloatArray, IntArray
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
@@ -153,13 +153,13 @@ def build_graph(
     beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
     whitening, sigma = (None, noise) if isinstance(noise, float) else (noise, noise.sigma)
     coupled = whitening is not None and whitening.is_coupled
+    require_rows(readings.distance, readings.world_R_hand, readings.world_t_hand)
     if whitening is None or (priors is None and not coupled):
-        rows: IntArray = np.arange(len(readings))
-        blocks = _blocks_by_beam(readings, beams, planes, whitening)
+        group, rows = readings.plane * readings.beams + readings.beam, np.arange(len(readings))
     else:
         group = readings.plane if priors is None else readings.station
         rows = np.lexsort((readings.beam, readings.station, group))
-        blocks = station_blocks(readings, whitening, rows, group, (beams, planes, priors))
+    blocks = grouped_blocks(readings, whitening, rows, group, (beams, planes, priors))
     graph, noise_model = gtsam.NonlinearFactorGraph(), cache(partial(_noise_model, sigma, loss))
     for block in blocks:
         graph.add(range_factor(block, noise_model(len(block.distance))))
@@ -266,36 +266,17 @@ def parameters_of(
     )
 
 
-def _blocks_by_beam(
+def grouped_blocks(
     readings: Readings,
-    beams: tuple[BeamKeys, ...],
-    planes: tuple[int, ...],
     whitening: Whitening | None,
-) -> tuple[RangeBlock, ...]:
-    starts = readings.block_starts()
-    ends = np.append(starts[1:], len(readings))
-    d, R, t = readings.distance, readings.world_R_hand, readings.world_t_hand
-    require_rows(d, R, t)
-    first, blocks = frozen_indices(np.zeros(len(d))), []
-    taken = readings.measured
-    of = (readings.beam[starts].tolist(), readings.plane[starts].tolist())
-    for beam, plane, a, e in zip(*of, starts.tolist(), ends.tolist(), strict=True):
-        rows = d[a:e], R[a:e], t[a:e], first[a:e]
-        how = None
-        if whitening is not None:
-            how = Whitening(whitening.root[a:e], whitening.sigma, whitening.station[a:e])
-        blocks.append(RangeBlock.of_checked(beams[beam], planes[plane], rows, how, taken[a:e]))
-    return tuple(blocks)
-
-
-def station_blocks(
-    readings: Readings,
-    whitening: Whitening,
     rows: IntArray,
     group: IntArray,
     names: tuple[tuple[BeamKeys, ...], tuple[int, ...], PosePriors | None],
 ) -> tuple[RangeBlock, ...]:
-    """Return a block for each run of `rows` of one `group`: a plane, or a station with its pose."""
+    """Return a block for each run of `rows` of one group.
+
+    A group is a plane with one beam, a plane, or a station with its pose.
+    """
     beams, planes, priors = names
     runs = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
     blocks = []
@@ -314,7 +295,7 @@ def station_blocks(
                 t,
                 pose,
                 beam_of,
-                whitening.of_rows(run),
+                None if whitening is None else whitening.of_rows(run),
                 None if readings.regressors is None else readings.regressors[run],
             )
         )
