@@ -37,8 +37,6 @@ INVERTED = "hand_T_world (base in hand)"
 """Poses that are inverted, in words."""
 EULER = re.compile(r"(?!(.)\1|.(.)\2)([xyz]{3}|[XYZ]{3})")
 """Three axes of which neighbours differ."""
-MATRIX_NUMBERS = (12, 16)
-"""Numbers of a matrix without its last row (0, 0, 0, 1), or with it."""
 ROTATIONS = (
     "xyzw, wxyz, rotvec, matrix, matrix-columns, or Euler angles as SciPy spells them (ZYX, xyz)"
 )
@@ -87,7 +85,7 @@ class Convention:
     def numbers(self) -> tuple[int, ...]:
         """How many numbers a pose may have."""
         if self.is_matrix:
-            return MATRIX_NUMBERS
+            return 12, 16  # without the last row (0, 0, 0, 1), or with it
         return (7 if self.rotation in QUATERNIONS else 6,)
 
     @property

@@ -19,7 +19,7 @@ from scipy.special import (
     fdtrc,
     fdtri,
     gammaincinv,
-    nctdtr,
+    nctdtrinc,
     ndtr,
     ndtri,
     stdtr,
@@ -71,16 +71,8 @@ def student_quantile(p: Numbers, dof: Numbers) -> FloatArray:
 
 
 def student_mean(p: float, dof: float, x: float) -> float:
-    """Return the noncentrality at which a noncentral Student t stays below x with probability p.
-
-    It is found by halving between 0 and 2 x + 10, and is the larger one where it lies beyond.
-    """
-    low, high = 0.0, 2.0 * x + 10.0
-    if nctdtr(dof, high, x) > p:
-        return high
-    while low < (middle := 0.5 * (low + high)) < high:
-        low, high = (middle, high) if nctdtr(dof, middle, x) > p else (low, middle)
-    return high
+    """Return the noncentrality at which a noncentral Student t stays below x with probability p."""
+    return float(nctdtrinc(dof, p, x))
 
 
 def chi2_cdf(x: Numbers, dof: Numbers) -> FloatArray:

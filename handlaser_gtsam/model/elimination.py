@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,6 @@ from ..quantities import SINGULAR, TINY
 
 LARGE_MATRIX = 400
 """With more unknowns, Cholesky factors and a few eigenvalues take less time than all eigenvalues."""
-EIGENVALUE_TOLERANCE = 1e-2
-"""Relative accuracy of the extreme eigenvalues of a large matrix; they only meet a bound."""
-EIGENVALUES_SOUGHT = (1, 16)
-"""Smallest eigenvalues of a large matrix that are computed: more if the first are below the bound."""
-PIVOT_MARGIN = 1e3
-"""Where all pivots exceed a bound by this factor, all eigenvalues exceed the bound."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +66,8 @@ class ReducedInformation:
         """
         try:
             root = np.linalg.cholesky(self.matrix)
-            if least >= floor or np.diagonal(root).min() ** 2 > PIVOT_MARGIN * floor:
+            # Where all pivots exceed a bound by far, all eigenvalues exceed the bound.
+            if least >= floor or np.diagonal(root).min() ** 2 > 1e3 * floor:
                 return _inverse_of_root(root)
         except np.linalg.LinAlgError:
             pass
@@ -221,22 +217,14 @@ def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float
         except np.linalg.LinAlgError:
             root = None
         if root is not None:
-            factor = (root.T, False)  # LAPACK's order: nothing is copied
-
-            def inverse(x: FloatArray) -> FloatArray:
-                solved: FloatArray = cho_solve(factor, x, check_finite=False)
-                return solved
-
+            inverse = partial(cho_solve, (root.T, False), check_finite=False)  # nothing is copied
             solve = LinearOperator(matrix.shape, inverse, dtype=float)
             start = np.ones(len(matrix))
-            for count in EIGENVALUES_SOUGHT:
-                small, axes = eigsh(
-                    matrix, count, sigma=0.0, OPinv=solve, v0=start, tol=EIGENVALUE_TOLERANCE
-                )
+            accuracy = 1e-2  # relative: they only meet a bound
+            for count in (1, 16):  # more if the first are below the bound
+                small, axes = eigsh(matrix, count, sigma=0.0, OPinv=solve, v0=start, tol=accuracy)
                 if small.max() >= floor:
-                    top = eigsh(
-                        matrix, 1, v0=start, tol=EIGENVALUE_TOLERANCE, return_eigenvectors=False
-                    )
+                    top = eigsh(matrix, 1, v0=start, tol=accuracy, return_eigenvectors=False)
                     mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
                     order = np.argsort(small)
                     return small[order], float(top[0]), mean_log, axes[:, order]

@@ -32,8 +32,6 @@ Index = slice | IntArray
 COMMON_NUMBERS = 400_000
 """Sums over the rows of stations that are formed at once: they stay in the processor's cache, and with
 few stations all are formed at once."""
-MOST_PLANS = 64
-"""Plans that are kept: a calibration meets a dozen structures, again and again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,7 +367,7 @@ class Reduction:
             local,
         )
         if key not in self._structures:
-            while len(self._structures) >= MOST_PLANS:
+            while len(self._structures) >= 64:  # a calibration meets a dozen, again and again
                 self._structures.pop(next(iter(self._structures)))
             self._structures[key] = Structure(blocks, counts, free, local)
         self.structure = self._structures[key]

@@ -26,10 +26,6 @@ from .reduction import Normal, Reduction, damped_step
 POOR_GAIN = 0.25
 """A step that saves less than this part of what the linear model promised raises lambda, and one that
 saves all but less than this part lowers it."""
-GOOD_QUANTILE = 1.2
-"""Quantile of good residuals [sigmas] that bounds half to two thirds of all, a third being outliers."""
-TIGHTER = 0.999
-"""The scale of a loss that falls by less than this factor in a step has settled."""
 COST_RESOLUTION = 1e-10
 """Changes of the cost below this part of it are rounding, not evidence."""
 LEVEL_STEPS = 6
@@ -169,7 +165,7 @@ class LossScale:
         The unit [m], or its lower bound where it follows the residuals.
     good : float, optional
         Part of the readings that count as good. The unit then follows the quantile of the absolute
-        residuals of each candidate at that part over `GOOD_QUANTILE`, and never grows.
+        residuals of each candidate at that part, and never grows.
     """
 
     least: float = 1.0
@@ -181,7 +177,8 @@ class LossScale:
             return np.full(len(residual), self.least)
         rank = min(max(int(np.ceil(self.good * residual.shape[1])), 1), residual.shape[1])
         quantile = np.partition(np.abs(residual), rank - 1, axis=1)[:, rank - 1]
-        return np.asarray(np.maximum(quantile / GOOD_QUANTILE, self.least))
+        # It bounds half to two thirds of all, a third being outliers, at this many sigmas.
+        return np.asarray(np.maximum(quantile / 1.2, self.least))
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,7 +427,8 @@ class _Search:
         if robust is None:
             return
         scale = np.where(moved, np.minimum(at.scale, robust.scale.of(at.residual)), at.scale)
-        self.tightening = np.where(moved, scale < TIGHTER * at.scale, self.tightening)
+        # A scale that falls by less than a thousandth in a step has settled.
+        self.tightening = np.where(moved, scale < 0.999 * at.scale, self.tightening)
         if (scale < at.scale).any():
             fall = robust.cost(at.residual, at.scale) - robust.cost(at.residual, scale)
             at.cost = at.cost - fall / self.problem.unit**2

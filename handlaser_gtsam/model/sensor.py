@@ -16,8 +16,6 @@ from .effects.plausible import KINDS, Plausible, plausible_sizes
 
 LONG_RANGE = 100.0
 """No sensor on a hand typically reads more than this [m]: its millimetres were read as metres."""
-MOST_LINEARITY = 0.3
-"""No sensor is less linear, as a part of the reading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +57,7 @@ class Sensor:
             )
         right = math.pi / 2.0
         require_number("max_incidence", self.max_incidence, 0.0, right, above=True, unit="rad")
-        require_number("linearity", self.linearity, NEGLIGIBLE, MOST_LINEARITY)
+        require_number("linearity", self.linearity, NEGLIGIBLE, 0.3)  # none is less linear
         if self.kind is not None:
             require_word("kind", self.kind, KINDS)
         require_kind("plausible", self.plausible, Plausible)

@@ -25,12 +25,6 @@ from ...quantities import ROUNDING, SINGULAR
 
 ENDLESS_LIMIT = 2.0 * np.pi
 """Limit of joints that have none [rad]: a turn to either side, so that no pose lies at its end."""
-INVERSE_STEPS = 40
-"""From one start; poses within reach need about ten."""
-STUCK_AFTER = 15
-"""After this number of steps a start is given up whose error is above `STUCK`."""
-STUCK = 0.05
-"""Error of the hand from which a start that has not come nearer never does [m], [rad]."""
 LARGEST_STEP = 0.5
 """Of any joint [rad], [m]: the Jacobian holds no farther."""
 
@@ -155,13 +149,13 @@ class Arm:
         None where this start does not lead there: others may.
         """
         q = np.clip(start, self.low, self.high)
-        for step in range(INVERSE_STEPS):
+        for step in range(40):  # poses within reach need about ten
             hand_R, hand_t, J = self.hand(q)
             error = np.concatenate((t - hand_t, self.pin.log3(R @ hand_R.T)))
             squared = error @ error
             if squared <= ROUNDING**2:  # [m], [rad]
                 return q
-            if step == STUCK_AFTER and np.abs(error).max() > STUCK:
+            if step == 15 and np.abs(error).max() > 0.05:  # [m], [rad]: it never comes nearer
                 return None
             change = _damped(J, error, squared)
             beyond = (q <= self.low) & (change < 0.0) | (q >= self.high) & (change > 0.0)

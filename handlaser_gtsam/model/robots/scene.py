@@ -11,13 +11,6 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from .arm import Arm, unreadable
 
-TRIED_JOINTS = 200
-"""Random joints at which pairs of bodies are tried that always touch: 5 % of them are ten."""
-TOUCHING_PART = 0.95
-"""Bodies that touch at so large a part of them belong together: no motion parts them."""
-TABLE_SIZE = (10.0, 10.0, 1.0)
-"""Of the block that stands for the table [m]: no arm reaches around it."""
-
 
 class Scene:
     """An arm among bodies.
@@ -60,8 +53,8 @@ class Scene:
         except (ValueError, RuntimeError) as error:
             raise unreadable(error) from error
         if table is not None:
-            below = pin.SE3(np.eye(3), table - [0.0, 0.0, 0.5 * TABLE_SIZE[2]])
-            block = coal.Box(*TABLE_SIZE)
+            below = pin.SE3(np.eye(3), table - [0.0, 0.0, 0.5])
+            block = coal.Box(10.0, 10.0, 1.0)  # no arm reaches around it
             bodies.addGeometryObject(
                 pin.GeometryObject("table of handlaser_gtsam", 0, below, block)
             )
@@ -75,8 +68,9 @@ class Scene:
         self._plate = bodies.geometryObjects[bodies.addGeometryObject(disc)]
         bodies.addAllCollisionPairs()
         self._require(clearance)
-        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (TRIED_JOINTS, len(arm.low)))
-        joined = np.mean([self._touching(q) for q in drawn], axis=0) >= TOUCHING_PART
+        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (200, len(arm.low)))
+        # Bodies that touch at nearly all joints belong together: no motion parts them.
+        joined = np.mean([self._touching(q) for q in drawn], axis=0) >= 0.95
         joined |= [self._neighbours(pair.first, pair.second) for pair in bodies.collisionPairs]
         if start is not None:
             joined |= self._touching(start)
