@@ -16,7 +16,6 @@ leave (`Unexplained`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -31,11 +30,6 @@ from .sensors.mounted import SENSOR
 
 FAR_FROM_SHAPE = 4.5
 """Points farther than this many standard deviations from the shape of their shot are rejected."""
-WEAK_SPHERE = 4
-"""A sphere is hardly known from up to this many times as many points as it has numbers."""
-FEW_TOO_CLOSE = 5.0
-"""A median of n distances from a shape of p numbers, which was chosen for it, is too small: by one plus
-this over n - p (Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987, page 202)."""
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
 MANY, OF_MANY = 100, 0.35
@@ -47,80 +41,68 @@ VOTING = 128
 """Points that vote on trial shapes."""
 MOST_SLANTED = 3.0
 """Rays that count meet the target with a cosine of at least one over this."""
-SIFTINGS = 4
-"""Rounds in which points that are far from their shape are rejected; two settle most shots."""
 SHAPE_SETTLED = 1e-10
 """A relative step of a shape below this is rounding."""
 
 
-class Shape(Protocol):
-    """What a target looks like in the frame of a sensor; leading axes are shots."""
+@dataclass(frozen=True, slots=True)
+class _Flat:
+    """A line or a plane; leading axes of all arrays are shots.
+
+    Of parallel rays z = c + m x: (c, m). Of rays through the origin q . p = 1 in the axes that they
+    span, so that 1 / s = q . u.
+    """
+
+    axes: tuple[int, ...]
+    parallel: bool
 
     @property
     def size(self) -> int:
-        """Return how many numbers it has."""
+        """How many numbers it has."""
+        return len(self.axes)
 
     def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
         """Return shapes (..., size) through sets of readings (..., m), linear least squares each."""
+        return _solved(self._rows(rays), reading if self.parallel else 1.0 / reading)
 
     def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
         """Return the ranges (..., H, n) of n rays to shapes (..., H, size); infinite where missed."""
+        linear: FloatArray = shapes @ np.swapaxes(self._rows(rays), -1, -2)
+        if self.parallel:
+            return linear
+        return np.where(linear > TINY, 1.0 / np.maximum(linear, TINY), np.inf)
 
     def columns(
         self, shape: FloatArray, rays: Rayset, s: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return derivatives of ranges s (G, n) by shapes (G, n, size), and by origins (G, n, 3)."""
-
-
-class _Line:
-    """z = c + m x, for parallel rays: (c, m)."""
-
-    size = 2
-
-    def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
-        x = rays.origin[..., 0]
-        return _solved(np.stack((np.ones_like(x), x), axis=-1), reading)
-
-    def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
-        return np.asarray(shapes[..., :1] + shapes[..., 1:] * rays.origin[..., None, :, 0])
-
-    def columns(
-        self, shape: FloatArray, rays: Rayset, s: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        x = rays.origin[..., 0]
-        a = np.zeros((*s.shape, 3))
-        a[..., 0], a[..., 2] = shape[:, 1:], -1.0
-        return np.stack((np.ones_like(x), x), axis=-1), a
-
-
-@dataclass(frozen=True, slots=True)
-class _Plane:
-    """q . p = 1, for rays through the origin: 1 / s = q . u, in the axes that the rays span."""
-
-    axes: tuple[int, ...]
-    size: int
-
-    def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
-        return _solved(rays.direction[..., self.axes], 1.0 / reading)
-
-    def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
-        inverse = shapes @ np.swapaxes(rays.direction[..., self.axes], -1, -2)
-        return np.where(inverse > TINY, 1.0 / np.maximum(inverse, TINY), np.inf)
-
-    def columns(
-        self, shape: FloatArray, rays: Rayset, s: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        a = np.zeros((*s.shape, 3))
+        rows, a = self._rows(rays), np.zeros((*s.shape, 3))
+        if self.parallel:
+            a[..., 0], a[..., 2] = shape[:, 1:], -1.0
+            return rows, a
         a[..., self.axes] = -s[..., None] * shape[:, None]
-        return -(s**2)[..., None] * rays.direction[..., self.axes], a
+        return -(s**2)[..., None] * rows, a
+
+    def _rows(self, rays: Rayset) -> FloatArray:
+        """Return what ranges, or their inverses, are linear in (..., n, size)."""
+        x = rays.origin[..., 0]
+        across = np.stack((np.ones_like(x), x), axis=-1)
+        return across if self.parallel else rays.direction[..., self.axes]
 
 
 @dataclass(frozen=True, slots=True)
 class _Sphere:
-    """A centre in the axes that the rays span, and the radius: a circle for rays of one plane."""
+    """A centre in the axes that the rays span, and the radius: a circle for rays of one plane.
+
+    Its methods do what the same of `_Flat` do.
+    """
 
     axes: tuple[int, ...]
-    size: int
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        return len(self.axes) + 1
 
     def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
         p = (rays.origin + reading[..., None] * rays.direction)[..., self.axes]
@@ -148,11 +130,13 @@ class _Sphere:
         return np.concatenate((p / q, radius[..., None] / q), axis=-1), a
 
 
+Shape = _Flat | _Sphere
+"""What a target looks like in the frame of a sensor."""
+
+
 def shape_of(kind: Kind, target: str) -> Shape:
     """Return what a target, `plane` or `sphere`, looks like to a kind of sensor."""
-    if target == "sphere":
-        return _Sphere(kind.axes, len(kind.axes) + 1)
-    return _Line() if kind.parallel else _Plane(kind.axes, len(kind.axes))
+    return _Sphere(kind.axes) if target == "sphere" else _Flat(kind.axes, kind.parallel)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,7 +204,8 @@ def condensed_shots(
         Whether points that do not belong to the target have been rejected already.
     """
     shape = shape_of(kind, target)
-    few = WEAK_SPHERE * shape.size if target == "sphere" else shape.size - 1
+    # A sphere is hardly known from up to four times as many points as it has numbers.
+    few = 4 * shape.size if target == "sphere" else shape.size - 1
     lengths = np.array([len(reading) for _, reading in shots], dtype=int)
     found: list[Condensed | None] = [None] * len(shots)
     for n in np.unique(lengths).tolist():
@@ -253,7 +238,7 @@ def _condensed(
     if n <= few:
         return [_as_they_are(shape, _rows(rays, g), reading[g], kept[g]) for g in range(G)]
     if sorted_out or n <= shape.size + 1:
-        found, fits = _refined(shape, shape.through(rays, reading), rays, reading, kept)
+        found, fits, _ = _fitted(shape, shape.through(rays, reading), rays, reading, kept)
     else:
         found, fits, kept = _robust(shape, rays, reading, sigma)
     fits &= ~_flat(shape, found, rays, reading)
@@ -265,8 +250,9 @@ def _condensed(
         ends[i] = _as_they_are(shape, _rows(rays, i), reading[i], kept[i])
     if not whole.size:
         return ends
-    fitted = _fitted(shape, found[whole], _rows(rays, whole), reading[whole], kept[whole], ratio)
-    for i, end in zip(whole.tolist(), fitted, strict=True):
+    kept = kept[whole]
+    found, _, linear = _fitted(shape, found[whole], _rows(rays, whole), reading[whole], kept, ratio)
+    for i, end in zip(whole.tolist(), _in_rows(shape, found, *linear, kept), strict=True):
         ends[i] = end
     return ends
 
@@ -277,30 +263,36 @@ def _fitted(
     rays: Rayset,
     reading: FloatArray,
     kept: BoolArray,
-    ratio: float,
-) -> list[Condensed | None]:
-    """Return the shots at the shapes that fit them best, from shapes (G, size) nearby."""
-    at = rays
+    ratio: float = 0.0,
+) -> tuple[FloatArray, BoolArray, tuple[Rayset, FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """Return the least-squares shapes (G, size) of the points that are kept, from shapes nearby.
+
+    Then where there is one: none where rays miss it on their way. Last rays, residuals, derivatives by
+    shapes and by origins, and roots of the weights there.
+    """
+    at, fits = rays, np.ones(len(found), dtype=bool)
     for step in range(MOST_ROUNDS):
         s = shape.ranges(found[:, None], at)[:, 0]
-        J, a = shape.columns(found, at, np.where(np.isfinite(s), s, 0.0))
+        hit = np.isfinite(s) & kept
+        fits &= (hit.sum(axis=1) >= shape.size) & (2 * hit.sum(axis=1) >= kept.sum(axis=1))
+        s = np.where(hit, s, 0.0)
+        J, a = shape.columns(found, at, s)
         slope = a[..., 0]
         # Noise across the rays counts as noise of the ray where the point most probably was.
-        e = reading - s - slope * (rays.origin[..., 0] - at.origin[..., 0])
-        e = np.where(kept & np.isfinite(s), e, 0.0)
-        root = kept / np.sqrt(1.0 + (ratio * slope) ** 2)
+        e = np.where(hit, reading - s - slope * (rays.origin[..., 0] - at.origin[..., 0]), 0.0)
+        root = hit / np.sqrt(1.0 + (ratio * slope) ** 2)
         further = _solved(J * root[..., None], e * root)
         left = e - (J @ further[..., None])[..., 0]
         small = np.abs(further).max(axis=1) <= SHAPE_SETTLED * np.abs(found).max(axis=1)
         # The start is a minimum with the points where they were read: they have to move first.
-        if small.all() and (step or not ratio):
+        if small[fits].all() and (step or not ratio):
             break
-        found = found + further
+        found = np.where(fits[:, None], found + further, found)
         if ratio:
             moved = rays.origin.copy()
             moved[..., 0] += ratio**2 * slope * left * (root * root)
             at = Rayset(moved, rays.direction, moved, rays.direction_by_scale)
-    return _in_rows(shape, found, at, left, J, a, root, kept)
+    return found, fits, (at, left, J, a, root)
 
 
 def _as_they_are(shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArray) -> Condensed:
@@ -309,9 +301,8 @@ def _as_they_are(shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArra
     n, found = len(d), np.full(shape.size, np.nan)
     if n >= shape.size:
         every = _rows(rays, None)
-        refined, fits = _refined(
-            shape, shape.through(every, d[None]), every, d[None], np.ones((1, n), dtype=bool)
-        )
+        all_points = np.ones((1, n), dtype=bool)
+        refined, fits, _ = _fitted(shape, shape.through(every, d[None]), every, d[None], all_points)
         found = refined[0] if fits[0] else found
     by_error = np.stack((np.ones(n), d, d**2, np.zeros(n)))
     nothing = np.zeros(0), np.zeros((0, len(by_error)))
@@ -414,9 +405,11 @@ def _robust(
     best = np.partition(e, place, axis=2)[..., place].argmin(axis=1)
     found, fits = trials[np.arange(G), best], np.ones(G, dtype=bool)
     kept = np.ones(reading.shape, dtype=bool)
-    larger = 1.0 + FEW_TOO_CLOSE / (n - shape.size)
+    # A median of n distances from a shape of p numbers, which was chosen for it, is too small by this
+    # (Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987, page 202).
+    larger = 1.0 + 5.0 / (n - shape.size)
     least = np.maximum(SHAPE_SETTLED * np.median(reading, axis=1), sigma or 0.0)
-    for sifting in range(SIFTINGS):
+    for sifting in range(4):  # two settle most shots
         e = _misses(reading, shape.ranges(found[:, None], rays)[:, 0])
         order = np.sort(np.where(kept, e, np.inf), axis=1)
         if sifting:
@@ -428,7 +421,7 @@ def _robust(
         before, kept = kept, e <= FAR_FROM_SHAPE * np.maximum(larger * scale, least)[:, None]
         if sifting and (kept == before)[fits].all():
             break
-        again, good = _refined(shape, found, rays, reading, kept)
+        again, good, _ = _fitted(shape, found, rays, reading, kept)
         fits &= good & (kept.sum(axis=1) > shape.size)
         found = np.where(fits[:, None], again, found)
     return found, fits, kept
@@ -464,28 +457,6 @@ def _steep(shape: Shape, found: FloatArray, rays: Rayset) -> BoolArray:
     hit = np.isfinite(s)
     a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
     return np.asarray(hit & (np.einsum("gni,gni->gn", a, a) < MOST_SLANTED**2))
-
-
-def _refined(
-    shape: Shape, found: FloatArray, rays: Rayset, reading: FloatArray, kept: BoolArray
-) -> tuple[FloatArray, BoolArray]:
-    """Return the least-squares shapes (G, size) of the points that are kept, and where there is one.
-
-    There is none where rays miss the shape on their way.
-    """
-    fits = np.ones(len(found), dtype=bool)
-    for _ in range(MOST_ROUNDS):
-        s = shape.ranges(found[:, None], rays)[:, 0]
-        hit = np.isfinite(s) & kept
-        count, s = hit.sum(axis=1), np.where(hit, s, 0.0)
-        fits &= (count >= shape.size) & (2 * count >= kept.sum(axis=1))
-        J, _ = shape.columns(found, rays, s)
-        step = _solved(J * hit[..., None], (reading - s) * hit)
-        found = np.where(fits[:, None], found + step, found)
-        small = np.abs(step).max(axis=1) <= NEGLIGIBLE * np.abs(found).max(axis=1)
-        if small[fits].all():
-            break
-    return found, fits
 
 
 def _rows(
