@@ -265,7 +265,6 @@ def _determined_by(
         words,
         help_,
         parts,
-        found.indices(),
         weakest(found, parameters, names),
     )
 
