@@ -65,9 +65,8 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
         ),
         "observability": record(
             seen,
-            "rank unknowns condition undetermined advice weakest indices",
+            "rank unknowns condition undetermined advice weakest",
             weakest=seen.weakest or None,
-            indices=None if seen.indices is None else record(seen.indices, "O1 O2 O3 O4"),
         ),
         "correlations": [
             record(
