@@ -363,7 +363,8 @@ def test_of_a_false_relation_the_headline_says_nothing_else(folder, noise):
     (words,) = (one.message for one in result.warnings if one.code == "relation-contradicted")
     assert result.status == ("contradicted" if noise else "not_converged")
     assert result.message == words
-    assert result.verdict.sentence == f"Not usable: {words}."
+    assert result.verdict.findings == (words,)
+    assert result.verdict.code == "contradicted"
     assert noise == {} or "range-error" in {one.code for one in result.warnings}
 
 

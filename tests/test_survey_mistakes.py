@@ -162,7 +162,7 @@ def test_poses_that_are_inverted_are_said_with_what_the_noise_explains():
     found = hl.calibrate(hl.Survey(wrong, survey.shots))
     assert found.status == "not_converged"
     assert found.warnings[0].code == "no-fit"
-    assert found.verdict.sentence == f"Not usable: {found.warnings[0].message}."
+    assert (found.verdict.code, found.verdict.findings) == ("no-fit", (found.message,))
     assert "check that poses are world_T_hand" in found.message
     # Spots on a plate and a ball of this cell miss by millimetres, and readings have 0.02 mm.
     assert found.warnings[0].values["distance_m"] > 1e-3
@@ -212,7 +212,7 @@ def test_a_target_of_the_other_kind_is_named(case, seed):
         assert warnings[0].message.startswith(message)
     assert not found.usable
     assert found.status == "contradicted"
-    assert found.verdict.sentence == f"Not usable: {found.message}."
+    assert (found.verdict.code, found.verdict.findings) == ("no-fit", (found.message,))
     assert found.message.startswith(message)
     # Advice on the motion would be of what is not there.
     assert not found.undetermined

@@ -155,7 +155,7 @@ def test_a_target_that_reads_otherwise_is_not_predicted():
     found = validate_survey(replace(survey, shots=(bent,)), EXACT, splits=0)
     assert found.calibration.status == "converged"
     assert [one.name for one in found.contradicted] == ["plane:A"]
-    assert found.verdict.startswith("Not usable: what the rest of the survey does not predict")
+    assert found.verdict.findings[0].startswith("what the rest of the survey does not predict")
     assert not validate_survey(survey, EXACT, splits=0).contradicted
 
 
@@ -168,8 +168,8 @@ def test_another_solution_of_scipy_is_a_headline_and_an_exit_code(monkeypatch):
     assert 0.005 < found.reference.largest < 0.05
     monkeypatch.setattr(validation, "LARGEST_DIFFERENCE", 0.005)
     assert not found.usable
-    assert found.verdict.startswith(
-        "Not usable: SciPy, point by point, finds another solution, by 0.01"
+    assert found.verdict.sentence.startswith(
+        "Not usable, contradicted: SciPy, point by point, finds another solution, by 0.01"
     )
     answer = survey_validation(survey_of(rig), Rig(), 0, 0)
     assert answer.failure == (3, found.verdict.sentence)
