@@ -45,6 +45,20 @@ def handlaser(monkeypatch, capsys):
     return run
 
 
+@pytest.fixture
+def refusal(handlaser):
+    """Run the command in this process where it refuses something; return the one line it says."""
+
+    def run(*arguments):
+        code, out, err = handlaser(*arguments)
+        assert (code, out) == (2, ""), err
+        assert err.endswith("\n")
+        assert err.count("\n") == 1
+        return err
+
+    return run
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
     """Give every process a part of the tests in their order; who is done first takes from the others.

@@ -126,7 +126,7 @@ def test_zones_of_an_array_are_topics_of_ranges(tmp_path):
         assert error @ np.linalg.solve(C, error) < 50.0
 
 
-def test_the_command_calibrates_a_bag_and_says_what_is_wrong_with_one(tmp_path, handlaser):
+def test_the_command_calibrates_a_bag_and_says_what_is_wrong_with_one(tmp_path, handlaser, refusal):
     rig = rigs_by_rays.scanner(6, planes=3, stations=8)
     bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, scans))
     file = rig_file(tmp_path, rig, "scanner", ["scanner"])
@@ -142,11 +142,6 @@ def test_the_command_calibrates_a_bag_and_says_what_is_wrong_with_one(tmp_path, 
     }
     for line, words in wrong.items():
         file.write_text(text.replace('topics = ["scanner"]', line))
-        code, _, err = handlaser("calibrate", bag, "--rig", file)
-        assert code == 2
-        assert words in err
-        assert err.count("\n") == 1
+        assert words in refusal("calibrate", bag, "--rig", file)
     file.write_text(text.replace("[log]", '[log]\npose_format = "kuka"'))
-    code, _, err = handlaser("calibrate", bag, "--rig", file)
-    assert code == 2
-    assert "says nothing of a bag" in err
+    assert "says nothing of a bag" in refusal("calibrate", bag, "--rig", file)

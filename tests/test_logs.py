@@ -517,7 +517,7 @@ def test_calibrate_check_and_validate_take_a_log(handlaser, gripper_log, tmp_pat
     assert handlaser("validate", gripper_log, *rig, "--splits", "0")[0] == 0
 
 
-def test_convert_writes_the_recording(handlaser, gripper_log, tmp_path):
+def test_convert_writes_the_recording(handlaser, refusal, gripper_log, tmp_path):
     out = tmp_path / "recording.csv"
     code, said, err = handlaser("convert", gripper_log, *OPTIONS, "--out", out)
     assert (code, err) == (0, "")
@@ -526,21 +526,17 @@ def test_convert_writes_the_recording(handlaser, gripper_log, tmp_path):
     found, wanted = hl.read_recording(out), hl.read_recording(GRIPPER / "recording.csv")
     assert_poses(found, wanted.world_R_hand, wanted.world_t_hand)
     assert np.abs(found.ranges - wanted.ranges).max() < 1e-15
-    code, _, err = handlaser("convert", gripper_log, *OPTIONS, "--out", gripper_log)
-    assert code == 2
-    assert "the input itself" in err
+    assert "the input itself" in refusal("convert", gripper_log, *OPTIONS, "--out", gripper_log)
 
 
-def test_a_log_that_is_taken_for_a_recording_is_recognised(handlaser, gripper_log):
-    code, _, err = handlaser("calibrate", gripper_log)
-    assert code == 2
+def test_a_log_that_is_taken_for_a_recording_is_recognised(refusal, gripper_log):
+    err = refusal("calibrate", gripper_log)
     assert "log.pose_format fanuc" in err
     assert "convert LOG --write-log RIG" in err
-    assert err.count("\n") == 1
 
 
 def test_what_was_converted_is_calibrated_with_the_rig_file_of_the_log(
-    handlaser, gripper_log, tmp_path
+    handlaser, refusal, gripper_log, tmp_path
 ):
     rig, out = tmp_path / "rig.toml", tmp_path / "recording.csv"
     rig.write_text(
@@ -551,8 +547,7 @@ def test_what_was_converted_is_calibrated_with_the_rig_file_of_the_log(
     code, said, _ = handlaser("check", out, "--rig", rig)
     assert (code, said) == handlaser("check", gripper_log, "--rig", rig)[:2]
     rig.write_text('[log]\nunits = "mm"\n')  # as a log of ros in millimetres
-    code, _, err = handlaser("check", out, "--rig", rig)
-    assert code == 2
+    err = refusal("check", out, "--rig", rig)
     assert "log.units m" in err or "log.pose_format ros" in err
 
 
@@ -590,22 +585,22 @@ def test_the_table_of_a_rig_file_is_written_beside_the_rest(handlaser, gripper_l
         assert rig.read_bytes().decode() == text
 
 
-def test_a_table_that_says_another_thing_is_not_replaced(handlaser, gripper_log, tmp_path):
+def test_a_table_that_says_another_thing_is_not_replaced(handlaser, refusal, gripper_log, tmp_path):
     rig, out = tmp_path / "rig.toml", tmp_path / "recording.csv"
     rig.write_text('[log]\npose_format = "kuka"\nrange_units = "mm"\n')
     before = rig.read_bytes()
     options = (*OPTIONS, "--write-log", rig, "--out", out)
-    code, _, err = handlaser("convert", gripper_log, *options)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "[log] with other values of pose_format, range_columns" in err
+    assert "[log] with other values of pose_format, range_columns" in refusal(
+        "convert", gripper_log, *options
+    )
     assert rig.read_bytes() == before
     assert not out.exists()
     rig.write_text("[log")
     assert handlaser("convert", gripper_log, *options)[0] == 2
     rig.unlink()
-    code, _, err = handlaser("convert", GRIPPER / "recording.csv", "--write-log", rig)
-    assert (code, err.count("\n")) == (2, 1)
-    assert "nothing that a table [log] could say" in err
+    assert "nothing that a table [log] could say" in refusal(
+        "convert", GRIPPER / "recording.csv", "--write-log", rig
+    )
     assert not rig.exists()
 
 
@@ -633,15 +628,13 @@ def test_every_field_comes_back_from_the_table_of_a_rig_file(tmp_path):
 
 
 @pytest.mark.slow
-def test_options_win_over_the_rig_file(handlaser, gripper_log, tmp_path):
+def test_options_win_over_the_rig_file(handlaser, refusal, gripper_log, tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text(
         '[log]\npose_format = "kuka"\nrange_units = "mm"\nplane_column = "plane"\n'
         'range_columns = ["1=d1", "2=d2", "3=d3", "4=d4"]\n'
     )
-    code, _, err = handlaser("convert", gripper_log, "--rig", rig)
-    assert code == 2
-    assert "--pose-format fanuc" in err
+    assert "--pose-format fanuc" in refusal("convert", gripper_log, "--rig", rig)
     assert handlaser("convert", gripper_log, "--rig", rig, "--pose-format", "fanuc")[0] == 0
     spelled = [
         "--rotation",

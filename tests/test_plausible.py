@@ -205,13 +205,10 @@ def test_where_a_kind_is_stated_not_only_random_errors_count(tmp_path, handlaser
         ("[plausible]\nincidents_mm = 1", "incidents_mm"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(table, words, tmp_path, handlaser):
+def test_what_cannot_be_is_refused_in_one_line(table, words, tmp_path, refusal):
     rig = tmp_path / "rig.toml"
     rig.write_text(table + "\n")
-    code, _, err = handlaser("calibrate", str(GRIPPER / "recording.csv"), "--rig", str(rig))
-    assert code == 2
-    assert words in err
-    assert err.count("\n") == 1
+    assert words in refusal("calibrate", str(GRIPPER / "recording.csv"), "--rig", str(rig))
 
 
 def test_tilts_of_a_sensor_look_like_another_place():

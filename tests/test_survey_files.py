@@ -49,7 +49,7 @@ def test_the_example_is_calibrated_within_its_sigmas():
     assert abs(ball.values["radius"] - radius) < 4.0 * ball.sigma["radius"]
 
 
-def test_from_log_to_urdf_and_report(handlaser, folder):
+def test_from_log_to_urdf_and_report(handlaser, refusal, folder):
     result, report = folder / "result.json", folder / "report.html"
     words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
     code, out, err = handlaser(*words, "--out", str(result), "--report", str(report))
@@ -66,9 +66,7 @@ def test_from_log_to_urdf_and_report(handlaser, folder):
     assert [float(x) for x in origin.get("xyz").split()] == pytest.approx(content["location_m"])
     R = Rotation.from_euler("xyz", [float(x) for x in origin.get("rpy").split()]).as_matrix()
     assert pytest.approx(np.array(content["rotation"])) == R
-    code, _, err = handlaser("export", str(result), "--to", "c")
-    assert code == 2
-    assert "hold frames" in err
+    assert "hold frames" in refusal("export", str(result), "--to", "c")
 
 
 def test_json_on_stdout_is_what_out_writes(handlaser, folder):
@@ -167,13 +165,12 @@ def test_units_that_nobody_stated_are_said_to_be_assumed(folder, handlaser):
     assert "assumed:" not in out
 
 
-def test_units_that_contradict_each_other_are_refused(folder, handlaser):
-    code, _, err = handlaser("check", *in_inches(folder, "_in", 'units = "in"', 'units = "m"'))
-    assert code == 2
-    assert "found the unit 'in' in names of columns, and units = 'm' in [[sensors]]" in err
+def test_units_that_contradict_each_other_are_refused(folder, refusal):
+    assert "found the unit 'in' in names of columns, and units = 'm' in [[sensors]]" in refusal(
+        "check", *in_inches(folder, "_in", 'units = "in"', 'units = "m"')
+    )
     shutil.copy(FOLDER / "rig.toml", folder / "rig.toml")
-    code, _, err = handlaser("check", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"))
-    assert code == 2
+    err = refusal("check", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"))
     assert "found the unit 'in' in the name of the column, which is read as 'mm'" in err
     assert "log.units in" in err
 
@@ -267,13 +264,12 @@ def exchanged(folder):
 
 
 @pytest.mark.parametrize("verb", ["check", "calibrate"])
-def test_columns_of_a_profiler_that_are_exchanged_are_refused(folder, handlaser, verb):
+def test_columns_of_a_profiler_that_are_exchanged_are_refused(folder, refusal, verb):
     """They fit, by a mount that is turned; here with points far behind the target at some stations."""
     words = exchanged(folder)
     with (folder / "profiles.csv").open("a") as file:
         file.writelines(f"P{i},{x},900.0\n" for i in (13, 15, 17) for x in (-30.0, -20.0, 25.0))
-    code, _, err = handlaser(verb, *words)
-    assert code == 2
+    err = refusal(verb, *words)
     assert "profiles.csv: found x and z of scanner exchanged" in err
     assert "exchange their names in the header" in err
 
@@ -458,15 +454,12 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_wrong_rig_file_is_refused_in_one_line(case, folder, handlaser):
+def test_a_wrong_rig_file_is_refused_in_one_line(case, folder, refusal):
     old, new, words = BAD[case]
     rig = folder / "rig.toml"
     assert old in rig.read_text()
     rig.write_text(rig.read_text().replace(old, new))
-    code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
-    assert (code, out) == (2, "")
-    assert words in err
-    assert err.count("\n") == 1
+    assert words in refusal("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
 
 
 def in_files(folder, pattern):
@@ -484,7 +477,7 @@ def in_files(folder, pattern):
     return rig
 
 
-def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser):
+def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser, refusal):
     given = ("calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"), "--json")
     _, table, _ = handlaser(*given)
     rig = in_files(folder, "scans/scan_*.csv")
@@ -499,9 +492,10 @@ def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser):
     rig.write_text(rig.read_text().replace("scan_*.csv", "scan_P*.csv"))
     assert handlaser(*given)[0] == 0
     shutil.copy(folder / "scans" / "scan_P5.csv", folder / "scans" / "scan_P05.csv")
-    code, _, err = handlaser(*given)
-    assert code == 2
-    assert "found another file of station 5 beside scan_P05.csv; expected one file a station" in err
+    assert (
+        "found another file of station 5 beside scan_P05.csv; expected one file a station"
+        in refusal(*given)
+    )
 
 
 @pytest.mark.parametrize(
@@ -514,9 +508,7 @@ def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser):
         ("scan_*.csv", "s*_*.csv", "one *, in the name of the file"),
     ],
 )
-def test_a_wrong_file_of_points_a_station_is_refused_in_one_line(
-    folder, handlaser, old, new, words
-):
+def test_a_wrong_file_of_points_a_station_is_refused_in_one_line(folder, refusal, old, new, words):
     rig = in_files(folder, "scan_*.csv")
     if "*" in old:
         rig.write_text(rig.read_text().replace(old, new))
@@ -528,10 +520,7 @@ def test_a_wrong_file_of_points_a_station_is_refused_in_one_line(
         if new.startswith("station"):
             rows[1:] = [f"P4,{row}" for row in rows[1:]]
         one.write_text("\n".join(rows))
-    code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
-    assert (code, out) == (2, "")
-    assert words in err
-    assert err.count("\n") == 1
+    assert words in refusal("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
 
 
 WRONG_POINTS = {
@@ -559,16 +548,13 @@ WRONG_POINTS = {
 
 
 @pytest.mark.parametrize("case", WRONG_POINTS)
-def test_a_wrong_table_of_points_is_refused_in_one_line(case, folder, handlaser):
+def test_a_wrong_table_of_points_is_refused_in_one_line(case, folder, refusal):
     old, new, words = WRONG_POINTS[case]
     points = folder / "profiles.csv"
     points.write_text(points.read_text().replace(old, new, 1))
-    code, out, err = handlaser(
+    assert words in refusal(
         "calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")
     )
-    assert (code, out) == (2, "")
-    assert words in err
-    assert err.count("\n") == 1
 
 
 def test_a_wrong_row_is_named_however_it_is_wrong(folder):
@@ -588,22 +574,20 @@ def test_a_wrong_row_is_named_however_it_is_wrong(folder):
     ("encoding", "words"),
     [("utf-16", "line 1: found UTF-16 text"), ("latin-1", "line 1: found the byte 0xb5")],
 )
-def test_points_in_another_encoding_are_refused_in_one_line(folder, handlaser, encoding, words):
+def test_points_in_another_encoding_are_refused_in_one_line(folder, refusal, encoding, words):
     points = folder / "profiles.csv"
     points.write_text(points.read_text().replace("x,z", "x,z,\xb5", 1), encoding=encoding)
-    code, out, err = handlaser("check", folder / "poses.csv", "--rig", folder / "rig.toml")
-    assert (code, out) == (2, "")
+    err = refusal("check", folder / "poses.csv", "--rig", folder / "rig.toml")
     assert words in err
     assert err.endswith("expected a file saved as UTF-8\n")
-    assert err.count("\n") == 1
 
 
-def test_commas_of_decimals_and_of_cells_are_told_apart(folder, handlaser):
+def test_commas_of_decimals_and_of_cells_are_told_apart(folder, refusal):
     points = folder / "profiles.csv"
     points.write_text(points.read_text().replace(".", ","))
-    code, out, err = handlaser("check", folder / "poses.csv", "--rig", folder / "rig.toml")
-    assert (code, out) == (2, "")
-    assert "found 5 fields; expected 3, as in the header; decimal commas need another" in err
+    assert "found 5 fields; expected 3, as in the header; decimal commas need another" in refusal(
+        "check", folder / "poses.csv", "--rig", folder / "rig.toml"
+    )
 
 
 def test_titles_above_tables_are_passed_over_and_said(folder, handlaser):
@@ -676,19 +660,16 @@ OUTPUTS = {
 
 
 @pytest.mark.parametrize(("verb", "option"), [(v, one) for v in OUTPUTS for one in OUTPUTS[v]])
-def test_an_output_that_would_be_read_as_a_scan_is_refused(folder, handlaser, verb, option):
+def test_an_output_that_would_be_read_as_a_scan_is_refused(folder, refusal, verb, option):
     rig = in_files(folder, "scan_*.csv")
     out = folder / "scan_result.csv"
-    code, _, err = handlaser(verb, folder / "poses.csv", "--rig", rig, option, out)
-    assert code == 2
-    assert f"found {option} with a name that points in [[sensors]] takes for a table" in err
-    assert err.count("\n") == 1
+    assert f"found {option} with a name that points in [[sensors]] takes for a table" in refusal(
+        verb, folder / "poses.csv", "--rig", rig, option, out
+    )
     assert not out.exists()
-    code, _, err = handlaser(
+    assert f"found the input itself as {option}" in refusal(
         verb, folder / "poses.csv", "--rig", rig, option, folder / "scan_P1.csv"
     )
-    assert code == 2
-    assert f"found the input itself as {option}" in err
 
 
 def test_a_table_with_a_header_alone_is_of_a_sensor_that_saw_nothing(folder):
@@ -698,11 +679,11 @@ def test_a_table_with_a_header_alone_is_of_a_sensor_that_saw_nothing(folder):
     assert set(range(24)) - set(shots.station.tolist()) == {2}
 
 
-def test_options_of_beams_are_refused(folder, handlaser):
+def test_options_of_beams_are_refused(folder, refusal):
     words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
-    code, _, err = handlaser(*words, "--range-error", "k1")
-    assert code == 2
-    assert "found --range-error, with sensors of many rays" in err
+    assert "found --range-error, with sensors of many rays" in refusal(
+        *words, "--range-error", "k1"
+    )
     with pytest.raises(hl.InputError, match="options or progress"):
         hl.calibrate(
             hl.read_survey(folder / "poses.csv", folder / "rig.toml"),
@@ -726,12 +707,11 @@ def test_what_is_undetermined_is_said_and_the_exit_code_is_3(folder, handlaser):
     assert "undetermined" in out
 
 
-def test_a_verb_of_beams_before_planes_refuses_a_survey(folder, handlaser):
+def test_a_verb_of_beams_before_planes_refuses_a_survey(folder, refusal):
     poses, rig = str(folder / "poses.csv"), str(folder / "rig.toml")
-    code, _, err = handlaser("plot", poses, "--rig", rig, "--out", str(folder / "pictures"))
-    assert code == 2
-    assert "sensors of many rays" in err
-    assert err.count("\n") == 1
+    assert "sensors of many rays" in refusal(
+        "plot", poses, "--rig", rig, "--out", str(folder / "pictures")
+    )
 
 
 def beams_on_a_ball(folder):
@@ -748,7 +728,7 @@ def beams_on_a_ball(folder):
     return rig
 
 
-def test_labels_alone_make_a_survey_of_beams(folder, handlaser):
+def test_labels_alone_make_a_survey_of_beams(folder, handlaser, refusal):
     rig = beams_on_a_ball(folder)
     code, out, err = handlaser("calibrate", str(folder / "beam.csv"), "--json")
     assert code == 0, err
@@ -758,9 +738,7 @@ def test_labels_alone_make_a_survey_of_beams(folder, handlaser):
     code, out, err = handlaser("check", str(folder / "beam.csv"))
     assert (code, err) == (0, "")
     assert "sphere:S1, 14 stations" in out
-    code, _, err = handlaser("plot", str(folder / "beam.csv"), "--out", str(folder / "pictures"))
-    assert code == 2
-    assert "sphere" in err
+    assert "sphere" in refusal("plot", str(folder / "beam.csv"), "--out", str(folder / "pictures"))
     with pytest.raises(hl.InputError, match="no plane"):
         hl.calibrate(hl.read_recording(folder / "beam.csv"))
 
@@ -774,12 +752,10 @@ STATED = {
 
 
 @pytest.mark.parametrize("table", STATED)
-def test_what_does_not_count_is_refused(table, folder, handlaser):
+def test_what_does_not_count_is_refused(table, folder, refusal):
     rig = folder / "rig.toml"
     rig.write_text(f"{table}\n{rig.read_text()}")
-    code, _, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
-    assert code == 2
-    assert STATED[table] in err
+    assert STATED[table] in refusal("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
 
 
 @pytest.mark.slow
