@@ -180,5 +180,5 @@ def test_check_and_calibrate_say_what_an_open_motion_lacks(handlaser, tmp_path):
         assert "next best stations" in text
         assert 3 <= text.count("before plane A: (") <= 12
         assert "to determine it" in err.lower()
-        code, text, _ = handlaser(verb, path, "--rig", other)
-        assert (code, "next best" in text) == (3, False)  # no bounds
+    code, text, _ = handlaser("check", path, "--rig", other)
+    assert (code, "next best" in text) == (3, False)  # no bounds

@@ -6,7 +6,7 @@ from itertools import accumulate
 
 import numpy as np
 import pytest
-from helpers import simulated
+from helpers import first_and_slow, simulated
 
 import handlaser_gtsam as hl
 from benchmarks.drift import CASES, run_once
@@ -127,7 +127,7 @@ def test_forgetting_recalibrates_the_beam_and_keeps_the_planes():
     assert np.array_equal(np.sort(session.recording().ranges), np.sort(recording.ranges))
 
 
-@pytest.mark.parametrize("options", [NONE, hl.CalibrationOptions()])
+@pytest.mark.parametrize("options", first_and_slow(NONE, hl.CalibrationOptions()))
 def test_a_split_is_the_calibration_of_one_beam_more(options):
     """What the session holds after a split, and planes that came after it, is that of `calibrate`."""
     recording, _ = displaced()
@@ -300,6 +300,7 @@ def test_a_far_move_that_was_told_raises_no_alarm(degrees):
     assert (np.abs(session.beams().directions[1] - truth.directions[1]) < 5.0 * sigma + 2e-3).all()
 
 
+@pytest.mark.slow
 def test_a_calibration_that_began_wrongly_is_begun_anew():
     """From the study: a first plane that left good readings out, and one that chose too few terms."""
     assert run_once(CASES[2], TURN, "arm", 17)[:3] == (True, True, True)

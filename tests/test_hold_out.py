@@ -33,15 +33,25 @@ def mounts(recording):
     return hl.Mounts.of(hl.calibrate(recording, NOISE, hl.CalibrationOptions("k1k2")))
 
 
+def still(seeds):
+    """Mounts, and the second recording, of days between which nothing moved."""
+    return [(mounts(a), b) for a, b in map(two_days, seeds)]
+
+
 @pytest.fixture(scope="module")
 def undisturbed():
-    return [(mounts(a), b) for a, b in (two_days(seed) for seed in range(30))]
+    return still(range(2))
+
+
+@pytest.fixture(scope="module")
+def thirty():
+    return still(range(30))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("told", [True, False])
-def test_p_values_are_uniform_where_nothing_moved(undisturbed, told):
-    found = [hl.hold_out(m, b, NOISE if told else None) for m, b in undisturbed]
+def test_p_values_are_uniform_where_nothing_moved(thirty, told):
+    found = [hl.hold_out(m, b, NOISE if told else None) for m, b in thirty]
     # Thirty draws: a test at a hundredth would be wrong once in a hundred seeds.
     assert kstest([one.p_value for one in found], "uniform").pvalue > 0.01
     assert kstest([b.p_value for one in found for b in one.beams], "uniform").pvalue > 0.01

@@ -700,6 +700,7 @@ def test_stations_without_some_beams_count_what_was_read(gripper):
     assert [rows[j][5][0] for j in (4, 5, 9)] == ["4", "1", "3"]
 
 
+@pytest.mark.slow
 def test_of_many_stations_those_with_the_largest_residuals_are_listed():
     recording, _ = simulated(layout=Layout(planes=50))
     found = hl.calibrate(recording, hl.Noise(3e-5, **EXACT), hl.CalibrationOptions("none"))

@@ -49,6 +49,7 @@ def assert_batch(session):
     assert found.largest_sigma < 0.01
 
 
+@pytest.mark.slow
 def test_noise_of_readings_is_judged_by_the_plane_that_the_weights_make():
     """By the plane through the laser spots, sessions were 0.01 to 0.03 standard deviations off."""
     recording = recorded(8, noise=ROBOT, k=(0.01, 0.2))

@@ -73,26 +73,26 @@ def noted(rng, file):
 def test_what_was_interrupted_goes_on(tmp_path):
     path, notes = tmp_path / "runs.parquet", tmp_path / "notes"
     keep = partial(hl.files.write_runs, path)
-    study = reduced(100, draw=partial(noted, file=str(notes)))
+    study = reduced(40, draw=partial(noted, file=str(notes)))
 
     def stop(told):
-        if told.done >= 40:
+        if told.done >= 20:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         run_study(study, ONE, None, keep, stop)
     kept = hl.files.read_runs(path)
-    assert kept["run"].to_list() == list(range(40))
+    assert kept["run"].to_list() == list(range(20))
     notes.write_text("")
     whole = run_study(study, ONE, kept, keep)
-    assert set(map(int, notes.read_text().split())) == set(range(40, 100))
-    assert whole.drop("study").equals(rows_of(reduced(100), ONE))
+    assert set(map(int, notes.read_text().split())) == set(range(20, 40))
+    assert whole.drop("study").equals(rows_of(reduced(40), ONE))
     assert hl.files.read_runs(path).equals(whole)
-    more = run_study(replace(study, runs=130), ONE, whole)
-    assert more.drop("study").equals(rows_of(reduced(130), ONE))
+    more = run_study(replace(study, runs=60), ONE, whole)
+    assert more.drop("study").equals(rows_of(reduced(60), ONE))
     assert run_study(study, ONE, more).equals(whole)
     with pytest.raises(hl.InputError, match="another study"):
-        run_study(reduced(100, seed=4), ONE, more)
+        run_study(reduced(40, seed=4), ONE, more)
 
 
 @pytest.mark.slow

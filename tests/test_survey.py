@@ -125,6 +125,7 @@ def test_noise_that_next_to_nothing_tells_makes_no_result_usable():
     assert (stated.beams["beam"].location_sigma > far).all()
 
 
+@pytest.mark.slow
 def test_what_is_left_out_is_named_with_its_kind():
     """A number may be the name of a beam as well as of a station."""
     survey = survey_of(rigs_by_rays.mixed(101))

@@ -172,6 +172,7 @@ def test_the_example_is_determined_and_says_what_it_holds(handlaser):
     assert 0.3 * known < found["sensors"][0]["location_sigma_m"] < 5.0 * known
 
 
+@pytest.mark.slow
 def test_readings_that_only_shift_along_their_noise_change_no_word():
     """The check asks the readings where the targets are, and nothing else."""
     survey = vehicle("profiler", "planar", "one leans")
@@ -195,6 +196,7 @@ def test_a_cone_is_named_with_its_cure():
     assert check.exactly
 
 
+@pytest.mark.slow
 def test_too_few_stations_are_said(tmp_path, handlaser):
     folder = shutil.copytree(FOLDER, tmp_path / "profiler")
     rows = (folder / "poses.csv").read_text().splitlines()

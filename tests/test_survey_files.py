@@ -137,7 +137,7 @@ def in_inches(folder, suffix="", log="", sensor=""):
     return str(folder / "poses.csv"), "--rig", str(rig)
 
 
-@pytest.mark.parametrize("suffix", ["", "_in", " [inch]"])
+@pytest.mark.parametrize("suffix", ["", " [inch]"])
 def test_inches_may_be_stated_for_poses_and_points(folder, handlaser, suffix):
     """With the units in the names of the columns, those of the points need not be stated again."""
     words = in_inches(folder, suffix, 'units = "in"', "" if suffix else 'units = "in"')

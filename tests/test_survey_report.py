@@ -45,6 +45,7 @@ def result(survey):
     return found
 
 
+@pytest.mark.slow
 def test_a_rejected_shot_is_drawn_at_the_edge_and_does_not_set_the_scale(result, survey):
     seen = list(seen_by_all(result, survey))
     for figure in (by_station(survey, seen), by_target(survey, seen)):
@@ -60,6 +61,7 @@ def test_a_rejected_shot_is_drawn_at_the_edge_and_does_not_set_the_scale(result,
     assert by_station(survey, seen).data[1]["x"] == [WRONG + 1.0]
 
 
+@pytest.mark.slow
 def test_other_figures_are_without_the_rejected_shot(result, survey):
     seen = list(seen_by_all(result, survey))
     spots = in_hand(seen).beams[0][1][:, 1]
@@ -84,6 +86,7 @@ def test_other_figures_are_without_the_rejected_shot(result, survey):
     assert 0.3 < np.std(along["y"]) < 1.2
 
 
+@pytest.mark.slow
 def test_points_are_in_the_frame_of_the_target(result, survey):
     """Spots recomputed here, from the mount and the plane alone."""
     one = next(seen_by_all(result, survey))
