@@ -1,6 +1,7 @@
 """What all tests share: the command, and benchmarks importable behind whatever is installed.
 
-HYPOTHESIS_PROFILE=gate draws ten times as many examples, others in every run.
+HYPOTHESIS_PROFILE=gate draws ten times as many examples, others in every run. HANDLASER_SKIPPED names
+a file to which the tests that were skipped are added, a line each: the gate runs them with every extra.
 """
 
 import gc
@@ -29,6 +30,18 @@ gc.disable()
 def pytest_collection_finish():
     """Collect garbage again; frozen, objects would have no referrers for Hypothesis to find."""
     gc.enable()
+
+
+def pytest_runtest_logreport(report):
+    """Note a test that was skipped; processes of xdist report to the one that writes."""
+    noted = os.environ.get("HANDLASER_SKIPPED")
+    if noted and report.skipped and "PYTEST_XDIST_WORKER" not in os.environ:
+        with Path(noted).open("a") as file:
+            print(report.nodeid, file=file)
+
+
+pytest_collectreport = pytest_runtest_logreport
+"""A file whose imports are missing is skipped as a whole."""
 
 
 @pytest.fixture
