@@ -22,14 +22,11 @@ from ..model.equation import residuals_or_infinite
 from ..model.families import MOUNT_DIM
 from ..model.reduction import damped_step
 from ..model.weighting import Whitening
-from ..quantities import MOST_ROUNDS, NEGLIGIBLE, ROUNDING
+from ..quantities import KNOWN, MOST_ROUNDS, NEGLIGIBLE, ROUNDING
 from ..solvers.beam_problem import linearized, moved
 from ..solvers.refine import LEAST_DAMPING, refine
 from .poor_motion import poor_motion, some_plane_leans
 from .rank import Observability, ObservabilityOptions, observability
-
-SHORTEST = 0.1
-"""A step that leads off the solutions is halved, down to this part."""
 
 
 class Judge(NamedTuple):
@@ -163,7 +160,7 @@ def _drawn_to_the_hand(
         seen = judge.seen(there)  # none where it does not fit
         if seen is None or seen.rank > observed.rank:
             share *= 0.5
-            if share < SHORTEST:
+            if share < KNOWN:
                 break
             continue
         parameters, observed = there, seen

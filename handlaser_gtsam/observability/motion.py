@@ -27,9 +27,6 @@ from .poor_motion import COUNTED_TURN, LEAST_MOVE, named, poor_motion, some_plan
 from .rank import observability
 from .wording import MIRROR, MIRROR_ADVICE, BeamAndPlaneNames, OpenPart, open_parts
 
-LEAST_NOISE = 1e-4
-"""No poor motion is thought to be enough because readings err by less than this part of the range."""
-
 
 @dataclass(frozen=True, slots=True)
 class PlaneMotion:
@@ -111,7 +108,8 @@ def check_motion(recording: Recording) -> MotionCheck:
         with suppress(GrazingBeamError):
             e = model.residuals(model.scene(at, readings), readings.distance)
             rms = float(np.sqrt(e @ e / max(len(readings) - unknowns, 1)))
-            sigma = max(rms, LEAST_NOISE * readings.typical_range())
+            # No poor motion is enough because readings err by less than a part of the range.
+            sigma = max(rms, 1e-4 * readings.typical_range())
             observed = observability(at, readings, 0, sigma)
             leans = some_plane_leans(motion, at, readings, sigma)
             parts = parts if leans and parts else open_parts(observed, at, names)

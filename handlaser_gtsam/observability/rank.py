@@ -22,9 +22,6 @@ from ..model.weighting import Whitening
 from ..quantities import KNOWN, LARGEST_LENGTH, SINGULAR
 from ..solvers.beam_problem import linearized
 
-WITHIN_PRIOR = 2.0
-"""In the natural units, a prior alone determines range errors this many times better than asked."""
-
 
 @dataclass(frozen=True, slots=True)
 class ObservabilityOptions:
@@ -161,7 +158,7 @@ def observability(
     of_beam, plane_unit = BEAM.natural_units(length)[:width], PLANE.natural_units(length)
     if prior is not None:
         sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)[:most]
-        widest = WITHIN_PRIOR / options.most_sigma * sigma
+        widest = 2.0 / options.most_sigma * sigma  # the prior alone determines them, twice as well
         of_beam = np.append(of_beam[:MOUNT_DIM], np.maximum(of_beam[MOUNT_DIM:], widest))
     unit = np.tile(of_beam, readings.beams)
     active = modelled(counts)[:, :width].ravel()

@@ -19,10 +19,6 @@ from .rank import NullSpace, Observability
 
 WORTH_A_WORD = 0.02
 """A part of a null vector below this length is not worth a word."""
-MOST_NAMED = 8
-"""Of more beams that are undetermined alike only the first is described."""
-WEAK_SHARE = 0.4
-"""Parts of the weakest direction that are shorter than this part of the longest are not named."""
 
 Kind = Literal["beam", "sensor", "plane", "sphere", "point", "body"]
 MOUNTED = "beam", "sensor"
@@ -117,7 +113,7 @@ def undetermined(parts: Sequence[OpenPart]) -> tuple[str, ...]:
         alike[mount[0], *(part.quantity for part in opened)].append(mount)
     words = []
     for mounts in alike.values():
-        shown = mounts if len(mounts) <= MOST_NAMED else mounts[:1]
+        shown = mounts if len(mounts) <= 8 else mounts[:1]
         words += [
             f"{mount[0]} {mount[1]}: {', '.join(map(_part_words, of_mounts[mount]))}"
             for mount in shown
@@ -181,7 +177,7 @@ def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlane
     rows = _rows(space, parameters).values()
     longest = max(float(np.linalg.norm(each, axis=(1, 2)).max()) for each in rows)
     weak = replace(observed, null_space=space)
-    words = undetermined(open_parts(weak, parameters, names, WEAK_SHARE * longest))
+    words = undetermined(open_parts(weak, parameters, names, 0.4 * longest))
     more = f"; and {len(words) - 1} more" if len(words) > 1 else ""
     return words[0] + more if words else ""
 

@@ -18,7 +18,7 @@ from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import count_unknowns
 from ..model.losses import Loss
 from ..model.search import LossScale
-from ..quantities import FAR_SIGMAS, MAJORITY
+from ..quantities import FAR_SIGMAS, KNOWN, MAJORITY
 from ..solvers.refine import Refined, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
@@ -39,13 +39,6 @@ range errors and a tilted plane can take up to a few hundredths of it."""
 FEW_REJECTED = 0.2
 """A plain screening that rejects more than this part of the readings of a beam or a plane settles
 nothing: that beam or plane may have followed its outliers, and the good readings are rejected."""
-SAME_EVIDENCE = 0.1
-"""Criteria are the same to this part of what is beyond chance: not every candidate has arrived."""
-PRICE_OF_UNKNOWN = 2.0
-"""Logarithm of how many different values of an unknown a search may have tried, to be safe."""
-IN_VAIN = 50
-"""Candidates after which the search ends if none is beyond chance. With 30 % of the readings replaced,
-or a station of another plane, 12 or more of the first 19 agreed in each of 24 recordings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,15 +142,19 @@ class ConsensusJudge:
         sigma = sigma_of(readings, e[kept], terms, self.range_sigma)
         each = price(readings.distance[kept], sigma) - 0.5
         choices = gammaln(total + 1) - gammaln(good + 1) - gammaln(total - good + 1)
-        return float((good - unknowns) * each - choices - PRICE_OF_UNKNOWN * unknowns)
+        # The price: a search may have tried e^2 different values of an unknown, to be safe.
+        return float((good - unknowns) * each - choices - 2.0 * unknowns)
 
     def convinced(self, candidates: Sequence[Candidate], latest: Round, _before: float) -> bool:
         """Tell whether the best is beyond chance and enough agree with it, or the search is in vain."""
         best = candidates[0]
         beyond = self.beyond_chance(best)
         if beyond <= 0.0:
-            return len(candidates) >= IN_VAIN
-        same = best.criterion + max(SAME_CRITERION, SAME_EVIDENCE * beyond)
+            # With 30 % of the readings replaced, or a station of another plane, 12 or more of the
+            # first 19 agreed in each of 24 recordings.
+            return len(candidates) >= 50
+        # Not every candidate has arrived.
+        same = best.criterion + max(SAME_CRITERION, KNOWN * beyond)
         return agreeing(candidates, same) >= latest.agreeing
 
 

@@ -39,12 +39,6 @@ from ..starts.search import LAST_STEPS
 LEAST_CUT = 3.0
 """The cut in standard deviations is at least this: Gaussian errors exceed it once in 370. It is
 `FAR_SIGMAS` at most, and in the first round."""
-CAUTION = 0.5
-"""The cut lies this far below even odds: a gross error costs more than a rejected good reading."""
-MOST_SPAN = 0.5
-"""A rejected reading is not taken back where the cut about its prediction is wider than this part of
-the span of good readings: far from the spots of its plane, or along it, that test passes gross errors,
-and the fit would follow them."""
 LARGEST_LEVERAGES = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
 there, and the information takes too long to invert."""
@@ -145,7 +139,8 @@ def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
     share = (int((~kept).sum()) + 1) / (len(kept) + 2)
     odds = price(readings.distance, range_sigma) + np.log((1.0 - share) / share)
     even = float(np.sqrt(2.0 * max(odds, 0.0)))
-    return min(max(even - CAUTION, LEAST_CUT), FAR_SIGMAS)
+    # Below even odds: a gross error costs more than a rejected good reading.
+    return min(max(even - 0.5, LEAST_CUT), FAR_SIGMAS)
 
 
 def test(
@@ -198,9 +193,10 @@ def judge(
         steep = np.flatnonzero(np.isfinite(e))
         h[steep] = leverages(parameters, readings.subset(steep), observed)
     t = standardized(e / unit, h, kept, scale)
-    # A vague prediction would let almost any rejected reading pass.
+    # Far from the spots of its plane, or along it, the prediction is so vague that gross errors would
+    # pass, and the fit would follow them.
     predicted = scale * unit * np.sqrt(1.0 + h)
-    vague = FAR_SIGMAS * predicted > MOST_SPAN * float(np.ptp(readings.distance[kept]))
+    vague = FAR_SIGMAS * predicted > 0.5 * float(np.ptp(readings.distance[kept]))
     t[~kept & vague] = np.inf
     # Far beyond the others a reading decides k2 alone, and would be consistent with any.
     t[~model.plausible_corrections(parameters, readings)] = np.inf

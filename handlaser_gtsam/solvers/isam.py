@@ -98,8 +98,6 @@ RELINEARIZED = 2e-4
 typical range, 1 for k1 and the inverse of the range for k2."""
 FINE_PART = 0.05
 """Once one variable must be relinearised, all are that have moved by this part of their threshold."""
-WEAKLY_KNOWN = 0.01
-"""With standard deviations above this part of its natural units a beam counts as hardly known."""
 
 
 class IncrementalGraph:
@@ -188,7 +186,8 @@ class IncrementalGraph:
             new._exchange(added, gone, beams)
             new._settle(FINE_PART if fine else 1.0)
             state = new.state()
-            if not fine and (state.sigmas() > WEAKLY_KNOWN * new._unit).any():
+            # A beam is hardly known to a hundredth of its natural units.
+            if not fine and (state.sigmas() > 0.01 * new._unit).any():
                 new._settle(FINE_PART)
                 state = new.state()
             if accept is not None and not accept(state):

@@ -16,12 +16,6 @@ from .beam_problem import beam_problem
 
 LEAST_DAMPING = 1e-8
 """Part of the information that is always added: it keeps an undetermined unknown where it started."""
-MOST_RESIDUAL = 2.0
-"""Under a robust loss residuals end at this many times the upper quartile of the readings: a beam that
-grazes its plane has one beyond bounds, which is no reason to drop a candidate."""
-CANDIDATE_TOLERANCE = 3e-5
-"""Candidates have arrived where this part of the spread of all readings together is left to go: what
-they would still save of their cost, 1e-9 of it, does not change their order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +70,8 @@ def refine_many(
     """
     common = isinstance(readings, Readings)
     each = [readings] if isinstance(readings, Readings) else readings
-    limit = MOST_RESIDUAL * max(float(np.quantile(one.distance, 0.75)) for one in each)
+    # Twice the upper quartile of the readings.
+    limit = 2.0 * max(float(np.quantile(one.distance, 0.75)) for one in each)
     share = max(ROWS_AT_ONCE // max(len(each[0]), 1), 1)
     refined: list[Refined | None] = []
     for first in range(0, len(starts), share):
@@ -86,7 +81,8 @@ def refine_many(
         problem, block = beam_problem(
             read, terms, 1.0, len(some), loss=loss, scale=scale, limit=limit
         )
-        tolerance = CANDIDATE_TOLERANCE * float(np.sqrt(problem.dof))
+        # What candidates would still save of their cost, 1e-9 of it, does not change their order.
+        tolerance = 3e-5 * float(np.sqrt(problem.dof))
         options = LevenbergOptions(
             iterations,
             tolerance,

@@ -36,16 +36,8 @@ from .search import (
 )
 from .translations import translation_start
 
-MOST_REFINED = 100
-"""More beams than this stay as they grow from the planes: a step costs the third power of them."""
-MANY_CANDIDATES = 10
-"""A majority of at least this many candidates is believed though the fit is poor, as with outliers."""
-HOPELESS = 5.0
-"""Residuals beyond this many of the given sigmas are not believed: every start is tried."""
 SAME_COST = 1.01
 """Candidates whose sums of squares agree to this factor are at one optimum, if not yet arrived."""
-SPARE_READINGS = 5
-"""Readings beyond the unknowns that a start needs to have range errors: fewer would fit by chance."""
 MISFIT = 3.0
 """Residuals beyond this many of the given sigmas are a poor fit, whatever number of starts agrees."""
 POOR_START = 0.05
@@ -149,7 +141,7 @@ def find_start(
 
 def _polished(start: Parameters, readings: Readings, terms: int) -> tuple[Parameters, float]:
     """Return a start refined a little, if there are few beams, and its sum of squares [m^2]."""
-    if readings.beams <= MOST_REFINED:
+    if readings.beams <= 100:  # a step costs the third power of them
         refined = refine_many([start], readings, terms, FIRST_STEPS)[0]
         start = start if refined is None else refined.parameters
     e = residuals_or_infinite(start, readings)
@@ -158,7 +150,7 @@ def _polished(start: Parameters, readings: Readings, terms: int) -> tuple[Parame
 
 def usable_terms(readings: Readings, terms: int) -> int:
     """Return how many range-error terms a start can have: few readings would fit anything."""
-    spare = len(readings) - count_unknowns(readings, 0) - SPARE_READINGS
+    spare = len(readings) - count_unknowns(readings, 0) - 5
     return int(np.clip(spare // readings.beams, 0, terms))
 
 
@@ -238,9 +230,10 @@ def _convinced(
     hopeless, poor = False, best > len(readings) * (POOR_START * readings.spread()) ** 2
     if certain and range_sigma is not None:
         poor = best > MISFIT**2 * range_sigma**2 * len(readings)
-        hopeless = best > HOPELESS**2 * range_sigma**2 * len(readings)
+        hopeless = best > (5.0 * range_sigma) ** 2 * len(readings)  # every start is tried then
     same = agreeing(candidates, SAME_COST * best)
-    most = len(candidates) >= MANY_CANDIDATES and same >= MAJORITY * len(candidates)
+    # A majority of many is believed though the fit is poor, as with outliers.
+    most = len(candidates) >= 10 and same >= MAJORITY * len(candidates)
     agreed = (most and not hopeless) or (same >= AGREEING and not poor)
     if certain and range_sigma is not None:
         # Starts of one kind may all miss the optimum, and agree on another that nearly fits.

@@ -34,8 +34,6 @@ direction of a single beam that meets a plane so is no candidate."""
 DRAWN = (0.4, 0.9)
 """Least and largest part of the stations that a direction begins with: fewer rarely fit well, and more
 rarely avoid a wrong station."""
-NOT_DRAWN = 1e-3
-"""Weight of the other stations at first: a plane of which none is drawn keeps its readings."""
 
 
 def direction_starts(readings: Readings, count: int, tried: int = 200) -> list[PartialStart]:
@@ -79,7 +77,8 @@ def _swept(
 
     Return distances along the beams (C, N), locations (C, 3), normals (C, P, 3) and offsets (C, P).
     """
-    weights = None if drawn is None else np.where(drawn[:, readings.station], 1.0, NOT_DRAWN)
+    # A plane of which no station is drawn keeps its readings.
+    weights = None if drawn is None else np.where(drawn[:, readings.station], 1.0, 1e-3)
     turns = FITTING_TURNS if drawn is None else FITTING_TURNS + 1
     reach, r, plane = _reach(v, readings), np.zeros_like(v), readings.plane
     for turn in range(turns + 1):

@@ -18,9 +18,6 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..quantities import NEGLIGIBLE, REPRESENTATIVE_BEAMS, SINGULAR
 
-STRAIGHTENED = 0.02
-"""A start turns planes that a beam meets at a smaller cosine (88.9 degrees): no solver starts there."""
-
 Index = int | IntArray | slice
 ALL = slice(None)
 EXCERPT_READINGS = 1500
@@ -151,7 +148,7 @@ def _grow_beams(start: PartialStart, readings: Readings, least_norm: bool) -> No
 def _straighten(start: PartialStart, readings: Readings) -> None:
     """Turn planes that a beam would graze towards their beams: no solver could start there."""
     v_world, cosine = _meeting(start, readings)
-    for plane in np.unique(readings.plane[np.abs(cosine) < STRAIGHTENED]):
+    for plane in np.unique(readings.plane[np.abs(cosine) < 0.02]):  # 88.9 degrees
         rows = np.flatnonzero(readings.plane == plane)
         part = readings.subset(rows)
         spots = _spots(start, part)

@@ -32,12 +32,8 @@ from .growing import PartialStart, grow
 from .search import AGREEING, FINALISTS, FIRST_STEPS, LAST_STEPS, Candidate, Round, search
 
 METHOD = "consensus"
-GOOD_SHARES = (0.5, 0.25, 0.0)
-"""Parts of the redundant readings that must be good, besides as many as there are unknowns."""
 SAME_CRITERION = 0.5
 """Candidates whose evidence, twice a logarithm, differs by less than this are one solution."""
-TRIPLES = 60
-"""Draws of three spots a plane: all but 1e-4 of the cases hold three good ones where half are."""
 
 
 def robust_search(
@@ -98,7 +94,8 @@ def rounds(
 ) -> Iterator[Round]:
     """Yield starts on subsets, sweeps of all readings and random starts."""
     total, unknowns = len(readings), count_unknowns(readings, terms)
-    parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in GOOD_SHARES]
+    # Beside as many as there are unknowns a half, a quarter or none of the readings must be good.
+    parts = [(unknowns + share * max(total - unknowns, 0)) / total for share in (0.5, 0.25, 0.0)]
     parts = [min(max(part, 0.5), 1.0) for part in parts]
     # A reading far beyond the bulk, as of 100 m, would tilt every plane: none takes part above five
     # times the upper quartile.
@@ -174,7 +171,8 @@ def mended(
 
 def _through_triples(spots: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Return planes (C, 3), (C,) through triples of spots that are not in a line."""
-    drawn = np.argsort(rng.random((TRIPLES, len(spots))), axis=1)[:, :3]
+    # All but 1e-4 of the cases hold three good spots where half are good.
+    drawn = np.argsort(rng.random((60, len(spots))), axis=1)[:, :3]
     a, b, c = spots[drawn].swapaxes(0, 1)
     n = np.cross(b - a, c - a)
     length = np.linalg.norm(n, axis=1)

@@ -35,14 +35,6 @@ ERRORS = (
     "tool-displaced",
 )
 """Systematic errors that can be unknowns here, by the codes of the package."""
-WARMING = 8.0
-"""Time constants of a warm-up in a recording; stated again, for nothing is shared."""
-LEAST_STATIONS = 2
-"""Stations before and after a displacement, of a plane or of the tool; stated again."""
-MOST_SPLITS = 32
-"""Stations of one plane from which on it may be displaced, at most; stated again."""
-TOOL_STEPS = 7
-"""Stations from which on the tool may be displaced; stated again."""
 
 
 class SystematicErrors:
@@ -159,10 +151,10 @@ class SystematicErrors:
     def _moves_of_tool(self) -> list[tuple[str, FloatArray]]:
         """Return displacements about their mean: along each axis, steadily and from stations on."""
         count = len(self.stations)
-        splits = {round(count * step / (TOOL_STEPS + 1)) for step in range(1, TOOL_STEPS + 1)}
+        splits = {round(count * part / 8.0) for part in range(1, 8)}
         shares, moves = {"steadily": self.time}, []
         for split in splits:
-            if LEAST_STATIONS <= split <= count - LEAST_STATIONS:
+            if 2 <= split <= count - 2:
                 first = int(self.stations[split])
                 since = np.arange(len(self.time)) >= first
                 shares[f"from station number {first + 1} on"] = since.astype(float)
@@ -180,7 +172,7 @@ class SystematicErrors:
         if code in ("incidence", "cubic", "sag", "carry-over"):
             found = [("", np.ones_like(T))]
         elif code == "drift":
-            found = [("steady", T - 0.5), ("warming up", -np.exp(-WARMING * T))]
+            found = [("steady", T - 0.5), ("warming up", -np.exp(-8.0 * T))]
         elif code == "beam-on-plane":
             pairs = sorted({*zip(self.plane.tolist(), self.beam.tolist(), strict=True)})
             for plane, beam in pairs:
@@ -194,9 +186,9 @@ class SystematicErrors:
                     )
         elif code == "displaced":
             for plane, own in enumerate(self._by_plane()):
-                splits = np.arange(LEAST_STATIONS, len(own) - LEAST_STATIONS + 1)
-                if len(splits) > MOST_SPLITS:
-                    splits = np.linspace(splits[0], splits[-1], MOST_SPLITS).round().astype(int)
+                splits = np.arange(2, len(own) - 1)
+                few = np.linspace(2, len(own) - 2, min(len(splits), 32)).round().astype(int)
+                splits = few if len(splits) > 32 else splits
                 for first in own[splits].tolist():
                     since = f"from station {names.station_names[first]} on"
                     late = (self.plane == plane) & (self.station >= first)

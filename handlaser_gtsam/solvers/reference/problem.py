@@ -30,10 +30,6 @@ DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""
 TOLERANCE = 1e-11
 """SciPy's; a Gauss-Newton step at the end takes its solution beyond."""
-INNER_TOLERANCE = 1e-10
-"""Tolerance of the iterative solution of a sparse step: SciPy's own stalls far from the optimum."""
-REWEIGHTINGS = 4
-"""Updates of the weights; each leaves about a thousandth of the error that the one before left."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,7 +225,8 @@ def minimize(
         jac_sparsity=sparsity,
         method="trf",
         x_scale="jac",
-        tr_options={} if sparsity is None else {"atol": INNER_TOLERANCE, "btol": INNER_TOLERANCE},
+        # Its own tolerance of the iterative solution of a sparse step stalls far from the optimum.
+        tr_options={} if sparsity is None else {"atol": TOLERANCE, "btol": TOLERANCE},
         ftol=TOLERANCE,
         xtol=TOLERANCE,
         gtol=TOLERANCE,
@@ -244,7 +241,8 @@ def solve(problem: Problem) -> Solution:
     if 2.0 * found.cost > (residuals(first) ** 2).sum():  # caught where rays miss a sphere, say
         found = minimize(residuals, first)
     iterations = int(found.njev)
-    for _ in range(REWEIGHTINGS if residuals.vary else 0):
+    # Each update of the weights leaves about a thousandth of the error that the one before left.
+    for _ in range(4 if residuals.vary else 0):
         residuals.weigh(np.asarray(found.x))
         found = minimize(residuals, np.asarray(found.x))
         iterations += int(found.njev)
