@@ -374,10 +374,11 @@ def first_state(rows: Rows, noise: Noise, earlier: SurveyEstimate | None = None)
         raise InputError("no shot with enough points on its target", "a few points a shot")
     stated, (squares, dof) = _stated(rows, noise), _inside(rows)
     within = np.maximum(np.sqrt(squares / np.maximum(dof, 1.0)), FINEST)
-    own = np.where(dof > 0.0, within, FIRST_SIGMA)
-    own[-1] = AIMING_SIGMA
+    usual = usual_noise(rows, noise)
+    own = np.where(dof > 0.0, within, usual.sigma)
     sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
-    sizes, used = Components(sigma, _usual(noise, stated)), np.ones(len(rows.items), dtype=bool)
+    sizes = Components(sigma, _pose_sizes(stated, usual))
+    used = np.ones(len(rows.items), dtype=bool)
     state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), stated)
     if earlier is not None and earlier.estimate.status == "converged":
         values = start_beside(rows, earlier.rows, earlier.estimate.values)
@@ -456,10 +457,16 @@ def _stated(rows: Rows, noise: Noise) -> Components:
     return Components(np.array(sigma), pose)
 
 
-def _usual(noise: Noise, stated: Components) -> tuple[float, float]:
+def usual_noise(rows: Rows, noise: Noise) -> Components:
+    """Return the sizes that noise usually has: the scales of the priors of what is not stated."""
+    sigma = np.full(len(rows.survey.shots) + 2, FIRST_SIGMA)
+    sigma[-1] = AIMING_SIGMA
+    return Components(sigma, (noise.pose_rotation_prior, noise.pose_translation_prior))
+
+
+def _pose_sizes(stated: Components, usual: Components) -> tuple[float, float]:
     """Return the pose sizes as stated, or as is usual."""
-    prior = noise.pose_rotation_prior, noise.pose_translation_prior
-    turn, shift = np.where(np.isnan(stated.pose), prior, stated.pose).tolist()
+    turn, shift = np.where(np.isnan(stated.pose), usual.pose, stated.pose).tolist()
     return turn, shift
 
 
@@ -608,7 +615,8 @@ def _by_hand(state: SurveyState) -> float:
 
     Readings of anything else than their target look like errors of the hand, if these are learned.
     """
-    sizes = Components(state.sizes.sigma, _usual(state.noise, state.stated))
+    usual = usual_noise(state.rows, state.noise)
+    sizes = Components(state.sizes.sigma, _pose_sizes(state.stated, usual))
     variances = np.einsum("mii->mi", replace(state, sizes=sizes).pose_covariance()).mean(axis=0)
     turn, shift = variances.reshape(2, 3).mean(axis=1)
     return float(np.sqrt(shift + turn * state.rows.length**2))
@@ -622,13 +630,12 @@ def _learned(state: SurveyState) -> bool:
     if state.noise.pose_covariance is not None:  # in standard deviations of what is stated
         root = covariance_roots(state.pose_covariance())[state.stations(owner)]
         rows.by_pose[:] = np.einsum("ri,rij->rj", rows.by_pose, root)
-    finest = np.full(len(state.sizes.sigma), FINEST)
-    finest[-1] = FINEST_AIMING
-    prior = state.noise.pose_rotation_prior, state.noise.pose_translation_prior
+    finest = np.full(len(state.sizes.vector()), FINEST)
+    finest[len(state.sizes.sigma) - 1] = FINEST_AIMING
     source, inside = state.sources(owner), _inside(state.rows)
-    new = components(rows, source, inside, state.sizes, state.stated, prior, finest)
-    before = np.array([*state.sizes.sigma, *state.sizes.pose])
-    after = np.array([*new.sigma, *new.pose])
+    usual = usual_noise(state.rows, state.noise)
+    new = components(rows, source, inside, state.sizes, state.stated, usual, finest)
+    before, after = state.sizes.vector(), new.vector()
     state.sizes = new
     return bool((np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any())
 

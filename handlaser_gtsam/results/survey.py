@@ -19,7 +19,7 @@ from ..estimation.estimate import (
     least_information,
     tested_columns,
 )
-from ..estimation.survey import RelationTest, SurveyEstimate
+from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import Rows
 from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
 from ..model.families import (
@@ -46,7 +46,7 @@ from .messages import Values, warned
 from .spot_error import radius, spot_of
 from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit, pulled
 from .survey_motion import open_words
-from .survey_verdict import FALSE_RELATION, FEW, survey_verdict
+from .survey_verdict import FALSE_RELATION, FEW, TOO_FEW, survey_verdict
 from .verdict import Verdict
 from .warnings import MANY_OUTLIERS
 
@@ -543,6 +543,7 @@ def _warnings(
         yield no_fit(found.rows, found.first, causes, found.given)
     yield from causes
     yield from _sigmas(found)
+    yield from _too_few(found)
     yield from _few(found)
     for sensor in sensors.values():
         found_errors = [error for error in sensor.errors if error.found]
@@ -608,16 +609,38 @@ def _counted_towards(rows: Rows) -> Iterator[str]:
 
 
 def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
-    """Warn of noise that was learned from so few readings that it may be far larger."""
+    """Warn of mounts whose standard deviations rest on what noise is usual: few readings tell it."""
     learned = np.isnan(found.stated.sigma)
     if found.estimate.status != "converged" or not learned.any():
         return
-    names = [f"sensor {shots.name}" for shots in found.rows.survey.shots]
-    names += ["the single beams", "the aiming at points"]
-    spare = found.redundancy()
+    survey = found.rows.survey
+    names = [f"sensor {shots.name}" for shots in survey.shots]
+    names += [f"{BEAM.name} {some(survey.beam_names, NAMES_IN_LINE)}", "the aiming at points"]
+    spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
     for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
         values: Values = {"spare": float(spare[i]), "sigma": float(found.noise.sigma[i])}
-        yield warned(f"{FEW}:survey", values, source=names[i])
+        yield warned(f"{FEW}:survey", values, source=names[i], usual=float(usual[i]))
+
+
+def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of beams whose readings, without a relation, cannot contradict a mount.
+
+    Noise that is stated shows by chi2 that a mount does not fit.
+    """
+    rows, unknowns = found.rows, FAMILIES[BEAM.name].dim
+    if found.estimate.status != "converged" or not np.isnan(found.stated.sigma[-2]):
+        return
+    related = {entity for known in rows.known for entity in rows.entities(known)}
+    for member, name in enumerate(rows.survey.beam_names):
+        mount = BEAM.name, member
+        numbers = sum(
+            item.numbers
+            for item, used in zip(rows.items, found.used, strict=True)
+            if used and item.mount == mount
+        )
+        if numbers < unknowns and mount not in related:
+            values: Values = {"beam": name, "numbers": numbers, "unknowns": unknowns}
+            yield warned(TOO_FEW, values)
 
 
 def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

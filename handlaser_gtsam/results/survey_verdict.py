@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 FEW = "few-readings"
 """Code of the warning that hardly more readings than unknowns tell the noise."""
+TOO_FEW = "too-few-readings"
+"""Code of the warning that a beam has fewer readings than unknowns: another mount may fit as well."""
 FALSE_RELATION = "relation-contradicted"
 """Code of the warning that readings contradict what is said to be known."""
 CAUSES = (*MISREAD, FALSE_RELATION, "sigmas-too-small", "range-error")
@@ -60,7 +62,7 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(result)
     contradicted = [one.message for one in result.warnings if one.code == FALSE_RELATION]
-    few = [one.message for one in result.warnings if one.code == FEW]
+    few = [one.message for one in result.warnings if one.code == TOO_FEW]
     code, first = "usable", ""
     if contradicted:
         code, first = "contradicted", contradicted[0]

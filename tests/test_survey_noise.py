@@ -1,0 +1,129 @@
+"""Sizes of noise that is not stated, against integrals over fine grids with formulas of their own."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+
+import handlaser_gtsam as hl
+from benchmarks import rigs, rigs_by_rays
+from benchmarks.few_readings import SIGMAS, coverage, few_readings
+from handlaser_gtsam.estimation.dense import DenseRows
+from handlaser_gtsam.estimation.survey_noise import Components, components
+
+USUAL = Components(np.array([1e-4, 5e-4]), (3.5e-4, 1e-4))
+"""Of single beams and the aiming, and of errors of the hand."""
+EXACT_HAND = Components(np.array([np.nan, 5e-4]), (0.0, 0.0))
+UNKNOWN = Components(np.array([np.nan, 5e-4]), (np.nan, np.nan))
+NONE_INSIDE = np.zeros(2), np.zeros(2)
+FINEST = np.full(4, 1e-9)
+NOW = 2e-4
+"""The standard deviation that rows are in [m]."""
+
+
+def rows_of(stations, rows, unknowns, sigma, pose, seed=1):
+    """Rows of beams at some stations, with errors of the hand."""
+    rng = np.random.default_rng(seed)
+    station = np.repeat(np.arange(stations), rows)
+    by_pose = rng.standard_normal((len(station), 6)) * ([0.3] * 3 + [1.0] * 3)
+    errors = rng.standard_normal((stations, 6)) * ([pose[0]] * 3 + [pose[1]] * 3)
+    residuals = sigma * rng.standard_normal(len(station))
+    residuals += (by_pose * errors[station]).sum(axis=1)
+    by_unknown = rng.standard_normal((len(station), unknowns))
+    none = np.zeros((len(station), 0))
+    return DenseRows(by_unknown / NOW, residuals / NOW, by_pose / NOW, none, station, [])
+
+
+def learned(rows, stated):
+    now = Components(np.array([NOW, 5e-4]), (0.0 if stated.pose[0] == 0.0 else 1e-4,) * 2)
+    source = np.zeros(len(rows.residuals), dtype=int)
+    return components(rows, source, NONE_INSIDE, now, stated, USUAL, FINEST)
+
+
+def by_integral(rows, axes):
+    """Roots of mean variances by sums over a grid of sizes, from contrasts that no unknown moves."""
+    station, e, P = rows.station, NOW * rows.residuals, NOW * rows.by_pose
+    K = null_space(rows.derivatives.T)
+    same = station[:, None] == station
+    parts = [np.eye(len(e)), same * (P[:, :3] @ P[:, :3].T), same * (P[:, 3:] @ P[:, 3:].T)]
+    parts = np.stack([K.T @ part @ K for part in parts])
+    prior = np.array([USUAL.sigma[0], *USUAL.pose])
+    sizes = np.array(list(itertools.product(*axes)))
+    logs = np.empty(len(sizes))
+    for some in np.array_split(np.arange(len(sizes)), max(len(sizes) // 500, 1)):
+        V = np.einsum("kc,cij->kij", sizes[some] ** 2, parts)
+        y = K.T @ e
+        logs[some] = -0.5 * (np.linalg.slogdet(V)[1] + np.linalg.solve(V, y[:, None])[..., 0] @ y)
+    varied = np.array([len(axis) > 1 for axis in axes])
+    x = sizes[:, varied] / prior[varied]
+    logs += (np.log(x) - np.log1p(x**2)).sum(axis=1)  # half-Cauchy, on grids that are even in log
+    weight = np.exp(logs - logs.max())
+    return np.sqrt(weight @ sizes**2 / weight.sum())
+
+
+@pytest.mark.parametrize(
+    ("rows", "sigma", "within"),
+    [(8, 1e-4, 0.3), (10, 2e-5, 0.1), (12, 5e-4, 0.1), (17, 1e-4, 0.05), (57, 1e-3, 0.05)],
+)
+def test_the_noise_of_beams_is_the_root_of_its_mean_variance(rows, sigma, within):
+    """With 7 unknowns: seven points are good to per cents, but in the tail that one number leaves."""
+    made = rows_of(rows, 1, 7, sigma, (0.0, 0.0))
+    largest = 12.0 * max(sigma, USUAL.sigma[0])
+    grid = np.exp(np.linspace(np.log(1e-8), np.log(largest), 1000))
+    expected, _, _ = by_integral(made, (grid, [0.0], [0.0]))
+    assert learned(made, EXACT_HAND).sigma[0] == pytest.approx(expected, rel=within)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sizes_that_few_numbers_tell_are_means_over_all_sizes(seed):
+    """Of beams and of errors of the hand, together, by three points an axis."""
+    made = rows_of(8, 3, 12, 1e-4, (2e-4, 5e-5), seed)
+    axes = [prior * np.exp(np.linspace(-5.0, np.log(12.0), 18)) for prior in (1e-4, *USUAL.pose)]
+    found = learned(made, UNKNOWN)
+    assert [found.sigma[0], *found.pose] == pytest.approx(by_integral(made, axes), rel=0.1)
+
+
+def test_readings_without_noise_have_the_finest_that_there_is():
+    made = replace(rows_of(20, 1, 7, 1e-4, (0.0, 0.0)), residuals=np.zeros(20))
+    assert learned(made, EXACT_HAND).sigma[0] < 10.0 * FINEST[0]
+
+
+def test_noise_that_no_reading_tells_is_a_few_times_what_is_usual():
+    """The root of the mean variance of a half-Cauchy variable that ends at 12 is 2.7."""
+    made = rows_of(7, 1, 7, 1e-4, (0.0, 0.0))
+    assert 2.0 < learned(made, EXACT_HAND).sigma[0] / USUAL.sigma[0] < 6.0
+
+
+def test_what_is_stated_is_not_learned():
+    stated = Components(np.array([1e-4, 5e-4]), (1e-4, 2e-5))
+    assert learned(rows_of(8, 3, 12, 1e-4, (2e-4, 5e-5)), stated) is stated
+
+
+def test_a_beam_with_fewer_readings_than_unknowns_is_not_usable():
+    """Of seven readings one was rejected, and the mount that fits the others is 30 mm off."""
+    survey = rigs.survey_of(few_readings(10, rigs_by_rays, 2e-5))
+    found = hl.calibrate(survey, rigs.STATED)
+    assert (found.status, found.usable) == ("converged", False)
+    assert found.warnings[0].code == "too-few-readings"
+    assert found.warnings[0].values == {"beam": "beam3", "numbers": 6, "unknowns": 7}
+    assert "beam beam3" in found.verdict.sentence
+    # A mount that a relation is of is not found from its readings alone.
+    beam = found.beams["beam3"]
+    drawn = np.eye(4)
+    drawn[:3, 2], drawn[:3, 3] = beam.direction, beam.location
+    drawn[:3, :2] = null_space(beam.direction[None])
+    known = hl.Known("mount", ("beam:beam3",), 0.0, 1e-2, 0.1, pose=drawn)
+    tied = hl.calibrate(replace(survey, known=(known,)), rigs.STATED)
+    assert "too-few-readings" not in [one.code for one in tied.warnings]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", SIGMAS)
+def test_regions_of_beams_with_few_readings_hold_the_truth(sigma):
+    """Of 24 regions of 95 % chance leaves fewer than 20 with a probability of half a per cent."""
+    found = coverage(rigs_by_rays, sigma, hl.Noise(), 12)
+    assert found.inside >= 20 / 24
+    assert found.wrong == 0
+    assert found.unusable <= 1
