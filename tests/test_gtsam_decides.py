@@ -9,7 +9,7 @@ from helpers import GRIPPER, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation import task
-from handlaser_gtsam.estimation.selection import settle
+from handlaser_gtsam.estimation.task import settle
 from handlaser_gtsam.factors import RangeBlock
 from handlaser_gtsam.validation.scenes import Layout
 

@@ -1,4 +1,12 @@
-"""The steps of one solution: solved with equal or settled weights, judged, and finished by GTSAM."""
+"""One joint solution: weights and scales settle, then GTSAM ends it and the scales are integrated over.
+
+The reduction solves the readings with equal weights first. Where they differ in weight or are
+correlated, or where scales of noise or range errors are unknown, the most probable scales and the
+weights are taken at the solution and the reduction solves again, until that moves nothing. Hand poses
+that are variables come next, from the solution in which they were eliminated beforehand. At last GTSAM
+solves the factor graph from there, or eliminates the sums of the reduction where the graph would be
+very large, and the scales are integrated over.
+"""
 
 from dataclasses import replace
 
@@ -8,34 +16,36 @@ from ..arrays import FloatArray
 from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Parameters, RangeErrorPrior, per_beam
 from ..data.recording import Readings
-from ..errors import GrazingBeamError
 from ..model.beams_on_planes import CENTRE, parameters_of, values_of
 from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.errors_in_variables import weighed
 from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
 from ..model.search import LevenbergOptions, Searched, search
-from ..model.weighting import Variances, Whitening, whitening
+from ..model.weighting import Variances, Whitening, unequal, whitening
 from ..observability.held import Judge
 from ..observability.other_solutions import least_observed
 from ..observability.rank import Observability, observability
 from ..progress import Trial, tell_trial
-from ..quantities import EXACT, MOST_ROUNDS, SAME_OPTIMUM, UNIT_SIGMA
-from ..solvers.beam_problem import beam_problem, newton_step, require_steep
+from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
+from ..solvers.beam_problem import beam_problem, require_steep
 from ..solvers.graph import PosePriors, build_graph, pose_priors
 from ..solvers.levenberg import Status, levenberg_marquardt
 from ..solvers.sums import eliminated_sums
 from ..text import count
+from .learned import ScaleProblem
 from .options import CalibrationOptions
-from .posterior import covariance_by_gtsam, numbered
+from .posterior import ScaleEstimate, covariance_by_gtsam, numbered, posterior
+from .scales import Scales, start_of, unknown_scales, with_scales
 from .solution import Minimum, Solution
 
-WEIGHTS_SETTLED = 1e-5
-"""New weights that move the solution by fewer standard deviations than this change nothing."""
-STEPS_SETTLED = 1e-3
-"""Linear steps that settle the weights end when they are shorter than this [standard deviations]."""
-MOST_INCREASE = 4.0
-"""A linear step to other weights may raise the squares by this factor: beyond, it leads nowhere."""
+WEIGHTS_SETTLED = 1e-3
+"""New weights that moved the solution by fewer standard deviations are settled: others would move it by
+a thousandth of that."""
+SCALES_SETTLED = 0.05
+"""Scales have settled where their logarithms change by less: they are integrated over in the end."""
+LEAST_WEIGHT = 0.5
+"""Readings to which a robust loss gives less weight say nothing about the scales."""
 MOST_NUMBERS = 200_000
 """Derivatives in the factors of a graph; beyond, their sums go to GTSAM. A graph of this size takes
 as long as all steps of the reduction."""
@@ -48,8 +58,61 @@ STEPS_IN_VAIN = 100
 minimum to arrive at, the search would go on to the end."""
 
 
+_Point = tuple[FloatArray, FloatArray]
+"""Logarithms (d,) of the noise scales, and the scales (T,) of the range errors, natural units."""
+
+
+def settle(
+    readings: Readings,
+    start: Parameters,
+    noise: Noise,
+    options: CalibrationOptions,
+    scale: float | None = None,
+    prior: RangeErrorPrior | None = None,
+) -> "SolutionTask":
+    """Solve jointly, find unknown scales, and diagnose the solution.
+
+    The integration over the scales is left to `SolutionTask.finished`: it is not needed before the
+    readings are chosen. Of readings that do not fit no scale is learned.
+
+    Parameters
+    ----------
+    readings : Readings
+    start : Parameters
+    noise : Noise
+    options : CalibrationOptions
+    scale : float, optional
+        Scale of the residuals of good readings [m]: stands for a range sigma that is not given.
+    prior : RangeErrorPrior, optional
+        Prior of the range errors, instead of a prior whose scales are learned.
+    """
+    task = SolutionTask(readings, noise, options, scale, prior)
+    task.solution = first = task.equally_weighted(start)
+    unknown = noise.range_sigma is None and task.redundancy <= 0
+    if first.at.status == "interrupted" or unknown or task.is_exact() or not task.fits:
+        return task
+    task.scales, task.base = unknown_scales(readings, noise, options, task.sigma)
+    base, given = task.base, not options.range_sigma_by_beam
+    alike = base.pose is None and base.incidence_sigma == 0.0 and given
+    # A common sigma is found by sigma0 without any effort.
+    task.learns = task.prior_is_learned or bool(task.scales.unknown and not alike)
+    if task.learns or not alike or unequal(base, task.terms, readings):
+        task.solution = task.settled(first)
+    return task
+
+
 class SolutionTask:
-    """Solves a choice of readings, and remembers what was found of their rank and sigma."""
+    """Solves a choice of readings, and remembers what was found of their rank, sigma and scales.
+
+    Attributes
+    ----------
+    solution : Solution
+        At the most probable scales.
+    """
+
+    solution: Solution
+    scales: Scales
+    base: Variances
 
     def __init__(
         self,
@@ -63,10 +126,11 @@ class SolutionTask:
         self.scale, self.terms = scale, options.terms
         self.loss, self.rank, self.sigma = Loss(options.loss), 0, 0.0
         self.length = readings.typical_range()
-        self.learns = options.linearity is not None and prior is None
-        self.prior = prior
+        self.prior_is_learned = options.linearity is not None and prior is None
+        self.prior, self.learns = prior, False
         self.determined, self.fits = False, True
-        if self.learns:
+        self.point: _Point = np.zeros(0), np.full(self.terms, options.linearity or 1.0)
+        if self.prior_is_learned:
             self.prior = self.prior_of(np.full(2, options.linearity))
 
     def prior_of(self, scale: FloatArray) -> RangeErrorPrior:
@@ -84,7 +148,7 @@ class SolutionTask:
         for _ in range(MOST_ROUNDS):
             doubtful = self._is_no_fit(residuals_or_infinite(start, self.readings))
             most = STEPS_IN_VAIN if doubtful else None
-            ended = self.minimized(self.readings, start, weight, coarse=self.learns, most=most)
+            ended = self.minimized(self.readings, start, weight, most)
             self.fits = not self._is_no_fit(ended.residual)
             if doubtful and self.fits and ended.status == "max_iterations":
                 start = ended.parameters
@@ -117,36 +181,68 @@ class SolutionTask:
         """Return the readings with the regressors of the range errors, and their weights."""
         return weighed(self.readings, parameters, variances, self.terms)
 
-    def step(self, parameters: Parameters, variances: Variances) -> tuple[Parameters, float]:
-        """Return where a linear step with the weights at parameters leads, and its length [sigmas]."""
-        readings, how = self.weighed(parameters, variances)
-        return newton_step(parameters, readings, self.terms, how, self.prior)
+    def settled(self, first: Solution) -> Solution:
+        """Return the solution at the most probable scales, from an equally weighted one."""
+        start = start_of(self.scales, max(self.sigma, LEAST_SIGMA), self.length)
+        self.point, solution = (start, self.point[1]), first
+        before: _Point | None = None
+        for _ in range(MOST_ROUNDS):
+            full = solution.observability.full
+            if self.learns and full:
+                problem = self._scale_problem(solution)
+                u = problem.mode(self.point[0])
+                k = problem.range_error_scales(u) if self.prior_is_learned else self.point[1]
+                self.point = u, k
+            # Of what is undetermined, weights are taken twice.
+            last = not full and solution.whitening is not None
+            solution = self.reweighted(solution.parameters, self._use_point())
+            status = solution.at.status
+            # Where the solver does not arrive there is no optimum to expand about.
+            arrived = solution.observability.full and status != "max_iterations"
+            if last or status == "interrupted" or (self.learns and not arrived):
+                break
+            near = before is not None and _apart(self.point, before) < SCALES_SETTLED
+            if (near or not self.learns) and solution.at.first_step < WEIGHTS_SETTLED:
+                break
+            before = self.point
+        variances = self._use_point()
+        solution = replace(solution, variances=variances, prior=self.prior)
+        solution = self.with_poses(solution, variances)
+        if not (self.learns and solution.observability.full):
+            return solution
+        sigmas = (np.exp(self.point[0]) * [scale.unit for scale in self.scales.unknown]).tolist()
+        pairs = zip(self.scales.unknown, sigmas, strict=True)
+        return replace(solution, scales=tuple(ScaleEstimate(*pair, np.nan) for pair in pairs))
 
-    def step_ahead(
-        self, first: Solution, parameters: Parameters, variances: Variances
-    ) -> tuple[Parameters, float] | None:
-        """Return what `step` does; None where that leads away from the solution begun with.
+    def finished(self) -> Solution:
+        """Return the solution that GTSAM ends with, all scales integrated over about it.
 
-        Undamped steps may, where the readings do not fit: then the damped search has to find the way.
+        Nothing is integrated over where something is undetermined, or under a robust loss.
         """
-        try:
-            there, away = self.step(parameters, variances)
-        except GrazingBeamError:
-            return None
-        if not there.finite():
-            return None
-        e, before = residuals_or_infinite(there, self.readings), first.at.residual
-        return (there, away) if float(e @ e) <= MOST_INCREASE * float(before @ before) else None
+        solution = self.last_word(self.solution)
+        whole = solution.observability.full and solution.at.status != "interrupted"
+        if not (self.learns and whole and self.loss == GAUSSIAN):
+            return solution
+        problem = self._scale_problem(solution)
+        integrated = posterior(problem, problem.learned(self.point[0]))
+        return replace(solution, posterior=integrated, scales=integrated.scales)
 
-    def away(self, solution: Solution, variances: Variances) -> float:
-        """Return by how many standard deviations the weights at a solution would move it.
+    def _use_point(self) -> Variances:
+        """Let the prior of range errors have the scales of the point, and return the variances."""
+        if self.prior_is_learned:
+            self.prior = self.prior_of(self.point[1])
+        return with_scales(self.scales, self.base, self.point[0])
 
-        The weights of a robust loss, or of a solution of short rank, are not followed: the length of
-        its first step stands for the move.
-        """
-        if self.loss == GAUSSIAN and solution.observability.full:
-            return self.step(solution.parameters, variances)[1]
-        return solution.at.first_step
+    def _scale_problem(self, solution: Solution) -> ScaleProblem:
+        """Return the problem of the scales; a robust loss keeps readings out that it doubts."""
+        variances = with_scales(self.scales, self.base, self.point[0])
+        readings, _ = self.weighed(solution.parameters, variances)
+        if self.loss != GAUSSIAN:
+            weight = self.loss.weight(solution.at.white / solution.at.sigma)
+            readings = readings.subset(np.flatnonzero(weight >= LEAST_WEIGHT))
+        linearity = self.options.linearity if self.prior_is_learned else None
+        of = solution.parameters, readings, self.terms, self.base, self.scales, linearity
+        return ScaleProblem(*of)
 
     def reweighted(self, parameters: Parameters, variances: Variances) -> Solution:
         """Solve with the weights at some parameters."""
@@ -173,13 +269,11 @@ class SolutionTask:
         readings: Readings,
         start: Parameters,
         noise: float | Whitening,
-        *,
-        coarse: bool = False,
         most: int | None = None,
     ) -> Minimum:
         """Minimise on the reduction; by GTSAM where a robust loss weighs correlated readings.
 
-        `coarse` asks for the tolerance of a solution that another follows, `most` for fewer steps.
+        `most` asks for fewer steps.
 
         Raises
         ------
@@ -187,8 +281,6 @@ class SolutionTask:
             A beam grazes its plane at the start.
         """
         solver = self._solver(start)
-        if coarse and self.determined:
-            solver = replace(solver, step_tolerance=max(solver.step_tolerance, SAME_OPTIMUM))
         if most is not None:
             solver = replace(solver, max_iterations=min(solver.max_iterations, most))
         if isinstance(noise, Whitening) and noise.is_coupled and self.loss != GAUSSIAN:
@@ -221,7 +313,7 @@ class SolutionTask:
             e if isinstance(noise, float) else noise.apply(e),
         )
 
-    def finished(self, solution: Solution) -> Solution:
+    def last_word(self, solution: Solution) -> Solution:
         """Return the solution that GTSAM ends with, and its covariance, where all is determined.
 
         Levenberg-Marquardt on the factor graph begins where the reduction ended; where the graph would
@@ -270,7 +362,7 @@ class SolutionTask:
             return solution
         saved = -float(normal.gradient[0] @ sums.step)
         saved -= float((normal.local_gradient[0] * sums.local_step).sum())
-        if not saved / at.sigma**2 <= STEPS_SETTLED**2:
+        if not saved / at.sigma**2 <= WEIGHTS_SETTLED**2:
             return solution
         there = problem.reduction.moved(values, sums.step[None], sums.local_step[None])
         parameters = parameters_of(there)[0]
@@ -358,6 +450,12 @@ class SolutionTask:
             cost=cost,
         )
         return replace(solution, at=at, observability=least)
+
+
+def _apart(one: _Point, other: _Point) -> float:
+    """Return by how much the logarithms of the scales differ."""
+    apart = np.concatenate((one[0] - other[0], np.log(one[1] / other[1])))
+    return float(np.abs(apart).max(initial=0.0))
 
 
 def _ending(ended: Searched, steps: int, exhausted: bool) -> tuple[Status, str]:

@@ -31,7 +31,6 @@ from ..data.noise import LEAST_SIGMA, Noise
 from ..errors import CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
 from ..estimation.selection import Selection, select
-from ..estimation.task import WEIGHTS_SETTLED
 from ..model.effects import EFFECTS
 from ..model.effects.effect import OnPlanes, SeenStations
 from ..model.effects.plausible import how_to_state
@@ -216,7 +215,8 @@ def with_freed(
         if not np.isfinite(step).all():
             return problem, selection, None
         known, rank = np.sqrt(np.diagonal(freed.covariance)), freed.rank
-        settled = bool((np.abs(step) < WEIGHTS_SETTLED * known).all())
+        # The step is far below what shows in any standard deviation.
+        settled = bool((np.abs(step) < 1e-5 * known).all())
         if settled:
             break
         size = dict(zip(errors.members, (freed.columns.size + step).tolist(), strict=True))

@@ -11,8 +11,9 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording, join
 from ..estimation.learned import LearnedScales, ScaleProblem
 from ..estimation.posterior import covariance_of_determined, posterior
-from ..estimation.selection import Selection, settle
+from ..estimation.selection import Selection
 from ..estimation.solution import Solution
+from ..estimation.task import settle
 from ..model.errors_in_variables import weighed
 from ..model.families import BEAM
 from ..model.sensor import FLAT, OUTSIDE
