@@ -12,7 +12,7 @@ from ..data.recording import Readings
 from ..data.value import Value
 from ..model.elimination import ReducedInformation
 from ..model.weighting import Variances
-from ..quantities import KNOWN, REPRESENTATIVE_BEAMS
+from ..quantities import REPRESENTATIVE_BEAMS
 from .information import Information, LinearReadings
 from .mixture import BeamPosterior
 from .range_error_grid import (
@@ -29,7 +29,7 @@ SCALE_READINGS = 3000
 CERTAIN_READINGS = 20_000
 """With more readings the scales are known so well that their uncertainty changes nothing."""
 INTEGRATED_BEAMS = 10
-"""With more beams only poorly known scales are integrated over: the cost grows with their cube."""
+"""With more beams the scales of the noise are known well, and integration over them is slow."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -147,18 +147,12 @@ class ScaleProblem:
 
     def learned(self, mode: FloatArray) -> LearnedScales:
         """Return the points at which the scales are integrated over, about their `mode`."""
-        least = 0.0
         probable = self._probable(mode)
         grids = tuple(grid for grid, _ in probable)
-        scale = self._typical(probable)
-        if self.readings.beams > REPRESENTATIVE_BEAMS:
-            grids = (RangeErrorGrid.at(scale, self.readings.beams),)
-        if len(self.readings) > CERTAIN_READINGS:
-            least = np.inf
-        elif self.readings.beams > INTEGRATED_BEAMS:
-            # To integrate over what is known so well would widen results by one per cent at most.
-            least = KNOWN
-        points, log_weight, left = design(self._log_posterior, mode, self.scales.bounds, least)
+        if self.linearity is not None and self.readings.beams > REPRESENTATIVE_BEAMS:
+            grids = (self._most_probable(mode, probable),)
+        wide = self.readings.beams <= INTEGRATED_BEAMS and len(self.readings) <= CERTAIN_READINGS
+        points, log_weight, left = design(self._log_posterior, mode, self.scales.bounds, wide)
         return LearnedScales(
             self.scales,
             self.base,
@@ -169,7 +163,7 @@ class ScaleProblem:
             self.length,
             self.linearity,
             grids,
-            scale,
+            self._typical(probable),
             left * np.sqrt(len(self._part.readings) / len(self.readings)),
         )
 
@@ -226,6 +220,16 @@ class ScaleProblem:
         weights = [np.exp(value - most) for _, value in fine]
         total = sum(float(weight.sum()) for weight in weights)
         return [(grid, w / total) for (grid, _), w in zip(fine, weights, strict=True)]
+
+    def _most_probable(
+        self, mode: FloatArray, probable: list[tuple[RangeErrorGrid, FloatArray]]
+    ) -> RangeErrorGrid:
+        """Return one point for beams that share nothing, on the axes of the more probable prior."""
+        grid, weight = max(probable, key=lambda one: float(one[1].sum()))
+        scale = np.log(np.hypot(grid.individual, grid.common[:, None]))
+        angles = self.beams(mode[None])[0].worst_known() if grid.turned else None
+        angles = np.zeros(self.readings.beams) if angles is None else angles
+        return RangeErrorGrid.at(np.exp(weight @ scale / weight.sum()), angles)
 
     @staticmethod
     def _typical(probable: list[tuple[RangeErrorGrid, FloatArray]]) -> FloatArray:

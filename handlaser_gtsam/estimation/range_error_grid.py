@@ -57,9 +57,9 @@ class RangeErrorGrid(Value):
     angles: FloatArray
 
     @classmethod
-    def at(cls, scale: FloatArray, beams: int) -> "RangeErrorGrid":
+    def at(cls, scale: FloatArray, angles: FloatArray) -> "RangeErrorGrid":
         """Return the single point of known scales (T,) of beams that share nothing."""
-        return cls(scale[None], np.zeros(1), np.zeros(1), np.zeros(beams))
+        return cls(scale[None], np.zeros(1), np.zeros(1), angles)
 
     @property
     def turned(self) -> bool:
@@ -121,7 +121,7 @@ def widest_grids(
 ) -> list[RangeErrorGrid]:
     """Return a coarse grid over all scales that are possible, and one along turned axes (B,) if any."""
     if terms == 0:
-        return [RangeErrorGrid.at(np.ones(0), beams)]
+        return [RangeErrorGrid.at(np.ones(0), np.zeros(beams))]
     sides = [_side(linearity)] * (terms + int(beams > 1))
     axes = [np.zeros(beams)] if angles is None else [np.zeros(beams), angles]
     return [_grid(sides, linearity, terms, each) for each in axes]

@@ -207,11 +207,11 @@ def _upwards(
 
 
 def design(
-    log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray, least: float = 0.0
+    log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray, wide: bool
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the points about `mode` (d,), within `bounds` (d, 2), to integrate the scales over.
 
-    Axes along which the logarithms have a standard deviation below `least` are not integrated over.
+    The mode alone where they are not `wide`.
 
     Returns
     -------
@@ -220,19 +220,17 @@ def design(
     log_weight : (J,)
         To which the logarithm of the posterior is added.
     left : (d,)
-        Standard deviations of the logarithms of the scales that are not integrated over.
+        Standard deviations of the logarithms where they are not integrated over, else zero.
     """
-    if mode.size == 0:
+    size = mode.size
+    if size == 0:
         return np.zeros((1, 0)), np.zeros(1), np.zeros(0)
     # Axes as columns, each a standard deviation of the posterior at its mode long.
     curvature = _expansion(log_posterior, mode, 5.0 * DIFFERENCE_STEP)[2]
     values, axes = np.linalg.eigh(-curvature)
     axes = axes / np.sqrt(np.maximum(values, LEAST_CURVATURE))
-    wide = np.linalg.norm(axes, axis=0) >= least
-    left = np.sqrt((axes[:, ~wide] ** 2).sum(axis=1))
-    axes, size = axes[:, wide], int(wide.sum())
-    if size == 0:
-        return mode[None], np.zeros(1), left
+    if not wide:
+        return mode[None], np.zeros(1), np.linalg.norm(axes, axis=1)
     top = float(log_posterior(mode[None])[0])
     radius = np.sqrt(2.0)
     ends = np.concatenate((mode + radius * axes.T, mode - radius * axes.T))
@@ -242,7 +240,7 @@ def design(
     log_weight = np.log(weight) + 0.5 * (z**2).sum(axis=1)
     side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
     points = np.clip(mode + (side * z) @ axes.T, bounds[:, 0], bounds[:, 1])
-    return points, log_weight + np.log(side).sum(axis=1), left
+    return points, log_weight + np.log(side).sum(axis=1), np.zeros(size)
 
 
 def _points(size: int) -> tuple[FloatArray, FloatArray]:

@@ -85,7 +85,7 @@ class SessionState:
         here, both = (beam_posterior(part, self.at[2], learned) for part in parts)
         grids = learned.along(here.worst_known())
         mean, covariance, _ = both.integrated(grids, learned.log_weight)
-        known = (RangeErrorGrid.at(learned.range_error, count),)
+        known = (RangeErrorGrid.at(learned.range_error, np.zeros(count)),)
         mean -= here.integrated(known, np.zeros(1))[0]
         step = (mean * config.unit).reshape(count, -1)
         bases = model.tangent_basis(self.at[1])
