@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
-from handlaser_gtsam.arrays import FloatArray, frozen_indices
+from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.checks import number_array, require_number
 from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.errors import InputError
@@ -30,8 +30,8 @@ class RangeBlock:
     """Readings of beams to one plane, callable as the error function of a `CustomFactor`.
 
     Residual and Jacobians come from `handlaser_gtsam.model`, the latter in GTSAM's tangent bases.
-    It never refers to its factor: such a circle could not be collected. The rows are ones that
-    `require_rows` passes.
+    It never refers to its factor: such a circle could not be collected. Nothing is checked here:
+    `checked_block` makes the block of a user, and rows are ones that `require_rows` passes.
 
     Parameters
     ----------
@@ -81,33 +81,22 @@ class RangeBlock:
         self,
         beams: BeamKeys | Sequence[BeamKeys],
         plane: int,
-        distance: ArrayLike,
-        world_R_hand: ArrayLike,
-        world_t_hand: ArrayLike,
+        distance: FloatArray,
+        world_R_hand: FloatArray,
+        world_t_hand: FloatArray,
         pose: int | None = None,
-        beam_of: ArrayLike | None = None,
+        beam_of: IntArray | None = None,
         whitening: Whitening | None = None,
         regressors: Regressors | None = None,
     ) -> None:
         self.beams = (beams,) if isinstance(beams, BeamKeys) else tuple(beams)
-        for beam in self.beams:
-            if not isinstance(beam, BeamKeys):
-                raise InputError(
-                    f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)"
-                )
-        self.plane = integer_key(plane, "plane")
-        self.pose = None if pose is None else integer_key(pose, "hand pose")
-        self.whitening = whitening
-        self.distance = number_array("readings", distance)
-        self.world_R_hand = number_array("rotations of the hand", world_R_hand)
-        self.world_t_hand = number_array("positions of the hand", world_t_hand)
-        self.measured = self.distance if regressors is None else regressors
+        self.plane, self.pose, self.whitening = plane, pose, whitening
+        self.distance, self.world_R_hand, self.world_t_hand = distance, world_R_hand, world_t_hand
+        self.measured = distance if regressors is None else regressors
+        self.beam_of = np.zeros(len(distance), np.intp) if beam_of is None else beam_of
         self.prepared: Share | None = None
         self.gathering: Gathering | None = None
         self.alone: SharedEvaluation | None = None
-        self.beam_of = frozen_indices(np.zeros(len(self.distance)) if beam_of is None else beam_of)
-        if len(self.beams) > 1 and whitening is None:
-            raise ValueError("several beams without a whitening; expected one")
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""
@@ -175,20 +164,35 @@ def require_rows(distance: FloatArray, R: FloatArray, t: FloatArray) -> None:
         raise InputError("a hand pose that is none", expected)
 
 
-def positive_ranges(ranges: ArrayLike) -> FloatArray:
-    """Return the readings (N,) [m] of a user's factor, which are positive.
+def checked_block(
+    beam: BeamKeys,
+    plane: int,
+    ranges: ArrayLike,
+    hands: tuple[FloatArray, FloatArray] | None,
+    pose: int | None = None,
+) -> RangeBlock:
+    """Return the block of a user's readings of one beam [m].
+
+    `hands` are the known hand poses (N, 3, 3), (N, 3); there are none where `pose` is a key.
 
     Raises
     ------
     InputError
+        Keys that are none, readings that are not positive, or hand poses of another number.
     """
+    if not isinstance(beam, BeamKeys):
+        raise InputError(f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)")
     d = np.atleast_1d(number_array("readings", ranges))
     if d.size == 0 or not ((d > 0.0) & (d <= LARGEST_LENGTH)).all():
         raise InputError(
             f"readings {np.array2string(d, threshold=5)}",
             f"one or more positive, finite ranges in metres, at most {LARGEST_LENGTH:.0f}",
         )
-    return d
+    none = np.broadcast_to(np.eye(3), (len(d), 3, 3)), np.zeros((len(d), 3))
+    R, t = none if hands is None else hands
+    require_rows(d, R, t)
+    key = None if pose is None else integer_key(pose, "hand pose")
+    return RangeBlock(beam, integer_key(plane, "plane"), d, R, t, key)
 
 
 def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from handlaser_gtsam.errors import InputError
 
-from .block import Noise, RangeBlock, positive_ranges, range_factor, require_rows
+from .block import Noise, checked_block, range_factor
 from .keys import BeamKeys
 
 
@@ -53,6 +53,4 @@ def range_to_plane(
         raise InputError("one Pose3", "a sequence of hand poses, one a reading")
     R = np.array([pose.rotation().matrix() for pose in world_T_hand]).reshape(-1, 3, 3)
     t = np.array([pose.translation() for pose in world_T_hand]).reshape(-1, 3)
-    d = positive_ranges(ranges)
-    require_rows(d, R, t)
-    return range_factor(RangeBlock(beam, plane, d, R, t), noise)
+    return range_factor(checked_block(beam, plane, ranges, (R, t)), noise)

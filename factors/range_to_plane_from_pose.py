@@ -8,11 +8,10 @@ the graph. Moving it on the right by (omega, u) changes the predicted range by
 with x the laser spot in the hand frame.
 """
 
-import numpy as np
 from gtsam import CustomFactor
 from numpy.typing import ArrayLike
 
-from .block import Noise, RangeBlock, positive_ranges, range_factor
+from .block import Noise, checked_block, range_factor
 from .keys import BeamKeys
 
 
@@ -39,6 +38,4 @@ def range_to_plane_from_pose(
     InputError
         Readings that are not positive, or noise of the wrong dimension.
     """
-    d = positive_ranges(ranges)
-    R = np.broadcast_to(np.eye(3), (len(d), 3, 3))
-    return range_factor(RangeBlock(beam, plane, d, R, np.zeros((len(d), 3)), pose), noise)
+    return range_factor(checked_block(beam, plane, ranges, None, pose), noise)

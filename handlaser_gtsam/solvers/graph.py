@@ -278,25 +278,32 @@ def grouped_blocks(
     A group is a plane with one beam, a plane, or a station with its pose.
     """
     beams, planes, priors = names
-    runs = np.split(rows, np.flatnonzero(np.diff(group[rows])) + 1)
-    blocks = []
-    for run in runs:
-        seen, beam_of = np.unique(readings.beam[run], return_inverse=True)
-        R, t, pose = readings.world_R_hand[run], readings.world_t_hand[run], None
-        if priors is not None:
-            R, t = np.broadcast_to(np.eye(3), R.shape), np.zeros(t.shape)
-            pose = pose_key(int(readings.station[run[0]]))
+    starts = np.flatnonzero(np.diff(group[rows], prepend=-1))
+    run = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(rows)))
+    # The beams of each run, in their order, and which of them each row is of.
+    pairs, pair = np.unique(run * len(beams) + readings.beam[rows], return_inverse=True)
+    first = np.searchsorted(pairs, len(beams) * np.arange(len(starts) + 1))
+    beam_of, seen = pair - first[run], [beams[i] for i in (pairs % len(beams)).tolist()]
+    d, R, t = (
+        one[rows] for one in (readings.distance, readings.world_R_hand, readings.world_t_hand)
+    )
+    if priors is not None:
+        R, t = np.broadcast_to(np.eye(3), R.shape), np.zeros(t.shape)
+    blocks, ends = [], [*starts[1:].tolist(), len(rows)]
+    plane, station = (one[rows[starts]].tolist() for one in (readings.plane, readings.station))
+    for g, (begin, end) in enumerate(zip(starts.tolist(), ends, strict=True)):
+        own, some = slice(begin, end), rows[begin:end]
         blocks.append(
             RangeBlock(
-                [beams[i] for i in seen],
-                planes[readings.plane[run[0]]],
-                readings.distance[run],
-                R,
-                t,
-                pose,
-                beam_of,
-                None if whitening is None else whitening.of_rows(run),
-                None if readings.regressors is None else readings.regressors[run],
+                seen[first[g] : first[g + 1]],
+                planes[plane[g]],
+                d[own],
+                R[own],
+                t[own],
+                None if priors is None else pose_key(station[g]),
+                beam_of[own],
+                None if whitening is None else whitening.of_rows(some),
+                None if readings.regressors is None else readings.regressors[some],
             )
         )
     return tuple(blocks)
