@@ -169,9 +169,9 @@ def test_what_is_no_regular_file_is_never_replaced(tmp_path):
 def test_a_start_that_failed_is_null_in_the_result():
     recording = hl.read_recording(GRIPPER / "recording.csv")
     calibration = hl.calibrate(recording, hl.Noise(3e-5))
-    start = replace(calibration.start, tried=(("directions", math.inf),))
+    start = replace(calibration.start, tried=(("sweep", math.inf),))
     record = json.loads(calibration_text(replace(calibration, start=start)))
-    assert record["start"]["tried"] == [{"method": "directions", "rms_m": None}]
+    assert record["start"]["tried"] == [{"method": "sweep", "rms_m": None}]
 
 
 def test_files_reach_the_disk_before_they_get_their_names(tmp_path, monkeypatch):

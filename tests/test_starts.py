@@ -19,10 +19,14 @@ from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start
+from handlaser_gtsam.starts.blocks import sweep_starts
 from handlaser_gtsam.starts.choice import mean_squares_at_a_glance
 from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
 from handlaser_gtsam.starts.growing import PartialStart, excerpt_of, grow
-from handlaser_gtsam.starts.translations import translation_start
+from handlaser_gtsam.starts.translations import (
+    translation_start,
+    translation_start_with_range_errors,
+)
 from handlaser_gtsam.validation.scenes import Layout
 
 # Closed forms lose digits where translations or turns are small beside the distances: 1e-16 / 1e-4.
@@ -118,6 +122,17 @@ def test_no_translations_no_closed_form():
     assert translation_start(recording.readings()) is None
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_sweep_from_any_motion(seed):
+    recording = recording_of(bench(1, 1), *motion("free", 12, seed), [0] * 12, 0.0)
+    readings = recording.readings()
+    start = sweep_starts(readings)[0]
+    # The sweep refines by Gauss-Newton until the cost is at rounding: 1e-9 is far inside its basin.
+    location, direction = largest_error(grow(start, readings), bench(1, 1))
+    assert location < 1e-6
+    assert direction < 1e-6
+
+
 def test_half_sphere_is_even():
     n = sphere(600)[:300]
     assert np.allclose(np.linalg.norm(n, axis=1), 1.0)
@@ -127,7 +142,7 @@ def test_half_sphere_is_even():
     assert np.degrees(nearest.max()) < 12.0
 
 
-@pytest.mark.parametrize(("scene", "method"), [("paper", "translations"), ("arm", "directions")])
+@pytest.mark.parametrize(("scene", "method"), [("paper", "translations"), ("arm", "sweep")])
 def test_the_choice_is_automatic_and_reported(scene, method):
     recording, truth = simulated(scene)
     start = find_start(recording.readings(), 3e-5)
@@ -151,8 +166,9 @@ def test_misleading_translations_lose_against_the_sweep():
     d[readings.station < 4] += [0.04, -0.05, 0.03, -0.02]
     start = find_start(replace(readings, distance=d))
     tried = dict(start.tried)
-    assert tried["directions"] < 0.1 * tried["translations"]
-    assert start.method == "directions"
+    assert tried["sweep"] < 0.1 * tried["translations"]
+    # Two sweeps reach the same optimum; rounding decides which of them is named.
+    assert start.method in ("sweep", "directions")
 
 
 def test_growing_fills_what_nothing_reaches():
@@ -202,6 +218,25 @@ def test_planes_known_the_wrong_way_round_are_turned():
     start = PartialStart.of(readings)
     start.normals[0], start.offsets[0] = -truth.normals[0], -truth.offsets[0]
     assert_exact(grow(start, readings), truth)
+
+
+def test_translations_determine_range_errors_in_closed_form():
+    plain = bench(1, 2)
+    k = np.array([[0.02, 0.1], [-0.01, 0.2]])
+    truth = replace(plain, range_errors=k)
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1], [0.2, 0.2, 0.3]], [7, 2, 2, 2])
+    readings = recording_of(truth, R, t, [0] * 13, 0.0).readings()
+    start = translation_start_with_range_errors(readings)
+    assert start is not None
+    found = grow(start, readings)
+    assert_exact(found, truth)
+    assert np.abs(found.range_errors - k).max() < 1e-9
+
+
+def test_translations_that_do_not_determine_a_range_error_say_so():
+    R, t = turned([[0, 0, 0], [0.3, 0, 0], [0, 0.3, 0.1]], [4, 2, 2])
+    readings = recording_of(bench(1, 1), R, t, [0] * 8, 0.0).readings()
+    assert translation_start_with_range_errors(readings) is None
 
 
 def test_random_starts_reach_what_the_sweeps_do_not_need():
@@ -277,7 +312,7 @@ def test_of_starts_that_end_at_one_optimum_the_first_one_tried_is_named(monkeypa
 
         monkeypatch.setattr("handlaser_gtsam.starts.choice.refine_many", rounded)
         named.add(find_start(readings, 3e-5).method)
-    assert named == {"directions"}
+    assert named == {"sweep"}
 
 
 def test_a_glance_at_many_recordings_is_one_at_each():

@@ -21,6 +21,7 @@ from ..model.families import count_unknowns
 from ..quantities import MAJORITY, ROUNDING
 from ..solvers.refine import Refined, refine_many
 from .beam_minima import with_better_beams
+from .blocks import sweep_starts
 from .directions import direction_starts, random_starts
 from .growing import PartialStart, excerpt_of, grow
 from .search import (
@@ -34,7 +35,7 @@ from .search import (
     rank,
     search,
 )
-from .translations import translation_start
+from .translations import translation_start, translation_start_with_range_errors
 
 SAME_COST = 1.01
 """Candidates whose sums of squares agree to this factor are at one optimum, if not yet arrived."""
@@ -58,8 +59,8 @@ class Start:
     parameters : Parameters
         With range errors where there were enough readings to refine them.
     method : str
-        How it was found: `translations`, `directions`, `random`, or `least norm` where nothing else
-        applies.
+        How it was found: `translations`, `translations with range error`, `sweep` (of normals),
+        `directions`, `random`, or `least norm` where nothing else applies.
     tried : tuples (method, rms [m])
         Every method that applied, with the lowest rms residual it reached; the lowest first.
     fits : bool
@@ -97,8 +98,8 @@ def find_start(
     terms : int
         Most range-error terms the solution will have.
     effort : {"glance", "quick", "normal", "thorough"}
-        What follows where the first starts do not convince: nothing (`glance`, `quick`), a finer
-        sweep, or a finer sweep and random starts. At a glance no start is refined to the end.
+        What follows where the first starts do not convince: nothing (`glance`, `quick`), finer
+        sweeps, or finer sweeps and random starts. At a glance no start is refined to the end.
     certain : bool
         Whether larger residuals than the range sigma says are a misfit; where poses err they are not.
     accepts : callable, optional
@@ -112,7 +113,7 @@ def find_start(
     last_steps = 0 if effort == "glance" else LAST_STEPS
     rounds: Iterable[Round] = _later_rounds(some, effort)
     if earlier is None:
-        rounds = chain(_first_rounds(some), rounds)
+        rounds = chain(_first_rounds(some, terms), rounds)
     candidates, believed = search(
         rounds,
         lambda latest: refined_starts(latest, some, terms, last_steps),
@@ -164,19 +165,27 @@ def fits_sigma(squares: float, readings: Readings, range_sigma: float | None, te
     return squares <= range_sigma**2 * (dof + 4.0 * float(np.sqrt(2.0 * dof)))
 
 
-def _first_rounds(readings: Readings) -> Iterator[Round]:
+def _first_rounds(readings: Readings, terms: int) -> Iterator[Round]:
     """Yield the cheap starts."""
     closed = translation_start(readings)
     if closed is not None:
         yield Round(_grown("translations", [closed], readings))
-    yield Round(_grown("directions", direction_starts(readings, 6), readings))
+    corrected = translation_start_with_range_errors(readings) if terms else None
+    yield Round(
+        [
+            *_grown("translations with range error", [corrected] if corrected else [], readings),
+            *_grown("sweep", sweep_starts(readings), readings),
+            *_grown("directions", direction_starts(readings, 6), readings),
+        ]
+    )
 
 
 def _later_rounds(readings: Readings, effort: Effort) -> Iterator[Round]:
-    """Yield a finer sweep and random starts, as far as the effort goes."""
+    """Yield finer sweeps and random starts, as far as the effort goes."""
     if effort in ("glance", "quick"):
         return
     yield Round(_grown("directions", direction_starts(readings, 40, tried=600), readings))
+    yield Round(_grown("sweep", sweep_starts(readings, refined=16, seeds=8, kept=4), readings))
     rng = np.random.default_rng(0)
     # Of the hardest problems met, each random start reaches the optimum in one case of 50.
     for _ in range(5 if effort == "thorough" else 0):

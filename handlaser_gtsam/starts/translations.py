@@ -10,10 +10,16 @@ translations differ, equation (12): n . dt = -dd p with p = n_H . v.
    give v (Lemma 2): from hand rotations, from planes, or from both mixed.
 3. With n and v known, n_H . r + b = -d (n_H . v) - n . t is linear in every r and b [15]-[17].
 
+With a range error d + k1 d + k2 d^2 the relation of a series becomes
+n . dt = -(dd + kappa d(d^2)) p' with p' = (1 + k1) p and kappa = k2 / (1 + k1). It is linear in
+(n / p', kappa), so kappa of a beam follows from all its series; readings are corrected by it, and the
+length of v that step 2 then finds is 1 + k1. Without noise that is exact; with noise kappa may be
+poor, so this start competes with the plain one.
+
 Planes and beams that satisfy no lemma stay unknown here and are grown afterwards.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,7 +37,7 @@ SPANNING = 1e-4
 class _Series:
     """Plane, beam and rotation of S series, and the second moments of what varies in each.
 
-    `moments` (S, 4, 4) are of translations t (3) and readings d, about their means.
+    `moments` (S, 5, 5) are of translations t (3), readings d and their squares q, about their means.
     """
 
     plane: IntArray
@@ -42,6 +48,30 @@ class _Series:
 
 def translation_start(readings: Readings) -> PartialStart | None:
     """Return what pure translations determine, or None where no plane or no beam is."""
+    start = _normals_and_directions(readings)
+    if start is not None:
+        start.range_errors[:, 0] = 0.0
+        _solve_locations(start, readings)
+    return start
+
+
+def translation_start_with_range_errors(readings: Readings) -> PartialStart | None:
+    """Return the same with k1 and k2 of every beam, or None where they are not determined."""
+    series = _series(readings)
+    kappa = None if series is None else _kappas(series, readings)
+    if kappa is None:
+        return None
+    d = readings.distance
+    corrected = replace(readings, distance=d * (1.0 + kappa[readings.beam] * d))
+    start = _normals_and_directions(corrected)
+    if start is not None:
+        _solve_locations(start, corrected)
+        start.range_errors[:, 1] = kappa * (1.0 + start.range_errors[:, 0])
+    return start
+
+
+def _normals_and_directions(readings: Readings) -> PartialStart | None:
+    """Return steps 1 and 2, with k1 from the length of v; None where no plane or no beam is known."""
     series = _series(readings)
     if series is None:
         return None
@@ -50,8 +80,25 @@ def translation_start(readings: Readings) -> PartialStart | None:
     _solve_directions(start, series)
     if np.isnan(start.normals).all() or np.isnan(start.directions).all():
         return None
-    _solve_locations(start, readings)
     return start
+
+
+def _kappas(series: _Series, readings: Readings) -> FloatArray | None:
+    """Return kappa (B,) [1/m], zero where a beam's series do not determine it; None if all are zero."""
+    tt, td, tq = series.moments[:, :3, :3], series.moments[:, :3, 3], series.moments[:, :3, 4]
+    dq, qq = series.moments[:, 3, 4], series.moments[:, 4, 4]
+    along = np.einsum("si,sij->sj", tq, np.linalg.pinv(tt, rcond=ROUNDING, hermitian=True))
+    free = qq - np.einsum("si,si->s", along, tq)
+    rest = dq - np.einsum("si,si->s", along, td)
+    beams = readings.beams
+    total = np.bincount(series.beam, qq, beams)
+    left, right = np.bincount(series.beam, free, beams), np.bincount(series.beam, rest, beams)
+    usable = left > ROUNDING * total  # the translations leave part of the squared readings free
+    kappa = np.where(usable, -right / np.where(usable, left, 1.0), 0.0)
+    farthest = np.zeros(beams)
+    np.maximum.at(farthest, readings.beam, readings.distance)
+    kappa = np.where(np.abs(kappa) * farthest <= model.LEAST_FACTOR, kappa, 0.0)
+    return kappa if kappa.any() else None
 
 
 def _series(readings: Readings) -> _Series | None:
@@ -60,10 +107,11 @@ def _series(readings: Readings) -> _Series | None:
     labels = (readings.plane * readings.beams + readings.beam) * len(rotation) + rotation
     _, first, index = np.unique(labels, return_index=True, return_inverse=True)
     count = np.bincount(index)
-    columns = np.column_stack((readings.world_t_hand, readings.distance))
+    d = readings.distance
+    columns = np.column_stack((readings.world_t_hand, d, d * d))
     means = np.stack([np.bincount(index, column) for column in columns.T], axis=1) / count[:, None]
     columns -= means[index]
-    moments = np.zeros((len(count), 4, 4))
+    moments = np.zeros((len(count), 5, 5))
     np.add.at(moments, index, columns[:, :, None] * columns[:, None, :])
     moving = np.flatnonzero(np.trace(moments[:, :3, :3], axis1=1, axis2=2) > 1e-18)
     if not moving.size:
@@ -103,7 +151,9 @@ def _solve_directions(start: PartialStart, series: _Series) -> None:
     spread = np.linalg.eigvalsh(matrix)
     for beam in np.flatnonzero(spread[:, 0] > SPANNING * spread[:, 2]):
         v = np.linalg.solve(matrix[beam], rhs[beam])
-        start.directions[beam] = v / np.linalg.norm(v)
+        length = float(np.linalg.norm(v))
+        start.directions[beam] = v / length
+        start.range_errors[beam, 0] = length - 1.0
 
 
 def _solve_locations(start: PartialStart, readings: Readings) -> None:
@@ -114,7 +164,8 @@ def _solve_locations(start: PartialStart, readings: Readings) -> None:
     n = start.normals[part.plane]
     n_hand = np.einsum("nji,nj->ni", part.world_R_hand, n)
     cosine = np.einsum("ni,ni->n", n_hand, start.directions[part.beam])
-    rhs = -part.distance * cosine - np.einsum("ni,ni->n", n, part.world_t_hand)
+    ranges = part.distance * (1.0 + start.range_errors[part.beam, 0])
+    rhs = -ranges * cosine - np.einsum("ni,ni->n", n, part.world_t_hand)
     A = np.zeros((len(part), 3 * part.beams + part.planes))
     np.put_along_axis(A, 3 * part.beam[:, None] + np.arange(3), n_hand, axis=1)
     A[np.arange(len(part)), 3 * part.beams + part.plane] = 1.0

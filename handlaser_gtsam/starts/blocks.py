@@ -1,0 +1,108 @@
+r"""Starts that one beam before one plane gives, from any motion.
+
+For a fixed normal n the equation of a reading d at a hand pose R, t is linear in seven unknowns
+(r, v, b):
+
+    n_H . r + d n_H . v + b = -n . t,    n_H = R'n
+
+One batched solve tries some hundred normals; the best few are refined by Gauss-Newton on the range
+residual, and the lowest cost wins. (n, b) and (-n, -b) are one plane, so half the sphere is enough.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..arrays import IntArray
+from ..data.parameters import Parameters
+from ..data.recording import Readings
+from ..quantities import TINY
+from ..solvers.refine import refine_many
+from .directions import least_squares, sphere
+from .growing import PartialStart
+from .search import SAME_DIRECTION
+
+NORMALS = 300
+"""Normals tried over the half sphere: they lie about 8 degrees apart."""
+SWEEP_STEPS = 12
+"""Refinement steps of the best normals of one block, which tell its solutions apart."""
+RIDGE = 1e-10
+"""Part of the trace that is added to normal equations which a motion may leave singular."""
+
+
+def sweep_starts(
+    readings: Readings, refined: int = 8, seeds: int = 2, kept: int = 2
+) -> list[PartialStart]:
+    """Return starts that know one beam and one plane each.
+
+    Parameters
+    ----------
+    readings : Readings
+    refined : int
+        The best normals, whose solutions are refined.
+    seeds : int
+        Pairs of beam and plane that are swept, those with the richest motion first.
+    kept : int
+        Different solutions that each pair gives.
+    """
+    starts = []
+    for rows in _richest_blocks(readings)[:seeds]:
+        part = readings.subset(rows)
+        beam, plane, zero = part.beam[0], part.plane[0], np.zeros(len(part), dtype=np.intp)
+        alone = replace(part, beam=zero, plane=zero, beams=1, planes=1, samples=None)
+        tried = refine_many(_linear_solutions(alone, refined), alone, 0, SWEEP_STEPS)
+        best: list[Parameters] = []  # the different solutions, the lowest cost first
+        for solution in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
+            v = solution.parameters.directions[0]
+            if all(np.linalg.norm(v - other.directions[0]) > SAME_DIRECTION for other in best):
+                best.append(solution.parameters)
+        for p in best[:kept]:
+            r, v, n, b = p.locations[0], p.directions[0], p.normals[0], p.offsets[0]
+            starts.append(PartialStart.of(readings, beam, plane, r, v, n, b))
+    return starts
+
+
+def _richest_blocks(readings: Readings) -> list[IntArray]:
+    """Return the rows of every (plane, beam), the widest spread of rotations first.
+
+    The spread is the third largest variance of the rotation matrices' entries: it vanishes for
+    rotations about one axis only.
+    """
+    starts = readings.block_starts()
+    count = np.diff(np.append(starts, len(readings)))
+    R = readings.world_R_hand.reshape(-1, 9)
+    mean = np.add.reduceat(R, starts) / count[:, None]
+    local = R - np.repeat(mean, count, axis=0)
+    scatter = np.stack([np.add.reduceat(local * local[:, i : i + 1], starts) for i in range(9)], 1)
+    spread = np.linalg.eigvalsh(scatter)[:, -3]
+    best = np.lexsort((starts, -count, -np.round(spread, 9)))
+    return [np.arange(starts[i], starts[i] + count[i], dtype=np.intp) for i in best]
+
+
+def _linear_solutions(readings: Readings, count: int) -> list[Parameters]:
+    """Solve for (r, v, b) at every normal; return the `count` best.
+
+    The first solve leaves v its length; the second fixes v at length one and solves for (r, b) again:
+    few stations fit almost any normal with some length of v.
+    """
+    n = sphere(2 * NORMALS)[:NORMALS]
+    centre = readings.world_t_hand.mean(axis=0)
+    n_hand = np.einsum("mji,cj->cmi", readings.world_R_hand, n)
+    ones = np.ones((*n_hand.shape[:2], 1))
+    scale = np.abs(readings.distance).mean()
+    reach = n_hand * (readings.distance / scale)[:, None]
+    rhs = -np.einsum("ci,mi->cm", n, readings.world_t_hand - centre)
+    v = least_squares(np.concatenate((n_hand, reach, ones), axis=2), rhs, RIDGE)[:, 3:6]
+    v /= np.maximum(np.linalg.norm(v, axis=1, keepdims=True), TINY)
+    cosine = np.einsum("cmi,ci->cm", n_hand, v)
+    A, rest = np.concatenate((n_hand, ones), axis=2), rhs - readings.distance * cosine
+    x = least_squares(A, rest, RIDGE)
+    error = (A @ x[:, :, None])[..., 0] - rest
+    slope = np.einsum("cm,cm->c", cosine, cosine) + TINY
+    order = np.argsort(np.einsum("cm,cm->c", error, error) / slope)
+    solutions = []
+    for c in order[:count]:
+        row = slice(c, c + 1)
+        b = np.array([x[c, 3] - n[c] @ centre])
+        solutions.append(Parameters(x[row, :3], v[row], np.zeros((1, 2)), n[row], b))
+    return solutions
