@@ -48,8 +48,6 @@ FEW_BLOCKS = 10
 
 PLANE_COLUMNS = slice(BEAM.dim, BEAM.dim + PLANE.dim)
 """Columns of a row by its plane, after those by its beam; tangents are GTSAM's."""
-NORMAL_COLUMNS, OFFSET_COLUMN = slice(BEAM.dim, PLANE_COLUMNS.stop - 1), PLANE_COLUMNS.stop - 1
-"""Columns of a row by the normal of its plane, and by its offset."""
 POSE_COLUMNS = slice(PLANE_COLUMNS.stop, PLANE_COLUMNS.stop + POSE.dim)
 """Columns of a row by its hand pose."""
 
@@ -196,16 +194,12 @@ class SharedEvaluation:
                 gathered(k, self.range_error_of[rows]),
             )
             linear = model.linearize(x, self.measured[rows], with_pose=with_pose)
-            residual[rows], J = linear.residual, jacobian[rows]
-            J[:, LOCATION], J[:, RANGE_ERROR] = linear.location, linear.range_error
-            for by, tangents, columns in (
-                (linear.direction, gathered(v_basis, of_direction), DIRECTION),
-                (linear.normal, gathered(n_basis, of_plane), NORMAL_COLUMNS),
-            ):
-                np.einsum("ni,nij->nj", by, tangents, out=J[:, columns])
-            J[:, OFFSET_COLUMN] = linear.offset
+            bases_of_rows = gathered(v_basis, of_direction), gathered(n_basis, of_plane)
+            columns = model.tangent_columns(linear, *bases_of_rows, None, 2)
+            jacobian[rows, : PLANE_COLUMNS.stop] = columns[:-1].T
+            residual[rows] = columns[-1]
             if with_pose:
-                J[:, POSE_COLUMNS] = linear.pose
+                jacobian[rows, POSE_COLUMNS] = linear.pose
         if not np.isfinite(residual).all():
             raise SolverError("residual of a range factor is not finite; expected finite values")
         white = residual if self.whitening is None else self.whitening.apply(residual)

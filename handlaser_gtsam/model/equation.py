@@ -173,7 +173,11 @@ def linearize(x: Scene, d: FloatArray | Regressors, *, with_pose: bool = False) 
 
 
 def tangent_columns(
-    linear: Linearization, v_basis: FloatArray, n_basis: FloatArray, centres: FloatArray, terms: int
+    linear: Linearization,
+    v_basis: FloatArray,
+    n_basis: FloatArray,
+    centres: FloatArray | None,
+    terms: int,
 ) -> FloatArray:
     """Return derivatives by the unknowns of each reading's beam and plane, then e, transposed.
 
@@ -184,8 +188,8 @@ def tangent_columns(
     linear : Linearization
     v_basis, n_basis : (N, 3, 2)
         Tangent bases of each reading's direction and normal.
-    centres : (N, 3)
-        Points at which the offsets of the readings' planes are taken [m].
+    centres : (N, 3), optional
+        Points at which the offsets of the readings' planes are taken [m]; the origin where not given.
     terms : int
         Range-error terms.
     """
@@ -194,7 +198,9 @@ def tangent_columns(
     columns[LOCATION] = linear.location.T
     np.einsum("ni,nij->jn", linear.direction, v_basis, out=columns[DIRECTION])
     columns[MOUNT_DIM:beam] = linear.range_error[:, :terms].T
-    local = linear.normal - linear.offset[:, None] * centres
+    local = linear.normal
+    if centres is not None:
+        local = local - linear.offset[:, None] * centres
     np.einsum("ni,nij->jn", local, n_basis, out=columns[-4:-2])
     columns[-2], columns[-1] = linear.offset, linear.residual
     return columns
