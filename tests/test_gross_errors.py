@@ -9,7 +9,7 @@ from benchmarks.gross_errors import Case, made, run_once
 from benchmarks.right_angles import Scene, coded, plates, relabelled
 from handlaser_gtsam import model
 from handlaser_gtsam.model.losses import Loss
-from handlaser_gtsam.model.search import LossScale
+from handlaser_gtsam.model.search import RobustLoss
 from handlaser_gtsam.outliers.consensus import ConsensusJudge
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts.directions import direction_starts, subset_starts
@@ -97,7 +97,7 @@ def labelled(seed=1):
 def reached(starts, readings, truth):
     """How many starts the robust refinement brings within 2 degrees of the truth."""
     grown = [grow(start, readings) for start in starts]
-    found = refine_many(grown, readings, 0, 40, Loss("cauchy"), LossScale(1e-9, 0.65))
+    found = refine_many(grown, readings, 0, 40, RobustLoss(Loss("cauchy"), 1e-9, 0.65))
     turn = [
         np.linalg.norm(np.cross(f.parameters.directions, truth.directions), axis=1) for f in found
     ]
@@ -130,7 +130,7 @@ def test_a_robust_refinement_passes_beams_that_graze_a_plane():
     turned = replace(at, normals=normals)
     assert np.abs(model.cosines(model.scene(turned, readings))).min() < model.GRAZING_LIMIT
     assert refine_many([turned], readings, 2, 40)[0] is None
-    found = refine_many([turned], readings, 2, 60, Loss("cauchy"), LossScale(1e-5, 0.65))[0]
+    found = refine_many([turned], readings, 2, 60, RobustLoss(Loss("cauchy"), 1e-5, 0.65))[0]
     assert found is not None
     # The loss gives up 0.1 mm of noise and the joints' errors: the same solution within those.
     assert np.abs(found.parameters.normals - at.normals).max() < 2e-3
@@ -155,5 +155,5 @@ def test_agreement_by_chance_is_told_from_a_solution():
     rng = np.random.default_rng(0)
     noise = replace(readings, distance=rng.uniform(0.1, 0.5, len(readings)))
     starts = [grow(start, noise) for start in direction_starts(noise, 8)]
-    for one in refine_many(starts, noise, 2, 40, Loss("cauchy"), LossScale(1e-9, 0.65)):
+    for one in refine_many(starts, noise, 2, 40, RobustLoss(Loss("cauchy"), 1e-9, 0.65)):
         assert ConsensusJudge(noise, 2, None).beyond_chance(one) < 0.0

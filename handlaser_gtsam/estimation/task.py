@@ -21,7 +21,7 @@ from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.errors_in_variables import weighed
 from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
-from ..model.search import LevenbergOptions, Searched, search
+from ..model.search import LevenbergOptions, RobustLoss, Searched, search
 from ..model.weighting import Variances, Whitening, unequal, whitening
 from ..observability.held import Judge
 from ..observability.other_solutions import least_observed
@@ -289,7 +289,9 @@ class SolutionTask:
         start = replace(start, range_errors=start.range_errors * used)
         require_steep(start, readings)
         how = noise if isinstance(noise, float) else [noise]
-        problem, block = beam_problem([readings], self.terms, how, prior=self.prior, loss=self.loss)
+        sigma = noise if isinstance(noise, float) else noise.sigma
+        robust = None if self.loss == GAUSSIAN else RobustLoss(self.loss, sigma)
+        problem, block = beam_problem([readings], self.terms, how, prior=self.prior, robust=robust)
         trials: list[Trial] = []
 
         def told(trial: Trial) -> None:
@@ -303,7 +305,7 @@ class SolutionTask:
             readings,
             per_beam(self.terms, readings.beams),
             self.loss,
-            noise if isinstance(noise, float) else noise.sigma,
+            sigma,
             parameters,
             *_ending(ended, steps, len(trials) >= solver.max_iterations),
             float(ended.cost[0]),

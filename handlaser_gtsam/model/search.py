@@ -11,7 +11,7 @@ Problems are K recordings of one shape, or K candidates for one recording.
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -156,34 +156,8 @@ class LevenbergOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class LossScale:
-    """The unit of residuals in a loss.
-
-    Attributes
-    ----------
-    least : float
-        The unit [m], or its lower bound where it follows the residuals.
-    good : float, optional
-        Part of the readings that count as good. The unit then follows the quantile of the absolute
-        residuals of each candidate at that part, and never grows.
-    """
-
-    least: float = 1.0
-    good: float | None = None
-
-    def of(self, residual: FloatArray) -> FloatArray:
-        """Return the unit (K,) for residuals (K, N)."""
-        if self.good is None:
-            return np.full(len(residual), self.least)
-        rank = min(max(int(np.ceil(self.good * residual.shape[1])), 1), residual.shape[1])
-        quantile = np.partition(np.abs(residual), rank - 1, axis=1)[:, rank - 1]
-        # It bounds half to two thirds of all, a third being outliers, at this many sigmas.
-        return np.asarray(np.maximum(quantile / 1.2, self.least))
-
-
-@dataclass(frozen=True, slots=True)
 class RobustLoss:
-    """A loss of the residuals of the first block.
+    """A loss of the residuals of the first block, whose unit may follow the good ones.
 
     Residuals end at a limit: a row that is impossible, as of a beam that grazes its plane, counts as
     one at the limit and has no weight, which is no reason to drop a candidate.
@@ -191,18 +165,32 @@ class RobustLoss:
     Attributes
     ----------
     loss : Loss
-        Of residuals in units of the scale.
-    scale : LossScale
+        Of residuals in the unit.
+    least : float
+        The unit [m], or its lower bound where it follows the residuals.
+    good : float, optional
+        Part of the readings that count as good. The unit then follows the quantile of the absolute
+        residuals of each candidate at that part, and never grows.
     limit : float
         Largest residual [m].
     real : (G, S) of bool
-        Rows that are readings and no padding.
+        Rows that are readings and no padding; `beam_problem` fills it in.
     """
 
     loss: Loss
-    scale: LossScale
-    limit: float
-    real: BoolArray
+    least: float
+    good: float | None = None
+    limit: float = np.inf
+    real: BoolArray = field(default_factory=lambda: np.ones((0, 0), dtype=bool))
+
+    def unit(self, residual: FloatArray) -> FloatArray:
+        """Return the unit (K,) for residuals (K, N)."""
+        if self.good is None:
+            return np.full(len(residual), self.least)
+        rank = min(max(int(np.ceil(self.good * residual.shape[1])), 1), residual.shape[1])
+        quantile = np.partition(np.abs(residual), rank - 1, axis=1)[:, rank - 1]
+        # It bounds half to two thirds of all, a third being outliers, at this many sigmas.
+        return np.asarray(np.maximum(quantile / 1.2, self.least))
 
     def residual(self, white: FloatArray, impossible: BoolArray | None) -> FloatArray:
         """Return the residuals (K, N) of whitened columns within the limit."""
@@ -415,7 +403,7 @@ class _Search:
             none = np.empty((len(cost), 0))
             return _Point(dict(values), cost, normal, [], none, problem.unit)
         residual = robust.residual(white[0], rows[0].impossible)
-        scale = robust.scale.of(residual) if scale is None else scale
+        scale = robust.unit(residual) if scale is None else scale
         cost = robust.cost(residual, scale) / variance
         for columns in white[1:]:
             cost = cost + 0.5 * np.einsum("kgs,kgs->k", columns[-1], columns[-1]) / variance
@@ -426,7 +414,7 @@ class _Search:
         robust, at = self.problem.robust, self.at
         if robust is None:
             return
-        scale = np.where(moved, np.minimum(at.scale, robust.scale.of(at.residual)), at.scale)
+        scale = np.where(moved, np.minimum(at.scale, robust.unit(at.residual)), at.scale)
         # A scale that falls by less than a thousandth in a step has settled.
         self.tightening = np.where(moved, scale < 0.999 * at.scale, self.tightening)
         if (scale < at.scale).any():

@@ -16,15 +16,14 @@ from ..data.recording import Readings
 from ..model.equation import plausible_range_errors
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import count_unknowns
-from ..model.losses import Loss
-from ..model.search import LossScale
+from ..model.search import RobustLoss
 from ..quantities import FAR_SIGMAS, KNOWN, MAJORITY
 from ..solvers.refine import Refined, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
 from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms
 from ..starts.growing import Excerpt, excerpt_of
-from ..starts.robust import METHOD, SAME_CRITERION, least_scale, robust_search
+from ..starts.robust import CAUCHY, METHOD, SAME_CRITERION, least_scale, robust_search
 from ..starts.search import FINALISTS, LAST_STEPS, Candidate, Round, agreeing
 from .snooping import Screening, enough, evidence, price, screen, sigma_of
 
@@ -98,10 +97,8 @@ class ConsensusJudge:
             return False
         unknowns = count_unknowns(good, self.terms)
         share = (unknowns + 0.5 * max(len(good) - unknowns, 0)) / len(good)
-        rule = LossScale(least_scale(good, self.range_sigma), max(share, 0.5))
-        most = refine_many(
-            [screening.parameters], good, self.terms, LAST_STEPS, Loss("cauchy"), rule
-        )[0]
+        rule = RobustLoss(CAUCHY, least_scale(good, self.range_sigma), max(share, 0.5))
+        most = refine_many([screening.parameters], good, self.terms, LAST_STEPS, rule)[0]
         return most is not None and most.scale > SUSPICIOUS * max(screening.range_sigma, rule.least)
 
     def fits_well(self, screening: Screening, part: float = POOR_START) -> bool:
@@ -218,9 +215,9 @@ def _robust(
     candidates = robust_search(readings, known, sigma, terms, judge.criterion, judge.convinced)
     if part.is_whole:
         return candidates
-    rule = LossScale(least_scale(part.whole, sigma), MAJORITY)
+    rule = RobustLoss(CAUCHY, least_scale(part.whole, sigma), MAJORITY)
     grown = [part.extended(candidate.parameters) for candidate in candidates[:SCREENED]]
-    whole = refine_many(grown, part.whole, terms, LAST_STEPS, Loss("cauchy"), rule)
+    whole = refine_many(grown, part.whole, terms, LAST_STEPS, rule)
     return [
         Candidate(METHOD, refined.parameters, 0.0, refined.scale)
         for refined in whole

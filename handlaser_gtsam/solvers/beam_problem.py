@@ -1,7 +1,7 @@
 """Beams that read planes as a least-squares problem of the reduction."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,9 +13,8 @@ from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tan
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
 from ..model.block import Block, VectorPrior, whitened
 from ..model.families import BEAM, PLANE, count_unknowns, modelled
-from ..model.losses import GAUSSIAN, Loss
 from ..model.reduction import Normal, Reduction, damped_step
-from ..model.search import LeastSquares, LossScale, RobustLoss
+from ..model.search import LeastSquares, RobustLoss
 from ..model.weighting import Whitening
 
 UNKNOWNS_RATIO = 4
@@ -28,9 +27,7 @@ def beam_problem(
     noise: float | Sequence[Whitening],
     copies: int = 1,
     prior: RangeErrorPrior | None = None,
-    loss: Loss = GAUSSIAN,
-    scale: LossScale | None = None,
-    limit: float = np.inf,
+    robust: RobustLoss | None = None,
     local: str | None = None,
 ) -> tuple[LeastSquares, BeamsOnPlanes]:
     """Return the problems of several recordings, or candidates for one, and their readings as a block.
@@ -46,11 +43,7 @@ def beam_problem(
         Candidates.
     prior : RangeErrorPrior, optional
         Of every problem.
-    loss : Loss
-    scale : LossScale, optional
-        Unit of the residuals in a robust loss: their standard deviation, if not given.
-    limit : float
-        Largest residual under a robust loss [m].
+    robust : RobustLoss, optional
     local : str, optional
         The family that is eliminated; beams only where there are far more of them, if not given.
     """
@@ -65,11 +58,9 @@ def beam_problem(
         blocks.append(VectorPrior(BEAM.name, root, mean))
     reach = np.broadcast_to(block.reach(), K)
     rounding = block.size * (4.0 * np.finfo(float).eps * reach / unit) ** 2
-    robust = None
-    if loss != GAUSSIAN:
-        real = np.zeros((1, *block.slots()[0].member.shape, block.slots_of_chunk), dtype=bool)
-        real[:] = block.spread(np.ones((1, block.size))).reshape(real.shape) > 0.0
-        robust = RobustLoss(loss, scale or LossScale(float(unit[0])), limit, real[0])
+    if robust is not None:
+        real = block.spread(np.ones((1, block.size))).reshape(-1, block.slots_of_chunk) > 0.0
+        robust = replace(robust, real=real)
     if local is None:
         free = int(modelled([terms])[0].sum()) * block.beams, PLANE.dim * block.planes
         apart = block.weights.common is None and free[0] > UNKNOWNS_RATIO * free[1]

@@ -1,15 +1,14 @@
 """A few damped steps for many candidates at once: starts are compared after them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..data.parameters import Parameters
 from ..data.readings import Readings
 from ..model.beams_on_planes import parameters_of
-from ..model.losses import GAUSSIAN, Loss
-from ..model.search import LevenbergOptions, LossScale, search
+from ..model.search import LevenbergOptions, RobustLoss, search
 from ..progress import tell
 from ..quantities import ROWS_AT_ONCE
 from .beam_problem import beam_problem
@@ -46,8 +45,7 @@ def refine_many(
     readings: Readings | Sequence[Readings],
     terms: int,
     iterations: int,
-    loss: Loss = GAUSSIAN,
-    scale: LossScale | None = None,
+    robust: RobustLoss | None = None,
 ) -> list[Refined | None]:
     """Refine every start; None where a beam grazes its plane there and the loss is not robust.
 
@@ -63,24 +61,21 @@ def refine_many(
         Range-error terms that are refined with the rest.
     iterations : int
         Most trial steps.
-    loss : Loss
-        Of residuals in units of the scale.
-    scale : LossScale, optional
-        Not needed for the Gaussian loss.
+    robust : RobustLoss, optional
+        Least squares where not given.
     """
     common = isinstance(readings, Readings)
     each = [readings] if isinstance(readings, Readings) else readings
-    # Twice the upper quartile of the readings.
-    limit = 2.0 * max(float(np.quantile(one.distance, 0.75)) for one in each)
+    if robust is not None:  # residuals end at twice the upper quartile of the readings
+        limit = 2.0 * max(float(np.quantile(one.distance, 0.75)) for one in each)
+        robust = replace(robust, limit=limit)
     share = max(ROWS_AT_ONCE // max(len(each[0]), 1), 1)
     refined: list[Refined | None] = []
     for first in range(0, len(starts), share):
         tell("search")
         some = starts[first : first + share]
         read = each if common else each[first : first + share]
-        problem, block = beam_problem(
-            read, terms, 1.0, len(some), loss=loss, scale=scale, limit=limit
-        )
+        problem, block = beam_problem(read, terms, 1.0, len(some), robust=robust)
         # What candidates would still save of their cost, 1e-9 of it, does not change their order.
         tolerance = 3e-5 * float(np.sqrt(problem.dof))
         options = LevenbergOptions(

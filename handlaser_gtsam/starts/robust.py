@@ -24,7 +24,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.families import count_unknowns
 from ..model.losses import Loss
-from ..model.search import LossScale
+from ..model.search import RobustLoss
 from ..quantities import FAR_SIGMAS, ROUNDING
 from ..solvers.refine import Refined, refine_many
 from .directions import FLATTEST, direction_starts, random_starts, subset_starts
@@ -32,6 +32,7 @@ from .growing import PartialStart, grow
 from .search import AGREEING, FINALISTS, FIRST_STEPS, LAST_STEPS, Candidate, Round, search
 
 METHOD = "consensus"
+CAUCHY = Loss("cauchy")
 SAME_CRITERION = 0.5
 """Candidates whose evidence, twice a logarithm, differs by less than this are one solution."""
 
@@ -66,9 +67,9 @@ def robust_search(
 
         Readings within three scales of a candidate support a plane that replaces its own.
         """
-        rule = LossScale(least, latest.good)
+        rule = RobustLoss(CAUCHY, least, latest.good)
         new = [mended(one.parameters, readings, 3.0 * one.scale, rng) for one in best[:8]]
-        loose = refine_many(new, readings, terms, FIRST_STEPS, Loss("cauchy"), rule)
+        loose = refine_many(new, readings, terms, FIRST_STEPS, rule)
         return _tight(loose, readings, terms, rule)
 
     candidates, _ = search(
@@ -128,18 +129,19 @@ def refined_starts(
     latest: Round, readings: Readings, terms: int, least: float
 ) -> list[tuple[str, Refined]]:
     """Return all starts of a round after Cauchy's loss and then Tukey's."""
-    rule, starts = LossScale(least, latest.good), [start for _, start in latest.starts]
-    loose = refine_many(starts, readings, 0, LAST_STEPS, Loss("cauchy"), rule)
+    rule, starts = RobustLoss(CAUCHY, least, latest.good), [start for _, start in latest.starts]
+    loose = refine_many(starts, readings, 0, LAST_STEPS, rule)
     pairs = zip(latest.starts, _tight(loose, readings, terms, rule), strict=True)
     return [(method, refined) for (method, _), refined in pairs if refined is not None]
 
 
 def _tight(
-    loose: list[Refined | None], readings: Readings, terms: int, rule: LossScale
+    loose: list[Refined | None], readings: Readings, terms: int, rule: RobustLoss
 ) -> list[Refined | None]:
     """Return candidates after Tukey's loss."""
     usable = [refined.parameters for refined in loose if refined is not None]
-    tight = iter(refine_many(usable, readings, terms, FIRST_STEPS, Loss("tukey"), rule))
+    rule = replace(rule, loss=Loss("tukey"))
+    tight = iter(refine_many(usable, readings, terms, FIRST_STEPS, rule))
     return [None if refined is None else next(tight) for refined in loose]
 
 
