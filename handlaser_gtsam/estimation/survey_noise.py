@@ -10,8 +10,9 @@ with Q = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V), and the last sum over wha
 noise inside them (q squares, m degrees of freedom): Patterson and Thompson, Biometrika 58 (1971).
 
 Where few readings are left beyond the unknowns, this likelihood may be largest for a noise of zero,
-or errors of the hand may take its place. Therefore every size has a half-Cauchy prior about what is
-usual, and its variance is the mean over all sizes that are possible together (`scales.design`). With
+or errors of the hand may take its place. Therefore every size has a prior about what is usual, as in
+`scales`: half-Cauchy for errors of the hand; for readings flat in the logarithm above, and falling with
+the size below. Its variance is the mean over all sizes that are possible together (`design`). With
 weights that are fixed, the covariance of an estimate is linear in these variances: at their means it is
 the mean of the covariances. From three degrees of freedom of a variance on, a Gaussian of its mean has
 the 95 % interval of Student's distribution within 7 %.
@@ -25,10 +26,12 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..quantities import NEGLIGIBLE, TINY
 from .dense import DenseRows, filled
-from .scales import design, find_mode
+from .scales import RANGE, ROTATION, TRANSLATION, Scale, design, find_mode
 
 WIDEST = math.log(12.0)
 """A size is at most twelve times as large as is usual, or as is most probable if that is more [log]."""
+LARGEST = math.log(1e3)
+"""No size is more than a thousand times what is usual: the prior of readings has no upper end [log]."""
 WELL_KNOWN = 0.1
 """A size is not integrated over where its logarithm has a smaller standard deviation: it follows from
 fifty numbers, and the mean of its variance is within two per cent of the most probable one."""
@@ -117,7 +120,7 @@ def components(
     now, stated : Components
         NaN in `stated` is what is not.
     usual : Components
-        Scales of the half-Cauchy priors.
+        Sizes about which the priors are.
     finest : (n + 2,)
         No size is below it: where rows of one kind fit exactly, the likelihood has no bound.
     """
@@ -126,7 +129,9 @@ def components(
     learned = np.flatnonzero(np.isnan(stated.vector()))
     if not len(learned):
         return stated
-    prior = np.log(usual.vector()[learned])
+    names = [*[RANGE] * len(stated.sigma), ROTATION, TRANSLATION]
+    scales = [Scale(names[i], None, 1.0, float(usual.vector()[i])) for i in learned]
+    prior = np.array([math.log(scale.prior) for scale in scales])
 
     def with_sizes(values: FloatArray) -> Components:
         sizes = stated.vector()
@@ -135,16 +140,15 @@ def components(
 
     def log_posterior(points: FloatArray) -> FloatArray:
         """Return it for logarithms (J, d) of the sizes that are learned."""
-        x = points - prior
-        half_cauchy = (x - np.logaddexp(0.0, 2.0 * x)).sum(axis=1)
+        density = [scale.log_prior(u) for scale, u in zip(scales, points.T, strict=True)]
         sizes = [with_sizes(values) for values in np.exp(points)]
         minus_twice = [likelihood((one.sigma / now.sigma) ** 2, *one.pose) for one in sizes]
-        return np.asarray(half_cauchy - 0.5 * np.array(minus_twice))
+        return np.asarray(np.sum(density, axis=0) - 0.5 * np.array(minus_twice))
 
     start = np.log(now.vector()[learned])
-    bounds = np.column_stack((np.log(finest[learned]), np.maximum(start, prior) + WIDEST))
+    bounds = np.column_stack((np.log(finest[learned]), prior + LARGEST))
     mode = find_mode(log_posterior, start, bounds)
-    bounds[:, 1] = np.maximum(mode, prior) + WIDEST
+    bounds[:, 1] = np.minimum(np.maximum(mode, prior) + WIDEST, prior + LARGEST)
     points, log_weight, _ = design(log_posterior, mode, bounds, WELL_KNOWN)
     log_weight = log_weight + log_posterior(points)
     weight = np.exp(log_weight - log_weight.max())

@@ -155,8 +155,10 @@ def _search_again(
     """Search for a sensor or beam with its targets held where others have found them."""
     own = [item for item in rows.items if item.mount == entity]
     candidates = [values[entity[0]][0, entity[1]]]
-    if entity[0] == BEAM.name and all(item.target[0] == SPHERE.name for item in own):
-        candidates += _beams_on_spheres(rows, own, values[SPHERE.name][0])
+    if entity[0] == BEAM.name:
+        candidates += _random_beams()
+        if all(item.target[0] == SPHERE.name for item in own):
+            candidates += _beams_on_spheres(rows, own, values[SPHERE.name][0])
     found = _searched(rows, entity, own, candidates, sigmas, thorough=True, held=values)
     if found is not None:
         values[entity[0]][0, entity[1]] = found[1][entity]
