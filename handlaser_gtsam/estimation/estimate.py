@@ -31,8 +31,6 @@ from ..solvers.sums import eliminated_sums
 from .block_checks import require_blocks, require_start
 from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
 
-CONTRADICTED = 1e-6
-"""Rows contradict each other where chance gives a larger chi2 with less than this probability."""
 MOST_REJECTED = 0.3
 """Largest part of the readings that may be rejected: beyond, not they but the model is at fault."""
 NAMED_SHARE = 0.1
@@ -410,7 +408,7 @@ def judged(problem: BlockProblem, blocks: Sequence[Block], values: Values) -> Es
     message = f"chi2 {chi2:.4g} at {dof} degrees of freedom"
     if undetermined:
         status, message = "undetermined", f"the rows do not determine {'; '.join(undetermined)}"
-    elif many or (dof > 0 and float(chi2_sf(chi2, dof)) < CONTRADICTED):
+    elif many or (dof > 0 and float(chi2_sf(chi2, dof)) < NEGLIGIBLE):
         status = "contradicted"
         message = f"the rows do not fit each other: {message}"
     return Estimate(

@@ -105,6 +105,29 @@ def beam_posterior(
     return BeamPosterior(information, k, widest_scale(of.linearity or 1.0))
 
 
+def integrated_over(
+    learned: LearnedScales, here: BeamPosterior, every: BeamPosterior
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Integrate over all scales, and count from the solution at the most probable ones.
+
+    Parameters
+    ----------
+    learned : LearnedScales
+    here, every : BeamPosterior
+        The beams for the most probable noise, and for that of all points.
+
+    Returns
+    -------
+    mean, covariance, sets
+        As `BeamPosterior.integrated` has them.
+    solution : (n,)
+        Where the solution at the most probable scales is, counted as the mean is.
+    """
+    mean, covariance, sets = every.integrated(learned.along(here.worst_known()), learned.log_weight)
+    known = RangeErrorGrid.at(learned.range_error, np.zeros(here.shape[0]))
+    return mean, covariance, sets, here.integrated([known], np.zeros(1))[0]
+
+
 @dataclass(eq=False)
 class ScaleProblem:
     """Unknown scales, and readings linearised at a solution.
@@ -152,7 +175,8 @@ class ScaleProblem:
         if self.linearity is not None and self.readings.beams > REPRESENTATIVE_BEAMS:
             grids = (self._most_probable(mode, probable),)
         wide = self.readings.beams <= INTEGRATED_BEAMS and len(self.readings) <= CERTAIN_READINGS
-        points, log_weight, left = design(self._log_posterior, mode, self.scales.bounds, wide)
+        least = 0.0 if wide else np.inf
+        points, log_weight, left = design(self._log_posterior, mode, self.scales.bounds, least)
         return LearnedScales(
             self.scales,
             self.base,

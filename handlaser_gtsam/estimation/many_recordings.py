@@ -4,6 +4,7 @@ Noise is taken as given, every reading counts, and a start that is given is beli
 searched for, rejected or learned. `calibrate` does all that for one recording.
 """
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -28,9 +29,6 @@ from ..model.weighting import Variances, Whitening, unequal
 from ..solvers.beam_problem import beam_problem
 from ..solvers.many_problems import SolvedTogether, solve_together
 from ..starts import find_start
-
-WEIGHT_UPDATES = 2
-"""Updates of weights that depend on the solution; each leaves a thousandth of the error before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -105,7 +103,7 @@ def solve_many(
     solved = solve_together(local, begun, terms, weights, prior, options)
     plain = local
     if any(unequal(variances, terms, one) for one in plain):
-        for _ in range(WEIGHT_UPDATES):
+        for _ in range(2):  # each update leaves a thousandth of the error before
             both = [
                 weighed(one, parameters, variances, terms)
                 for parameters, one in zip(solved.parameters, plain, strict=True)
@@ -149,12 +147,11 @@ def _beam_covariances(
 
 def _inverses(matrices: FloatArray) -> FloatArray:
     """Return the inverses of a stack (K, n, n), NaN of those that are singular."""
-    try:
-        return np.asarray(np.linalg.inv(matrices))
-    except np.linalg.LinAlgError:
-        if len(matrices) == 1:
-            return np.full_like(matrices, np.nan)
-        return np.concatenate([_inverses(one[None]) for one in matrices])
+    inverses = np.full_like(matrices, np.nan)
+    for inverse, matrix in zip(inverses, matrices, strict=True):
+        with contextlib.suppress(np.linalg.LinAlgError):
+            inverse[:] = np.linalg.inv(matrix)
+    return inverses
 
 
 def _of_one_shape(recordings: Sequence[Recording]) -> list[Readings]:

@@ -28,7 +28,7 @@ from ..observability.rank import Observability
 from ..solvers.beam_problem import moved
 from ..solvers.graph import CalibrationGraph, read_parameters
 from ..solvers.levenberg import linearize
-from .learned import LearnedScales, ScaleProblem
+from .learned import LearnedScales, ScaleProblem, integrated_over
 from .scales import Scale
 
 
@@ -184,9 +184,9 @@ def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
         About a solution.
     learned : LearnedScales
     """
-    axes = problem.beams(learned.mode[None])[0].worst_known()
+    here, planes_here = problem.beams(learned.mode[None])
     beams, planes = problem.beams(learned.points)
-    mean, covariance, sets = beams.integrated(learned.along(axes), learned.log_weight)
+    mean, covariance, sets, solution = integrated_over(learned, here, beams)
     unit = BEAM.natural_units(learned.length)[: MOUNT_DIM + learned.terms]
     unit = np.tile(unit, problem.readings.beams)
     plane_unit = PLANE.natural_units(problem.length)
@@ -211,7 +211,9 @@ def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
         spread = float(np.sqrt(sets @ (np.exp(u) - sets @ np.exp(u)) ** 2)) * scale.unit
         spread = float(np.hypot(spread, sigma * learned.left[column]))
         estimates.append(ScaleEstimate(scale, sigma, spread))
-    beam = (mean * unit).reshape(problem.readings.beams, -1)
-    plane = (step - response @ mean) * plane_unit
-    best = moved(problem.parameters, beam, plane, problem.rows.centres)
+    # Where poses are variables the solution is a little off that of the form without them: it stays.
+    beam = ((mean - solution) * unit).reshape(problem.readings.beams, -1)
+    plane = step - response @ mean
+    plane -= planes_here.local_step[0] - planes_here.local_response[0] @ solution
+    best = moved(problem.parameters, beam, plane * plane_unit, problem.rows.centres)
     return Posterior(best, joint, tuple(estimates), learned)

@@ -25,8 +25,6 @@ from ..data.value import Value
 
 SCALE_SPAN = 4.5
 """Scales of range errors lie within exp(+-SCALE_SPAN), a hundredfold, of a stated linearity."""
-LARGEST_RANGE_ERROR = 0.9
-"""Scales reach up to this part of the reading, however good a sensor is said to be."""
 GRID_POINTS = 8
 """Points along each scale of the coarse grid over all, and of the finer one about probable ones."""
 LOG_DEPTH = 9.0
@@ -112,8 +110,8 @@ def near_largest(
 
 
 def widest_scale(linearity: float) -> float:
-    """Return the largest scale of the range errors that is possible."""
-    return max(linearity * math.exp(SCALE_SPAN), LARGEST_RANGE_ERROR)
+    """Return the largest scale of range errors: about the reading, whatever is said of the sensor."""
+    return max(linearity * math.exp(SCALE_SPAN), 0.9)
 
 
 def widest_grids(

@@ -33,8 +33,6 @@ RANGE_FLOOR = 0.1
 """The flat prior of a range sigma ends at this part of the residuals: a smaller one is improbable."""
 DIFFERENCE_STEP = 0.02
 """Step of differences in the logarithm of a scale: short beside any posterior, long beside rounding."""
-LONGEST_STEP = 0.75
-"""Longest step in the logarithm of a scale: a longer one may end where rounding fits well."""
 REACH = {RANGE: (1.5, 12.0), TRANSLATION: (9.0, 7.0), ROTATION: (9.0, 7.0)}
 """Scales lie within these logarithms below and above their priors: rounding would decide far below."""
 MOST_POSE_ERROR = 30.0
@@ -43,8 +41,6 @@ LEAST_CURVATURE = 0.1
 """Least curvature of the logarithm of the posterior: half-Cauchy priors have 0.5 at their scale."""
 POINTS = {1: 7, 2: 5, 3: 3}
 """Gauss-Hermite points an axis by the number of scales; more scales take two an axis (cubature)."""
-STRETCH_LIMITS = (0.4, 2.5)
-"""Limits of the stretch of a side, so that a flat or jagged posterior does not move points too far."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +146,7 @@ LogPosterior = Callable[[FloatArray], FloatArray]
 def find_mode(log_posterior: LogPosterior, start: FloatArray, bounds: FloatArray) -> FloatArray:
     """Return the most probable logarithms (d,) of the scales within `bounds` (d, 2), from `start`.
 
-    Newton's method, upwards along every axis of the curvature, with steps of at most `LONGEST_STEP`.
+    Newton's method, upwards along every axis of the curvature, with short steps.
     """
     if start.size == 0:
         return start
@@ -203,15 +199,16 @@ def _upwards(
         values, axes = np.linalg.eigh(-curvature[np.ix_(free, free)])
         along = axes.T @ slope[free] / np.maximum(np.abs(values), LEAST_CURVATURE)
         step[free] = axes @ along
-    return step * min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), TINY))
+    # A longer step in the logarithm of a scale may end where rounding fits well.
+    return step * min(1.0, 0.75 / max(float(np.abs(step).max()), TINY))
 
 
 def design(
-    log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray, wide: bool
+    log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray, least: float = 0.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the points about `mode` (d,), within `bounds` (d, 2), to integrate the scales over.
 
-    The mode alone where they are not `wide`.
+    Axes along which the logarithms have a standard deviation below `least` are not integrated over.
 
     Returns
     -------
@@ -220,27 +217,30 @@ def design(
     log_weight : (J,)
         To which the logarithm of the posterior is added.
     left : (d,)
-        Standard deviations of the logarithms where they are not integrated over, else zero.
+        Standard deviations of the logarithms of the scales that are not integrated over.
     """
-    size = mode.size
-    if size == 0:
+    if mode.size == 0:
         return np.zeros((1, 0)), np.zeros(1), np.zeros(0)
     # Axes as columns, each a standard deviation of the posterior at its mode long.
     curvature = _expansion(log_posterior, mode, 5.0 * DIFFERENCE_STEP)[2]
     values, axes = np.linalg.eigh(-curvature)
     axes = axes / np.sqrt(np.maximum(values, LEAST_CURVATURE))
-    if not wide:
-        return mode[None], np.zeros(1), np.linalg.norm(axes, axis=1)
+    wide = np.linalg.norm(axes, axis=0) >= least
+    left = np.sqrt((axes[:, ~wide] ** 2).sum(axis=1))
+    axes, size = axes[:, wide], int(wide.sum())
+    if size == 0:
+        return mode[None], np.zeros(1), left
     top = float(log_posterior(mode[None])[0])
     radius = np.sqrt(2.0)
     ends = np.concatenate((mode + radius * axes.T, mode - radius * axes.T))
     fall = np.maximum(top - log_posterior(ends), 1e-3).reshape(2, size)
-    stretch = np.clip(1.0 / np.sqrt(fall), *STRETCH_LIMITS)
+    # A flat or jagged posterior is not to move points too far.
+    stretch = np.clip(1.0 / np.sqrt(fall), 0.4, 2.5)
     z, weight = _points(size)
     log_weight = np.log(weight) + 0.5 * (z**2).sum(axis=1)
     side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
     points = np.clip(mode + (side * z) @ axes.T, bounds[:, 0], bounds[:, 1])
-    return points, log_weight + np.log(side).sum(axis=1), np.zeros(size)
+    return points, log_weight + np.log(side).sum(axis=1), left
 
 
 def _points(size: int) -> tuple[FloatArray, FloatArray]:

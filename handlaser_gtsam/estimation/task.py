@@ -42,10 +42,6 @@ from .solution import Minimum, Solution
 WEIGHTS_SETTLED = 1e-3
 """New weights that moved the solution by fewer standard deviations are settled: others would move it by
 a thousandth of that."""
-SCALES_SETTLED = 0.05
-"""Scales have settled where their logarithms change by less: they are integrated over in the end."""
-LEAST_WEIGHT = 0.5
-"""Readings to which a robust loss gives less weight say nothing about the scales."""
 MOST_NUMBERS = 200_000
 """Derivatives in the factors of a graph; beyond, their sums go to GTSAM. A graph of this size takes
 as long as all steps of the reduction."""
@@ -185,7 +181,6 @@ class SolutionTask:
         """Return the solution at the most probable scales, from an equally weighted one."""
         start = start_of(self.scales, max(self.sigma, LEAST_SIGMA), self.length)
         self.point, solution = (start, self.point[1]), first
-        before: _Point | None = None
         for _ in range(MOST_ROUNDS):
             full = solution.observability.full
             if self.learns and full:
@@ -201,10 +196,9 @@ class SolutionTask:
             arrived = solution.observability.full and status != "max_iterations"
             if last or status == "interrupted" or (self.learns and not arrived):
                 break
-            near = before is not None and _apart(self.point, before) < SCALES_SETTLED
-            if (near or not self.learns) and solution.at.first_step < WEIGHTS_SETTLED:
+            # Where the solution stays, so do the scales that it makes most probable.
+            if solution.at.first_step < WEIGHTS_SETTLED:
                 break
-            before = self.point
         variances = self._use_point()
         solution = replace(solution, variances=variances, prior=self.prior)
         solution = self.with_poses(solution, variances)
@@ -239,7 +233,7 @@ class SolutionTask:
         readings, _ = self.weighed(solution.parameters, variances)
         if self.loss != GAUSSIAN:
             weight = self.loss.weight(solution.at.white / solution.at.sigma)
-            readings = readings.subset(np.flatnonzero(weight >= LEAST_WEIGHT))
+            readings = readings.subset(np.flatnonzero(weight >= 0.5))
         linearity = self.options.linearity if self.prior_is_learned else None
         of = solution.parameters, readings, self.terms, self.base, self.scales, linearity
         return ScaleProblem(*of)
@@ -452,12 +446,6 @@ class SolutionTask:
             cost=cost,
         )
         return replace(solution, at=at, observability=least)
-
-
-def _apart(one: _Point, other: _Point) -> float:
-    """Return by how much the logarithms of the scales differ."""
-    apart = np.concatenate((one[0] - other[0], np.log(one[1] / other[1])))
-    return float(np.abs(apart).max(initial=0.0))
 
 
 def _ending(ended: Searched, steps: int, exhausted: bool) -> tuple[Status, str]:

@@ -18,8 +18,7 @@ from .. import model
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
-from ..estimation.learned import beam_posterior
-from ..estimation.range_error_grid import RangeErrorGrid
+from ..estimation.learned import beam_posterior, integrated_over
 from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
@@ -83,11 +82,8 @@ class SessionState:
         terms, count = config.terms, len(config.names)
         parts = total[:1], total[1:]
         here, both = (beam_posterior(part, self.at[2], learned) for part in parts)
-        grids = learned.along(here.worst_known())
-        mean, covariance, _ = both.integrated(grids, learned.log_weight)
-        known = (RangeErrorGrid.at(learned.range_error, np.zeros(count)),)
-        mean -= here.integrated(known, np.zeros(1))[0]
-        step = (mean * config.unit).reshape(count, -1)
+        mean, covariance, _, solution = integrated_over(learned, here, both)
+        step = ((mean - solution) * config.unit).reshape(count, -1)
         bases = model.tangent_basis(self.at[1])
         k = state.range_errors.copy()
         k[:, :terms] += step[:, RANGE_ERROR]
