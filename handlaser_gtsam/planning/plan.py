@@ -8,7 +8,6 @@ import numpy as np
 from ..checks import require_count, require_kind
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
-from ..results.mounts import Mounts
 from ..validation.simulate import generator, plane_name
 from .bounds import MOST_PLANNED, Placement, Plate
 from .choice import updated
@@ -23,7 +22,7 @@ POOL = 1200
 
 
 def plan(
-    calibration: Calibration | Mounts,
+    calibration: Calibration,
     stations: int,
     sensor: Sensor,
     workspace: Workspace | None = None,
@@ -40,8 +39,7 @@ def plan(
 
     Parameters
     ----------
-    calibration : Calibration or Mounts
-        Mounts know no planes: `plates` says where there are some.
+    calibration : Calibration
     stations : int
         At most; fewer where fewer reach what the goal states.
     sensor : Sensor
@@ -61,8 +59,7 @@ def plan(
     rng = generator(rng)
     require_kind("sensor", sensor, Sensor)
     require_count("stations", stations, 1, MOST_PLANNED)
-    if not isinstance(calibration, Mounts):
-        require_kind("calibration", calibration, Calibration, "a Calibration, or Mounts")
+    require_kind("calibration", calibration, Calibration)
     if workspace is not None:
         require_kind("workspace", workspace, Workspace)
     task = planning_task(calibration, sensor, workspace, goal or Goal(), plates)
