@@ -67,8 +67,6 @@ def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     warnings = (*_as_fields(recording.warnings), *_no_cone(rig, recording.beam_names))
     recording = replace(recording, warnings=warnings)
     report = replace(report, recording=recording, lines=tuple(map(as_fields, report.lines)))
-    if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
-        rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return report, rig
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, evenly
 from ...data.recording import Recording
 from ...data.survey import Survey
 from ...errors import CalibrationWarning
@@ -19,21 +19,11 @@ from ...estimation.survey_starts import start_of
 from ...model.sensors.mounted import SENSOR
 from ...model.shots import Mixed
 from ...quantities import TINY, UNIT_SIGMA
-from ...results.rereading import misfits
-from ...results.warnings import FAR_BEAM
+from ...results.rereading import SPARE
 from ...starts import Effort
 from .format import LogFormat
 from .motion import Way
-from .suspicion import (
-    BETTER,
-    FITS,
-    LEAST_SPARE,
-    MOST_STATIONS,
-    WELL,
-    accused,
-    alternatives,
-    good_square,
-)
+from .suspicion import MOST_STATIONS, accused, alternatives, good_square
 
 
 def refuse_wrong_poses(
@@ -59,46 +49,38 @@ def refuse_wrong_poses(
     """
     rows = _part(survey)
     read = [item.shot.reading for item in rows.items if item.shot is not None]
-    if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
+    if sum(map(len, read)) < len(rows.places().names) + SPARE:
         return ()
     variance = max(float(np.concatenate(read).var()), TINY)
 
-    def measure(recording: Recording, effort: Effort) -> float:
+    def measure(reach: float, recording: Recording, effort: Effort) -> float:
         del effort  # there is one way to a start
         at = recording.world_R_hand, recording.world_t_hand
         stations = replace(survey.stations, world_R_hand=at[0], world_t_hand=at[1])
-        return _misfit(replace(rows, survey=replace(rows.survey, stations=stations))) / variance
+        moved = replace(rows, survey=replace(rows.survey, stations=stations))
+        return _misfit(moved, reach) / variance
 
     # What carries poses from one convention to another has readings, which nobody asks here.
     carrier = survey.stations.recording(np.ones((len(survey.stations), 1)))
-    now = measure(carrier, "glance")
-    if now <= FITS:
-        return ()
-    others = list(alternatives(numbers, way, given))
-    best, words = min(misfits(carrier, others, measure), default=(np.inf, ""))
-    if best > min(now / BETTER, WELL):
-        return ()
-    return accused(now / best, words, given)
+    return accused(carrier, list(alternatives(numbers, way, given)), (measure,), given)
 
 
 def _part(survey: Survey) -> Rows:
     """Return the shots of the sensor that has most of them, at some stations where these are many."""
     one = max(survey.shots, key=lambda shots: len(np.unique(shots.station)))
     stations = np.unique(one.station)
-    if len(stations) > MOST_STATIONS:
-        stations = stations[np.linspace(0, len(stations) - 1, MOST_STATIONS).astype(np.intp)]
-    some = np.isin(one.station, stations)
+    some = np.isin(one.station, stations[evenly(len(stations), MOST_STATIONS)])
     return rows_of(Survey(survey.stations, (one.part(some),)))
 
 
-def _misfit(rows: Rows) -> float:
+def _misfit(rows: Rows, reach: float) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian [m^2].
 
-    It is infinite without a start, or where the sensor lies farther from the hand than `FAR_BEAM`.
+    It is infinite without a start, or where the sensor lies farther from the hand than `reach` [m].
     """
     sigmas: Mapping[tuple[str, int], float] = {(SENSOR.name, 0): UNIT_SIGMA}
     values, without = start_of(rows, sigmas, last_resort=False)
-    if without or np.linalg.norm(values[SENSOR.name][0, 0, 9:12]) > FAR_BEAM:
+    if without or np.linalg.norm(values[SENSOR.name][0, 0, 9:12]) > reach:
         return np.inf
     blocks, _ = blocks_of(rows.items, sigmas, values)
     e = [block.ranges.evaluate(values).columns[-1] for block in blocks if isinstance(block, Mixed)]
