@@ -17,9 +17,11 @@ os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import pytest
 from hypothesis import settings
 
+import handlaser_gtsam as hl
 from handlaser_gtsam.cli import main
 
-sys.path.append(str(Path(__file__).parents[1]))
+ROOT = Path(__file__).parents[1]
+sys.path.append(str(ROOT))
 settings.register_profile("quick", max_examples=40, deadline=None, derandomize=True, database=None)
 settings.register_profile("gate", max_examples=400, deadline=None, database=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "quick"))
@@ -42,6 +44,12 @@ def pytest_runtest_logreport(report):
 
 pytest_collectreport = pytest_runtest_logreport
 """A file whose imports are missing is skipped as a whole."""
+
+
+@pytest.fixture(scope="session")
+def gripper():
+    """Return the recording that ships: four beams before four planes."""
+    return hl.read_recording(ROOT / "examples" / "gripper" / "recording.csv")
 
 
 @pytest.fixture

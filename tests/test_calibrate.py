@@ -32,11 +32,6 @@ from handlaser_gtsam.validation.scenes import Layout
 SIGMA = 3e-5
 
 
-@pytest.fixture(scope="module")
-def gripper():
-    return hl.read_recording(GRIPPER / "recording.csv")
-
-
 def shipped_truth():
     record = json.loads((GRIPPER / "truth.json").read_text())
     beams, planes = record["beams"], record["planes"]

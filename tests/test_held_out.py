@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, simulated
+from helpers import simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.report.history import history
@@ -18,11 +18,6 @@ CASES = {
     "poses that err": (hl.Noise(3e-5, 5e-5, 5e-4), hl.CalibrationOptions(range_error="k1")),
     "a sigma from the residuals": (hl.Noise(None, **EXACT), hl.CalibrationOptions("none")),
 }
-
-
-@pytest.fixture(scope="module")
-def gripper():
-    return hl.read_recording(GRIPPER / "recording.csv")
 
 
 @pytest.mark.slow

@@ -19,11 +19,6 @@ SPACE = ("space-world", "space-hand")
 
 
 @pytest.fixture(scope="module")
-def gripper():
-    return hl.read_recording(GRIPPER / "recording.csv")
-
-
-@pytest.fixture(scope="module")
 def noise():
     return hl.Noise(3e-5, pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 

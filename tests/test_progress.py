@@ -1,17 +1,11 @@
 """What long computations tell their caller."""
 
 import pytest
-from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 
 EXACT = hl.CalibrationOptions("k1k2", poses="exact")
 """What is true of the shipped recording: where it does not fit, much more is tried."""
-
-
-@pytest.fixture(scope="module")
-def gripper():
-    return hl.read_recording(GRIPPER / "recording.csv")
 
 
 def test_every_phase_of_a_calibration_tells(gripper):

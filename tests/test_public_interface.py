@@ -21,11 +21,6 @@ EXACT = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
 
 
 @pytest.fixture(scope="module")
-def gripper():
-    return hl.read_recording(ROOT / "examples" / "gripper" / "recording.csv")
-
-
-@pytest.fixture(scope="module")
 def calibration(gripper):
     return hl.calibrate(gripper, hl.Noise(range_sigma=3e-5))
 
@@ -312,7 +307,7 @@ REFUSED = {
     "mounts": (lambda: hl.Mounts.of(3), "handlaser_gtsam.Calibration(...)"),
     "a graph": (lambda: hl.solvers.build_graph(3, 3, 0, 1.0), "handlaser_gtsam.data.Readings(...)"),
     "a generator": (
-        lambda: hl.validate(None, rng=3),
+        lambda: hl.validate(hl.Recording(R, T, D, ("A",), ("1",)), rng=3),
         "numpy.random.default_rng(...)",
     ),
 }

@@ -94,11 +94,6 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def gripper():
-    return hl.read_recording(GRIPPER / "recording.csv")
-
-
-@pytest.fixture(scope="module")
 def rig():
     return hl.read_rig(GRIPPER / "rig.toml")
 

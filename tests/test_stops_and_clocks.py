@@ -318,7 +318,7 @@ MOVES = {"stands": False, "interpolate": True, "tolerance_s": 0.05}
 @pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.05, -640.0, 5000.0])
 def test_an_offset_is_found_of_an_arm_that_never_stops(tmp_path, offset):
-    report = joined(tmp_path, wander(SEED), offset, plane="A", **MOVES)
+    report = joined(tmp_path, wander(SEED, duration=30.0), offset, plane="A", **MOVES)
     assert abs(report.lag - offset) < 2e-3
 
 
@@ -342,7 +342,7 @@ def test_a_clock_that_is_set_in_between_has_no_lag(tmp_path, jump):
 
 @pytest.mark.slow
 def test_a_lag_is_found_and_taken_off_in_one_table(tmp_path):
-    one = wander(19)
+    one = wander(19, duration=20.0)
     at, d = one.late(0.0, 125.0)
     one.time, one.position, one.turn = at, one.position[: len(at)], one.turn[: len(at)]
     one.ranges = np.column_stack([np.interp(at - 0.112, at, column) for column in d.T])

@@ -5,18 +5,13 @@ import runpy
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, ROOT, first_and_slow, simulated
+from helpers import ROOT, first_and_slow, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.validation.prediction import predicted, reconstruction
 from handlaser_gtsam.validation.scenes import Layout
 
 NOISE = hl.Noise(3e-5)
-
-
-@pytest.fixture(scope="module")
-def gripper():
-    return hl.read_recording(GRIPPER / "recording.csv")
 
 
 @pytest.fixture(scope="module")

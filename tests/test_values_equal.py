@@ -9,18 +9,12 @@ from collections.abc import Iterator, Mapping
 import annotations
 import numpy as np
 import pytest
-from helpers import ROOT
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.value import Value, same
 
 MOST_CHARACTERS = 1000
 """Of a representation: a few lines."""
-
-
-@pytest.fixture(scope="module")
-def gripper():
-    return hl.read_recording(ROOT / "examples" / "gripper" / "recording.csv")
 
 
 @pytest.fixture(scope="module")
