@@ -44,3 +44,17 @@ def test_the_oldest_and_the_newest_python_are_those_of_the_first_and_last_claim(
     assert int(claimed[0]) <= minors["oldest"] <= sys.version_info.minor
     assert sys.version_info.minor < minors.get("newest", 99)
     assert minors.get("newest", 0) < int(claimed[1])
+
+
+def test_the_tests_where_a_version_shows_are_there():
+    """A file that is gone would end the gate after minutes."""
+    gate = (ROOT / ".ci" / "run").read_text()
+    (named,) = re.findall(r"^VERSIONS=\(.*?\)$", gate, flags=re.DOTALL | re.MULTILINE)
+    expanded = subprocess.run(
+        ["bash", "-c", f'{named}; printf "%s\\n" "${{VERSIONS[@]}}"'],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    assert len(expanded) > 20
+    assert [name for name in expanded if not (ROOT / name).is_file()] == []
