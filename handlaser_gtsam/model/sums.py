@@ -24,7 +24,7 @@ class SumsByKey:
 
     def __init__(self, key: IntArray) -> None:
         key = np.asarray(key)
-        self._tiles, self._order, self._run = 1, None, 0
+        self._tiles, self._order = 1, None
         again = np.flatnonzero((key[1:] == key[0]) & (key[:-1] != key[0])) + 1
         if again.size and len(key) % again[0] == 0:
             first = key[: again[0]]
@@ -33,11 +33,9 @@ class SumsByKey:
         if (np.diff(key) < 0).any():
             self._order = np.argsort(key, kind="stable")
             key = key[self._order]
-        self._first = np.flatnonzero(np.diff(key, prepend=key[0] - 1))
-        self.keys: IntArray = key[self._first]
-        lengths = np.diff(self._first, append=len(key))
-        if (lengths == lengths[0]).all():
-            self._run = int(lengths[0])
+        self.keys: IntArray
+        self.keys, self._first, lengths = np.unique(key, return_index=True, return_counts=True)
+        self._run = int(lengths[0]) if (lengths == lengths[0]).all() else 0
 
     def __call__(self, array: FloatArray, axis: int = 1) -> FloatArray:
         """Return the sums (..., U, ...) of an array (..., G, ...) along an axis from 0 on."""

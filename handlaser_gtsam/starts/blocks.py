@@ -24,8 +24,6 @@ from .search import SAME_DIRECTION
 
 NORMALS = 300
 """Normals tried over the half sphere: they lie about 8 degrees apart."""
-SWEEP_STEPS = 12
-"""Refinement steps of the best normals of one block, which tell its solutions apart."""
 RIDGE = 1e-10
 """Part of the trace that is added to normal equations which a motion may leave singular."""
 
@@ -50,7 +48,8 @@ def sweep_starts(
         part = readings.subset(rows)
         beam, plane, zero = part.beam[0], part.plane[0], np.zeros(len(part), dtype=np.intp)
         alone = replace(part, beam=zero, plane=zero, beams=1, planes=1, samples=None)
-        tried = refine_many(_linear_solutions(alone, refined), alone, 0, SWEEP_STEPS)
+        # A few steps tell the solutions of one block apart.
+        tried = refine_many(_linear_solutions(alone, refined), alone, 0, 12)
         best: list[Parameters] = []  # the different solutions, the lowest cost first
         for solution in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
             v = solution.parameters.directions[0]
