@@ -118,9 +118,9 @@ def validate(
         The whole recording gives no calibration.
     """
     require_count("splits", splits, 0, 10**9)
+    rng, noise = generator(rng), Noise() if noise is None else noise
     of_surveys = "a Recording; hl.validation.validate_survey takes a Survey"
     require_kind("recording", recording, Recording, of_surveys)
-    rng, noise = generator(rng), Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     with told_to(progress):
         whole = calibrate(recording, noise, options)
