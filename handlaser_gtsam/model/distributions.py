@@ -36,7 +36,7 @@ recordings; a single test with a smaller p-value hardly agrees."""
 SINGLE_LEVEL = 1e-3
 """One test with a p-value below this contradicts what it tests."""
 UNLIKELY_EXCESS = -2.0 * math.log(SINGLE_LEVEL)
-"""A solution whose chi2 is larger by this than that of another is `SINGLE_LEVEL` times as likely."""
+"""A solution whose chi2 exceeds another's by this is `SINGLE_LEVEL` times as likely."""
 CONFIDENCE = 0.95
 """Probability of the intervals and radii that are stated: the usual one."""
 FEW_DEGREES = 10

@@ -49,8 +49,8 @@ class SeenStations:
     middle : (3, 3), optional
         Orientation of the hand from which turns count; the mean of the stations where not given.
     plates : (P, 3) and float, optional
-        Middle of each plate, and the squared distance from there of the farthest spot [m^2]; those of
-        the spots where not given.
+        Middle of each plate, and the squared distance from there of the farthest spot [m^2]; taken
+        from the spots where not given.
     """
 
     def __init__(
