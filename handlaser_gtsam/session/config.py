@@ -15,16 +15,11 @@ from ..estimation.options import CalibrationOptions
 from ..factors.keys import BeamKeys, beam_keys
 from ..model.families import BEAM, modelled
 from ..model.weighting import Variances
-from ..quantities import IN_MM, KNOWN
+from ..quantities import IN_MM, KNOWN, SAME_OPTIMUM
 from ..results.calibration import Calibration
 from ..solvers.graph import range_error_priors, start_values
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from .reports import Change
-
-SCALES_KEPT = 0.02
-"""Learned scales whose logarithms differ by less stay as they are: they are integrated over."""
-SIGMA_KEPT = 0.005
-"""An estimated range sigma that changes by a smaller part stays: no standard deviation shows that."""
 
 
 @dataclass(frozen=True)
@@ -158,9 +153,11 @@ class SessionConfig:
     def changes(self, before: "SessionConfig") -> tuple[Change, ...]:
         """Return what is estimated differently than before."""
         if self.learned is not None and before.learned is not None:
-            same = self.learned.apart(before.learned) < SCALES_KEPT
+            same = self.learned.apart(before.learned) < SAME_OPTIMUM
             return () if same else (Change("scales", "scales learned again"),)
-        if abs(self.sigma / before.sigma - 1.0) < SIGMA_KEPT:
+        if (
+            abs(self.sigma / before.sigma - 1.0) < 0.5 * SAME_OPTIMUM
+        ):  # no standard deviation shows it
             return ()
         return (Change("range-sigma", f"range sigma {IN_MM * self.sigma:.3g} mm"),)
 

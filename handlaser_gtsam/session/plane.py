@@ -33,8 +33,6 @@ from ..solvers.isam import BeamState, GraphPart
 from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
 
-DECIDES_ITSELF = 1e-3
-"""A reading of which the others know less than this part is not tested."""
 SESSION_CUT = 4.5
 """A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
 
@@ -105,7 +103,7 @@ class FittedPlane:
         squares = self.whitening.squares() / self.whitening.sigma**2
         left = heavy[:, -1] - across @ (K @ (rows.T @ heavy[:, -1])[:-1])
         free = squares - ((across @ K) * across).sum(axis=1)
-        tested = free > DECIDES_ITSELF * squares
+        tested = free > 1e-3 * squares  # of the rest the others know next to nothing
         return np.where(tested, left / np.sqrt(np.where(tested, free, 1.0)), 0.0)
 
     def outliers(self, recording: Recording, state: BeamState) -> BoolArray | None:

@@ -31,14 +31,10 @@ from .drift import recent, search
 from .joining import fitted_planes, join_planes
 from .reports import Comparison, Moved
 
-REWEIGHED_MOVE = 3e-3
+REWEIGHED_MOVE = 5e-4
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
-natural units: 1 rad, the typical range, a relative change of the range."""
-REWEIGHED_MOVE_OF_SCALES = 5e-4
-"""The same move where scales are integrated over: their probability depends on how well all planes fit,
-which is known to second order in such a move."""
-TRUSTED_PLANES = 4
-"""With fewer planes in the graph none is excluded: the first planes may have begun with wrong beams."""
+natural units: 1 rad, the typical range, a relative change of the range. The probability of scales
+depends on how well all planes fit, which is known to second order in such a move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +107,7 @@ class SessionState:
         inside, excluded = len(self.contents.inside), self.contents.excluded
         culprits = set(excluded.values())
         agree = len(culprits) == 1 and "" not in culprits
-        return inside >= TRUSTED_PLANES and (len(excluded) <= 0.5 * inside or agree)
+        return inside >= 4 and (len(excluded) <= 0.5 * inside or agree)
 
     @cached_property
     def batch(self) -> BatchProblem:
@@ -254,10 +250,9 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
 
 def is_near(config: SessionConfig, beams: Beams, others: Beams) -> bool:
     """Tell whether weights, and the information of planes, may stay those at other beams."""
-    limit = REWEIGHED_MOVE if config.learned is None else REWEIGHED_MOVE_OF_SCALES
     shift, turn, stretch = (np.abs(a - b) for a, b in zip(beams, others, strict=True))
     stretched = stretch @ [1.0, config.length]
-    return bool(max(shift.max() / config.length, turn.max(), stretched.max()) < limit)
+    return bool(max(shift.max() / config.length, turn.max(), stretched.max()) < REWEIGHED_MOVE)
 
 
 def strained(contents: Contents) -> bool:

@@ -22,8 +22,6 @@ RESTARTED = (
 UNKNOWN = float("nan")
 LEAST_CHANGES = 4
 """Changes between two comparisons with the batch solution at least: a comparison takes its time."""
-MOST_CHANGES = 50
-"""Changes after which a session compares itself with the batch solution, if not before."""
 
 
 def started(
@@ -102,7 +100,7 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
 
 def compare_if_due(now: SessionState) -> tuple[SessionState, Comparison | None]:
     """Compare with the batch solution where that is due; return what follows from it."""
-    due = max(LEAST_CHANGES, min(MOST_CHANGES, len(now.contents.inside) // 4))
+    due = max(LEAST_CHANGES, len(now.contents.inside) // 4)
     far = now.state.apart(now.compared.beams, now.compared.sigmas())[0] > FAR_SIGMAS
     if now.changes < due and not far:
         return now, None
