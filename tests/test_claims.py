@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 from helpers import ROOT
 
@@ -44,6 +45,10 @@ def test_the_oldest_and_the_newest_python_are_those_of_the_first_and_last_claim(
     assert int(claimed[0]) <= minors["oldest"] <= sys.version_info.minor
     assert sys.version_info.minor < minors.get("newest", 99)
     assert minors.get("newest", 0) < int(claimed[1])
+    installed = Path.home().glob(".pyenv/versions/3.*/bin/python3.*")
+    numbers = [int(found[1]) for path in installed if (found := re.search(r"3\.(\d+)$", path.name))]
+    later = [minor for minor in numbers if sys.version_info.minor < minor < int(claimed[1])]
+    assert minors.get("newest", 0) >= max(later, default=0)
 
 
 def test_the_tests_where_a_version_shows_are_there():
