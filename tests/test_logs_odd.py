@@ -319,4 +319,4 @@ def test_plot_takes_a_log(kuka, tmp_path, handlaser):
     path, rig = kuka
     code, out, err = handlaser("plot", path, "--rig", rig, "--out", tmp_path / "pictures")
     assert code == 0, err
-    assert "space-world.png" in out
+    assert "space-world.svg" in out

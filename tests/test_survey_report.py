@@ -10,12 +10,12 @@ from helpers import ROOT
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
+from handlaser_gtsam.files.report.scene import in_hand
 from handlaser_gtsam.files.report.survey import survey_report
 from handlaser_gtsam.files.report.survey_figures import (
     along_the_rays,
     by_station,
     by_target,
-    in_hand,
     on_targets,
     profiles,
     seen_by_all,

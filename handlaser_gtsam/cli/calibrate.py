@@ -1,5 +1,6 @@
 """handlaser calibrate: a recording becomes a calibrated rig."""
 
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -172,10 +173,10 @@ def _of_beams(
 
         advice = advised(recording, rig, result)
     if output.report is not None:
-        from ..files.report.options import ReportOptions, called_as
+        from ..files.report.options import ReportOptions
         from ..files.report.page import write_report
 
-        words = called_as(sys.argv[1:])
+        words = shlex.join(("handlaser", *sys.argv[1:]))
         options = ReportOptions(rig, reading, path, rig_file, log.beside, words, advice)
         write_report(output.report, result, options)
     compared = [] if check is None else [cross_check_line(check)]

@@ -16,7 +16,7 @@ def plot(
     given: Given,
     model: Model,
 ) -> None:
-    r"""Draw the figures of a report as PNG files into a folder.
+    r"""Draw the figures of a report into a folder: PNG files, and SVG of views in space.
 
     The recording is calibrated for it. Needs matplotlib: pip install 'handlaser-gtsam[plots]'.
 

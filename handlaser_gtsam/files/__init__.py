@@ -7,7 +7,6 @@ if TYPE_CHECKING:
     from .calibration_file import SurveyFile as SurveyFile
     from .calibration_file import read_survey_result as read_survey_result
     from .logs.report import LogReport as LogReport
-    from .rig_planning import Plans as Plans
     from .rig_survey import SensorTable as SensorTable
     from .rig_survey import SurveyTables as SurveyTables
     from .rig_toml import Rig as Rig

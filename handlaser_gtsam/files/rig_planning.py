@@ -12,9 +12,8 @@
 [placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be moved
 """
 
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -117,28 +116,6 @@ class PlacementTable(numbers("largest_tilt_deg within_mm tilt_deg")):  # type: i
     """How the plate can be moved."""
 
 
-@dataclass(frozen=True, slots=True)
-class Plans:
-    """What a rig file says for plans.
-
-    Attributes
-    ----------
-    workspace : Workspace or None
-        Where the hand may go, and the robot that is to reach it.
-    bounds : Bounds or None
-        Where beams and plate roughly are, before any reading.
-    goal : Goal
-        What to plan for.
-    placement : Placement
-        How the plate can be placed again.
-    """
-
-    workspace: Workspace | None = None
-    bounds: Bounds | None = None
-    goal: Goal = field(default_factory=Goal)
-    placement: Placement = field(default_factory=Placement)
-
-
 class PlanTables(FileRecord):
     """The tables for plans."""
 
@@ -148,22 +125,24 @@ class PlanTables(FileRecord):
     goal: GoalTable = GoalTable()
     placement: PlacementTable = PlacementTable()
 
-    def plans(self, folder: Path) -> Plans:
-        """Return what they say, with files named from a folder on.
+    def in_plans(self, folder: Path) -> dict[str, Any]:
+        """Return the fields of a `Rig` that plans ask for, with files named from a folder on.
 
         Raises
         ------
         InputError
             A value that cannot be.
         """
-        bounds = None if self.blind is None else self.blind.to_si()
         robot = None if self.robot is None else self.robot.to_si(folder)
         if robot is not None and self.workspace is None:
             expected = "both: [workspace] says where the hand may go"
             raise InputError("a table [robot] without [workspace]", expected)
-        workspace = None if self.workspace is None else self.workspace.to_si(robot)
-        goal = made("goal", self.goal, Goal)
-        return Plans(workspace, bounds, goal, made("placement", self.placement, Placement))
+        return {
+            "workspace": None if self.workspace is None else self.workspace.to_si(robot),
+            "bounds": None if self.blind is None else self.blind.to_si(),
+            "stated_goal": made("goal", self.goal, Goal),
+            "placement": made("placement", self.placement, Placement),
+        }
 
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:

@@ -13,14 +13,11 @@ from .recording_csv import read_recording
 from .rig_toml import Rig, as_fields, naming_fields
 
 NOT_A_LOG = "a recording as convert writes it: what is stated of logs does not count"
-BEAMS_BEFORE_PLANES = "beams before planes only"
 WRITES_IT = "; `handlaser convert LOG --write-log RIG` writes the table [log] of a rig file"
 
 
 def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
-    """Return what is read from a recording or a log, and the rig with what its scatter says of noise.
-
-    What is said of the options of `convert` names the fields of the table [log] instead.
+    """Do as `read_any_kind` with beams before planes, and refuse all else.
 
     Raises
     ------
@@ -28,63 +25,58 @@ def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
         Also where the rig file has sensors of many rays, cones or relations, or where a target is no
         plane.
     """
-    if rig.survey is not None or rig.half_angle:
+    read = read_any_kind(rig, path)
+    if isinstance(read, Survey):
+        other = beyond_planes(read.stations.plane_labels)
         found = "sensors of many rays, cones or relations in the rig file"
-        raise InputError(found, BEAMS_BEFORE_PLANES, path)
-    report, rig = _read_stated(rig, path)
-    other = beyond_planes(report.recording.plane_names)
-    if other:
-        raise InputError(f"the target {shown(other)}, which is no plane", BEAMS_BEFORE_PLANES, path)
-    return report, rig
+        if other:
+            found = f"the target {shown(other)}, which is no plane"
+        raise InputError(found, "beams before planes only", path)
+    return read
 
 
 def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
-    """Do as `read_with`; with sensors of many rays, cones, relations or other targets return a survey.
+    """Return what is read from a recording or a log, and the rig.
+
+    With sensors of many rays, cones, relations or other targets than planes that is a survey. What is
+    said of the options of `convert` names the fields of the table [log] instead.
 
     Raises
     ------
     InputError
     """
-    if rig.survey is not None:
-        from .survey_reading import read_survey
+    from .survey_reading import read_survey, survey_of
 
-        with naming_fields("" if rig.log.stated else WRITES_IT):
-            survey = read_survey(path, rig)
-        warnings = (*_as_fields(survey.warnings), *_no_cone(rig, survey.beam_names))
-        return replace(survey, warnings=warnings)
-    report, rig = _read_stated(rig, path)
-    if not beyond_planes(report.recording.plane_names) and not rig.half_angle:
-        return report, rig
-    from .survey_reading import survey_of
-
-    return replace(survey_of(report.recording, rig), lines=report.lines)
-
-
-def _read_stated(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     with naming_fields("" if rig.log.stated else WRITES_IT):
+        if rig.survey is not None:
+            survey = read_survey(path, rig)
+            return replace(survey, warnings=_warnings(rig, survey.warnings, survey.beam_names))
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
     recording = report.recording
-    warnings = (*_as_fields(recording.warnings), *_no_cone(rig, recording.beam_names))
+    warnings = _warnings(rig, recording.warnings, recording.beam_names)
     recording = replace(recording, warnings=warnings)
-    report = replace(report, recording=recording, lines=tuple(map(as_fields, report.lines)))
-    return report, rig
+    lines = tuple(map(as_fields, report.lines))
+    if beyond_planes(recording.plane_names) or rig.half_angle:
+        return replace(survey_of(recording, rig), lines=lines)
+    return replace(report, recording=recording, lines=lines), rig
 
 
-def _no_cone(rig: Rig, beams: tuple[str, ...]) -> tuple[CalibrationWarning, ...]:
-    """Warn of ultrasonic sensors whose readings are taken for readings of beams."""
+def _warnings(
+    rig: Rig, read: tuple[CalibrationWarning, ...], beams: tuple[str, ...]
+) -> tuple[CalibrationWarning, ...]:
+    """Return what was warned of, in fields of the table [log] in place of options of `convert`.
+
+    Ultrasonic sensors are added whose readings are taken for readings of beams.
+    """
+    warnings = tuple(replace(one, message=as_fields(one.message)) for one in read)
     if rig.sensor.kind != "ultrasonic" or rig.half_angle or not beams:
-        return ()
+        return warnings
     words = (
         'kind = "ultrasonic" in [sensor] without half_angle_deg: readings are taken for those along a '
         "beam, where an ultrasonic sensor reads what is nearest in a cone; state half_angle_deg, half "
         "the opening angle of the data sheet"
     )
-    return (CalibrationWarning("no-half-angle", words, {"beams": len(beams)}),)
-
-
-def _as_fields(warnings: tuple[CalibrationWarning, ...]) -> tuple[CalibrationWarning, ...]:
-    """Return warnings that name fields of the table [log] in place of options of `convert`."""
-    return tuple(replace(one, message=as_fields(one.message)) for one in warnings)
+    return (*warnings, CalibrationWarning("no-half-angle", words, {"beams": len(beams)}))
 
 
 def read_any(

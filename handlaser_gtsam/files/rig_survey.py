@@ -13,6 +13,7 @@ R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
 `RELATIONS` of `data.survey` says which of these a relation has: all of them are needed, and no others.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -217,28 +218,22 @@ class SurveyTables:
         path = self.folder / table.points
         if EACH not in path.name:
             return {"": path} if table.points else {}
-        before, _, after = path.name.partition(EACH)
-        inside = slice(len(before), -len(after) or None)
         try:
             names = sorted(one.name for one in path.parent.iterdir())
         except OSError:
             return {}
-        long = len(before) + len(after)
-        return {
-            name[inside]: path.parent / name
-            for name in names
-            if len(name) > long and name.startswith(before) and name.endswith(after)
-        }
+        found = [(_of_station(path).fullmatch(name), name) for name in names]
+        return {match[1]: path.parent / name for match, name in found if match}
 
     def reads(self, path: Path) -> bool:
         """Tell whether a file that came to a path would be taken for a table of points."""
-        for table in self.sensors:
-            points = self.folder / table.points
-            before, _, after = points.name.partition(EACH)
-            alike = path.name.startswith(before) and path.name.endswith(after)
-            if EACH in points.name and alike and same_file(path.parent, points.parent):
-                return True
-        return False
+        paths = [self.folder / table.points for table in self.sensors]
+        return any(
+            EACH in points.name
+            and _of_station(points).fullmatch(path.name)
+            and same_file(path.parent, points.parent)
+            for points in paths
+        )
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -260,6 +255,12 @@ class SurveyTables:
         """Folders into which further tables of points come, one a station."""
         paths = [self.folder / table.points for table in self.sensors]
         return tuple(path.parent for path in paths if EACH in path.name)
+
+
+def _of_station(points: Path) -> re.Pattern[str]:
+    """Return what the names of the tables of points of single stations look like."""
+    before, _, after = map(re.escape, points.name.partition(EACH))
+    return re.compile(f"{before}(.+){after}", re.DOTALL)
 
 
 class SurveyRig(FileRecord):

@@ -25,9 +25,8 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, get_args, get_origin
 
 from pydantic import Field, Strict, create_model
 
@@ -36,6 +35,9 @@ from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import FIELDS, Plausible
 from ..model.sensor import Sensor
+from ..planning.bounds import Bounds, Placement
+from ..planning.goal import Goal
+from ..planning.workspace import Workspace
 from ..quantities import IN_DEG, IN_MM, WIDEST_CONE
 from ..results.limits import Limits
 from .checked_text import (
@@ -51,14 +53,9 @@ from .checked_text import (
 )
 from .logs.format import LogFormat
 from .logs.format_checks import EXCLUSIVE
+from .rig_planning import PlanTables
 from .rig_survey import SurveyRig, SurveyTables
 from .writing import path_of, write_text
-
-if TYPE_CHECKING:  # imported where plans are asked for: calibrating needs none of it
-    from ..planning.bounds import Bounds, Placement
-    from ..planning.goal import Goal
-    from ..planning.workspace import Workspace
-    from .rig_planning import Plans
 
 RIG_FILE = "a rig file, TOML"
 OPTION = re.compile(r"--([a-z][a-z-]*)")
@@ -186,26 +183,12 @@ class _Limits(numbers("rms_mm location_sigma_mm direction_sigma_deg")):  # type:
     """The table [limits]."""
 
 
-class _Rig(SurveyRig):
+class _Rig(PlanTables, SurveyRig):
     noise: NoiseTable = NoiseTable()
     sensor: Annotated[_Sensor, Field(description="which is of single beams")] = _Sensor()
     plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
     log: LogTable = LogTable()
-
-    def plans(self, folder: Path) -> "Plans | None":
-        """Return what a file without tables for plans says for them: nothing."""
-
-
-@cache
-def _with_plans() -> type[_Rig]:
-    """Return the schema of rig files that have tables for plans, too."""
-    from .rig_planning import PlanTables
-
-    class WithPlans(PlanTables, _Rig):
-        """A rig file in its own units, with all its tables."""
-
-    return WithPlans
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,48 +202,36 @@ class Rig:
     limits : Limits
     log : LogFormat
         How logs are written.
-    plans : Plans or None
-        What is said for plans: the properties below; None where the file has no table for them.
     survey : SurveyTables or None
         Sensors of many rays, and relations; None where there are none.
     half_angle : float
         Half the opening angle of the cone in which each single sensor reads what is nearest [rad], as
         ultrasonic ones do; zero of beams. Recordings of cones are surveys.
+    workspace : Workspace or None
+        Where the hand may go, and the robot that is to reach it.
+    bounds : Bounds or None
+        Where beams and plate roughly are, before any reading.
+    stated_goal : Goal
+        What to plan for, as it is stated.
+    placement : Placement
+        How the plate can be placed again.
     """
 
     noise: Noise = field(default_factory=Noise)
     sensor: Sensor = field(default_factory=Sensor)
     limits: Limits = field(default_factory=Limits)
     log: LogFormat = field(default_factory=LogFormat)
-    plans: "Plans | None" = None
     survey: SurveyTables | None = None
     half_angle: float = 0.0
+    workspace: Workspace | None = None
+    bounds: Bounds | None = None
+    stated_goal: Goal = field(default_factory=Goal)
+    placement: Placement = field(default_factory=Placement)
 
     @property
-    def _plans(self) -> "Plans":
-        from .rig_planning import Plans
-
-        return self.plans or Plans()
-
-    @property
-    def workspace(self) -> "Workspace | None":
-        """Where the hand may go, and the robot that is to reach it."""
-        return self._plans.workspace
-
-    @property
-    def bounds(self) -> "Bounds | None":
-        """Where beams and plate roughly are, before any reading."""
-        return self._plans.bounds
-
-    @property
-    def goal(self) -> "Goal":
+    def goal(self) -> Goal:
         """What to plan for; the limits stand in it where it states nothing else."""
-        return self._plans.goal.within(self.limits)
-
-    @property
-    def placement(self) -> "Placement":
-        """How the plate can be placed again."""
-        return self._plans.placement
+        return self.stated_goal.within(self.limits)
 
 
 def read_rig(path: Path | str) -> Rig:
@@ -298,10 +269,7 @@ def known_rig(path: Path | None, given: Mapping[str, object]) -> Rig:
 
 
 def _read(path: Path) -> tuple[_Rig, Rig]:
-    try:
-        rig = read_checked(path, _Rig, toml_value, RIG_FILE)
-    except InputError:  # tables for plans, or a fault, which the whole schema names best
-        rig = read_checked(path, _with_plans(), toml_value, RIG_FILE)
+    rig = read_checked(path, _Rig, toml_value, RIG_FILE)
     with in_file(path):
         return rig, _to_si(rig, path.parent)
 
@@ -323,8 +291,9 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
         least, most = map(float, span)
         sensor = Sensor(least, most, plausible=plausible, **given)
         require_number("half_angle", half_angle, 0.0, WIDEST_CONE, unit="rad")
-    log, plans = rig.log.to_format(folder), rig.plans(folder)
-    return Rig(noise_of(rig.noise), sensor, limits, log, plans, rig.survey(folder), half_angle)
+    log, survey = rig.log.to_format(folder), rig.survey(folder)
+    noise, plans = noise_of(rig.noise), rig.in_plans(folder)
+    return Rig(noise, sensor, limits, log, survey, half_angle, **plans)
 
 
 def noise_of(table: NoiseTable, name: str = "noise") -> Noise:

@@ -5,7 +5,6 @@ of surveys.
 """
 
 import math
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +14,6 @@ from ...model.distributions import CONFIDENCE, beta_quantile, gaussian_quantile
 from ...quantities import IN_DEG, IN_MM
 from ..checked_text import Record
 from .figure import (
-    CLEAR,
     COLOURS,
     LEGEND,
     MOST_POINTS,
@@ -28,7 +26,6 @@ from .figure import (
     label,
     layout,
     marker,
-    numbers,
     trace,
 )
 from .subject import ReadingRows, Subject
@@ -36,8 +33,6 @@ from .subject import ReadingRows, Subject
 BESIDE = 0.7
 """The part of the distance between two planes that their beams take up: a gap tells the planes
 apart."""
-LABELS_ABOVE = 7
-"""Labels of an axis that fit above one another."""
 
 
 def flat_figures(subject: Subject) -> list[Figure]:
@@ -154,7 +149,6 @@ def stations_figure(subject: Subject) -> Figure | None:
     stations, known = past[0].astype(np.float64), past[1]
     reading = f"{subject.verdict.reading * IN_MM:.3g} mm"
     traces: list[Record] = []
-    sides: dict[str, list[float]] = {"y": [], "y2": []}
     for shade, side, name, quantity, unit in (
         (COLOURS[0], "y", f"95 % spot at {reading}, mm", "spot", IN_MM),
         (COLOURS[1], "y", "location, mm", "location_sigma", IN_MM),
@@ -168,27 +162,9 @@ def stations_figure(subject: Subject) -> Figure | None:
             dotted: Record = {"line": line | {"dash": "dot"}, "showlegend": False}
             x = stations[-1] + np.arange(len(ahead))
             traces.append(trace("curve", x, ahead) | curve | dotted)
-            y = np.append(y, ahead)
-        sides[side] += [value for value in numbers(y) if value]
     both: Record = {
-        "yaxis": axis("mm") | _logarithmic(sides["y"]),
-        "yaxis2": axis("deg") | _logarithmic(sides["y2"]) | STYLE["right"],
+        "yaxis": axis("mm") | STYLE["logarithmic"],
+        "yaxis2": axis("deg") | STYLE["logarithmic"] | STYLE["right"],
     }
     shown = layout("stations", "mm", legend=True) | STYLE["two sides"] | both
     return Figure("by-count", traces, shown)
-
-
-def _logarithmic(values: Sequence[float]) -> Record:
-    """Return the type, the range and round ticks of an axis for such values.
-
-    Left to itself plotly labels every digit, one over the other where the figure is small.
-    """
-    if not values:  # of readings without noise
-        return {"type": "linear"}
-    low, high = math.log10(min(values) / CLEAR), math.log10(max(values) * CLEAR)
-    powers = range(math.floor(low), math.ceil(high) + 1)
-    ticks = [step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0)]
-    inside = [tick for tick in ticks if low <= math.log10(tick) <= high]
-    inside = inside[:: math.ceil(len(inside) / LABELS_ABOVE) or 1]
-    words = [f"{tick:g}" for tick in inside]
-    return {"type": "log", "range": [low, high], "tickvals": inside, "ticktext": words}

@@ -1,8 +1,6 @@
 """What a report states beside the calibration: limits, working distance, and where all came from."""
 
 import hashlib
-import shlex
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -14,9 +12,6 @@ from ...quantities import LARGEST_LENGTH
 from ...text import shown
 from ..logs.bags import METADATA
 from ..rig_toml import Rig
-
-MOST_COMMAND = 2000
-"""Characters of a command line that a report repeats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +51,8 @@ class ReportOptions:
         require_kind("rig", self.rig, Rig)
         if self.reading is not None:
             require_number("a reading of", self.reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
-        if not isinstance(self.command, str) or len(self.command) > MOST_COMMAND:
-            found = f"{shown(self.command)} as a command"
-            raise InputError(found, f"text of at most {MOST_COMMAND} characters")
+        if not isinstance(self.command, str):
+            raise InputError(f"{shown(self.command)} as a command", "text")
         if self.plan is not None:
             require_kind("plan", self.plan, Plan)
         for name, path in self.sources:
@@ -108,9 +102,3 @@ def changed_on(path: Path | str) -> date:
 def _unreadable(path: Path | str, error: OSError) -> InputError:
     found = f"no readable file ({error.strerror})"
     return InputError(found, "the file behind the calibration", Path(path))
-
-
-def called_as(arguments: Sequence[str]) -> str:
-    """Return a command line of `handlaser`, cut where it is longer than a report repeats."""
-    whole = shlex.join(("handlaser", *arguments))
-    return whole if len(whole) <= MOST_COMMAND else whole[: MOST_COMMAND - 3] + "..."

@@ -49,7 +49,7 @@ from .figure import STYLE, Figure
 from .figures import flat_figures
 from .head import head_of, title_of
 from .options import ReportOptions
-from .scene import Geometry, in_hand, in_world, scene_figure, still_picture
+from .scene import Geometry, scene_figure, spaces_of, still_picture
 from .subject import ReadingRows, Subject, subject_of
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str
     result : str
         The calibration as harmless JSON; empty where it is too large.
     """
-    spaces = [space for space in (in_world(subject), in_hand(subject)) if space is not None]
+    spaces = spaces_of(subject)
     drawn = [scene_figure(space) for space in spaces] + flat_figures(subject)
     result = calibration_text(subject.calibration, subject.verdict)
     result = safe_json(json.loads(result)) if len(result) <= MOST_JSON else ""
@@ -127,7 +127,7 @@ def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str
         "held_out": held_out_table(subject),
         "splits": pooled(subject.held_out.splits) if subject.held_out.splits else None,
         "stations": stations_table(subject),
-        "stills": {f"space-{space.frame}": _still(space) for space in spaces},
+        "stills": {f"space-{space.frame}": still(space) for space in spaces},
         "strong": STRONG,
         "figures": figures,
         "result": result,
@@ -135,7 +135,8 @@ def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str
     return sections_of("sections.html.j2", SECTIONS, values), figures, result
 
 
-def _still(space: Geometry) -> str:
+def still(space: Geometry) -> str:
+    """Return a picture in space as SVG."""
     return templates().get_template("still.svg.j2").render(style=STYLE, **still_picture(space))
 
 

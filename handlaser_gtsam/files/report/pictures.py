@@ -1,11 +1,11 @@
-"""The figures of a report as pictures: the same data, drawn by matplotlib.
+"""The flat figures of a report as pictures: the same data, drawn by matplotlib.
 
 What stands between `$` is no mathematics here, and names are shown as they are.
 """
 
 import html
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,23 +18,23 @@ from ..writing import path_of, write_bytes
 from .figure import STYLE, SYMBOLS, Figure
 from .figures import flat_figures
 from .options import ReportOptions
-from .scene import in_hand, in_world, scene_figure
-from .subject import subject_of
+from .page import still
+from .scene import spaces_of
+from .subject import Subject, subject_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
 
 SIZE = (6.0, 4.0)
-"""Inches of a flat picture: two of them fill the width of a page; one in space is half as large
-again."""
+"""Inches of a picture: two of them fill the width of a page."""
 DPI = 130
 """Dots an inch of a picture, which a page shows without enlarging it."""
 GREY, LINE = (STYLE["axis"][name] for name in ("linecolor", "gridcolor"))
 
 
 def plot(calibration: Calibration, options: ReportOptions | None = None) -> "dict[str, Drawing]":
-    """Return the figures of a report as matplotlib figures, by their names.
+    """Return the flat figures of a report as matplotlib figures, by their names.
 
     Parameters
     ----------
@@ -46,17 +46,7 @@ def plot(calibration: Calibration, options: ReportOptions | None = None) -> "dic
     InputError
         What is no calibration, or no matplotlib.
     """
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[plots]'"
-        raise InputError("no matplotlib, which draws pictures", expected) from error
-    require_kind("calibration", calibration, Calibration)
-    subject = subject_of(calibration, options or ReportOptions())
-    spaces = in_world(subject), in_hand(subject)
-    figures = [scene_figure(one) for one in spaces if one is not None]
-    figures += flat_figures(subject)
-    return {one.name: (_in_space if "scene" in one.layout else _flat)(one) for one in figures}
+    return _drawn(_subject(calibration, options))
 
 
 def write_pictures(
@@ -64,9 +54,10 @@ def write_pictures(
     calibration: Calibration,
     options: ReportOptions | None = None,
 ) -> tuple[Path, ...]:
-    """Write the figures of a report as PNG files into a folder, which is made where it is missing.
+    """Write the figures of a report into a folder, which is made where it is missing.
 
-    Files of earlier pictures are replaced.
+    Views in space are SVG, as the report prints them, and all others PNG. Files of earlier pictures are
+    replaced.
 
     Returns
     -------
@@ -78,19 +69,31 @@ def write_pictures(
     InputError
         As `plot`, or a folder that cannot be written to.
     """
-    folder = path_of(folder)
-    drawn = plot(calibration, options)
+    folder, subject = path_of(folder), _subject(calibration, options)
+    content = {f"space-{space.frame}.svg": still(space).encode() for space in spaces_of(subject)}
+    content |= {f"{name}.png": _png(figure) for name, figure in _drawn(subject).items()}
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         found = f"no way to make the folder ({error.strerror})"
         raise InputError(found, "a folder in one that exists", folder) from error
-    files = []
-    for name, figure in drawn.items():
-        path = folder / f"{name}.png"
-        write_bytes(path, _png(figure))
-        files.append(path)
-    return tuple(files)
+    for name, data in content.items():
+        write_bytes(folder / name, data)
+    return tuple(folder / name for name in content)
+
+
+def _subject(calibration: Calibration, options: ReportOptions | None) -> Subject:
+    require_kind("calibration", calibration, Calibration)
+    return subject_of(calibration, options or ReportOptions())
+
+
+def _drawn(subject: Subject) -> "dict[str, Drawing]":
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        expected = "pip install 'handlaser-gtsam[plots]'"
+        raise InputError("no matplotlib, which draws pictures", expected) from error
+    return {figure.name: _flat(figure) for figure in flat_figures(subject)}
 
 
 def _png(figure: "Drawing") -> bytes:
@@ -124,16 +127,11 @@ def _flat(figure: Figure) -> "Drawing":
     _axis(axes, layout["yaxis"], "y")
     axes.spines[["top"] + ["right"] * ("yaxis2" not in layout)].set_visible(False)
     if layout["showlegend"]:
-        _legend(axes, [one for side in sides.values() for one in side.get_lines()], ncols=2)
+        shown = [one for side in sides.values() for one in side.get_lines() if one.get_gid()]
+        names = [html.unescape(str(one.get_gid())) for one in shown]
+        for text in axes.legend(shown, names, fontsize=7, ncols=2).get_texts():
+            text.set_parse_math(False)
     return drawing
-
-
-def _legend(axes: Any, drawn: Sequence[Any], ncols: int = 1) -> None:
-    """Name what has a name."""
-    shown = [one for one in drawn if one.get_gid()]
-    names = [html.unescape(str(one.get_gid())) for one in shown]
-    for text in axes.legend(shown, names, fontsize=7, ncols=ncols).get_texts():
-        text.set_parse_math(False)
 
 
 def _numbers(values: Any) -> Any:
@@ -173,15 +171,11 @@ def _shape(axes: "Axes", shape: Mapping[str, Any]) -> None:
 
 def _axis(axes: Any, axis: Mapping[str, Any], side: str) -> None:
     """Set title, scale, range and ticks of an axis."""
-    from matplotlib.ticker import NullLocator
-
     drawn = axes.xaxis if side == "x" else axes.yaxis
     drawn.set_label_text(axis["title"]["text"], fontsize=9)
     drawn.set_tick_params(labelsize=8)
     if axis["type"] == "log":
         axes.set_yscale("log")
-        axes.set_ylim(*(10.0**power for power in axis["range"]))
-        drawn.set_minor_locator(NullLocator())
     elif "range" in axis:
         (axes.set_xlim if side == "x" else axes.set_ylim)(*axis["range"])
     if "tickvals" in axis:
@@ -191,38 +185,3 @@ def _axis(axes: Any, axis: Mapping[str, Any], side: str) -> None:
     if axis.get("showgrid", True):
         axes.grid(axis=side, color=LINE, lw=0.7)
         axes.set_axisbelow(True)
-
-
-def _in_space(figure: Figure) -> "Drawing":
-    """Draw planes, beams, spots and hands."""
-    from matplotlib.figure import Figure as Drawing
-    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-
-    drawing = Drawing(figsize=(1.5 * SIZE[1], 1.5 * SIZE[1]), layout="constrained")
-    axes: Any = drawing.add_subplot(projection="3d")
-    shown, every = [], []
-    for trace in figure.data:
-        x: Any = trace
-        points = np.array([_numbers(x[name]) for name in "xyz"])
-        every.append(points)
-        if x["type"] == "mesh3d":
-            corners = Poly3DCollection([points.T], facecolors=x["color"], alpha=0.25)
-            axes.add_collection3d(corners)
-        elif x["mode"] == "lines":
-            line, alpha = x["line"], x.get("opacity", 1.0)
-            axes.plot(*points, color=line["color"], lw=0.3 * line["width"], alpha=alpha)
-        else:
-            mark = x["marker"]
-            shown.append(axes.scatter(*points, color=mark["color"], s=2.8 * mark["size"]))
-            shown[-1].set_gid(x["name"] if x.get("showlegend", True) else None)
-    ends = np.concatenate(every, axis=1)
-    low, high = np.nanmin(ends, axis=1), np.nanmax(ends, axis=1)
-    half = 0.5 * (high - low).max()
-    for name, at in zip("xyz", 0.5 * (low + high), strict=True):
-        getattr(axes, f"set_{name}lim")(at - half, at + half)
-        getattr(axes, f"set_{name}label")(f"{name}, mm", fontsize=9)
-    axes.tick_params(labelsize=8)
-    axes.view_init(elev=24, azim=-48)
-    if figure.layout["showlegend"]:
-        _legend(axes, shown)
-    return drawing

@@ -3,13 +3,17 @@
 It is drawn by plotly.js, and as a still picture (SVG) for paper.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ... import model
-from ...arrays import FloatArray, evenly
+from ...arrays import BoolArray, FloatArray, IntArray, evenly
+from ...data.recording import Recording
+from ...data.station_list import StationList
+from ...data.survey import normal_label
 from ...quantities import IN_MM
 from ..checked_text import Record
 from .figure import (
@@ -41,6 +45,39 @@ MARGIN = 28
 readable at half the size."""
 
 
+class Seen(NamedTuple):
+    """What a sensor or a beam saw.
+
+    Attributes
+    ----------
+    called : str
+        "sensor NAME" or "beam NAME".
+    sigma : float
+        Standard deviation of a reading [m].
+    station : (N,)
+    hand, source : (N, 3)
+        Spots, and where their rays begin, in the hand [m].
+    place : (N, 3)
+        Spots in the world [m].
+    along : (N,)
+        Where each ray is in the field of view, from -1 to 1.
+    off : (N,)
+        Distance of each spot from its target [m]; NaN where there is none.
+    used : (N,) of bool
+        Spots of shots that were used, on their target.
+    """
+
+    called: str
+    sigma: float
+    station: IntArray
+    hand: FloatArray
+    source: FloatArray
+    place: FloatArray
+    along: FloatArray
+    off: FloatArray
+    used: BoolArray
+
+
 class Geometry(NamedTuple):
     """A picture in space, in one frame.
 
@@ -54,8 +91,6 @@ class Geometry(NamedTuple):
     hands : (M, 4, 3)
         Origin of the hand and the ends of its x, y and z axis [mm].
     hand_names : tuple of str
-    mount : str
-        What is said before the name of each beam; empty where names say it themselves.
     """
 
     frame: str
@@ -63,11 +98,6 @@ class Geometry(NamedTuple):
     beams: tuple[Segments, ...]
     hands: FloatArray
     hand_names: tuple[str, ...]
-    mount: str = "beam"
-
-    def words(self, name: str) -> str:
-        """Return what a beam is called in a picture."""
-        return f"{self.mount} {label(name)}".lstrip()
 
     @property
     def points(self) -> FloatArray:
@@ -77,71 +107,118 @@ class Geometry(NamedTuple):
         return np.concatenate(parts)
 
 
-def in_world(subject: Subject) -> Geometry | None:
-    """Return stations, beams, spots and planes in the world frame; None without a recording.
+def seen_by_beams(subject: Subject) -> list[Seen]:
+    """Return what the beams of a calibration saw; without a recording, where each reads typically."""
+    calibration, rows = subject.calibration, subject.rows
+    if not subject.solved:
+        return []
+    sigma, seen = calibration.fit.range_sigma, []
+    for index, beam in enumerate(calibration.beams.values()):
+        if rows is None:
+            reading = np.array([calibration.fit.typical_range])
+            station, off, place = np.zeros(1, dtype=np.intp), np.zeros(1), np.full((1, 3), np.nan)
+            used = np.isfinite(reading)  # a graph does not tell its readings
+        else:
+            mine = np.flatnonzero(rows.beam == index)
+            reading, station, off = rows.reading[mine], rows.station[mine], rows.residual[mine]
+            place, used = rows.spot[mine], rows.used[mine]
+        source = np.broadcast_to(beam.location, (len(reading), 3))
+        ranges = model.corrected(reading, np.broadcast_to(beam.range_error, (len(reading), 2)))
+        hand = source + ranges[:, None] * beam.direction
+        called, along = f"beam {short(beam.name)}", np.zeros(len(reading))
+        seen.append(Seen(called, sigma, station, hand, source, place, along, off, used))
+    return seen
+
+
+def spaces_of(subject: Subject) -> list[Geometry]:
+    """Return the pictures in space that there is something to draw for.
 
     Where there is no calibration, only the stations are known.
     """
-    rows = subject.rows
-    if rows is None:
-        return None
-    recording = rows.recording
-    R, t = recording.world_R_hand, recording.world_t_hand
+    seen, recording, spaces = (
+        seen_by_beams(subject),
+        subject.calibration.recording,
+        list[Geometry](),
+    )
+    if recording is not None:
+        planes = subject.calibration.planes.values() if subject.solved else ()
+        normals = {normal_label(plane.name): plane.normal for plane in planes}
+        spaces.append(in_world(recording, normals, seen))
+    hand = in_hand(seen)
+    return spaces if hand is None else [*spaces, hand]
+
+
+def in_world(
+    of: Recording | StationList, planes: Mapping[str, FloatArray], seen: Sequence[Seen]
+) -> Geometry:
+    """Return hands, planes and where each sensor looked at each station, by readings that were used.
+
+    Parameters
+    ----------
+    of : Recording or StationList
+        Poses, names and targets of the stations.
+    planes : mapping of str to (3,)
+        Normals by label.
+    seen : sequence of Seen
+    """
+    R, t, labels = of.world_R_hand, of.world_t_hand, labels_of(of)
     places = [
-        f"station {short(station)}, plane {short(plane)}"
-        for station, plane in zip(recording.station_names, recording.plane_labels, strict=True)
+        f"station {short(station)}, {short(target.replace(':', ' ', 1))}"
+        for station, target in zip(of.station_names, labels.tolist(), strict=True)
     ]
-    beams, planes, everything = [], [], t
-    if subject.solved:
-        everything = np.concatenate((t, rows.spot))
-        used = np.flatnonzero(rows.used)
-        some = used[evenly(len(used), MOST_POINTS)]
-        for index, beam in enumerate(subject.calibration.beams.values()):
-            mine = some[rows.beam[some] == index]
-            at = rows.station[mine]
-            words = tuple(
-                f"beam {short(beam.name)}, {places[j]}, reading {d * IN_MM:.3f} mm"
-                for j, d in zip(at.tolist(), rows.reading[mine].tolist(), strict=True)
-            )
-            ends = np.stack((R[at] @ beam.location + t[at], rows.spot[mine]), axis=1)
-            beams.append((beam.name, ends * IN_MM, words))
-        plane_of = recording.plane_of_station[rows.station[used]]
-        for index, plane in enumerate(list(subject.calibration.planes.values())[:MOST_SHAPES]):
-            spots = rows.spot[used[plane_of == index]]
-            if len(spots):
-                on = spots - (spots @ plane.normal + plane.offset)[:, None] * plane.normal
-                planes.append((plane.name, plate(plane.normal, on)))
-    shown = evenly(len(t), MOST_POINTS)
-    length = AXIS_SIZE * max(float(np.ptp(everything, axis=0).max()) * IN_MM, 1.0)
-    hands = hands_at(R[shown], t[shown] * IN_MM, length)
-    names = tuple(places[j] for j in shown.tolist())
-    return Geometry("world", tuple(planes), tuple(beams), hands, names)
+    beams, drawn, points = [], [], [t]
+    for one in seen:
+        stations = np.unique(one.station[one.used])
+        stations = some_of(stations, MOST_POINTS // len(seen))
+        segments = np.empty((len(stations), 2, 3))
+        for i, station in enumerate(stations.tolist()):
+            mine = one.used & (one.station == station)
+            source = R[station] @ one.source[mine].mean(axis=0) + t[station]
+            segments[i] = source, one.place[mine].mean(axis=0)
+        points.append(segments.reshape(-1, 3))
+        words = tuple(f"{one.called}, {places[station]}" for station in stations.tolist())
+        beams.append((one.called, segments * IN_MM, words))
+    for name, normal in list(planes.items())[:MOST_SHAPES]:
+        on = [one.place[one.used & (labels[one.station] == name)] for one in seen]
+        spots = np.concatenate(on) if on else np.empty((0, 3))
+        if len(spots):
+            drawn.append((name.replace(":", " ", 1), plate(normal, spots)))
+    shown, extent = evenly(len(t), MOST_POINTS), np.ptp(np.concatenate(points), axis=0).max()
+    hands = hands_at(R[shown], t[shown] * IN_MM, AXIS_SIZE * max(float(extent) * IN_MM, 1.0))
+    return Geometry(
+        "world", tuple(drawn), tuple(beams), hands, tuple(places[j] for j in shown.tolist())
+    )
+
+
+def in_hand(seen: Sequence[Seen]) -> Geometry | None:
+    """Return some rays of each sensor, as far as it reads, in the hand frame; None without any."""
+    beams = []
+    for one in seen:
+        rows = some_of(np.flatnonzero(one.used), MOST_SHAPES)
+        segments = np.stack((one.source[rows], one.hand[rows]), axis=1)
+        beams.append((one.called, segments * IN_MM, (one.called,) * len(rows)))
+    points = np.concatenate([np.zeros((1, 3)), *(ends.reshape(-1, 3) for _, ends, _ in beams)])
+    if len(points) == 1:
+        return None
+    length = 4.0 * AXIS_SIZE * max(float(np.ptp(points, axis=0).max()), 1.0)
+    hand = hands_at(np.eye(3)[None], np.zeros((1, 3)), length)
+    return Geometry("hand", (), tuple(beams), hand, ("hand",))
+
+
+def labels_of(of: Recording | StationList) -> NDArray[np.str_]:
+    """Return the label of the target of each station (M,), with its kind."""
+    return np.array([normal_label(label) for label in of.plane_labels])
+
+
+def some_of(rows: IntArray, most: int) -> IntArray:
+    """Return at most `most` of the rows, evenly spread."""
+    return rows[evenly(len(rows), most)] if len(rows) else rows
 
 
 def hands_at(R: FloatArray, t: FloatArray, length: float) -> FloatArray:
     """Return origins and ends of the axes (M, 4, 3) of hands with rotations R, at t (M, 3)."""
     ends = t[:, None] + length * np.swapaxes(R, 1, 2)
     return np.concatenate((t[:, None], ends), axis=1)
-
-
-def in_hand(subject: Subject) -> Geometry | None:
-    """Return the beams in the hand frame, as far as they read; None where there is no calibration."""
-    calibration, rows = subject.calibration, subject.rows
-    if not subject.solved:
-        return None
-    reach = np.full(len(calibration.beams), calibration.fit.typical_range)
-    if rows is not None:
-        np.maximum.at(reach, rows.beam, rows.reading)
-    if not np.isfinite(reach).all():  # a graph does not tell its readings
-        return None
-    r, v, k = calibration.parameters().beams
-    ends = np.stack((r, r + model.corrected(reach, k)[:, None] * v), axis=1) * IN_MM
-    extent = np.ptp(np.concatenate((ends.reshape(-1, 3), np.zeros((1, 3)))), axis=0)
-    length = 4.0 * AXIS_SIZE * max(float(extent.max()), 1.0)
-    hand = hands_at(np.eye(3)[None], np.zeros((1, 3)), length)
-    names = list(calibration.beams)
-    drawn = zip(names, ends[:, None], ((f"beam {short(name)}",) for name in names), strict=True)
-    return Geometry("hand", (), tuple(drawn), hand, ("hand",))
 
 
 def plate(n: FloatArray, on: FloatArray) -> FloatArray:
@@ -170,12 +247,12 @@ def scene_figure(geometry: Geometry) -> Figure:
 def _traces(geometry: Geometry) -> Iterator[Record]:
     """Yield planes, the lines of each beam and its spots, the axes of the hand and its origins."""
     for name, corners in geometry.planes:
-        called = f"plane {label(name)}"
+        called = label(name)
         words = f"{called}<extra></extra>".replace("%{", "% {")
         yield STYLE["plane"] | xyz(corners) | {"name": called, "hovertemplate": words}
     for index, (name, segments, each) in enumerate(geometry.beams):
         shade = colour(index, len(geometry.beams))
-        shared: Record = {"legendgroup": name, "name": geometry.words(name)}
+        shared: Record = {"legendgroup": name, "name": harmless(name)}
         look: Record = {"line": {"color": shade, "width": 3}}
         yield STYLE["beam"] | shared | _lines(segments) | look
         look = {"text": [harmless(one) for one in each], "marker": {"color": shade, "size": 2.5}}
@@ -229,7 +306,7 @@ def still_picture(geometry: Geometry) -> Mapping[str, object]:
         ],
         "beams": [
             {
-                "name": geometry.words(name) if few else "",
+                "name": name if few else "",
                 "shade": colour(index, len(geometry.beams)),
                 "lines": "".join(map(path, segments)),
                 "dots": "".join(f"{path(segment[1:])}h0" for segment in segments),

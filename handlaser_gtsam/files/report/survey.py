@@ -8,16 +8,15 @@ from ...results.survey import SurveyCalibration
 from ...results.verdict import Verdict
 from .figure import STYLE, Figure
 from .page import page_of, script_of, sections_of
-from .scene import scene_figure
+from .scene import in_hand, scene_figure
 from .survey_figures import (
     along_the_rays,
     by_station,
     by_target,
-    in_hand,
-    in_world,
     on_targets,
     profiles,
     seen_by_all,
+    world_figure,
 )
 
 SECTIONS: dict[str, str] = STYLE["sections of a survey"]
@@ -60,7 +59,9 @@ def survey_content(
     """Return the opening of the verdict, sections as HTML and figures by name; as `survey_report`."""
     seen = list(seen_by_all(result, survey))
     on = on_targets(result, survey, seen)
-    drawn = [in_world(result, survey, seen), scene_figure(in_hand(seen))]
+    drawn = [world_figure(result, survey, seen)]
+    hand = in_hand(seen)
+    drawn += [] if hand is None else [scene_figure(hand)]
     drawn += [by_station(survey, seen), by_target(survey, seen), *(figure for _, figure in on)]
     drawn += [one for one in (along_the_rays(seen), profiles(survey, seen)) if one is not None]
     figures = {figure.name: figure for figure in drawn}

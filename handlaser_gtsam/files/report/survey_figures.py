@@ -7,13 +7,11 @@ Scales follow the shots that were used: one that was rejected is drawn at the ed
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...arrays import BoolArray, FloatArray, IntArray, evenly
-from ...data.survey import Survey, normal_label
+from ...data.survey import Survey
 from ...model.families import BEAM, bases
 from ...model.sensors.kinds import KINDS
 from ...model.sensors.mounted import SENSOR
@@ -30,14 +28,16 @@ from .figure import (
     axis_of_names,
     axis_of_stations,
     colour,
+    harmless,
     label,
     layout,
     marker,
     numbers,
+    short,
     trace,
 )
 from .figures import BESIDE
-from .scene import AXIS_SIZE, Geometry, hands_at, plate, scene_figure, xyz
+from .scene import Seen, in_world, labels_of, scene_figure, some_of, xyz
 
 MOST_TARGETS = 4
 """Targets that are drawn one by one at most: a page with more is long, and slow."""
@@ -47,42 +47,9 @@ CORNERS_OF_A_RING = 49
 """Corners of a circle that looks round."""
 
 
-class Seen(NamedTuple):
-    """What a sensor or a beam saw.
-
-    Attributes
-    ----------
-    called : str
-        "sensor NAME" or "beam NAME".
-    sigma : float
-        Standard deviation of a reading [m].
-    station : (N,)
-    hand, source : (N, 3)
-        Spots, and where their rays begin, in the hand [m].
-    place : (N, 3)
-        Spots in the world [m].
-    along : (N,)
-        Where each ray is in the field of view, from -1 to 1.
-    off : (N,)
-        Distance of each spot from its target [m]; NaN where there is none.
-    used : (N,) of bool
-        Spots of shots that were used, on their target.
-    """
-
-    called: str
-    sigma: float
-    station: IntArray
-    hand: FloatArray
-    source: FloatArray
-    place: FloatArray
-    along: FloatArray
-    off: FloatArray
-    used: BoolArray
-
-
 def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
     """Yield what each sensor and each beam saw; of very many points some."""
-    found, of, labels = result._found, survey.stations, labels_of(survey)
+    found, of, labels = result._found, survey.stations, labels_of(survey.stations)
     used = [item for item, counts in zip(found.rows.items, found.used, strict=True) if counts]
 
     def seen(
@@ -120,7 +87,7 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
         source, hand = (x @ mount.rotation.T + mount.location for x in (origin, spot))
         across = shots.across[some, 0]
         along = 2.0 * (across - across.min()) / max(float(np.ptp(across)), 1e-300) - 1.0
-        called = f"sensor {shots.name}"
+        called = f"sensor {short(shots.name)}"
         yield seen(
             called, mount.reading_sigma, shots.station[some], (source, hand), along, good[some]
         )
@@ -132,62 +99,18 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
         rays = beam.location + 0.0 * d[:, None], beam.location + d[:, None] * beam.direction
         kept = [item.station for item in used if (item.family, item.member) == (BEAM.name, i)]
         good, along = np.isin(station, kept), np.zeros(len(station))
-        yield seen(f"beam {name}", beam.reading_sigma, station, rays, along, good)
+        yield seen(f"beam {short(name)}", beam.reading_sigma, station, rays, along, good)
 
 
-def labels_of(survey: Survey) -> NDArray[np.str_]:
-    """Return the label of each station (M,), with its kind."""
-    return np.array([normal_label(x) for x in survey.stations.plane_labels])
-
-
-def _some(rows: IntArray, most: int) -> IntArray:
-    """Return at most `most` of the rows, evenly spread."""
-    return rows[evenly(len(rows), most)] if len(rows) else rows
-
-
-def in_hand(seen: Sequence[Seen]) -> Geometry:
-    """Return the picture of all sensors in the hand, with some of the rays of their used shots."""
-    beams, ends = [], [np.zeros((1, 3))]
-    for one in seen:
-        rows = _some(np.flatnonzero(one.used), MOST_SHAPES)
-        segments = np.stack((one.source[rows], one.hand[rows]), axis=1)
-        ends.append(segments.reshape(-1, 3))
-        beams.append((one.called, segments * IN_MM, (label(one.called),) * len(rows)))
-    extent = float(np.ptp(np.concatenate(ends), axis=0).max()) * IN_MM
-    hand = hands_at(np.eye(3)[None], np.zeros((1, 3)), 4.0 * AXIS_SIZE * extent)
-    return Geometry("hand", (), tuple(beams), hand, ("hand",), "")
-
-
-def in_world(result: SurveyCalibration, survey: Survey, seen: Sequence[Seen]) -> Figure:
+def world_figure(result: SurveyCalibration, survey: Survey, seen: Sequence[Seen]) -> Figure:
     """Return the picture in space: targets, hands, and where each sensor looked; of used shots."""
-    of, labels = survey.stations, labels_of(survey)
-    planes, balls, beams, extent = [], [], [], 0.0
-    for target in result.targets.values():
-        v = target.values
-        if target.kind == "sphere":
-            balls.append(_rings(target))
-        if target.kind == "plane":
-            on = np.concatenate(
-                [one.place[one.used & (labels[one.station] == target.label)] for one in seen]
-            )
-            if len(on) > 2:  # the two of a groove have labels of their own
-                corners = plate(np.array([v["nx"], v["ny"], v["nz"]]), on)
-                planes.append((target.label.removeprefix("plane:"), corners))
-    for one in seen:
-        stations = _some(np.unique(one.station[one.used]), MOST_POINTS // 4)
-        segments = np.empty((len(stations), 2, 3))
-        for i, s in enumerate(stations.tolist()):
-            mine = one.used & (one.station == s)
-            source = of.world_R_hand[s] @ one.source[mine].mean(axis=0) + of.world_t_hand[s]
-            segments[i] = source, one.place[mine].mean(axis=0)
-        if len(stations):
-            extent = max(extent, float(np.ptp(segments.reshape(-1, 3), axis=0).max()))
-        names = tuple(f"{label(one.called)}, {label(of.station_names[s])}" for s in stations)
-        beams.append((one.called, segments * IN_MM, names))
-    some = evenly(len(of), MOST_POINTS // 4)
-    hands = hands_at(of.world_R_hand[some], of.world_t_hand[some], AXIS_SIZE * extent) * IN_MM
-    names = tuple(of.station_names[i] for i in some)
-    drawn = scene_figure(Geometry("world", tuple(planes), tuple(beams), hands, names, ""))
+    planes = {
+        target.label: np.array([target.values[axis] for axis in ("nx", "ny", "nz")])
+        for target in result.targets.values()
+        if target.kind == "plane"
+    }
+    drawn = scene_figure(in_world(survey.stations, planes, seen))
+    balls = [_rings(target) for target in result.targets.values() if target.kind == "sphere"]
     return drawn._replace(data=[*balls, *drawn.data])
 
 
@@ -210,7 +133,7 @@ def by_station(survey: Survey, seen: Sequence[Seen]) -> Figure:
 
 def by_target(survey: Survey, seen: Sequence[Seen]) -> Figure:
     """Return the same by target, sensors side by side."""
-    labels = labels_of(survey).tolist()
+    labels = labels_of(survey.stations).tolist()
     every = list(dict.fromkeys(labels))
 
     def place(index: int, station: int) -> float:
@@ -245,7 +168,7 @@ def _means(
         x = [where(index, s) for s, _ in shots]
         y = np.clip([mean for _, mean in shots], -most, most)
         more: Record = {
-            "name": label(called),
+            "name": harmless(called),
             "legendgroup": called,
             "showlegend": good,
             "text": [
@@ -273,7 +196,7 @@ def along_the_rays(seen: Sequence[Seen]) -> Figure | None:
         far.append(float(np.quantile(np.abs(e), SHOWN_OF_POINTS)))
         some = evenly(len(rows), MOST_POINTS)
         look = marker(index, len(many)) | {"size": 3, "opacity": 0.5}
-        more: Record = {"name": label(one.called), "marker": look}
+        more: Record = {"name": harmless(one.called), "marker": look}
         traces.append(trace("rays", one.along[rows[some]], e[some], 4) | more)
     if not traces:
         return None
@@ -288,7 +211,7 @@ def on_targets(
 ) -> list[tuple[SurveyTarget, Figure]]:
     """Return each target as it is seen, points coloured by their distance from it."""
     figures: list[tuple[SurveyTarget, Figure]] = []
-    labels = labels_of(survey)
+    labels = labels_of(survey.stations)
     for target in [t for t in result.targets.values() if t.kind != "point"][:MOST_TARGETS]:
         rows = [one.used & (labels[one.station] == target.label) for one in seen]
         place = np.concatenate([one.place[mine] for one, mine in zip(seen, rows, strict=True)])
@@ -326,7 +249,7 @@ def profiles(survey: Survey, seen: Sequence[Seen]) -> Figure | None:
     ]
     traces: list[Record] = []
     for index, (shots, used) in enumerate(flat):
-        for place, station in enumerate(_some(used, MOST_SHAPES).tolist()):
+        for place, station in enumerate(some_of(used, MOST_SHAPES).tolist()):
             rows = np.flatnonzero(shots.station == station)
             rows = rows[np.argsort(shots.across[rows, 0], kind="stable")]
             rows = rows[evenly(len(rows), MOST_SHAPES)]
