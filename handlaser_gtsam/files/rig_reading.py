@@ -27,9 +27,9 @@ def read_with(rig: Rig, path: Path) -> tuple[LogReport, Rig]:
     """
     read = read_any_kind(rig, path)
     if isinstance(read, Survey):
-        other = beyond_planes(read.stations.plane_labels)
         found = "sensors of many rays, cones or relations in the rig file"
-        if other:
+        if rig.survey is None and not rig.half_angle:
+            other = beyond_planes(read.stations.plane_labels)
             found = f"the target {shown(other)}, which is no plane"
         raise InputError(found, "beams before planes only", path)
     return read
