@@ -16,7 +16,7 @@ from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import cli
-from handlaser_gtsam.cli.options import LogLevel, logging_at
+from handlaser_gtsam.cli.options import logging_at
 from handlaser_gtsam.cli.verbs import VERBS, examples_of
 
 RECORDING = GRIPPER / "recording.csv"
@@ -241,7 +241,7 @@ def test_warnings_of_a_calibration_are_logged(handlaser):
 
 def test_names_are_logged_escaped(capsys):
     logger = logging.getLogger("handlaser_gtsam")
-    with logging_at(LogLevel.info):
+    with logging_at("info"):
         logger.info("plane %s", "a\x1b[31m\nb")
         logger.debug("never")
     logger.info("never")

@@ -19,14 +19,10 @@ import typer
 from ..progress import Progress, told_to
 from .stopping import CLEAR, INTERRUPTED, CtrlC
 
-NARROWEST = 40
-"""Columns below which nothing gets any narrower: tables are unreadable there."""
 NO_SCREEN = 1000
 """Columns of what is no screen, a pipe or a file: no table is wider."""
 QUIET_S = 1.0
 """Seconds until the sign appears: what is done sooner needs none."""
-REFRESH_S = 0.2
-"""Seconds from one sign to the next: the seconds that it counts look steady."""
 PHASES = {
     "search": "looking for a start",
     "solve": "solving",
@@ -98,7 +94,8 @@ def wrote(*paths: Path | None) -> list[str]:
 
 def columns() -> int:
     """Return the columns of the terminal or of COLUMNS; `NO_SCREEN` where there is neither."""
-    return max(shutil.get_terminal_size((NO_SCREEN, 24)).columns, NARROWEST)
+    # Tables are unreadable in fewer than 40 columns, so that nothing gets any narrower.
+    return max(shutil.get_terminal_size((NO_SCREEN, 24)).columns, 40)
 
 
 def text_width() -> int:
@@ -152,4 +149,4 @@ class Working:
             line = f"handlaser: {self._part}{self._phase}, {time.monotonic() - began:.0f} s"
             width = shutil.get_terminal_size().columns - 1
             print(CLEAR + line[:width], end="", file=sys.stderr, flush=True)
-            self._shown, wait = True, REFRESH_S
+            self._shown, wait = True, 0.2  # the seconds that it counts look steady

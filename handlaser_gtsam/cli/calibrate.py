@@ -4,9 +4,8 @@ import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -22,26 +21,20 @@ from .options import (
     how,
     metres,
 )
-from .stopping import INTERRUPTED, UNDETERMINED, unusable
+from .stopping import failure_of
 
 if TYPE_CHECKING:
-    from ..estimation.options import CalibrationOptions
     from ..files.logs.report import LogReport
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
     from ..results.description.tables import Table
     from ..results.verdict import Verdict
-    from ..session.reports import Comparison
     from ..validation.cross_check import CrossCheck
 
-LEAST_ADVICE = 5
-"""Lines of the screen that the next best stations have at least; warnings come before more."""
 
-OutliersChoice = StrEnum("OutliersChoice", {"reject": "reject", "keep": "keep"})
-LossChoice = StrEnum(
-    "LossChoice", {"gaussian": "gaussian", "huber": "huber", "cauchy": "cauchy", "tukey": "tukey"}
-)
+OutliersChoice = Literal["reject", "keep"]
+LossChoice = Literal["gaussian", "huber", "cauchy", "tukey"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +53,10 @@ class Manner(Model):
         Solve again with SciPy and compare.
     """
 
-    outliers: Annotated[OutliersChoice, how] = OutliersChoice.reject
-    loss: Annotated[LossChoice, how] = LossChoice.gaussian
+    outliers: Annotated[OutliersChoice, how] = "reject"
+    loss: Annotated[LossChoice, how] = "gaussian"
     incremental: Annotated[bool, how] = False
     cross_check: Annotated[bool, how] = False
-
-    def options(self, rig: "Rig") -> "CalibrationOptions":
-        """Return the options of a calibration with the sensor of `rig`."""
-        plain = Model.options(self, rig)  # a dataclass with slots has no super() of its own
-        return replace(plain, outliers=self.outliers.value, loss=self.loss.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,18 +131,21 @@ def _of_beams(
     from ..files.calibration_json import calibration_text
     from ..files.writing import write_text
     from ..pipeline import calibrate as run
+    from ..quantities import SAME_OPTIMUM
     from ..results.verdict import verdict
 
     recording, reading = log.recording, metres(output.at_range_mm)
-    taught, comparison, check, advice = None, None, None, None
-    before = list[str]()
+    taught, check, advice = None, None, None
+    before, disagreement = list[str](), ""
     if manner.incremental:
-        from .incremental import comparison_line, plane_by_plane
+        from .incremental import comparison_line, disagreement_of, plane_by_plane
 
         result, recording, taught, comparison = plane_by_plane(
             recording, rig.noise, manner.options(rig)
         )
-        before += [] if comparison is None else [comparison_line(comparison)]
+        if comparison is not None:
+            before.append(comparison_line(comparison))
+            disagreement = disagreement_of(comparison)
     else:
         result = run(recording, rig.noise, manner.options(rig))
     if result.recording is None:
@@ -167,6 +158,9 @@ def _of_beams(
         from ..validation.cross_check import cross_check
 
         check = cross_check(result, recording)
+        if check.largest > SAME_OPTIMUM:
+            differs = f"{check.largest:.2g} standard deviations in {check.parameter}"
+            disagreement = f"SciPy disagrees by {differs}"
     aloud = output.json_ or output.quiet
     if output.report is not None or not aloud:
         from .check import advised
@@ -187,7 +181,7 @@ def _of_beams(
         text,
         _lines(result, judged, advice, taught, log.lines, before, files, verbose=output.verbose),
         [*compared, *warnings] if aloud else (),
-        _failure(result, judged, check, comparison),
+        failure_of(result, judged, disagreement),
     )
 
 
@@ -219,7 +213,7 @@ def _lines(
     elif advice is None:
         lines = screen_lines(described, closing=around, width=width)
     else:
-        kept = as_many(LEAST_ADVICE, width)
+        kept = as_many(5, width)  # lines of the next best stations; warnings come before more
         lines = screen_lines(described, closing=around + kept, width=width)
         room = max(as_many(LINES, width) - around - len(lines), kept)
         next_best = advice_within(advice, room, width)
@@ -235,26 +229,3 @@ def cross_check_line(check: "CrossCheck") -> str:
         f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
         f"({check.sigma_parameter})"
     )
-
-
-def _failure(
-    result: "Calibration",
-    judged: "Verdict",
-    check: "CrossCheck | None",
-    comparison: "Comparison | None",
-) -> tuple[int, str] | None:
-    """Return the exit code of the contract and what went wrong; None where nothing did."""
-    from ..quantities import SAME_OPTIMUM
-
-    if result.interrupted:
-        return INTERRUPTED, result.message
-    if result.status != "converged":
-        return UNDETERMINED, result.message
-    words = ""
-    if check is not None and check.largest > SAME_OPTIMUM:
-        words = f"SciPy disagrees by {check.largest:.2g} standard deviations in {check.parameter}"
-    elif comparison is not None and comparison.largest > SAME_OPTIMUM:
-        words = f"plane by plane is {comparison.largest:.2g} standard deviations from all at once"
-    if words:
-        return UNDETERMINED, f"{words}; expected the same optimum: do not use this calibration"
-    return unusable(judged)

@@ -64,18 +64,16 @@ def _of_beams(read: "Recording", rig: "Rig", *, advise: bool) -> Answer:
     if failure is None:
         lines.append("the motion determines everything, for beams and planes in general position")
     if advise:
+        from ..estimation.options import CalibrationOptions
+        from ..pipeline import calibrate
         from ..planning.advice import advice_lines
 
-        plan = advised(read, rig, _calibrated(read, rig) if failure is None else None)
+        known = None
+        if failure is None:
+            known = calibrate(read, rig.noise, CalibrationOptions(sensor=rig.sensor))
+        plan = advised(read, rig, known)
         lines += [] if plan is None else advice_lines(plan)
     return Answer(check_text(found), lines, read.warnings, failure)
-
-
-def _calibrated(recording: "Recording", rig: "Rig") -> "Calibration":
-    from ..estimation.options import CalibrationOptions
-    from ..pipeline import calibrate
-
-    return calibrate(recording, rig.noise, CalibrationOptions(sensor=rig.sensor))
 
 
 def advised(recording: "Recording", rig: "Rig", found: "Calibration | None") -> "Plan | None":

@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -19,7 +19,6 @@ FormatChoice = StrEnum(
     "FormatChoice",
     "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur c python st krl rapid tp urscript poses",
 )
-AxisChoice = StrEnum("AxisChoice", {"x": "x", "y": "y", "z": "z"})
 FORMATS = f"{', '.join(BEAMS)} (structured text); of stations {', '.join(STATIONS)}."
 
 
@@ -34,7 +33,7 @@ def export(
     beam: Annotated[list[str] | None, typer.Option(metavar="NAME")] = None,
     link: Annotated[str | None, _taken("link")] = None,
     into: Annotated[Path | None, _taken("into")] = None,
-    axis: Annotated[AxisChoice | None, _taken("axis")] = None,
+    axis: Annotated[Literal["x", "y", "z"] | None, _taken("axis")] = None,
     at_reading_mm: Annotated[float, _taken("at_reading")] = 0.0,
     tool: Annotated[int | None, _taken("tool")] = None,
     signal: Annotated[int, _taken("signal")] = 1,
@@ -58,7 +57,7 @@ def export(
         The link whose frame is the hand
     into : Path, optional
         A URDF; --out gets it with the beams in it, all else as it was
-    axis : AxisChoice, optional
+    axis : str, optional
         Of a tool frame, lies along the beam; z where not given
     at_reading_mm : float
         Reading at whose laser spot the origin of a tool frame stands, mm; 0: location of the beam
@@ -93,7 +92,7 @@ def export(
         options = ExportOptions(
             beams=tuple(beam or ()),
             link=link or "",
-            axis=None if axis is None else axis.value,
+            axis=axis,
             at_reading=at_reading_mm * MM,
             tool=tool,
             into=into,

@@ -16,7 +16,7 @@ from ..estimation.options import CalibrationOptions
 from ..model.effects import EFFECTS
 from ..pipeline import calibrate
 from ..progress import tell
-from ..quantities import IN_MM, IN_PERCENT
+from ..quantities import IN_MM, IN_PERCENT, SAME_OPTIMUM
 from ..results.calibration import Calibration
 from ..results.description.tables import Cell, Column, Table, number, text
 from ..results.survey import SurveyCalibration
@@ -180,6 +180,13 @@ def comparison_line(comparison: Comparison, what: str = "plane") -> str:
         f"{what} by {what} and all at once agree to {comparison.largest:.2g} standard deviations; the "
         f"standard deviations agree to {IN_PERCENT * comparison.largest_sigma:.2g} %"
     )
+
+
+def disagreement_of(comparison: Comparison, what: str = "plane") -> str:
+    """Say that one by one and all at once are not the same optimum; nothing where they are."""
+    if not comparison.largest > SAME_OPTIMUM:
+        return ""
+    return f"{what} by {what} is {comparison.largest:.2g} standard deviations from all at once"
 
 
 def _remark(name: str, update: Update) -> str:

@@ -15,9 +15,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import asdict, dataclass, fields, is_dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Literal, get_args, get_origin
 
 import typer
 
@@ -31,13 +30,8 @@ if TYPE_CHECKING:
 
 FIELD = re.compile(r"(?m)^(\w+) : .*\n((?:^    .*\n)+)")
 """A parameter or a field in a docstring, and what is said of it."""
-RangeErrorChoice = StrEnum(
-    "RangeErrorChoice", {"auto": "auto", "none": "none", "k1": "k1", "k1k2": "k1k2"}
-)
-PosesChoice = StrEnum(
-    "PosesChoice",
-    {"auto": "auto", "exact": "exact", "marginalised": "marginalised", "estimated": "estimated"},
-)
+RangeErrorChoice = Literal["auto", "none", "k1", "k1k2"]
+PosesChoice = Literal["auto", "exact", "marginalised", "estimated"]
 RecordingArgument = Annotated[
     Path,
     typer.Argument(
@@ -63,7 +57,7 @@ KNOWN, HOW = "Noise and sensor, instead of the rig file", "How it is calibrated"
 """Sections of the help, behind the options that most people need."""
 Known = Annotated[float | None, typer.Option(rich_help_panel=KNOWN)]
 how = typer.Option(rich_help_panel=HOW)
-LogLevel = StrEnum("LogLevel", "debug info warning error")
+LogLevel = Literal["debug", "info", "warning", "error"]
 LogLevelOption = Annotated[
     LogLevel | None,
     typer.Option(help="Log to stderr: info, the stages; debug, every step of the solver, too."),
@@ -129,8 +123,8 @@ class Model:
         lag,incidence (docs/messages.md has all codes).
     """
 
-    range_error: Annotated[RangeErrorChoice, how] = RangeErrorChoice.auto
-    poses: Annotated[PosesChoice, how] = PosesChoice.auto
+    range_error: Annotated[RangeErrorChoice, how] = "auto"
+    poses: Annotated[PosesChoice, how] = "auto"
     estimate_noise: Annotated[bool, how] = False
     range_sigma_by_beam: Annotated[bool, how] = False
     free: Annotated[str | None, typer.Option(metavar="CODE,...", rich_help_panel=HOW)] = None
@@ -149,14 +143,9 @@ class Model:
         free = () if self.free is None else tuple(code.strip() for code in self.free.split(","))
         if not all(free):
             raise InputError(f"--free {shown(self.free)}", "codes, with one comma between two")
-        return CalibrationOptions(
-            self.range_error.value,
-            poses=self.poses.value,
-            range_sigma_by_beam=self.range_sigma_by_beam,
-            estimate_noise=self.estimate_noise,
-            free=free,
-            sensor=rig.sensor,
-        )
+        given = asdict(self) | {"free": free, "sensor": rig.sensor}
+        names = CalibrationOptions.__dataclass_fields__
+        return CalibrationOptions(**{name: given[name] for name in names if name in given})
 
 
 def metres(at_range_mm: float | None) -> float | None:
@@ -276,7 +265,7 @@ def logging_at(level: LogLevel | None) -> Iterator[None]:
         return
     handler, before = _Lines(), LOGGER.level
     LOGGER.addHandler(handler)
-    LOGGER.setLevel(level.value.upper())
+    LOGGER.setLevel(level.upper())
     try:
         yield
     finally:

@@ -14,11 +14,6 @@ if TYPE_CHECKING:
     from ..planning.route import Plan
     from ..planning.survey import SurveyPlan
 
-UNASKED = 20
-"""Stations where no number is given and no goal: an hour's work."""
-MOST_TO_GOAL = 100
-"""Stations where no number is given, at most, until the goal is reached."""
-
 
 def plan(
     given: Given,
@@ -109,8 +104,9 @@ def _planned(
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
+    from ..planning.survey import plan_survey
     from ..planning.workspace import require_range
-    from .survey import refuse_of_beams, survey_plan
+    from .survey import refuse_of_beams
 
     rng = np.random.default_rng(seed)
     options = model.options(rig)
@@ -124,12 +120,14 @@ def _planned(
         each = None if stations is None else stations // (planes or 1)
         known = rig.bounds, rig.sensor, rig.workspace, rig.noise, each
         return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
-    count = stations or (MOST_TO_GOAL if rig.goal.stated else UNASKED)
+    # Without a goal as many as an hour's work; with one, the plan ends where it is reached.
+    count = stations or (100 if rig.goal.stated else 20)
     read = read_any_kind(rig, recording)
     if isinstance(read, Survey):
         stated = model.stated() + ([] if planes is None else ["--planes"])
         refuse_of_beams(rig, stated, recording)
-        return survey_plan(read, rig, count, rng)
+        found = calibrate(read, rig.noise)
+        return plan_survey(found, count, rig.workspace, rig.goal, rng)
     report, rig = read
     require_range(rig.sensor)
     options = replace(options, sensor=rig.sensor)

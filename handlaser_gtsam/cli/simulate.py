@@ -2,9 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -21,8 +20,8 @@ FILES = ("recording.csv", "rig.toml", "truth.json")
 
 USUAL_TARGETS = "plane:A,sphere:ball"
 """Targets of a survey where none are stated: together they determine every sensor."""
-SceneName = StrEnum("SceneName", "paper unplanned arm")
-PoseAxes = StrEnum("PoseAxes", "x y z xyz")
+SceneName = Literal["paper", "unplanned", "arm"]
+PoseAxes = Literal["x", "y", "z", "xyz"]
 Sigma = Annotated[float | None, typer.Option(help="Default: as the scene says.")]
 
 
@@ -52,7 +51,7 @@ class Made:
         Hand axes on which the pose errs.
     """
 
-    scene: SceneName = SceneName.paper
+    scene: SceneName = "paper"
     rig: Path | None = None
     targets: str | None = None
     beams: OneOrMore = None
@@ -108,7 +107,7 @@ def simulate(
         if rig is not None:
             from .survey_simulate import simulated_survey
 
-            if (made.scene, made.planes) != (SceneName.paper, 4):
+            if (made.scene, made.planes) != ("paper", 4):
                 raise InputError("--scene or --planes with --rig", "--targets plane:A,plane:B")
             stated = (targets or USUAL_TARGETS).split(",")
             labels = list(dict.fromkeys(map(str.strip, stated)))

@@ -15,6 +15,8 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..results.calibration import Calibration
+    from ..results.survey import SurveyCalibration
     from ..results.verdict import Verdict
 
 BAD_INPUT = 2
@@ -41,8 +43,19 @@ def left_open(undetermined: Sequence[str], advice: Sequence[str]) -> tuple[int, 
     return UNDETERMINED, open_sentence(undetermined, advice)
 
 
-def unusable(judged: "Verdict") -> tuple[int, str] | None:
-    """Return the exit code and the words of a result that is not to be used; None of any other."""
+def failure_of(
+    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str = ""
+) -> tuple[int, str] | None:
+    """Return the exit code of the contract and what went wrong; None where nothing did.
+
+    A `disagreement` says that another way led to another optimum.
+    """
+    if result.status != "converged":
+        interrupted = getattr(result, "interrupted", False)  # one of a survey is not handed over
+        return INTERRUPTED if interrupted else UNDETERMINED, result.message
+    if disagreement:
+        words = f"{disagreement}; expected the same optimum: do not use this calibration"
+        return UNDETERMINED, words
     exceeded = judged.exceeded
     words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else judged.sentence
     return None if judged.usable else (NOT_USABLE, words)

@@ -8,11 +8,9 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 from ..text import count
 from .answer import Answer, text_width, wrote
-from .stopping import NOT_USABLE, UNDETERMINED, left_open, unusable
+from .stopping import NOT_USABLE, UNDETERMINED, failure_of, left_open
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from ..data.survey import Survey
     from ..errors import CalibrationWarning
     from ..files.rig_toml import Rig
@@ -88,17 +86,16 @@ def survey_answer(
     from ..files.survey_json import survey_text
     from ..files.writing import write_text
     from ..pipeline import calibrate
-    from ..quantities import SAME_OPTIMUM
     from ..results.survey_verdict import survey_verdict
 
     require_outputs_of({"--out": output.out, "--report": output.report}, rig)
-    taught, compared, largest = None, list[str](), 0.0
+    taught, compared, disagreement = None, list[str](), ""
     if incremental:
-        from .incremental import comparison_line, target_by_target
+        from .incremental import comparison_line, disagreement_of, target_by_target
 
         result, taught, comparison = target_by_target(survey, rig.noise)
         compared = [comparison_line(comparison, "target")]
-        largest = comparison.largest
+        disagreement = disagreement_of(comparison, "target")
     else:
         result = calibrate(survey, rig.noise)
     judged = survey_verdict(result, rig.limits)
@@ -115,11 +112,7 @@ def survey_answer(
     after = [*compared, *_read_lines(survey), *wrote(output.out, output.report)]
     lines = _lines(result, judged, taught, after)
     warnings = result.warnings if output.json_ or output.quiet else ()
-    failure = _failure(result, judged)
-    if largest > SAME_OPTIMUM:
-        found = f"target by target is {largest:.2g} standard deviations from all at once"
-        failure = UNDETERMINED, f"{found}; expected the same optimum: do not use this calibration"
-    return Answer(text, lines, warnings, failure)
+    return Answer(text, lines, warnings, failure_of(result, judged, disagreement))
 
 
 def survey_check(survey: "Survey", rig: "Rig") -> Answer:
@@ -189,27 +182,12 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
     from .words import lines_of
 
     result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
-    failure = _failure(result.calibration, result.calibration.verdict)
+    failure = failure_of(result.calibration, result.calibration.verdict)
     if failure is None and not result.usable:
         code = NOT_USABLE if result.disagreement is None else UNDETERMINED
         failure = code, result.verdict.sentence
     lines = lines_of("survey_validation", result=result)
     return Answer(survey_validation_text(result), lines, failure=failure)
-
-
-def survey_plan(
-    survey: "Survey", rig: "Rig", stations: int, rng: "np.random.Generator"
-) -> "SurveyPlan":
-    """Plan the next stations of a survey.
-
-    Raises
-    ------
-    InputError
-    """
-    from ..pipeline import calibrate
-    from ..planning.survey import plan_survey
-
-    return plan_survey(calibrate(survey, rig.noise), stations, rig.workspace, rig.goal, rng)
 
 
 def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] | None]:
@@ -262,9 +240,3 @@ def _lines(
     lines = [f"{name}: {words}" for name, words in facts(result, judged)]
     lines += [*result.undetermined[1:], *(f"WARNING: {one.message}" for one in result.warnings)]
     yield from text_lines([*lines, *after], width)
-
-
-def _failure(result: "SurveyCalibration", judged: "Verdict") -> tuple[int, str] | None:
-    if result.status != "converged":
-        return UNDETERMINED, result.message
-    return unusable(judged)

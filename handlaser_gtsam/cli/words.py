@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 SHOWN_ROWS = 10
 """Rows of the forecast, evenly over the stations, and stations whose poses are shown at most: they fit
 on a screen beside the rest."""
-UNKNOWN_ABOVE = 999.0
-"""Larger standard deviations are shown as unknown [mm], [deg]: nothing has determined them."""
 
 
 def _in(unit: float, value: float, digits: int, most: float = math.inf) -> str:
@@ -65,7 +63,7 @@ def plan_lines(plan: "Plan", goal: "Goal", robot: "Robot | None") -> list[str]:
         via=VIA,
         forecast=forecast,
         rows=sorted(shown | {last}),
-        most=UNKNOWN_ABOVE,
+        most=999.0,  # mm, deg: nothing has determined a standard deviation that is larger
         goal=goal,
         robot=robot,
     )

@@ -22,8 +22,6 @@ from .rig_toml import write_rig
 from .writing import write_text
 
 STATIONS_WRITTEN, RIG_WRITTEN, TRUTH_WRITTEN = "stations.csv", "rig.toml", "truth.json"
-DIGITS = 5
-"""Decimals of millimetres and degrees in tables of points: below the noise of any sensor."""
 
 
 def table_names(tables: Sequence[SensorTable]) -> list[str]:
@@ -66,7 +64,8 @@ def write_simulated(
     write_columns(folder / STATIONS_WRITTEN, survey.stations, ranges)
     for table, shots in zip(tables, survey.shots, strict=True):
         stops = survey.stations.station_names
-        columns = _columns(table, shots, zones.get(table.name)).round(DIGITS)
+        # Decimals of millimetres and degrees below the noise of any sensor.
+        columns = _columns(table, shots, zones.get(table.name)).round(5)
         content = pl.DataFrame({"station": [stops[j] for j in shots.station.tolist()]}).hstack(
             pl.DataFrame(columns, schema=list(COLUMNS[table.kind]), orient="row")
         )

@@ -26,10 +26,6 @@ from .rendering import number, rendered
 
 Exported = Calibration | CalibrationFile | SurveyCalibration | SurveyFile | StationList
 """What can be exported."""
-LAST_SIGNAL = 4096
-"""Largest number of a digital output: KUKA's."""
-LONGEST_PAUSE = 60.0
-"""A longer pause at every station [s] is a slip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +80,8 @@ class ExportOptions:
             require_count("tool", self.tool, 1, LAST_TOOL)
         if self.into is not None:
             path_of(self.into)
-        require_count("signal", self.signal, 0, LAST_SIGNAL)
-        require_number("pause", self.pause, 0.0, LONGEST_PAUSE, unit="s")
+        require_count("signal", self.signal, 0, 4096)  # as many as KUKA has
+        require_number("pause", self.pause, 0.0, 60.0, unit="s")  # a longer one is a slip
         if self.pose_format is not None:
             require_word("pose_format", self.pose_format, POSE_FORMATS)
 

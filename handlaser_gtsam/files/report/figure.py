@@ -40,10 +40,6 @@ more of them apart."""
 CLEAR = 1.15
 """Planes and scales that are drawn reach this many times as far as what they show: it stands clear of
 their edge."""
-LETTERS_BELOW = 48
-"""Letters of all labels below a picture on a phone."""
-SHORTEST_LABEL = 3
-"""Letters of a label at least: fewer tell no names apart."""
 
 
 class Figure(NamedTuple):
@@ -107,17 +103,11 @@ def axis_of_stations(count: int) -> Record:
 
 def axis_of_names(title: str, names: Sequence[str]) -> Record:
     """Return the axis on which named things stand at 0, 1 ...; where there are many, some are named."""
-    ticks = list(
-        range(0, len(names), max(1, math.ceil(len(names) * SHORTEST_LABEL / LETTERS_BELOW)))
-    )
-    words, ends = tick_labels([names[i] for i in ticks]), [-0.6, len(names) - 0.4]
+    room, shortest = 48, 3  # letters of all labels on a phone; of one, fewer tell no names apart
+    ticks = list(range(0, len(names), max(1, math.ceil(len(names) * shortest / room))))
+    longest = max(shortest, room // max(len(ticks), 1))
+    words, ends = [label(names[i], longest) for i in ticks], [-0.6, len(names) - 0.4]
     return axis(title, tickvals=ticks, ticktext=words, range=ends) | STYLE["names"]
-
-
-def tick_labels(names: Sequence[str], room: int = LETTERS_BELOW) -> list[str]:
-    """Return names for the ticks of an axis that has room for `room` letters."""
-    longest = max(SHORTEST_LABEL, room // max(len(names), 1))
-    return [label(name, longest) for name in names]
 
 
 def marker(index: int, count: int) -> Record:

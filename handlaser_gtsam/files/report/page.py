@@ -55,8 +55,6 @@ from .subject import ReadingRows, Subject, subject_of
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-MOST_JSON = 400_000
-"""Characters of the calibration's JSON that a page holds; a larger one is not in it."""
 HARMLESS = {ord(letter): f"\\u{ord(letter):04x}" for letter in "<>&\u2028\u2029"}
 SECTIONS: dict[str, str] = STYLE["sections"]
 """The sections of the page in their order, each with its name in the list of links."""
@@ -118,7 +116,8 @@ def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str
     spaces = spaces_of(subject)
     drawn = [scene_figure(space) for space in spaces] + flat_figures(subject)
     result = calibration_text(subject.calibration, subject.verdict)
-    result = safe_json(json.loads(result)) if len(result) <= MOST_JSON else ""
+    # Of hundreds of beams the covariance alone would be larger than all else of the page.
+    result = safe_json(json.loads(result)) if len(result) <= 400_000 else ""
     figures = {figure.name: figure for figure in drawn}
     values = {
         "shown": subject,

@@ -26,10 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Drawing
 
-SIZE = (6.0, 4.0)
-"""Inches of a picture: two of them fill the width of a page."""
-DPI = 130
-"""Dots an inch of a picture, which a page shows without enlarging it."""
 GREY, LINE = (STYLE["axis"][name] for name in ("linecolor", "gridcolor"))
 
 
@@ -102,7 +98,7 @@ def _png(figure: "Drawing") -> bytes:
     content = BytesIO()
     with warnings.catch_warnings():  # a letter that the font lacks is drawn as a box
         warnings.filterwarnings("ignore", message="Glyph .* missing")
-        figure.savefig(content, format="png", dpi=DPI, metadata={"Software": None})
+        figure.savefig(content, format="png", dpi=130, metadata={"Software": None})
     return content.getvalue()
 
 
@@ -110,7 +106,7 @@ def _flat(figure: Figure) -> "Drawing":
     """Draw the traces and the layout that the figures of a report have."""
     from matplotlib.figure import Figure as Drawing
 
-    drawing = Drawing(figsize=SIZE, layout="constrained")
+    drawing = Drawing(figsize=(6.0, 4.0), layout="constrained")
     axes = drawing.subplots()
     layout: Any = figure.layout
     sides = {"y": axes}

@@ -38,11 +38,6 @@ Segments = tuple[str, FloatArray, tuple[str, ...]]
 """A beam from the sensor to its spots: its name, segments (N, 2, 3) [mm], and what each of them is."""
 EYE = (1.15, -1.3, 0.75)
 """From where both pictures are seen: a little from above, so that walls and floors are both seen."""
-SIZE = (760, 520)
-"""Width and height of the still picture: on paper two stand side by side, half as large."""
-MARGIN = 28
-"""Room around the still picture, and the height of a row of its legend; letters of two thirds of it are
-readable at half the size."""
 
 
 class Seen(NamedTuple):
@@ -284,9 +279,11 @@ def still_picture(geometry: Geometry) -> Mapping[str, object]:
     right = np.cross([0.0, 0.0, 1.0], forward)
     right = right / np.linalg.norm(right)
     across = np.stack((right, np.cross(forward, right)), axis=1)
-    flat, size = geometry.points @ across, np.array(SIZE)
+    # On paper two pictures stand side by side, half as large.
+    size, margin = np.array([760, 520]), 28
+    flat = geometry.points @ across
     low, high = flat.min(axis=0), flat.max(axis=0)
-    scale = float(((size - 2.0 * MARGIN) / np.maximum(high - low, 1e-9)).min())
+    scale = float(((size - 2.0 * margin) / np.maximum(high - low, 1e-9)).min())
 
     def path(points: FloatArray) -> str:
         on = (points @ across - 0.5 * (low + high)) * scale * [1.0, -1.0] + 0.5 * size
@@ -294,12 +291,12 @@ def still_picture(geometry: Geometry) -> Mapping[str, object]:
 
     nearness = {name: float((corners @ forward).mean()) for name, corners in geometry.planes}
     few = len(geometry.beams) <= LEGEND
-    ruler = 0.25 * SIZE[0] / scale
+    ruler = 0.25 * float(size[0]) / scale
     power = 10.0 ** np.floor(np.log10(ruler))
     return {
         "frame": geometry.frame,
-        "size": SIZE,
-        "margin": MARGIN,
+        "size": size.tolist(),
+        "margin": margin,
         "planes": [
             path(corners)
             for _, corners in sorted(geometry.planes, key=lambda one: nearness[one[0]])

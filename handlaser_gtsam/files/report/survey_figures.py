@@ -39,12 +39,8 @@ from .figure import (
 from .figures import BESIDE
 from .scene import Seen, in_world, labels_of, scene_figure, some_of, xyz
 
-MOST_TARGETS = 4
-"""Targets that are drawn one by one at most: a page with more is long, and slow."""
 SHOWN_OF_POINTS = 0.99
 """Part of the distances of points within the scale of their colours."""
-CORNERS_OF_A_RING = 49
-"""Corners of a circle that looks round."""
 
 
 def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
@@ -116,7 +112,7 @@ def world_figure(result: SurveyCalibration, survey: Survey, seen: Sequence[Seen]
 
 def _rings(ball: SurveyTarget) -> Record:
     """Return three circles of a sphere as one line."""
-    a, v, name = np.linspace(0.0, 2.0 * np.pi, CORNERS_OF_A_RING), ball.values, label(ball.label)
+    a, v, name = np.linspace(0.0, 2.0 * np.pi, 49), ball.values, label(ball.label)
     flat = np.stack((np.cos(a), np.sin(a), np.zeros_like(a)), axis=1)
     gap = np.full((1, 3), np.nan)
     rings = [np.concatenate((np.roll(flat, turn, axis=1), gap)) for turn in range(3)]
@@ -212,7 +208,8 @@ def on_targets(
     """Return each target as it is seen, points coloured by their distance from it."""
     figures: list[tuple[SurveyTarget, Figure]] = []
     labels = labels_of(survey.stations)
-    for target in [t for t in result.targets.values() if t.kind != "point"][:MOST_TARGETS]:
+    # A page with more targets one by one is long, and slow.
+    for target in [t for t in result.targets.values() if t.kind != "point"][:4]:
         rows = [one.used & (labels[one.station] == target.label) for one in seen]
         place = np.concatenate([one.place[mine] for one, mine in zip(seen, rows, strict=True)])
         off = np.concatenate([one.off[mine] for one, mine in zip(seen, rows, strict=True)]) * IN_MM

@@ -27,9 +27,6 @@ SETTLED_S = 1.2
 They are read once more then, because a change within one tick of the file system's clock shows in no
 time stamp.
 """
-BUSY_S = 0.5
-"""Seconds after which the page says that a calibration is going on: shorter words would only
-flicker."""
 Publish = Callable[[Mapping[str, str]], None]
 
 
@@ -98,7 +95,8 @@ class Follower:
         if seen != self._seen:
             self._seen, self._changed = seen, now
         if self._asked is not None:
-            if self._refused_since is None and now - self._asked[2] > BUSY_S:
+            long = now - self._asked[2] > 0.5  # seconds: shorter words would only flicker
+            if self._refused_since is None and long:
                 self._say("calibrating", "calibrating")
             return
         settled = now - self._changed >= SETTLED_S

@@ -8,8 +8,6 @@ import asyncio
 import secrets
 from collections.abc import Mapping
 
-BEAT_S = 10.0
-"""Seconds after which a client hears that nothing is new, and so that the server is there."""
 STATE, STATUS = "state", "status"
 """Topics: that all of a calibration was sent, and what is going on."""
 
@@ -69,7 +67,7 @@ class Hub:
         changed = self._changed
         if known == self._number:
             try:
-                await asyncio.wait_for(changed.wait(), BEAT_S)
+                await asyncio.wait_for(changed.wait(), 10.0)  # the page gives up after 35 s
             except TimeoutError:
                 return known, b"event: beat\ndata:\n\n"
         return self._number, self.unheard(known)
