@@ -1,18 +1,13 @@
 """handlaser convert: a log becomes a recording in CSV, and how it is written a table of a rig file."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from .answer import Answer, Working, wrote
 from .log_options import Log
 from .options import RANGE, OutOption, QuietOption
-
-if TYPE_CHECKING:
-    from ..files.logs.format import LogFormat
-    from ..files.rig_toml import Rig
-    from ..model.sensor import Sensor
 
 
 def convert(
@@ -54,25 +49,25 @@ def convert(
     """
     from ..files.logs.reading import describe_log
     from ..files.recording_csv import write_recording
+    from ..files.rig_toml import known_rig, with_log_table
     from ..files.writing import require_outputs, write_text
     from ..text import printable, some
 
     with Working():
-        given, sensor, sigma, known = _known(log, rig, range_mm)
+        known = known_rig(rig, {"range_mm": range_mm} | log.stated())
+        given = known.log
         outputs = {"--out": out, "--write-log": write_log}
         require_outputs(outputs, (log_file, *given.files))
         require_outputs({"--out": out}, (rig,))
         rig_text = ""
         if write_log is not None:  # refused, if at all, before anything is written
-            from ..files.rig_toml import with_log_table
-
             rig_text = with_log_table(write_log, given)
-        if known is not None and known.survey is not None:
+        if known.survey is not None:
             from .survey import converted_survey
 
             lines, found = converted_survey(log_file, known, out)
         else:
-            report = describe_log(log_file, given, sensor, sigma)
+            report = describe_log(log_file, given, known.sensor, known.noise.range_sigma)
             if out is not None:
                 write_recording(out, report.recording)
             ignored, found = report.recording.ignored_columns, report.recording.warnings
@@ -82,21 +77,3 @@ def convert(
             write_text(write_log, rig_text)
     lines += wrote(out, write_log)
     Answer("", map(printable, lines), found).give(json=False, quiet=quiet)
-
-
-def _known(
-    log: Log, rig: Path | None, range_mm: tuple[float, float] | None
-) -> "tuple[LogFormat, Sensor, float | None, Rig | None]":
-    """Return how the log is written, the sensor, a reading's sigma if known, and the rig if given."""
-    from ..files.logs.format import LogFormat
-    from ..files.rig_toml import with_stated
-    from ..model.sensor import Sensor
-    from ..quantities import MM
-
-    if rig is not None:
-        from ..files.rig_toml import known_rig  # loads GTSAM, which needs memory of its own
-
-        known = known_rig(rig, {"range_mm": range_mm} | log.stated())
-        return known.log, known.sensor, known.noise.range_sigma, known
-    sensor = Sensor() if range_mm is None else Sensor(MM * range_mm[0], MM * range_mm[1])
-    return with_stated(LogFormat(), log.stated()), sensor, None, None
