@@ -7,6 +7,12 @@ from ..arrays import FloatArray, IntArray
 
 ROTATION_CELL = 2e-3
 """Rotations whose matrices agree to about this many radians count as equal."""
+COORDINATE_AXES = np.eye(3)
+"""The coordinate axes."""
+CROSSED_FROM = np.array([[0, 2, 1], [2, 1, 0], [1, 0, 2]])
+"""Which coordinates of a vector its cross product with each axis (3, 3) has."""
+CROSSED_SIGN = np.array([[0.0, 1.0, -1.0], [-1.0, 0.0, 1.0], [1.0, -1.0, 0.0]])
+"""The signs that they have there."""
 
 
 def tangent_basis(unit: FloatArray) -> FloatArray:
@@ -15,13 +21,16 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
     It is the basis of `gtsam.Unit3`: its first vector is at right angles to the axis that is farthest
     from the unit vector. A test compares the two.
     """
-    axes = np.eye(3).take(np.abs(unit).argmin(axis=1), axis=0)
-    along = (unit * axes).sum(axis=1, keepdims=True)
+    axis = np.abs(unit).argmin(axis=1)
+    numbers, first = unit.ravel(), 3 * np.arange(len(unit))
+    along = numbers.take(first + axis)[:, None]
     scale = 1.0 / np.sqrt(1.0 - along * along)
     basis = np.empty((len(unit), 3, 2))
-    basis[..., 0] = cross(unit.T, axes.T).T * scale
+    # The cross product of the vector and the axis: each coordinate is another one with a sign.
+    crossed = numbers.take(first[:, None] + CROSSED_FROM.take(axis, axis=0))
+    basis[..., 0] = crossed * (CROSSED_SIGN.take(axis, axis=0) * scale)
     # The cross product of the vector and its first tangent.
-    basis[..., 1] = (unit * along - axes) * scale
+    basis[..., 1] = (unit * along - COORDINATE_AXES.take(axis, axis=0)) * scale
     return basis
 
 
