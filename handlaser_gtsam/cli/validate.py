@@ -95,7 +95,7 @@ def _validated(
     judged = leave_out.verdict_of_validation(result, rig.limits)
     lines = validation_lines(result, judged, text_width())
     failure = None if judged.usable else (NOT_USABLE, judged.sentence)
-    return Answer(validation_text(result), lines, failure=failure)
+    return Answer(validation_text(result, judged), lines, failure=failure)
 
 
 def _tested(

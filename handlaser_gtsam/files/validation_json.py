@@ -1,16 +1,19 @@
 """Validations and hold-out tests as JSON; SI units, finite numbers only."""
 
+from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import Validation
 from ..validation.prediction import Prediction
+from .calibration_json import verdict_record
 from .checked_text import Record, json_text, record, records
 
 
-def validation_text(validation: Validation) -> str:
-    """Return a validation as JSON text."""
+def validation_text(validation: Validation, verdict: Verdict) -> str:
+    """Return a validation, and the verdict after it, as JSON text."""
     return json_text(
         "validation",
         {
+            "verdict": verdict_record(verdict),
             "planes_left_out": [
                 record(one, "plane message") | ({} if one.result is None else _hold_out(one.result))
                 for one in validation.planes

@@ -66,6 +66,8 @@ from .warnings import (
     suspicious,
 )
 
+OF_NOISE = ("sigmas-too-small", "sigmas-too-large", "poses-err")
+"""Codes of warnings that judge the noise by the residuals."""
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 MOST_EXCHANGED = 1.0 / 3.0
 """Where readings of beams are exchanged and one of them loses more than this part of its own, it is not
@@ -121,7 +123,9 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
-        of_fit = fit_warnings(used, fit, problem.noise, solution, beams, together)
+        of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, together))
+        if determined.undetermined:  # then scales of range errors are not learned, and count in chi2
+            of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
         signs = (*_wrong_labels(problem, why), *why.warnings, *of_fit)
     whole = joint if determined.rank == determined.unknowns else None
     result = Calibration(

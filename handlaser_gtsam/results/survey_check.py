@@ -165,7 +165,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         unknowns,
         undetermined,
         # On a cone, only the noise in the tilt of the target makes it look determined.
-        not weak.any() or CURE_OF_A_CIRCLE in advice,
+        bool(undetermined) and (not weak.any() or CURE_OF_A_CIRCLE in advice),
         advice,
         first_noise(rows, first, noise),
         first.misfit,

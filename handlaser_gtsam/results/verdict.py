@@ -48,7 +48,7 @@ class Improvement:
     code : str
         `systematic`, `effect-undetermined`, `hidden`, `outliers`, `sigmas`, `limit-rms`, `stops`,
         `poses`, `range-span`, `motion`, `more-stations`, `more-motion` or `recording`; of surveys
-        codes of warnings that say what to do, too.
+        codes of warnings that say what to do, and `file-mistake`, too.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -92,6 +92,9 @@ def improvement(
     total = fit.readings + fit.outliers
     codes = {one.code for one in calibration.warnings}
     undetermined = next((one for one in calibration.effects if not one.determined), None)
+    mistake = _undone(calibration)
+    if mistake is not None:
+        return mistake
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
     if fit.outliers > MANY_OUTLIERS * total:
@@ -121,6 +124,12 @@ def improvement(
     if few and not failed:
         return improvement_of("more-stations:few", dof=fit.dof)
     return more_stations(failed)
+
+
+def _undone(calibration: CalibrationData) -> Improvement | None:
+    """Return the mistake of the file that is to be undone; None where none is known."""
+    found = (one for one in calibration.warnings if one.code == CAUSE)
+    return next((Improvement(CAUSE, clause(one.message)) for one in found), None)
 
 
 def more_stations(failed: tuple[LimitCheck, ...]) -> Improvement:
@@ -355,7 +364,7 @@ def _none(calibration: CalibrationData, reading: float) -> Verdict:
     """Return the verdict on what did not converge."""
     found = calibration.observability
     if calibration.status != "unobservable":
-        best = improvement_of("recording")
+        best = _undone(calibration) or improvement_of("recording")
         says_why = any(one.message == calibration.message for one in calibration.warnings)
         code = "no-fit" if says_why else "not-converged"
         words = clause(calibration.message).removeprefix("the readings do not fit: ")
