@@ -49,9 +49,6 @@ from .task import STEPS_IN_VAIN
 
 GROSS = 6.0
 """Shots farther than this many times the typical misfit are rejected before anything is learned."""
-HALVES = 12
-"""Halves of the shots that starts are looked for from, where most shots do not fit. Of eighteen with
-two wrong ones a fifth of the halves has none, and one of twelve with 93 %."""
 MOST_LEFT_OUT = 0.4
 """Largest part of the shots, of all and of one target, that may be rejected."""
 FIRST_OUT = 0.5
@@ -59,12 +56,6 @@ FIRST_OUT = 0.5
 squares share the error of one among all that see the same target."""
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
-FINEST_AIMING = 1e-6
-"""No spot is aimed better than this [m]: the likelihood has no bound where all are aimed exactly."""
-BODY_HELD = 0.01
-"""A body may go this part of the range, or turn so far [rad], along what its faces leave open."""
-MOST_GRAZING_ROUNDS = 4
-"""Minima after which it is settled which rays graze their spheres: one at the limit may come and go."""
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 
@@ -248,7 +239,8 @@ class SurveyState:
         for body, known in enumerate(self.rows.bodies):
             assert known.faces is not None
             pose = self.values[BODY.name][0, body]
-            sigma = BODY_HELD * min(self.rows.length, 1.0)
+            # A body may go this part of the range, or turn so far [rad].
+            sigma = 0.01 * min(self.rows.length, 1.0)
             relation = held(body, pose, known.faces, sigma)
             if relation is not None:
                 yield relation
@@ -507,7 +499,8 @@ def _started_from_halves(state: SurveyState) -> bool:
     numbers = numbers_of(state.rows)
     target = np.array([numbers[item.target] for item in items])
     least, values = float(np.median(misfits(state))), None
-    for _ in range(HALVES):
+    # Of eighteen shots with two wrong ones a fifth of the halves has none, and one of twelve with 93 %.
+    for _ in range(12):
         some = np.zeros(len(items), dtype=bool)
         for one in np.unique(target):
             own = rng.permutation(np.flatnonzero(target == one))
@@ -597,7 +590,8 @@ def _settle_grazing(state: SurveyState) -> bool:
 
     Tell whether all that count meet their spheres: the others have ranges that are made up.
     """
-    for _ in range(MOST_GRAZING_ROUNDS):
+    # A ray at the limit may come and go.
+    for _ in range(4):
         rows = without_grazing(state.rows, state.values)
         if rows is None:
             return True
@@ -631,7 +625,8 @@ def _learned(state: SurveyState) -> bool:
         root = covariance_roots(state.pose_covariance())[state.stations(owner)]
         rows.by_pose[:] = np.einsum("ri,rij->rj", rows.by_pose, root)
     finest = np.full(len(state.sizes.vector()), FINEST)
-    finest[len(state.sizes.sigma) - 1] = FINEST_AIMING
+    # The likelihood has no bound where all spots are aimed exactly.
+    finest[len(state.sizes.sigma) - 1] = 1e-6
     source, inside = state.sources(owner), _inside(state.rows)
     usual = usual_noise(state.rows, state.noise)
     new = components(rows, source, inside, state.sizes, state.stated, usual, finest)

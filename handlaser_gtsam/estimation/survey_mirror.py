@@ -33,13 +33,6 @@ from .survey_rows import Entity, Rows
 if TYPE_CHECKING:
     from .survey import SurveyState
 
-SAME_CHI2 = 0.01
-"""An image whose chi2 differs by less is a minimum itself, because all that counts is symmetric: to
-search for it would only wander along undetermined heights. A relation that tells
-images apart makes chi2 differ by the square of standard deviations."""
-STEPS_TO_AN_IMAGE = 100
-"""Walls that noise makes lean a little are not quite their own images: a search from the image of one
-sensor alone has chi2 at rest within thirty steps, and its undetermined height perhaps never."""
 TURNS = {SENSOR.name: slice(0, 3), BEAM.name: DIRECTION, PLANE.name: PLANE.tangents[0]}
 """Tangent coordinates of rotations, directions and normals, by family."""
 
@@ -90,9 +83,13 @@ def best_image(
         for values in _images(state.rows, state.values, motion):
             trial = replace(state, values=values)
             more = _chi2(trial) - here
-            if abs(more) > SAME_CHI2:
+            # Where all that counts is symmetric, an image is a minimum itself. A relation that tells
+            # images apart makes chi2 differ by the square of standard deviations.
+            if abs(more) > 0.01:
                 problem, _ = trial.problem()
-                lower = descended(problem, problem.blocks, values, STEPS_TO_AN_IMAGE)
+                # From the image of one sensor alone chi2 is at rest within thirty steps; the
+                # undetermined height of walls that noise makes lean perhaps never is.
+                lower = descended(problem, problem.blocks, values, 100)
                 trial = trial if lower is None else replace(state, values=lower)
                 more = _chi2(trial) - here
             if more < least:

@@ -41,14 +41,6 @@ VIRTUAL = 3
 """Rays of a flat sensor that serve as beams; a sensor in space has one more."""
 SWEPT = 400
 """Normals that are tried."""
-BEST = 40
-"""Of these, starts that are searched: those whose linear system fits best."""
-SIGNS = 24
-"""First signs of a profile's distance from the centre of a sphere that are tried."""
-ALTERNATIONS = 30
-"""Signs and linear solutions alternate at most so often; most settle within ten."""
-RADII = (1.0, 1.02, 1.06, 1.12, 1.25, 1.5)
-"""An unknown radius is tried at these times the second largest circle of the shots."""
 RANDOM = 300
 """Random mounts that are tried where nothing else leads to a good fit."""
 MOST_STEPS = 60
@@ -57,10 +49,6 @@ POOR = 25.0
 """A mean square misfit beyond this [squared standard deviations] is no good fit."""
 TRIMMED = 0.75
 """Part of the shots, those that fit best, by which the ends of searches are compared."""
-PASSED_BESIDE = (-0.6, 0.0, 0.6)
-"""Beams are tried that pass the centres of spheres by these parts of the radius."""
-ASIDE = 0.95
-"""Rays pass the centre of a sphere at a start within this part of its radius, and so meet it."""
 HARMLESS = {SENSOR.name: [0, 4, 8], BEAM.name: [5], PLANE.name: [2], SPHERE.name: [3]}
 """Numbers that are one where nothing is known yet: no turn, directions along z, a radius of 1 m."""
 OF_MOUNT = {SENSOR.name: POSE.dim, BEAM.name: MOUNT_DIM}
@@ -284,7 +272,8 @@ def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
     B = A[..., -4:]
     y = least_squares(B, right - offset, SINGULAR**0.75)
     e = (B @ y[..., None])[..., 0] + offset - right
-    for k in np.argsort((e**2).sum(axis=1))[:BEST]:
+    # The linear systems that fit best are searched.
+    for k in np.argsort((e**2).sum(axis=1))[:40]:
         yield _mount(X[k], y[k, :3])
 
 
@@ -307,7 +296,8 @@ def _from_spheres(rows: Rows, member: int, items: Sequence[Item]) -> Iterator[Fl
 
     def settled(side: FloatArray, aside: FloatArray) -> tuple[float, FloatArray]:
         """Return misfit and mount for centres so far `aside`; signs and mount alternate."""
-        for _ in range(ALTERNATIONS):
+        # Most settle within ten.
+        for _ in range(30):
             centres[:, across] = side * aside
             X, y, e = _linear_mount(R, t, centres, fixed)
             left = e - (R @ X[:, across]) * (side * aside)[:, None]
@@ -318,13 +308,15 @@ def _from_spheres(rows: Rows, member: int, items: Sequence[Item]) -> Iterator[Fl
             side = new
         return float(np.sqrt((e**2).mean())), _mount(X, y[:3])
 
-    for part in RADII:
+    # An unknown radius is tried at these times the second largest circle of the shots.
+    for part in (1.0, 1.02, 1.06, 1.12, 1.25, 1.5):
         square = np.zeros(len(items))
         for s in np.unique(sphere):
             radii = np.sort(shapes[sphere == s, 2])
             largest = radii[max(len(radii) - 2, 0)] * part
             square[sphere == s] = np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0)
-        drawn = (rng.choice([-1.0, 1.0], len(items)) for _ in range(SIGNS - 1))
+        # Signs of a profile's distance from the centre of a sphere.
+        drawn = (rng.choice([-1.0, 1.0], len(items)) for _ in range(23))
         sides = chain([np.ones(len(items))], drawn)
         yield min((settled(side, np.sqrt(square)) for side in sides), key=itemgetter(0))[1]
 
@@ -376,7 +368,8 @@ def _beams_on_spheres(
     if x is None:
         return
     across = tangent_basis(x[None, 3:6])[0]
-    for parts in product(PASSED_BESIDE, repeat=4):
+    # Beams that pass the centres by these parts of the radius.
+    for parts in product((-0.6, 0.0, 0.6), repeat=4):
         shift, lean = np.median(radius) * np.reshape(parts, (2, 2)) @ across.T
         v = x[3:6] + lean / np.median(d)
         yield np.concatenate((x[:3] + shift, v / np.linalg.norm(v), np.zeros(2)))
@@ -531,7 +524,8 @@ def _met_by_all(x: FloatArray, p: FloatArray, u: FloatArray) -> FloatArray:
     """Return a sphere that is made larger, its near side where it was, until rays (n, 3) meet it."""
     w = p - x[:3]
     aside = np.linalg.norm(w - (w * u).sum(axis=1)[:, None] * u, axis=1)
-    more = max(float(aside.max()) / ASIDE - x[3], 0.0)
+    # So far aside of its centre, in parts of the radius, rays surely meet a sphere.
+    more = max(float(aside.max()) / 0.95 - x[3], 0.0)
     ahead = u.mean(axis=0)
     return np.append(x[:3] + more * ahead / np.linalg.norm(ahead), x[3] + more)
 

@@ -124,7 +124,8 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
         of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, together))
-        if determined.undetermined:  # then scales of range errors are not learned, and count in chi2
+        if determined.undetermined:
+            # Scales of range errors are not learned then, and count in chi2.
             of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
         signs = (*_wrong_labels(problem, why), *why.warnings, *of_fit)
     whole = joint if determined.rank == determined.unknowns else None

@@ -39,15 +39,6 @@ from ..quantities import FAR_SIGMAS
 from .messages import warned
 from .projection import LinearRows, Projection
 
-LEAST_PAIRS = 20
-"""A correlation estimated from fewer neighbours is unsure by more than a fifth."""
-LEAST_GROWTH = 1.02
-"""Standard deviations that grow by less stay as they are: no digit that is shown changes."""
-CHAINS_IN_LENGTH = 4
-"""Sums and lengths of correlation are at most a quarter of the longest chain, because the unknowns
-explain longer correlations."""
-DRAWS = 300
-"""Draws of the noise, which give the spread of a sum to 4 %."""
 LEAST_DRAWS = 20
 """Draws for the largest recordings, which give that spread to 16 %."""
 NUMBERS = 1_000_000
@@ -102,7 +93,8 @@ def dependence(
         Columns of systematic errors that were found.
     """
     chains = _Chains(rows.readings, rows.position)
-    if chains.joined.sum() < LEAST_PAIRS:
+    # A correlation of fewer neighbours is unsure by more than a fifth.
+    if chains.joined.sum() < 20:
         return INDEPENDENT
     how = rows.how
 
@@ -114,7 +106,8 @@ def dependence(
     explained = np.empty((len(rows.readings), 0))
     if found.size:
         explained = np.linalg.qr(left(found))[0]
-    count = int(np.clip(NUMBERS // len(rows.readings), LEAST_DRAWS, DRAWS))
+    # 300 draws give the spread of a sum to 4 %.
+    count = int(np.clip(NUMBERS // len(rows.readings), LEAST_DRAWS, 300))
     seen = chains.squares(left(rows.residual[:, None]))[:, 0]
     if not seen[0] > 0.0:
         return INDEPENDENT
@@ -136,7 +129,8 @@ def dependence(
     growth = _growth(rows, projection, chains, parts)
     means_growth = float(parts @ [1.0, *(chains.growth_of_means(length) for length in lengths)])
     growth, plane_growth = np.sqrt([lost * growth, lost * means_growth]).tolist()
-    if max(growth, plane_growth) < LEAST_GROWTH:
+    # No digit that is shown changes by less.
+    if max(growth, plane_growth) < 1.02:
         return INDEPENDENT
     together = parts[1:] / max(parts[1:].sum(), np.finfo(float).tiny)
     return Dependence(
@@ -191,7 +185,8 @@ class _Chains:
         self.order, self.joined = order, same & (np.diff(readings.beam[order]) == 0)
         self.bounds = np.concatenate(([0], np.flatnonzero(~self.joined) + 1, [len(order)]))
         self.longest = int(np.diff(self.bounds).max())
-        most = max(self.longest / CHAINS_IN_LENGTH, 2.0)
+        # The unknowns explain longer correlations.
+        most = max(self.longest / 4, 2.0)
         self.lengths = np.exp2(np.arange(int(np.log2(most)) + 1))
 
     def squares(self, w: FloatArray) -> FloatArray:

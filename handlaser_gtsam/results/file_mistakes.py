@@ -29,16 +29,10 @@ LEAST_REJECTED = 3
 """Fewer rejected readings of one beam do not suggest that they are another beam's."""
 SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
 """Parts of the way to the next station, or back to the one before, at which readings may be taken."""
-CLOSE_SHARE = 1e-3
-"""Known so well, they leave a hundredth of the misfit that they have at a tenth of the way."""
 UNIT_GAP = 3.0
 """Readings that differ by this factor on both sides of a station, without overlap, have two units."""
 SPLITS = 9
 """Evenly spaced stations that are tried as the first of a second plate; then the best is refined."""
-MOST_PAIRS = 3
-"""Most pairs of planes tried for exchanged labels, where one has too few readings to tell by itself."""
-MOST_SWAPS = 40
-"""Pairs of beams, times planes, that are tried: more would take longer than the calibration."""
 GROUPS = 4
 """Groups of planes that are omitted in turn to find the one before which beams look swapped."""
 
@@ -107,7 +101,8 @@ def _swaps(recording: Recording) -> Iterator[Rereading]:
     """
     beams, planes = recording.beam_names, len(recording.plane_names)
     pairs = list(combinations(range(len(beams)), 2))
-    if planes < 2 or not 0 < planes * len(pairs) <= MOST_SWAPS:
+    # More would take longer than the calibration.
+    if planes < 2 or not 0 < planes * len(pairs) <= 40:
         return
     now = _glance(recording)
     for group in range(min(GROUPS, planes)):
@@ -241,7 +236,8 @@ def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
     if len(mixed) < 2:  # with a plane that has too few readings to tell by itself
         others = [p for p in planes if p in {*mixed, *too_small}]
         pairs = [pair for pair in combinations(others, 2) if not mixed or mixed[0] in pair]
-        tried += pairs[:MOST_PAIRS]
+        # More pairs would take longer than the calibration, too.
+        tried += pairs[:3]
     for group in tried:
         first, *second = [recording.plane_names[p] for p in group]
         other = second[0] if second else f"{first}, later"
@@ -272,7 +268,8 @@ def _on_the_way(recording: Recording) -> Iterator[Rereading]:
         near = sorted(values, key=lambda share: abs(share - best))[:3]
         a, b, _ = np.polyfit(near, [values[share] for share in near], 2)
         share = float(np.clip(-0.5 * b / a, SHARES[0], SHARES[-1])) if a > 0.0 else best
-        if min(abs(share - known) for known in values) < CLOSE_SHARE:
+        # It leaves a hundredth of the misfit that a tenth of the way has.
+        if min(abs(share - known) for known in values) < 1e-3:
             break
         values[share] = _glance(_moved_on(one, share))
     if values[0.0] < PROMISING * values[best] or best == 0.0:

@@ -29,10 +29,6 @@ from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
 NOT_OF_MOTION = frozenset((*RAY_ERRORS, *BEAM.coordinates[RANGE_ERROR]))
 """Coordinates that do not count among the unknowns that a motion has to determine."""
-NEAR_THE_HAND = 10.0
-"""Mounts are held to the hand to this many typical ranges (1 sigma), which hides nothing."""
-ANY_TURN = 1e3
-"""Standard deviation [rad] of turns that says nothing of them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -128,10 +124,9 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     # A search wanders along what is undetermined by metres, at no cost, and derivatives with it.
     whose = [f"sensor:{one.name}" for one in survey.shots]
     whose += [f"beam:{name}" for name in survey.beam_names]
-    near = NEAR_THE_HAND * rows.length
-    holds = [
-        Known("mount", (one,), sigma=near, sigma_angle=ANY_TURN, pose=np.eye(4)) for one in whose
-    ]
+    # Mounts are held to the hand to ten typical ranges (1 sigma), which hides nothing.
+    near = 10.0 * rows.length
+    holds = [Known("mount", (one,), sigma=near, sigma_angle=1e3, pose=np.eye(4)) for one in whose]
     try:
         state = first_state(replace(rows, known=(*rows.known, *holds)), noise)
     except InputError as error:

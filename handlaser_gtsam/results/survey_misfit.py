@@ -52,18 +52,12 @@ BEHIND_ECHO = "behind-echo"
 """Code of the warning that what an array reads behind a near echo does not fit what else it reads."""
 MISREAD = (CONVENTION, KIND, HALF_ANGLE, BEHIND_ECHO)
 """Codes of mistakes with which no result is usable, and no advice on the motion means anything."""
-HALF_ANGLES_TRIED = (0.5, 0.6, 0.8, 1.25, 1.6, 2.0)
-"""Times the half angle that is stated: a datum of a data sheet, or the whole angle in its place."""
-NEAR_ECHOES = (0.15, 0.2, 0.25, 0.3, 0.4)
-"""Parts of the typical reading between which an echo may pull what its zone reads behind it."""
 PULLED = 2.0
 """Readings are pulled if their median is off by more standard deviations of one. Less is lost in the
 noise: a real array reads 4 mm short behind echoes of 80 to 100 mm, and 14 to 45 mm behind nearer ones,
 with 6 mm of noise."""
 OTHER_KIND = {"plane": "sphere", "sphere": "plane"}
 """What a target may be in place of what its label says: shots of grooves are split before."""
-SHOTS_TRIED = 60
-"""Shots, spread over all, that decide: an array of nine zones says it with ten."""
 MUCH_DEARER = 2.0
 """Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
@@ -105,7 +99,8 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             return np.inf
         return again.estimate.chi2 + FAR_SIGMAS**2 * float((~again.used).sum())
 
-    tried = [part for part in HALF_ANGLES_TRIED if part * stated <= WIDEST_CONE]
+    # A datum of a data sheet may be another one, or the whole angle in its place.
+    tried = [part for part in (0.5, 0.6, 0.8, 1.25, 1.6, 2.0) if part * stated <= WIDEST_CONE]
     found_at = [squares(part) for part in tried]
     least = min(found_at, default=np.inf)
     dof = found.estimate.dof
@@ -129,7 +124,8 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     for member, shots in enumerate(survey.shots):
         if shots.before is None:
             continue
-        edges = np.array([0.0, *NEAR_ECHOES]) * float(np.median(shots.reading))
+        # Parts of the typical reading up to which an echo may pull what its zone reads behind it.
+        edges = np.array([0.0, 0.15, 0.2, 0.25, 0.3, 0.4]) * float(np.median(shots.reading))
         edges = edges[[(shots.before < edge).mean() < MOST_LEFT_OUT for edge in edges.tolist()]]
         if not (shots.before < edges[-1]).any():
             continue
@@ -338,7 +334,8 @@ def _squares(
     sigma : float, optional
         Standard deviation of a reading [m], where it is known.
     """
-    some_of_all = list(kinds)[:: max(len(kinds) // SHOTS_TRIED, 1)]
+    # An array of nine zones says it with ten shots.
+    some_of_all = list(kinds)[:: max(len(kinds) // 60, 1)]
     total, dof, lost = 0.0, 0, 0
     for target in OTHER_KIND:
         seen = [s for s in some_of_all if kinds[s] == target]

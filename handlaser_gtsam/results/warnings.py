@@ -56,8 +56,6 @@ IMPLAUSIBLE = "implausible-range-error"
 WORTH_REFINING = 100.0
 """Another minimum of one beam, the planes fixed, is refined where its chi2 is larger by at most
 this."""
-RIVAL_BEAMS = 4
-"""Beams whose other minima are refined at most: each takes a solution of all unknowns."""
 
 
 def misfit(
@@ -256,7 +254,8 @@ def rival_warnings(
     rows = first[:, None] + np.array([3, 4])
     blocks = joint.beams[rows[:, :, None], rows[:, None, :]]
     sigma = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
-    for beam in np.argsort(least)[:RIVAL_BEAMS].tolist():
+    # Each takes a solution of all unknowns.
+    for beam in np.argsort(least)[:4].tolist():
         if least[beam] > WORTH_REFINING:
             break
         one = int(np.argmin(worse[beam]))

@@ -12,8 +12,6 @@ PLAIN = str.maketrans({MINUS: "-", NONE: "-", "±": "+-", "²": "^2", "·": "."}
 """Letters that not every terminal shows."""
 GAPS = ("  ", " ")
 """Between columns: the narrow one where a table then fits."""
-LEAST_NAME = 8
-"""Letters of the first column that are kept where the table then fits."""
 NAME = 0.25
 """Part of the width that the first column has where the table stands in parts, before each of them."""
 
@@ -38,7 +36,7 @@ def text_table(table: Table, width: int, most_rows: int | None = None) -> list[s
     ]
     sizes = [max(map(len, column)) for column in columns]
     room = width - sum(sizes[1:]) - len(GAPS[1]) * (len(sizes) - 1)
-    longest = room if room >= LEAST_NAME else int(NAME * width)
+    longest = room if room >= 8 else int(NAME * width)
     columns[0] = [shortened(cell, longest) for cell in columns[0]]
     sizes[0] = max(map(len, columns[0]))
     right = [column.number for column in table.columns]

@@ -18,8 +18,6 @@ LINES = 30
 """Lines of the whole answer, which then stands on one screen."""
 BRIEF = ("rms residual", "largest residual", "sigma0", "degrees of freedom")
 """Facts of the fit that stand on the screen."""
-EVIDENCE_LINES = 3
-"""Lines of observability and of systematic errors each, at most; all that they say takes more."""
 
 
 def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH) -> list[str]:
@@ -30,7 +28,7 @@ def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH
     """
     first = wrapped("".join(_warning_texts(described)[:1]), None, width)
     lines, room = [], 0
-    for most in (EVIDENCE_LINES, 2, 1):
+    for most in (3, 2, 1):
         lines = _above_warnings(described, most, width)
         room = as_many(LINES, width) - closing - len(lines)
         if len(first) <= room:
