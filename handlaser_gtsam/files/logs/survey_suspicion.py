@@ -19,10 +19,11 @@ from ...estimation.survey_starts import start_of
 from ...model.sensors.mounted import SENSOR
 from ...model.shots import Mixed
 from ...quantities import TINY, UNIT_SIGMA
+from ...results.rereading import SPARE
 from ...starts import Effort
 from .format import LogFormat
 from .motion import Way
-from .suspicion import LEAST_SPARE, MOST_STATIONS, accused, alternatives, good_square
+from .suspicion import MOST_STATIONS, accused, alternatives, good_square
 
 
 def refuse_wrong_poses(
@@ -48,7 +49,7 @@ def refuse_wrong_poses(
     """
     rows = _part(survey)
     read = [item.shot.reading for item in rows.items if item.shot is not None]
-    if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
+    if sum(map(len, read)) < len(rows.places().names) + SPARE:
         return ()
     variance = max(float(np.concatenate(read).var()), TINY)
 

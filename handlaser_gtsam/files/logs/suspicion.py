@@ -49,9 +49,6 @@ MOVED = 0.02
 BETTER = 6.25
 """A convention is named where it lowers the squared residual by this factor: a factor of 4 accused one
 of 150 right logs, a third of which had a fifth of their readings wrong."""
-LEAST_OF_BEAM, LEAST_SPARE = 24, 10
-"""Readings of one beam, and readings beyond the unknowns, that tell one convention from another: fewer
-than for other mistakes, because the other convention must fit well, too."""
 MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
 GOOD = 0.7
@@ -111,8 +108,8 @@ def refuse_wrong_convention(
     InputError
         It fits so, and is not to be read `as_stated` in any case.
     """
-    part, stations = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
-    if len(stations) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
+    part, stations = one_beam(recording, MOST_STATIONS)
+    if not tells(part) or len(part.beam_names) > 1:
         return ()
     rows, way = way.narrowed(chosen[stations])
     numbers = numbers[rows]
