@@ -25,7 +25,6 @@ from .recording_checks import (
     HasMatrix,
     check_recording,
     first_repeated,
-    joined_columns,
     names_of,
     numbered,
     pose_matrices,
@@ -241,21 +240,23 @@ def join(recordings: Sequence[Recording]) -> Recording:
         raise InputError(f"{shown(recordings)} to join", "a sequence of recordings")
     for part in recordings:
         require_kind("one to join", part, Recording)
-    ranges = [(part.beam_names, part.ranges) for part in recordings]
-    beams, joined = joined_columns(ranges, np.nan)
-    worth = [
-        np.ones(one.ranges.shape) if one.samples is None else one.samples for one in recordings
-    ]
-    samples = [(part.beam_names, table) for part, table in zip(recordings, worth, strict=True)]
+    beams = tuple(dict.fromkeys(name for part in recordings for name in part.beam_names))
+    shape = sum(len(part.ranges) for part in recordings), len(beams)
+    ranges, samples, first = np.full(shape, np.nan), np.ones(shape), 0
+    for part in recordings:
+        rows = slice(first, first := first + len(part.ranges))
+        columns = [beams.index(name) for name in part.beam_names]
+        ranges[rows, columns] = part.ranges
+        samples[rows, columns] = 1.0 if part.samples is None else part.samples
     averaged = any(part.samples is not None for part in recordings)
     return Recording(
         np.concatenate([part.world_R_hand for part in recordings]),
         np.concatenate([part.world_t_hand for part in recordings]),
-        joined,
+        ranges,
         tuple(label for part in recordings for label in part.plane_labels),
         beams,
         tuple(name for part in recordings for name in part.station_names),
-        samples=joined_columns(samples, 1.0)[1] if averaged else None,
+        samples=samples if averaged else None,
         range_min=min(part.range_min for part in recordings),
     )
 
@@ -269,12 +270,31 @@ class Order(Value):
     planes: IntArray
 
 
+def sorted_rows(table: FloatArray) -> IntArray:
+    """Return the order of the rows (N, D) by the first column, then the second, and so on.
+
+    A row that the columns so far tell from all others is not sorted again.
+    """
+    order = np.arange(len(table))
+    place, group = order.copy(), np.zeros_like(order)
+    for column in table.T:
+        rows = order[place]
+        rows = rows[np.lexsort((column[rows], group))]
+        order[place], x = rows, column[rows]
+        first = np.ones(len(rows) + 1, dtype=bool)
+        first[1:-1] = (group[1:] != group[:-1]) | (x[1:] != x[:-1])
+        shared = ~(first[:-1] & first[1:])
+        place, group = place[shared], np.cumsum(first[:-1])[shared]
+        if not place.size:
+            break
+    return order
+
+
 def sorted_readings(recording: Recording) -> tuple[Readings, Order]:
     """Return the readings of `recording` in the order that only their content decides."""
     ranges = np.where(np.isnan(recording.ranges), np.inf, recording.ranges)
     poses = np.hstack((recording.world_t_hand, recording.world_R_hand.reshape(-1, 9)))
-    # By the first column of these, then the second, and so on.
-    stations = np.lexsort(np.hstack((poses, np.sort(ranges, axis=1))).T[::-1])
+    stations = sorted_rows(np.hstack((poses, np.sort(ranges, axis=1))))
     beams = np.lexsort(ranges[stations][::-1])
     labels = recording.plane_of_station[stations]
     seen, first = np.unique(labels, return_index=True)

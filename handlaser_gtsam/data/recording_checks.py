@@ -62,26 +62,6 @@ def names_of(kind: str, names: Iterable[str]) -> tuple[str, ...]:
     return tuple(listed)
 
 
-def joined_columns(
-    parts: Sequence[tuple[Sequence[str], FloatArray]], missing: float
-) -> tuple[tuple[str, ...], FloatArray]:
-    """Return named columns of several tables, one below the other: columns go by their names.
-
-    Parameters
-    ----------
-    parts : sequence of (n names, (M, n))
-    missing : float
-        Stands where a table has no such column.
-    """
-    names = tuple(dict.fromkeys(name for own, _ in parts for name in own))
-    found = np.full((sum(len(table) for _, table in parts), len(names)), missing)
-    first = 0
-    for own, table in parts:
-        found[first : first + len(table), [names.index(name) for name in own]] = table
-        first += len(table)
-    return names, found
-
-
 def numbered(count: int) -> tuple[str, ...]:
     """Return the names of what has none: "1", "2", ..."""
     return tuple(str(index + 1) for index in range(count))

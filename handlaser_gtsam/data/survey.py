@@ -17,7 +17,7 @@ from ..checks import number_array, require_kind, require_number, require_word
 from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
-from .recording_checks import first_repeated, joined_columns, names_of, require_once
+from .recording_checks import first_repeated, names_of, require_once
 from .station_list import StationList
 from .value import Value
 
@@ -141,13 +141,9 @@ class Shots(Value):
 
     def part(self, which: BoolArray) -> "Shots":
         """Return the same with some of the readings, by a mask (N,)."""
-        return replace(
-            self,
-            station=self.station[which],
-            across=self.across[which],
-            reading=self.reading[which],
-            before=None if self.before is None else self.before[which],
-        )
+        before = None if self.before is None else self.before[which]
+        station, across, reading = self.station[which], self.across[which], self.reading[which]
+        return replace(self, station=station, across=across, reading=reading, before=before)
 
     def joined(self, other: "Shots") -> "Shots":
         """Return these readings, then others of the same sensor.
@@ -161,18 +157,20 @@ class Shots(Value):
             if getattr(self, name) != getattr(other, name):
                 found = f"{name} {getattr(other, name)} of {other.name} after {getattr(self, name)}"
                 raise InputError(found, "the same of a sensor in both surveys")
-        nearest = [
-            np.full(len(one.reading), np.nan) if one.before is None else one.before
-            for one in (self, other)
+        before = None
+        if self.before is not None or other.before is not None:
+            before = np.concatenate(
+                [
+                    np.full(len(one.reading), np.nan) if one.before is None else one.before
+                    for one in (self, other)
+                ]
+            )
+        columns = [
+            np.concatenate((getattr(self, name), getattr(other, name)))
+            for name in ("station", "across", "reading")
         ]
-        several = self.before is not None or other.before is not None
-        return replace(
-            self,
-            station=np.concatenate((self.station, other.station)),
-            across=np.concatenate((self.across, other.across)),
-            reading=np.concatenate((self.reading, other.reading)),
-            before=np.concatenate(nearest) if several else None,
-        )
+        station, across, reading = columns
+        return replace(self, station=station, across=across, reading=reading, before=before)
 
     def clear_of(self, limit: float) -> "Shots":
         """Return the same without readings behind an echo nearer than a limit [m].
@@ -536,17 +534,27 @@ class Survey(Value):
             later = replace(one, station=one.station + len(self.stations))
             earlier = shots.get(one.name)
             shots[one.name] = later if earlier is None else earlier.joined(later)
-        none = [np.empty((len(of.stations), 0)) for of in (self, other)]
-        tables = [
-            (of.beam_names, empty if of.ranges is None else of.ranges)
-            for of, empty in zip((self, other), none, strict=True)
-        ]
-        names, ranges = joined_columns(tables, np.nan)
+        names = tuple(dict.fromkeys((*self.beam_names, *other.beam_names)))
+        ranges = None
+        if names:
+            tables = [
+                np.stack(
+                    [
+                        np.full(len(of.stations), np.nan)
+                        if of.ranges is None or name not in of.beam_names
+                        else of.ranges[:, of.beam_names.index(name)]
+                        for name in names
+                    ],
+                    axis=1,
+                )
+                for of in (self, other)
+            ]
+            ranges = np.concatenate(tables)
         return replace(
             self,
             stations=self.stations.joined(other.stations),
             shots=tuple(shots.values()),
-            ranges=ranges if names else None,
+            ranges=ranges,
             beam_names=names,
             known=(*self.known, *(one for one in other.known if one not in self.known)),
             half_angle=of_beams.half_angle,

@@ -17,6 +17,10 @@ import numpy as np
 
 from ..text import SHOWN_CHARACTERS
 
+SHOWN_ENTRIES = 8
+"""Arrays and tuples with more entries are represented by their size, or a line gets too long; of a
+mapping no more keys are listed."""
+
 PLAIN = frozenset((float, int, bool, str, type(None)))
 """Types of which nobody can change a value."""
 
@@ -102,18 +106,17 @@ def _read_only(value: object) -> object:
 
 
 def _short(value: object) -> str:
-    """Return a field in a few words; of what has more than eight entries the size, or some."""
-    most = 8
+    """Return a field in a few words."""
     if isinstance(value, np.ndarray):
-        if value.size <= most:
+        if value.size <= SHOWN_ENTRIES:
             return " ".join(np.array2string(value, precision=6, separator=", ").split())
         return f"<array {'x'.join(map(str, value.shape))}>"
     if isinstance(value, Mapping):
-        names = [repr(name) for name in list(value)[:most]]
-        return f"{{{', '.join([*names, '...'] if len(value) > most else names)}}}"
+        names = [repr(name) for name in list(value)[:SHOWN_ENTRIES]]
+        return f"{{{', '.join([*names, '...'] if len(value) > SHOWN_ENTRIES else names)}}}"
     if isinstance(value, tuple):
         plain = all(isinstance(entry, (str, int, float)) for entry in value)
-        if plain and len(value) <= most:
+        if plain and len(value) <= SHOWN_ENTRIES:
             return f"({', '.join(map(_short, value))})"
         return f"<{len(value)} {type(value[0]).__name__}>"
     if isinstance(value, str) and len(value) > SHOWN_CHARACTERS:
