@@ -32,7 +32,7 @@ BASE = {
     "validate": [RECORDING],
     "watch": ["."],
 }
-OFFER = {"--readings", "--rig", "--calibration", "--hold-out"}
+OFFER = {"--plane-file", "--readings", "--rig", "--calibration", "--hold-out"}
 """Files to be read."""
 WORDS = {
     "--tool": "1,2",
@@ -49,6 +49,7 @@ FREE = {
     *("--beam", "--link", "--into", "--out", "--report", "--host", "--scheduler"),
     "--write-log",
     *("--plane", "--header", "--sheet", "--pose-topic", "--frames"),
+    *("--beam-column", "--range-column"),  # both or none
     *("--readings-station-column", "--readings-time-column"),  # of a second file
 }
 """Options that take any text, or files to write, whose message names the file."""

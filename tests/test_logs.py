@@ -237,6 +237,25 @@ def test_arrays_and_structures_of_parquet(tmp_path):
     assert_poses(hl.read_log(ros, hl.LogFormat(plane="A")), R, t)
 
 
+def test_a_long_table_has_one_row_a_reading(tmp_path, kuka):
+    rows, R, t, d = kuka
+    lines = ["station," + ",".join(KUKA) + ",sensor,value"]
+    for i, row in enumerate(rows):
+        for beam, shift in (("left", 0.0), ("right", 5.0)):
+            if (i, beam) != (3, "right"):
+                pose = ",".join(repr(float(x)) for x in row)
+                lines.append(f"P{i},{pose},{beam},{float(1e3 * d[i] + shift)!r}")
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(lines) + "\n")
+    given = hl.LogFormat(**FORMAT, beam_column="sensor", range_column="value")
+    found = hl.read_log(path, given)
+    assert found.beam_names == ("left", "right")
+    assert found.station_names == tuple(f"P{i}" for i in range(30))
+    assert_poses(found, R, t)
+    assert np.abs(found.ranges[:, 0] - d).max() < 1e-12
+    assert np.flatnonzero(np.isnan(found.ranges[:, 1])).tolist() == [3]
+
+
 def test_columns_are_mapped_by_name(tmp_path, kuka):
     names = ("X_act", "Y_act", "Z_act", "A_act", "B_act", "C_act")
     path = tmp_path / "log.csv"
@@ -260,7 +279,7 @@ def test_a_file_without_header_and_with_comments(tmp_path):
     assert_poses(hl.read_log(path, given), R, t)
 
 
-def test_planes_by_stations_and_by_column(tmp_path, kuka):
+def test_planes_by_stations_by_column_and_by_file(tmp_path, kuka):
     path = tmp_path / "log.csv"
     path.write_text(kuka_text(kuka))
     known = {"pose_format": "kuka", "range_units": "mm"}
@@ -268,6 +287,9 @@ def test_planes_by_stations_and_by_column(tmp_path, kuka):
     found = hl.read_log(path, hl.LogFormat(**known, plane_ranges=ranges))
     assert found.plane_labels == ("A",) * 10 + ("B",) * 19
     assert [one.code for one in found.warnings] == ["stations-left-out"]
+    (tmp_path / "planes.csv").write_text("plane,from,to\nA,1,10\nB,11,29\n")
+    by_file = hl.read_log(path, hl.LogFormat(**known, plane_file=tmp_path / "planes.csv"))
+    assert by_file == found
     rows = kuka_text(kuka).splitlines()
     labelled = [rows[0] + ",wall"] + [f"{line},w{i % 2}" for i, line in enumerate(rows[1:])]
     path.write_text("\n".join(labelled) + "\n")
@@ -275,7 +297,8 @@ def test_planes_by_stations_and_by_column(tmp_path, kuka):
     assert found.plane_names == ("w0", "w1")
 
 
-def test_repeated_readings_become_one_and_their_scatter_the_sigma(tmp_path):
+@pytest.mark.parametrize("how", ["mean", "median"])
+def test_repeated_readings_become_one_and_their_scatter_the_sigma(tmp_path, how):
     """Two hundred stations of nine readings: the scatter is known to 2 or 3 percent."""
     rng = np.random.default_rng(8)
     rows, R, t = written("ros", rng, 200)
@@ -288,11 +311,14 @@ def test_repeated_readings_become_one_and_their_scatter_the_sigma(tmp_path):
         lines += [f"S{i},{pose},{float(d[i] + e)!r}" for e in noise[i]]
     path = tmp_path / "log.csv"
     path.write_text("\n".join(lines) + "\n")
-    report = hl.describe_log(path, hl.LogFormat(plane="A", as_stated=True))
+    report = hl.describe_log(path, hl.LogFormat(plane="A", average=how, as_stated=True))
     recording = report.recording
-    assert np.abs(recording.ranges[:, 0] - (d + noise.mean(axis=1))).max() < 1e-12
+    mean = {"mean": noise.mean(axis=1), "median": np.median(noise, axis=1)}[how]
+    assert np.abs(recording.ranges[:, 0] - (d + mean)).max() < 1e-12
     assert report.scatter == pytest.approx(1e-3, rel=0.08)
-    assert np.allclose(recording.samples, 9.0)
+    assert report.scatter_of["1"] == pytest.approx(report.scatter)
+    worth = {"mean": 9.0, "median": 18.0 / math.pi}[how]
+    assert np.allclose(recording.samples, worth)
     again = tmp_path / "recording.csv"
     hl.write_recording(again, recording)
     assert np.array_equal(hl.read_recording(again).samples, recording.samples)
@@ -394,6 +420,7 @@ CONTRADICTIONS = [
     {"rotation": "ZYY", "units": "m", "angles": "deg"},
     {"rotation": "xyz", "units": "m"},
     {"rotation": "xyzw"},
+    {"beam_column": "b"},
     {"plane": "A", "plane_column": "plane"},
     {"tool": (1.0, "2")},
     {"tolerance_s": -1.0},
@@ -587,12 +614,15 @@ def test_every_field_comes_back_from_the_table_of_a_rig_file(tmp_path):
         inverted=True,
         tool=(1.0, 1e-7, 3.0, 0.1, -0.2, 1e5),
         range_columns=('links=Länge "a"', "b\\c=D"),
+        plane_file=tmp_path / "planes.csv",
         readings=tmp_path / "other" / "readings.csv",
         lag_s=-0.25,
     )
     (folder / "rig.toml").write_text(with_log_table(folder / "rig.toml", given))
     found = hl.read_rig(folder / "rig.toml").log
-    assert replace(found, readings=None) == replace(given, readings=None)
+    assert replace(found, plane_file=None, readings=None) == replace(
+        given, plane_file=None, readings=None
+    )
     for one, other in zip(found.files, given.files, strict=True):
         assert one.resolve() == other.resolve()
 

@@ -110,10 +110,22 @@ def test_frames_of_tf_are_chained(tmp_path, driven, kind):
         hl.read_log(bag, hl.LogFormat(frames=("base", "tool"), plane="A"))
 
 
-def test_scans_are_no_beams(tmp_path, driven):
-    bag = write_bag(tmp_path, "mcap", partial(published, driven[0], scans=True))
-    with pytest.raises(hl.InputError, match=r"of /scan, a scanner in \[\[sensors\]\]"):
-        hl.read_log(bag, hl.LogFormat(plane_ranges=PLANES))
+@pytest.mark.parametrize("kind", ["ros1", "mcap"])
+def test_rays_of_a_scan_are_beams_and_no_readings_are_none(tmp_path, driven, kind):
+    drive, _ = driven
+    bag = write_bag(tmp_path, kind, partial(published, drive, scans=True))
+    given = {"plane_ranges": PLANES}
+    rays = ("left=/scan[1]", "right=/scan[3]")
+    found = hl.read_log(bag, hl.LogFormat(range_columns=rays, **given))
+    assert found.beam_names == ("left", "right")
+    assert np.abs(found.ranges - by_hand(drive)[2]).max() < 3e-4
+    for ray in (0, 2, 4):  # infinite, not a number, below the sensor's least range
+        with pytest.raises(hl.InputError, match="no reading of beam none"):
+            hl.read_log(bag, hl.LogFormat(range_columns=(*rays, f"none=/scan[{ray}]"), **given))
+    with pytest.raises(hl.InputError, match="a scan of 5 rays"):
+        hl.read_log(bag, hl.LogFormat(range_columns=("/scan[5]",), **given))
+    with pytest.raises(hl.InputError, match=r"rays of a LaserScan, as --range-columns"):
+        hl.read_log(bag, hl.LogFormat(**given))
 
 
 @pytest.mark.slow
@@ -127,6 +139,8 @@ def test_the_lag_of_a_bag_is_estimated_to_ten_milliseconds(tmp_path, kind):
         report = hl.describe_log(bag, hl.LogFormat(plane_ranges=ranges, estimate_lag=True))
         assert abs(report.lag - 0.1) < 0.01
         assert np.abs(report.recording.ranges - by_hand(drive)[2]).max() < 4e-4
+    receive = hl.LogFormat(plane_ranges=PLANES, estimate_lag=True, receive_time=True)
+    assert abs(hl.describe_log(bag, receive).lag) < 0.01
 
 
 def test_a_bag_of_a_moving_arm_is_interpolated(tmp_path, driven):

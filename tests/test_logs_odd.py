@@ -79,6 +79,7 @@ def test_two_columns_that_may_be_one_coordinate_are_refused(tmp_path, log):
         {"range_columns": ("a=range_a", "b=range_a")},
         {"range_columns": ("x",)},
         {"plane_column": "x"},
+        {"beam_column": "plane", "range_column": "range_a"},
     ],
     ids=str,
 )
@@ -172,8 +173,8 @@ def test_two_poses_at_one_time_are_refused(tmp_path, log, how):
     path, given = two_files(tmp_path, log, times, np.arange(8.0))
     refused(path, ("line 7, column time", "the time 4 s again"), **given, tolerance_s=2.0, **how)
     log |= {name: [*log[name][:5], log[name][4], *log[name][6:]] for name in NAMES}
-    path, given = two_files(tmp_path, log, times)  # one pose, logged twice: both readings are its
-    assert len(hl.read_log(path, hl.LogFormat(**given, tolerance_s=0.1)).ranges) == 7
+    path, given = two_files(tmp_path, log, times)  # one pose, logged twice
+    assert len(hl.read_log(path, hl.LogFormat(**given, tolerance_s=0.1)).ranges) == 8
 
 
 def test_times_that_go_back_are_warned_of(tmp_path, log):

@@ -153,9 +153,9 @@ def test_parallel_beams_side_by_side_are_two_beams(recording):
     column = doubled(
         recording, lambda d: d + 0.02 * np.tan(tilt) + SIGMA * rng.standard_normal(len(d))
     )
-    refuse_repeated_columns(column)
+    refuse_repeated_columns(column, SIGMA)
     parallel = doubled(recording, lambda d: d + np.sqrt(2.0) * SIGMA * rng.standard_normal(len(d)))
-    refuse_repeated_columns(parallel)
+    refuse_repeated_columns(parallel, SIGMA)
 
 
 @pytest.mark.parametrize("value", [0.999, 8.191, 65.535, 65535.0])

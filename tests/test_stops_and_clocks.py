@@ -120,15 +120,17 @@ def test_every_stop_is_found_with_the_label_of_its_middle(tmp_path, speed, rate,
     assert any(line.startswith("60 moments at which the hand stands") for line in report.lines)
 
 
-def test_a_hand_that_settles_stands_and_one_that_never_stands_is_refused(tmp_path):
-    """The hand settles by half a millimetre for seconds; and no stop lasts a minute."""
+def test_a_stop_that_creeps_is_trimmed_and_what_is_dropped_is_said(tmp_path):
+    """The hand settles by half a millimetre for seconds; and once it only slows down."""
     one = drive(3, stops=6)
     for arrive, leave in one.rest[:3]:
         rows = (one.time >= arrive) & (one.time <= leave)
         one.position[rows, 0] += 3e-4 * np.exp(-(one.time[rows] - arrive) / 0.5)
     write_log(tmp_path / "log.csv", one)
     given = hl.LogFormat(stands=True, stand_s=0.25, plane="A", as_stated=True)
-    assert len(hl.read_log(tmp_path / "log.csv", given).plane_labels) == 6
+    report = hl.describe_log(tmp_path / "log.csv", given)
+    assert len(report.recording.plane_labels) == 6
+    assert any("trimmed where the hand creeps" in line for line in report.lines)
     long = hl.LogFormat(stands=True, stand_s=60.0, plane="A")
     with pytest.raises(hl.InputError, match="no moment at which the hand stands"):
         hl.describe_log(tmp_path / "log.csv", long)
@@ -386,3 +388,14 @@ def test_clocks_may_count_from_1970_and_from_the_start(tmp_path):
     for lag in (float("nan"), float("inf"), 1e11):
         with pytest.raises(hl.InputError, match=r"lag_s (nan|inf|1e\+11) s; expected a number"):
             hl.LogFormat(lag_s=lag)
+
+
+@pytest.mark.parametrize("of_poses", [True, False])
+def test_milliseconds_in_one_table_are_named(tmp_path, of_poses):
+    one = drive(22, stops=6, planes=1)
+    write_poses(tmp_path / "poses.csv", one, 1e3 if of_poses else 1.0)
+    write_readings(tmp_path / "readings.csv", *one.late(0.0, 80.0), 1.0 if of_poses else 1e3)
+    given = {"readings": tmp_path / "readings.csv", "stands": True, "plane": "A"}
+    stated = "--time-units ms --readings-time-units s" if of_poses else "--readings-time-units ms"
+    with pytest.raises(hl.InputError, match=stated):
+        hl.read_log(tmp_path / "poses.csv", hl.LogFormat(**given))

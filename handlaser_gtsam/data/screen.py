@@ -8,7 +8,7 @@ no distance where it lies far from all other readings, or stands far more often 
 means "no reading", or "beyond my limit". Files say the same with words (`nan`, `overflow`) and with
 numbers that no range has (0, -1); those are found when a file is read.
 
-Two columns are one channel logged twice where they are equal, rounded, or in another unit.
+Two columns are one channel logged twice where they are equal, rounded, jittered, or in another unit.
 Two sensors never read the same: their mounts differ, so that their readings differ from station to
 station as the hand turns, and their noise is independent. Columns d and d' are taken for one channel
 where, at nearly all stations at which both read, d' = a d to within the smaller of the rounding and of
@@ -40,17 +40,28 @@ from ..errors import CalibrationWarning, InputError
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, ROWS_AT_ONCE
 from .recording import Recording, typical_range
 
+NEARLY_ALL = 0.9
+"""The part of the common stations at which two columns must read the same."""
 BY_CHANCE = 3
 """Fewer coincidences, of columns at a station or of a number in a table, may be chance: among numbers
 near it, fewer than this multiple of any other."""
 ENOUGH_STATIONS = 8
-"""With this many common stations, agreement within rounding is no chance."""
+"""With this many common stations, agreement within rounding or a part of the noise is no chance."""
+PART_OF_SIGMA = 0.4
+"""The difference of two sensors has sqrt(2) sigma: it stays within 0.4 sigma once in four."""
 PART_OF_SPREAD = 5e-3
-"""Columns that differ by more of their spread are not alike, however coarsely they are rounded."""
+"""Columns that differ by more of their spread are not alike, however generous the sigma or coarse the
+rounding."""
+DECIMALS = range(2, 8)
+"""Decimals of metres to which a column may have been rounded, the coarsest first."""
+SAME_UNIT = 0.01
+"""Columns whose ratio differs from one by less are in one unit."""
 FINEST_STEP = 1e-6
 """Poses [m, rad] and readings of a pose [m] that differ by less are the same: nothing is so fine."""
 WIDEST_POSE = 4.0
 """Poses that extend over more of these steps move, if slowly."""
+HELD_PART = 0.02
+"""Readings of one pose that differ by less than this part of a given range sigma are one sample."""
 FAR_SAMPLE = 12.0
 """A sample more standard deviations, robust or given, off the others of its pose is not averaged: the
 hand has moved on, and its pose was logged again."""
@@ -95,8 +106,14 @@ class RepeatedColumnError(InputError):
         )
 
 
-def refuse_repeated_columns(recording: Recording) -> None:
+def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
     """Refuse a recording with a channel that was logged twice.
+
+    Parameters
+    ----------
+    recording : Recording
+    sigma : float, optional
+        Standard deviation of a reading, if given [m].
 
     Raises
     ------
@@ -107,8 +124,8 @@ def refuse_repeated_columns(recording: Recording) -> None:
         a, b = d[~np.isnan(d[:, [i, j]]).any(axis=1)][:, [i, j]].T
         if len(a) >= BY_CHANCE:
             factor = float(_factors(a[:, None], b[:, None])[0])
-            same = _agreeing(a, b, factor)
-            if same >= 0.9 * len(a):  # at nearly all stations
+            same = _agreeing(a, b, factor, sigma)
+            if same >= NEARLY_ALL * len(a):
                 names = recording.beam_names[i], recording.beam_names[j]
                 raise RepeatedColumnError(names, same, len(a), factor)
 
@@ -141,7 +158,7 @@ def _factors(a: FloatArray, b: FloatArray) -> FloatArray:
     size = np.abs(a)
     large = (size >= 0.1 * _medians(size)) & (size > 0.0)
     factor = _medians(np.divide(b, a, out=np.full(a.shape, np.nan), where=large))
-    return np.where(np.abs(factor - 1.0) > 0.01, factor, 1.0)  # nearer to one, it is one unit
+    return np.where(np.abs(factor - 1.0) > SAME_UNIT, factor, 1.0)
 
 
 def _medians(x: FloatArray) -> FloatArray:
@@ -152,19 +169,19 @@ def _medians(x: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (x[low, column] + x[high, column]))
 
 
-def _agreeing(a: FloatArray, b: FloatArray, factor: float) -> int:
+def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) -> int:
     """Return at how many stations b is `factor` times a."""
     off = np.abs(b - factor * a)
     limit = FINEST_STEP * abs(factor)
     if factor == 1.0 and len(a) >= ENOUGH_STATIONS:
-        most = max(rounding(a), rounding(b))
+        most = max(rounding(a), rounding(b), PART_OF_SIGMA * (sigma or 0.0))
         limit = np.maximum(limit, min(most, PART_OF_SPREAD * float(np.ptp(a))))
     return int((off <= limit).sum())
 
 
 def rounding(d: FloatArray) -> float:
     """Return half the last decimal of readings that were rounded [m]; zero where they were not."""
-    for decimals in range(2, 8):  # of metres, the coarsest first
+    for decimals in DECIMALS:
         step = 10.0**-decimals
         if (np.abs(d - np.round(d, decimals)) < 1e-3 * step).all():
             return 0.5 * step
@@ -195,7 +212,7 @@ def screened(
     """
     left, repeated = merged_stations(recording, sigma)
     left, codes = without_codes(left)
-    refuse_repeated_columns(left)
+    refuse_repeated_columns(left, sigma)
     warnings = (*recording.warnings, *repeated, *codes)
     return replace(left, warnings=()) if left.warnings else left, warnings
 
@@ -284,7 +301,7 @@ def merged_stations(
     _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
     order = np.lexsort((row, value, key))
     row, beam, key, value = row[order], beam[order], key[order], value[order]
-    mean, worth, agree, held, _ = averaged(key, value, sigma, leave_far=True)
+    mean, worth, agree, held = _averaged(key, value, sigma)
     ranges = recording.ranges.copy()
     count = np.ones(ranges.shape) if recording.samples is None else recording.samples.copy()
     ranges[row[agree], beam[agree]] = np.nan
@@ -332,61 +349,41 @@ def pose_groups(recording: Recording) -> IntArray:
     return group
 
 
-def averaged(
-    key: IntArray, value: FloatArray, sigma: float | None, *, leave_far: bool
-) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, float]:
-    """Average the samples of each of K places.
+def _averaged(
+    key: IntArray, value: FloatArray, sigma: float | None
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
+    """Return mean and worth (K,), which samples (n,) it is of, and which (K,) are one sample.
 
-    Parameters
-    ----------
-    key : (n,)
-        The place of each sample, 0 to K - 1, increasing.
-    value : (n,)
-        Samples [m], increasing at each place.
-    sigma : float, optional
-        Standard deviation of a sample, if it is known [m]: what of it does not scatter is common to
-        all samples of a place, and is not averaged away.
-    leave_far : bool
-        Whether samples that are far from the others of their place do not count.
-
-    Returns
-    -------
-    mean : (K,)
-        [m]
-    worth : (K,)
-        How many independent samples each is worth.
-    agree : (n,)
-        Which samples count.
-    held : (K,)
-        Where several samples are one that was logged more than once.
-    scatter : float
-        Standard deviation of one sample [m]; NaN where none repeats and scatters.
+    Values (n,) are sorted by their key, 0 to K - 1, and then by themselves.
     """
     start = np.flatnonzero(np.diff(key, prepend=-1) != 0)
     count = np.diff(np.append(start, len(key)))
     median = 0.5 * (value[start + (count - 1) // 2] + value[start + count // 2])
-    off = value - median[key]
-    held = np.maximum.reduceat(np.abs(off), start) <= FINEST_STEP
+    off = np.abs(value - median[key])
+    held = np.maximum.reduceat(off, start) <= max(FINEST_STEP, HELD_PART * (sigma or 0.0))
     agree = np.ones(len(off), dtype=bool)
     free = ~held[key] & (count[key] > 1)
-    if leave_far and free.any():
-        robust = MEDIAN_TO_SIGMA * float(np.median(np.abs(off[free])))
+    if free.any():
+        robust = MEDIAN_TO_SIGMA * float(np.median(off[free]))
         most = FAR_PART * typical_range(value) if sigma is None else FAR_SAMPLE * sigma
-        agree = np.abs(off) <= (min(FAR_SAMPLE * robust, most) if robust > 0.0 else most)
+        agree = off <= (min(FAR_SAMPLE * robust, most) if robust > 0.0 else most)
     number = np.add.reduceat(agree.astype(np.float64), start)
-    # About the median, so that the mean of equal samples is that sample.
-    total = np.add.reduceat(np.where(agree, off, 0.0), start)
-    mean = median + total / np.maximum(number, 1.0)
+    total = np.add.reduceat(np.where(agree, value, 0.0), start)
+    mean = np.where(number > 0.0, total / np.maximum(number, 1.0), median)
     square = np.add.reduceat(np.where(agree, value - mean[key], 0.0) ** 2, start)
     some = ~held & (number > 1.0)
-    worth, scatter = np.ones(len(mean)), np.nan
+    worth = np.ones(len(mean))
     if some.any():
-        scatter = float(np.sqrt(square[some].sum() / (number[some] - 1.0).sum()))
-        worth[some] = number[some]
-        if sigma is not None and scatter < SCATTERING * sigma:
-            shared = sigma**2 - scatter**2
-            worth[some] = sigma**2 / (shared + scatter**2 / number[some])
-    return mean, worth, agree, held & (count > 1), scatter
+        w2 = float(square[some].sum() / (number[some] - 1.0).sum())
+        worth[some] = worth_of_mean(number[some], w2, sigma)
+    return mean, worth, agree, held & (count > 1)
+
+
+def worth_of_mean(number: FloatArray, scatter: float, sigma: float | None) -> FloatArray:
+    """Return how many independent readings the mean of `number` samples of a variance is worth."""
+    if sigma is None or scatter >= (SCATTERING * sigma) ** 2:
+        return number
+    return np.asarray(sigma**2 / (sigma**2 - scatter + scatter / number))
 
 
 def _warnings(

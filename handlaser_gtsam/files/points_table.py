@@ -16,7 +16,7 @@ import polars as pl
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
 from ..text import count, shown, some
-from .logs.columns import column_like, plain, unit_of
+from .logs.columns import plain, unit_of
 from .logs.tables import read_table
 from .recording_csv import known_numbers
 from .table import Table, label_texts
@@ -144,7 +144,7 @@ def _words(units: Mapping[str, str]) -> str:
 
 
 def _read_table(path: Path, kind: str) -> Table:
-    """Return a table of points that does not have the columns of another kind of sensor."""
+    """Return a table of points whose columns are not those of another kind of sensor."""
     wanted = COLUMNS[kind]
     table = read_table(path)
     names_there = {plain(one) for one in table.frame.columns}
@@ -204,7 +204,10 @@ def _points(
 
 def _column(table: Table, name: str) -> str:
     """Return the column of a name, in letters of either case; behind it a unit may stand."""
-    found = column_like(table, name)
-    if not found:
+    alike = [one for one in table.frame.columns if plain(one) == name]
+    if not alike:
         table.require(name)
-    return found
+    if len(alike) > 1:
+        found = f"several columns that may be {name}: {', '.join(alike)}"
+        raise table.fault(found, "one of them, and other names for the others")
+    return alike[0]

@@ -16,6 +16,7 @@ Cells of ranges are readings, or say that there is none: by words, or by numbers
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from difflib import SequenceMatcher
 from pathlib import Path
 
 import numpy as np
@@ -32,15 +33,15 @@ from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH, MM
 from ..text import A_NAME, name_fault
 from .logs.tables import read_table
-from .table import NUMBER, Table, column_numbers, labels
+from .table import Table, column_numbers, labels
 from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 PREFIX, SAMPLES = "range_", "samples_"
 QUATERNION_TOLERANCE = 1e-3
 """Largest difference of a quaternion's length from 1: controllers write six digits or fewer."""
-MISSPELT = ("range", "ranges", "rang", "rage", "rnge", "rnage", "ragne", "raneg")
-"""Begin the name of a column that is a misspelt beam, in letters of either case, and not ignored."""
+MISSPELT = 0.75
+"""Likeness to `range` (difflib) above which the name of a column is a misspelt beam and not ignored."""
 JOINT = "joint_"
 """Before the names of joints; a recording ignores such columns."""
 NO_READING = (
@@ -77,10 +78,8 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     stations = stations_of(table)
     columns = [PREFIX + beam for beam in beams]
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
-    warnings = (
-        *table.warnings,
-        *code_warnings(table, dict(zip(beams, columns, strict=True)), coded),
-    )
+    whose = {PREFIX + beam: [beam] for beam in beams}
+    warnings = (*table.warnings, *code_warnings(table, whose, coded))
     seen, planes = ~np.isnan(ranges), stations.plane_labels
     for name in (PREFIX + beams[index] for index in np.flatnonzero(~seen.any(axis=0))):
         expected = "at least one reading of every beam, or no such column"
@@ -177,7 +176,9 @@ def _check_header(table: Table) -> list[str]:
     table.require("plane", *POSE)
     for column in columns:
         start, number = re.fullmatch(r"(.*?)_?(\d*)", column).groups()  # type: ignore[union-attr]
-        if start.lower() in MISSPELT and not column.startswith(PREFIX):
+        likeness = SequenceMatcher(None, start.lower(), "range").ratio()
+        alike = start[:1] in ("r", "R") and likeness > MISSPELT
+        if alike and not column.startswith(PREFIX):
             expected = f"'{PREFIX}{number or 'NAME'}' for a beam, or a name less like it"
             raise table.fault(f"column {column!r}", expected, column)
     beams = [column.removeprefix(PREFIX) for column in columns if column.startswith(PREFIX)]
@@ -296,7 +297,7 @@ def known_numbers(table: Table, name: str) -> tuple[FloatArray, BoolArray]:
 
 
 def code_warnings(
-    table: Table, columns: Mapping[str, str], coded: BoolArray
+    table: Table, whose: Mapping[str, Sequence[str]], coded: BoolArray
 ) -> tuple[CalibrationWarning, ...]:
     """Return a warning for every code, as it is written, with its beams and its count.
 
@@ -305,24 +306,28 @@ def code_warnings(
     Parameters
     ----------
     table : Table
-    columns : {beam: column}
-        Of each of B beams.
-    coded : (M, B)
+    whose : {column: names}
+        The beams of each of C columns: of every cell, or one that holds for the column.
+    coded : (M, C)
     """
     found: dict[str, list[str]] = {}
-    for (beam, column), wrong in zip(columns.items(), coded.T, strict=True):
-        for cell in table.frame[column].filter(wrong).cast(pl.String):
-            found.setdefault(cell, []).append(beam)
-    rare = [
-        cell for cell, every in found.items() if len(every) < BY_CHANCE and NUMBER.fullmatch(cell)
-    ]
-    warnings = [
-        code_warning(f"{cell[:40]!r}", every) for cell, every in found.items() if cell not in rare
-    ]
-    if rare:  # too seldom for codes of their own
-        rare.sort(key=float)
-        ends = [f"{cell[:40]!r}" for cell in dict.fromkeys((rare[0], rare[-1]))]
-        every = [beam for cell in rare for beam in found[cell]]
+    for i, (column, names) in enumerate(whose.items()):
+        for row in np.flatnonzero(coded[:, i]).tolist():
+            beam = names[row if len(names) > 1 else 0]
+            found.setdefault(str(table.frame[column][row]), []).append(beam)
+    # Numbers that stand too seldom for codes of their own.
+    rare = pl.Series(
+        [cell for cell, every in found.items() if len(every) < BY_CHANCE], dtype=pl.String
+    )
+    outside = rare.filter(rare.cast(pl.Float64, strict=False).is_finite()).to_list()
+    outside.sort(key=float)
+    warnings = []
+    for cell, every in found.items():
+        if cell not in outside:
+            warnings.append(code_warning(f"{cell[:40]!r}", every))
+    if outside:
+        ends = [f"{cell[:40]!r}" for cell in dict.fromkeys((outside[0], outside[-1]))]
+        every = [beam for cell in outside for beam in found[cell]]
         warnings.append(code_warning(" to ".join(ends), every, stated=True))
     return tuple(warnings)
 

@@ -58,6 +58,8 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     lines = tuple(map(as_fields, report.lines))
     if beyond_planes(recording.plane_names) or rig.half_angle:
         return replace(survey_of(recording, rig), lines=lines)
+    if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
+        rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return replace(report, recording=recording, lines=lines), rig
 
 

@@ -89,8 +89,9 @@ class LogTable(create_model("Fields", __base__=FileRecord, **_FIELDS)):  # type:
             name: tuple(value) if isinstance(value, list) else value
             for name, value in self.model_dump(exclude_none=True).items()
         }
-        if "readings" in stated:
-            stated["readings"] = folder / str(stated["readings"])
+        for name in ("readings", "plane_file"):
+            if name in stated:
+                stated[name] = folder / str(stated[name])
         with naming_fields(), in_table("log", self):
             return with_stated(LogFormat(), stated)
 

@@ -1,4 +1,4 @@
-"""Tables: the rows of a file of any kind (`logs.tables`), and how text is taken apart.
+"""Tables: the rows of a file of any kind (`logs.tables`), and how those of text are taken apart.
 
 Every line that is not blank becomes one row, and every row has exactly the cells of the
 header: no parser stands between the two that could join, drop or pad them. A cell in quotes begins and
@@ -127,16 +127,15 @@ def table_of_text(path: Path, given: LogFormat) -> Table:
     separator = DELIMITERS.get(given.delimiter or "") or (stated[1] if stated else "")
     if given.pose_format == "tum":
         separator = separator or " "
-    separator = separator or _separator(text, path)
+    separator = separator or _separator([line for line in text.split("\n") if line.strip()], path)
     if separator == " ":
         text = "\n".join("\t".join(line.split()) for line in text.split("\n"))
         separator = "\t"
     table = _taken_apart(text, path, separator, header)
     if '"' in text or given.decimal == "comma" or (separator != "," and "," in text):
         table = _with_points(table, given)
-    end = text.rstrip(BLANK)[-1:]
-    if end not in ("\n", '"'):
-        _refuse_cut(table)
+    if not text.endswith("\n"):
+        _refuse_cut(table, text)
     return table
 
 
@@ -159,15 +158,14 @@ def table_text(path: Path) -> str:
     return text
 
 
-def _separator(text: str, path: Path) -> str:
+def _separator(lines: Sequence[str], path: Path) -> str:
     """Return the only separator at which the lines have equally many cells, two or more.
 
     Where there is none, it is that at which the first line has most; where there are several, it must
     be stated.
     """
-    most = 1000  # which are enough to tell
-    lines = [line for line in text.split("\n", most)[:most] if line.strip()]
-    bare = [re.sub('"[^"]*"', "", line) for line in lines]  # separators in quotes are none
+    # Separators in quotes are none.
+    bare = [re.sub('"[^"]*"', "", line) for line in lines[:1000]]  # which are enough to tell
     cells = {one: [line.count(one) + 1 for line in bare] for one in SEPARATORS}
     for begin in (0, len(bare) // 2):  # titles above the header are never half of the lines
         even = [one for one in SEPARATORS if len(set(cells[one][begin:])) == 1]
@@ -316,16 +314,16 @@ def _matches(cells: pl.Expr, pattern: re.Pattern[str]) -> pl.Expr:
     return cells.str.contains(f"^{pattern.pattern}$")
 
 
-def _refuse_cut(table: Table) -> None:
-    """Refuse a last line without a line end or closed quotes, unless its last cell is whole.
+def _refuse_cut(table: Table, text: str) -> None:
+    """Refuse a last line without a line end, unless its last cell shows that it is whole.
 
     A file whose end is lost looks the same, and its last number may lack digits. A whole one has as
-    many decimals as any other of its column, or is given to a nanometre.
+    many decimals as any other of its column, or is given to a nanometre; or its quotes are closed.
     """
     name = table.frame.columns[-1]
     cells = table.frame[name].cast(pl.String)
     decimals = cells.str.extract(r"^[+-]?\d+\.(\d+)$").str.len_chars().fill_null(0).to_numpy()
-    if not len(cells) or 0 < min(decimals.max(), 9) <= decimals[-1]:
+    if not len(cells) or text.endswith('"') or 0 < min(decimals.max(), 9) <= decimals[-1]:
         return
     cell = "an empty cell" if cells[-1] is None else shown(cells[-1])
     found = f"a last line without a line end: {cell} may be what is left of a longer one"

@@ -100,7 +100,9 @@ def misfit(recording: Recording, terms: int, effort: Effort, reach: float = np.i
     return float(start.tried[0][1] ** 2) / max(float(readings.distance.var()), 1e-300)
 
 
-def one_beam(recording: Recording, most: int | None = None) -> tuple[Recording, IntArray]:
+def one_beam(
+    recording: Recording, most: int | None = None, spare: int = SPARE
+) -> tuple[Recording, IntArray]:
     """Return the readings of the beam with most of them, and their stations; all where they are few.
 
     A mistake in the poses or the units is the same for all beams, and one beam is the smallest problem
@@ -116,10 +118,10 @@ def one_beam(recording: Recording, most: int | None = None) -> tuple[Recording, 
         rows = rows[np.isin(recording.plane_of_station[rows], largest)]
         rows = rows[evenly(len(rows), most)]
     one = recording.without(others).part(rows)
-    return (one, rows) if tells(one) else (recording, np.arange(len(seen), dtype=np.intp))
+    return (one, rows) if tells(one, spare) else (recording, np.arange(len(seen), dtype=np.intp))
 
 
-def tells(recording: Recording) -> bool:
-    """Tell whether readings are enough, `SPARE` more than unknowns, to judge another way."""
+def tells(recording: Recording, spare: int = SPARE) -> bool:
+    """Tell whether readings are enough, `spare` more than unknowns, to judge another way."""
     unknowns = BEAM.dim * len(recording.beam_names) + PLANE.dim * len(recording.plane_names)
-    return bool((~np.isnan(recording.ranges)).sum() >= unknowns + SPARE)
+    return bool((~np.isnan(recording.ranges)).sum() >= unknowns + spare)

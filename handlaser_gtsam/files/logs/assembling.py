@@ -1,18 +1,31 @@
-"""Stations and readings become a recording; repeated readings of a station become one."""
+"""Stations and readings become a recording.
 
+Repeated readings of a station become one, and their scatter the sensor's sigma.
+With n_g readings d of a station and beam g around their mean m_g, the variance of one reading is
+
+    sigma^2 = sum_g sum_i (d_gi - m_g)^2 / sum_g (n_g - 1).
+
+The mean of n independent readings has the variance sigma^2 / n, and the median about
+(pi / 2) sigma^2 / n for three or more (Kendall and Stuart, The Advanced Theory of Statistics, 10.10).
+Around medians, sigma is 1.4826 times the median of |d_gi - m_g| sqrt(n_g / (n_g - 1)): one wild
+reading in a station moves neither.
+"""
+
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ...arrays import BoolArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
-from ...data.screen import averaged
+from ...data.screen import FINEST_STEP, worth_of_mean
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor import Sensor
+from ...quantities import MEDIAN_TO_SIGMA
 from ...text import count
 from ..exports.rendering import environment
-from .format import LogFormat
+from .format import Average, LogFormat
 from .joining import Stations
 from .planes import intervals, planes_of
 from .poses import hand_poses
@@ -37,15 +50,13 @@ def assembled(
         No planes, no readings, or poses that mean something else.
     """
     poses, readings, path = log.poses, log.readings, log.poses.table.path
-    # One mean of each beam at each station.
-    beams = len(readings.beams)
-    row, beam = np.nonzero(~np.isnan(readings.ranges) & (log.station >= 0)[:, None])
-    cell, value = log.station[row] * beams + beam, readings.ranges[row, beam]
-    order = np.lexsort((value, cell))
-    cells, key = np.unique(cell[order], return_inverse=True)
-    means, worth, *_, scatter = averaged(key, value[order], range_sigma, leave_far=False)
-    mean, samples = np.full((len(log.names), beams), np.nan), np.ones((len(log.names), beams))
-    mean.ravel()[cells], samples.ravel()[cells] = means, worth
+    mean, samples, scatters, repeated = averaged(
+        readings.ranges, log.station, len(log.names), given.average, range_sigma
+    )
+    scatter = None if np.isnan(scatters[0]) else float(scatters[0])
+    if given.range_sigma_from_scatter and scatter is None:
+        found = "range_sigma_from_scatter, and no station at which a reading repeats and scatters"
+        raise InputError(found, "repeated readings, or the sigma itself", path)
     planes, chosen, warnings = targets_of(log, given)
     counted = (log.station >= 0) & chosen[log.station]
     warnings = (*readings.code_warnings(counted), *warnings)
@@ -67,7 +78,7 @@ def assembled(
         readings.beams,
         tuple(log.names[i] for i in rows.tolist()),
         tuple(dict.fromkeys(name for one in both for name in one.ignored)),
-        samples[rows] if (samples != 1.0).any() else None,
+        None if samples is None else samples[rows],
         (*(warning for one in both for warning in one.warnings), *log.warnings, *warnings),
         min(0.0, sensor.range_min),
     )
@@ -75,6 +86,7 @@ def assembled(
     doubts += refuse_wrong_convention(recording, poses.posed, log.way, rows, given)
     if doubts:
         recording = replace(recording, warnings=(*recording.warnings, *doubts))
+    scatter_of = dict(zip(readings.beams, scatters[1:].tolist(), strict=True))
     words = environment(__package__, count=count).get_template("log.j2")
     lines = words.render(
         recording=recording,
@@ -83,16 +95,18 @@ def assembled(
         joined=log.words,
         lag=log.lag[0],
         lag_sigma=log.lag[1],
-        repeated=int((np.bincount(key)[key] > 1).sum()),
-        scatter=None if np.isnan(scatter) else scatter,
+        repeated=repeated,
+        scatter=scatter,
+        given=given,
     )
     return LogReport(
         recording,
-        None if np.isnan(scatter) else scatter,
+        scatter,
+        {name: x for name, x in scatter_of.items() if not math.isnan(x)},
         log.lag[0],
         log.lag[1] or None,
         tuple(filter(None, lines.splitlines())),
-        given.files,
+        tuple(path for path in given.files if path is not None),
     )
 
 
@@ -127,3 +141,73 @@ def targets_of(
 def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
     words = f"{count} of {total} stations {what}, and were left out"
     return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
+
+
+def averaged(
+    d: FloatArray, station: IntArray, stations: int, how: Average, sigma: float | None = None
+) -> tuple[FloatArray, FloatArray | None, FloatArray, int]:
+    """Average the readings of each of S stations and B beams.
+
+    Parameters
+    ----------
+    d : (M, B)
+        Readings [m]; NaN where there is none.
+    station : (M,)
+        Of each row; -1 for none.
+    stations : int
+    how : {"mean", "median"}
+    sigma : float, optional
+        Standard deviation of a reading, if it is known [m]: what of it does not scatter is common
+        to all readings of a station, and is not averaged away.
+
+    Returns
+    -------
+    ranges : (S, B)
+        Means or medians [m]; NaN where there is no reading.
+    samples : (S, B) or None
+        How many independent readings each is worth; None where nothing is averaged.
+    scatter : (1 + B,)
+        Standard deviation of one reading [m], of all beams and of each; NaN where none repeats.
+    repeated : int
+        Readings that were averaged.
+    """
+    shape = stations, d.shape[1]
+    ranges, scatter = np.full(shape, np.nan), np.full(1 + shape[1], np.nan)
+    row, beam = np.nonzero(~np.isnan(d) & (station >= 0)[:, None])
+    key, value = station[row] * shape[1] + beam, d[row, beam]
+    if not len(key) or np.bincount(key).max() == 1:
+        ranges.ravel()[key] = value
+        return ranges, None, scatter, 0
+    order = np.lexsort((value, key))
+    key, value = key[order], value[order]
+    start = np.flatnonzero(np.diff(key, prepend=-1))
+    count = np.diff(np.append(start, len(key)))
+    if how == "median":
+        middle = 0.5 * (value[start + (count - 1) // 2] + value[start + count // 2])
+    else:  # about the first one, so that the mean of equal readings is that reading
+        total = np.add.reduceat(value - np.repeat(value[start], count), start)
+        middle = value[start] + total / count
+    ranges.ravel()[key[start]] = middle
+    group = np.repeat(np.arange(len(start)), count)
+    off = value - middle[group]
+    held = np.maximum.reduceat(np.abs(off), start) <= FINEST_STEP
+    several = (count > 1) & ~held
+    beam = key[start] % shape[1]  # of each group
+    for column, chosen in enumerate((several, *(several & (beam == b) for b in range(shape[1])))):
+        rows = chosen[group]
+        if rows.any() and how == "mean":
+            squares = float((off[rows] ** 2).sum())
+            scatter[column] = math.sqrt(squares / float((count[chosen] - 1).sum()))
+        elif rows.any():
+            n = count[group[rows]]
+            deviation = float(np.median(np.abs(off[rows]) * np.sqrt(n / (n - 1))))
+            scatter[column] = MEDIAN_TO_SIGMA * deviation
+    number = count[several].astype(np.float64)
+    if how == "median":  # of two readings it is their mean
+        number = np.where(number >= 3.0, np.maximum(2.0 * number / math.pi, 1.0), number)
+    samples = np.ones(shape)
+    if several.any():
+        worth = worth_of_mean(number, float(scatter[0]) ** 2, sigma)
+        samples.ravel()[key[start[several]]] = worth
+    unlike = (samples != 1.0).any()
+    return ranges, samples if unlike else None, scatter, int(count[count > 1].sum())

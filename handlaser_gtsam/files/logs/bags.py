@@ -6,6 +6,8 @@ memory: 64 bytes a pose, 16 bytes a reading.
 A hand pose may be a chain of frames as tf publishes them: the pose of one frame in another, in time.
 """
 
+import math
+import re
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -37,6 +39,9 @@ STATIC = "/tf_static"
 METADATA = "metadata.yaml"
 """Which every folder of a ROS 2 bag has."""
 BAGS = (".bag", ".mcap", ".db3")
+RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
+Place = tuple[str, int | None]
+"""The topic that a beam reads on, and which ray of a `LaserScan` it is."""
 
 
 def is_bag(path: Path) -> bool:
@@ -84,25 +89,36 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     InputError
         Topics that are not there or not of their type, or no poses or readings in them.
     """
+    beams: dict[str, Place] = {}
     numbers: dict[str, array[float]] = {}  # of each beam time [s] and reading [m], in turn
     unit = LENGTHS[given.range_units]
 
-    def read(beam: str, message: Any, time: float) -> None:
-        """Add what a beam reads at a time, if it is a reading."""
-        d = message.range
-        known = message.min_range <= d <= message.max_range and unit * abs(d) <= LARGEST_LENGTH
-        if known and (d > 0.0 or message.min_range < 0.0):
-            numbers[beam].extend((time, unit * d))
+    def read(topic: str, message: Any, time: float) -> None:
+        """Add what the beams of a topic read at a time, if it is a reading."""
+        for name, (own, ray) in beams.items():
+            if own != topic:
+                continue
+            if ray is None:
+                least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
+            else:
+                if ray >= len(message.ranges):
+                    found = f"a scan of {len(message.ranges)} rays on {topic}"
+                    raise InputError(found, f"ray {ray}, of beam {name}")
+                least, most, d = message.range_min, message.range_max, float(message.ranges[ray])
+                delay = ray * message.time_increment
+            known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST_LENGTH
+            if known and (d > 0.0 or least < 0.0):
+                numbers[name].extend((time + delay, unit * d))
 
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
-        beams = _beams(topics, given)
+        beams.update(_beams(topics, given))
         numbers.update((name, array("d")) for name in beams)
-        return {topic: partial(read, name) for name, topic in beams.items()}
+        return {topic: partial(read, topic) for topic, _ in beams.values()}
 
     poses = read_messages(path, given, readers)
-    for name, read_of in numbers.items():
-        if not len(read_of):
-            found = f"no reading of beam {name} within the limits of its messages"
+    for name, (topic, _) in beams.items():
+        if not len(numbers[name]):
+            found = f"no reading of beam {name} within the limits of its messages, on {topic}"
             raise InputError(found, "at least one, or the other topics by --range-columns")
     return poses, _readings(numbers, path)
 
@@ -131,15 +147,16 @@ def read_messages(
         stamped = array("d")
         wanted = list(dict.fromkeys([*poses, *readers]))
         for message, topic, received in _messages(reader, wanted, topics):
+            when = received if given.receive_time else None
             if topic not in poses:
-                readers[topic](message, _time(message, received))
+                readers[topic](message, _time(message, when, received))
             elif frames is None:
-                pose = message.pose
-                stamp(stamped, _time(message, received), pose.position, pose.orientation)
+                time, pose = _time(message, when, received), message.pose
+                stamp(stamped, time, pose.position, pose.orientation)
             else:
                 static = topic.endswith(STATIC)
                 for transform in message.transforms:
-                    frames.add(_time(transform, received), transform, static=static)
+                    frames.add(_time(transform, when, received), transform, static=static)
         publishers = Counter(one.topic for one in reader.connections)
     if frames is None and not len(stamped):
         raise InputError(f"no pose on topic {poses[0]}", "poses of the hand")
@@ -172,13 +189,23 @@ def lines_of(path: Path, count: int) -> Table:
 
 
 def _readings(numbers: "Mapping[str, array[float]]", path: Path) -> LogRows:
-    """Return the readings of beams, one row a moment; of two at a moment the last counts."""
-    pairs = [np.frombuffer(of_beam).reshape(-1, 2) for of_beam in numbers.values()]
-    times, row = np.unique(np.concatenate([x[:, 0] for x in pairs]), return_inverse=True)
-    d = np.full((len(times), len(pairs)), np.nan)
-    beam = np.repeat(np.arange(len(pairs)), [len(x) for x in pairs])
-    d[row, beam] = np.concatenate([x[:, 1] for x in pairs])
-    return LogRows(lines_of(path, len(d)), tuple(numbers), d, times=times)
+    """Return the readings of beams, with one row for each moment.
+
+    A second reading of a beam at the same moment gets a row of its own.
+    """
+    rows = []
+    for of_beam in numbers.values():
+        x = np.frombuffer(of_beam, dtype=np.float64).reshape(-1, 2)
+        rows.append(x[np.argsort(x[:, 0], kind="stable")])
+    time, value = np.concatenate(rows).T
+    again = np.concatenate([np.arange(len(x)) - np.searchsorted(x[:, 0], x[:, 0]) for x in rows])
+    order = np.lexsort((again, time))
+    new = (np.diff(time[order], prepend=-np.inf) > 0.0) | (np.diff(again[order], prepend=-1) != 0)
+    row = np.empty(len(time), dtype=np.intp)
+    row[order] = np.cumsum(new) - 1
+    d = np.full((int(new.sum()), len(rows)), np.nan)
+    d[row, np.repeat(np.arange(len(rows)), [len(x) for x in rows])] = value
+    return LogRows(lines_of(path, len(d)), tuple(numbers), d, times=time[order][new])
 
 
 def _messages(
@@ -206,35 +233,39 @@ def _messages(
         yield message, one.topic, received
 
 
-def _time(message: Any, received: int) -> float:
-    """Return the stamp of a header [s], or when it was received where that is zero."""
+def _time(message: Any, when: int | None, received: int) -> float:
+    """Return the stamp of a header [s]; when it was received if that is wanted, or all there is."""
     stamp = message.header.stamp
-    if stamp.sec or stamp.nanosec:
+    if when is None and (stamp.sec or stamp.nanosec):
         return float(stamp.sec + 1e-9 * stamp.nanosec)
     return 1e-9 * received
 
 
-def _beams(topics: Mapping[str, str], given: LogFormat) -> dict[str, str]:
-    """Return the topics of the beams that are stated, or all `Range` topics."""
-    found: dict[str, str] = {}
+def _beams(topics: Mapping[str, str], given: LogFormat) -> dict[str, Place]:
+    """Return where the beams that are stated read, or all `Range` topics."""
+    found: dict[str, Place] = {}
     for text in given.range_columns or of_kind(topics, RANGE):
-        name, equals, topic = map(str.strip, text.rpartition("="))  # BEAM=TOPIC, or no name
-        name = name if equals else topic.strip("/").replace("/", "_")
-        require_topic(topics, topic, RANGE)
+        name, equals, topic = text.rpartition("=")  # BEAM=TOPIC, BEAM=TOPIC[INDEX], or no name
+        topic = topic.strip()
+        ray = RAY.fullmatch(topic)
+        name = name.strip() if equals else topic.strip("/").replace("/", "_")
+        place = (ray["topic"], int(ray["index"])) if ray else (topic, None)
+        hint = "" if ray else "; a ray of a LaserScan is TOPIC[INDEX]"
+        require_topic(topics, place[0], SCAN if ray else RANGE, hint)
         fault = name_fault(name) or (f"beam {name!r} twice" if name in found else "")
         if fault:
             raise InputError(fault, f"one each: {A_NAME}")
-        if topic in found.values():
+        if place in found.values():
             raise InputError(f"several beams of {topic}", "one beam of each")
-        found[name] = topic
+        found[name] = place
     if not found:
         scans = of_kind(topics, SCAN)
-        hint = f"; of {scans[0]}, a scanner in [[sensors]]" if scans else ""
-        raise InputError(f"no topic of {RANGE}", f"one of them{hint}")
+        hint = f", as --range-columns 'left={scans[0]}[0]'" if scans else ""
+        raise InputError(f"no topic of {RANGE}", f"one, or rays of a LaserScan{hint}")
     return found
 
 
-def require_topic(topics: Mapping[str, str], topic: str, kind: str) -> None:
+def require_topic(topics: Mapping[str, str], topic: str, kind: str, hint: str = "") -> None:
     """Refuse a topic that is not there, or not of a type.
 
     Raises
@@ -244,7 +275,7 @@ def require_topic(topics: Mapping[str, str], topic: str, kind: str) -> None:
     if topics.get(topic) != kind:
         there = some(of_kind(topics, kind), 8) or "there is none"
         found = f"topic {shown(topic)} of type {topics.get(topic, 'none')}"
-        raise InputError(found, f"a topic of {kind}: {there}")
+        raise InputError(found, f"a topic of {kind}: {there}{hint}")
 
 
 def of_kind(topics: Mapping[str, str], *kinds: str) -> list[str]:
@@ -299,13 +330,14 @@ def stamped_rows(numbers: "array[float]") -> FloatArray:
 
 
 class Frames:
-    """The tree of frames, and the poses of each in its parent in time."""
+    """The tree of frames; what is not between world and hand is forgotten once the way is known."""
 
     def __init__(self, world: str, hand: str) -> None:
         self.world, self.hand = world.lstrip("/"), hand.lstrip("/")
         self.parent: dict[str, str] = {}
         self.static: set[str] = set()
         self.poses: dict[str, array[float]] = {}
+        self.way: tuple[list[str], list[str]] | None = None
 
     def add(self, time: float, transform: Any, *, static: bool) -> None:
         """Add a TransformStamped.
@@ -316,15 +348,28 @@ class Frames:
             A frame with two parents.
         """
         child = transform.child_frame_id.lstrip("/")
+        if self.way is not None and child not in self.poses:
+            return
         parent = transform.header.frame_id.lstrip("/")
         if self.parent.setdefault(child, parent) != parent:
             both = f"{shown(self.parent[child])} and below {shown(parent)}"
             raise InputError(f"frame {shown(child)} below {both}", "one parent of every frame")
+        new, both = static or child not in self.poses, transform.transform
         if static:
             self.static.add(child)
             self.poses[child] = array("d")
-        pose = transform.transform
-        stamp(self.poses.setdefault(child, array("d")), time, pose.translation, pose.rotation)
+        stamp(self.poses.setdefault(child, array("d")), time, both.translation, both.rotation)
+        if self.way is None and new:
+            self._find_way()
+
+    def _find_way(self) -> None:
+        up, down = self._ancestors(self.hand), self._ancestors(self.world)
+        common = next((name for name in up if name in down), None)
+        if common is None or (self.hand not in self.parent and self.world not in self.parent):
+            return
+        self.way = up[: up.index(common)], down[: down.index(common)]
+        needed = {*self.way[0], *self.way[1]}
+        self.poses = {name: poses for name, poses in self.poses.items() if name in needed}
 
     def _ancestors(self, name: str) -> list[str]:
         found = [name]
@@ -340,15 +385,12 @@ class Frames:
         InputError
             No way between the two, or nothing moves on it.
         """
-        up, down = self._ancestors(self.hand), self._ancestors(self.world)
-        common = next((name for name in up if name in down), None)
-        if common is None or len(up) + len(down) == 2:
+        if self.way is None or not self.poses:
             names = sorted({*self.parent, *self.parent.values()})
             known = some([name[:60] for name in names], 12) or "the frames, of which there are none"
             found = f"no chain of tf frames from {shown(self.world)} to {shown(self.hand)}"
             raise InputError(found, f"two of {known}")
-        ways = up[: up.index(common)], down[: down.index(common)]
-        rows = {name: stamped_rows(self.poses[name]) for way in ways for name in way}
+        rows = {name: stamped_rows(poses) for name, poses in self.poses.items()}
         moving = {name: len(x) for name, x in rows.items() if name not in self.static}
         if not moving:
             found = f"only static tf frames between {shown(self.world)} and {shown(self.hand)}"
@@ -359,13 +401,29 @@ class Frames:
         time = base[(base >= begin) & (base <= end)]
         if not len(time):
             raise InputError("tf frames of the chain at times of their own", "times that overlap")
+        x = np.empty((len(time), len(TUM_HEADER)))
+        for first in range(0, len(time), ROWS_AT_ONCE):
+            part = slice(first, first + ROWS_AT_ONCE)
+            R, t = self._hand_in_world(rows, time[part])
+            x[part] = np.column_stack((time[part], t, R.as_quat()))
+        return x
+
+    def _hand_in_world(
+        self, rows: dict[str, FloatArray], time: FloatArray
+    ) -> tuple[Rotation, FloatArray]:
+        """Return the hand in the world at some times."""
+        assert self.way is not None
         chains = []
-        for names in ways:  # from hand and world up to the frame that both have above them
+        for names in self.way:  # from hand and world up to the frame that both have above them
             R, t = Rotation.identity(len(time)), np.zeros((len(time), 3))
             for name in names:
-                x = rows[name][-1:] if name in self.static else rows[name]
-                S, s = interpolated(x[:, 4:], x[:, 1:4], *neighbours(x[:, 0], time))
+                x = rows[name]
+                if name in self.static:
+                    last = np.repeat(x[-1:], len(time), axis=0)
+                    S, s = Rotation.from_quat(last[:, 4:]), last[:, 1:4]
+                else:
+                    S, s = interpolated(x[:, 4:], x[:, 1:4], *neighbours(x[:, 0], time))
                 R, t = S * R, s + S.apply(t)
             chains.append((R, t))
         (R, t), (S, s) = chains
-        return np.column_stack((time, S.inv().apply(t - s), (S.inv() * R).as_quat()))
+        return S.inv() * R, S.inv().apply(t - s)

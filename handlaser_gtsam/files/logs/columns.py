@@ -43,11 +43,16 @@ class Columns(NamedTuple):
     pose : names
         In the order of the numbers of a pose.
     beams : {beam: column}
+        Of a wide table.
+    beam, range : str
+        Of a long table.
     plane, station, time : str
     """
 
     pose: tuple[str, ...] = ()
     beams: Mapping[str, str] = MappingProxyType({})
+    beam: str = ""
+    range: str = ""
     plane: str = ""
     station: str = ""
     time: str = ""
@@ -55,7 +60,8 @@ class Columns(NamedTuple):
     @property
     def used(self) -> set[str]:
         """The names of all of them."""
-        return {*self.pose, *self.beams.values(), self.plane, self.station, self.time}
+        single = {self.beam, self.range, self.plane, self.station, self.time} - {""}
+        return {*self.pose, *self.beams.values(), *single}
 
 
 def plain(name: str) -> str:
@@ -80,44 +86,36 @@ def columns_of(
     InputError
         A column that is needed is not there, or not the only one of its name.
     """
+    names = table.frame.columns
     pose = _pose_columns(table, given) if poses else ()
+    for needed in ("beam_column", "range_column") if readings and given.beam_column else ():
+        _require(table, getattr(given, needed), needed)
     second = "" if poses else "readings_"
-    # Of two files, either may have the column of planes that is stated.
-    elsewhere = given.plane_column not in ("", *table.frame.columns) and not (poses and readings)
-    times = tuple(name for name in TIMES if name not in map(plain, pose))
+    elsewhere = given.plane_column not in ("", *names) and not (poses and readings)
     found = Columns(
         pose,
-        _beam_columns(table, given) if readings else {},
+        _beam_columns(table, given) if readings and not given.beam_column else {},
+        given.beam_column if readings else "",
+        given.range_column if readings else "",
+        # Of two files, either may have the column that is stated.
         "" if elsewhere else _named(table, given, ("plane",), "plane_column"),
         _named(table, given, ("station",), f"{second}station_column", "station_column"),
-        _named(table, given, times, f"{second}time_column", "time_column"),
+        ""
+        if set(pose) & set(_alike(names, TIMES))
+        else _named(table, given, TIMES, f"{second}time_column", "time_column"),
     )
     _check_once(table, found)
     _check_units(table, found, given)
     return found
 
 
-def column_like(table: Table, name: str) -> str:
-    """Return the column of a name, in letters of either case, with a unit or without; "" if none.
-
-    Raises
-    ------
-    InputError
-        Several such columns.
-    """
-    alike = [one for one in table.frame.columns if plain(one) == name]
-    if len(alike) > 1:
-        found = f"several columns that may be {name}: {', '.join(alike)}"
-        raise table.fault(found, "one of them, and other names for the others")
-    return alike[0] if alike else ""
-
-
 def _check_once(table: Table, found: Columns) -> None:
     """Refuse one column as two things; times may be labels of stations, too."""
     things = [(name, "a number of poses") for name in found.pose]
     things += [(name, f"the readings of beam {shown(beam)}") for beam, name in found.beams.items()]
+    things += [(found.range, "readings"), (found.beam, "beams"), (found.plane, "planes")]
     used: dict[str, str] = {}
-    for name, what in (*things, (found.plane, "planes"), (found.station, "stations")):
+    for name, what in (*things, (found.station, "stations")):
         if name and name in used:
             found_so = f"one column as {used[name]} and as {what}"
             raise table.fault(found_so, "a column of its own for each", name)
@@ -127,14 +125,18 @@ def _check_once(table: Table, found: Columns) -> None:
 def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
     convention, names = convention_of(given), table.frame.columns
     if given.pose_columns:
-        found = given.pose_columns
-        for name in found:
-            _require(table, name, "pose_columns")
+        found: list[str] = []
+        for name in given.pose_columns:  # or those of an array: name[0], name[1], ...
+            parts = [one for one in names if re.fullmatch(rf"{re.escape(name)}\[\d+\]", one)]
+            if name in names or not parts:
+                _require(table, name, "pose_columns")
+                parts = [name]
+            found += parts
         if len(found) not in convention.numbers:
             counts = " or ".join(map(str, convention.numbers))
             expected = f"{counts}, for poses of {convention.words}"
             raise table.fault(f"{len(found)} pose columns", expected)
-        return found
+        return tuple(found)
     position = () if convention.is_matrix else _first_found(table, POSITIONS)
     rotation = _first_found(table, convention.columns)
     if rotation and (position or convention.is_matrix):
@@ -162,9 +164,22 @@ def formats_in(names: Sequence[str]) -> list[str]:
 
 def _first_found(table: Table, spellings: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """Return the columns of the first spelling that is there as a whole."""
-    there = {plain(name) for name in table.frame.columns}
-    whole = next((spelling for spelling in spellings if there.issuperset(spelling)), ())
-    return tuple(column_like(table, name) for name in whole)
+    names = table.frame.columns
+    for spelling in spellings:
+        found = {name: [one for one in names if plain(one) == name] for name in spelling}
+        if all(found.values()):
+            for name, columns in found.items():
+                if len(columns) > 1:
+                    several = f"several columns that may be {name}: {', '.join(columns)}"
+                    raise table.fault(several, "one of them, by --pose-columns")
+            return tuple(columns[0] for columns in found.values())
+    return ()
+
+
+def _alike(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
+    """Return the columns that have one of the wanted names; exactly so if there are such."""
+    exact = [name for name in names if name in wanted]
+    return exact or [name for name in names if plain(name) in wanted]
 
 
 def _require(table: Table, name: str, field: str) -> None:
@@ -175,13 +190,13 @@ def _require(table: Table, name: str, field: str) -> None:
 
 
 def _named(table: Table, given: LogFormat, usual: Sequence[str], *fields: str) -> str:
-    """Return the column that the first field states that does, or one of the first usual name."""
+    """Return the column that the first field states that does, or the one of a usual name, or none."""
     for one in fields:
         stated: str = getattr(given, one)
         if stated:
             _require(table, stated, one)
             return stated
-    return next(filter(None, (column_like(table, name) for name in usual)), "")
+    return next(iter(_alike(table.frame.columns, usual)), "")
 
 
 def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
@@ -205,8 +220,8 @@ def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
     if not found:
         raise table.fault(
             f"no column of ranges among {table.names}",
-            "range_NAME for every beam, or --range-columns; where tables of points have the readings, "
-            "--rig with these tables in [[sensors]]",
+            "range_NAME for every beam, or --range-columns, or --beam-column and --range-column; where "
+            "tables of points have the readings, --rig with these tables in [[sensors]]",
         )
     return found
 
@@ -216,10 +231,11 @@ def _check_units(table: Table, found: Columns, given: LogFormat) -> None:
     convention = convention_of(given)
     position = () if convention.is_matrix else found.pose[:3]
     rotation = found.pose[3:] if convention.has_angles else ()
+    ranges = (*found.beams.values(), found.range)
     for names, unit, units, option in (
         (position, convention.units, LENGTHS, "--units"),
         (rotation, convention.angles, ANGLES, "--angles"),
-        (found.beams.values(), given.range_units, LENGTHS, "--range-units"),
+        (ranges, given.range_units, LENGTHS, "--range-units"),
         ((found.time,), given.time_units, TIME_UNITS, "--time-units"),
     ):
         for name, stated in zip(names, map(unit_of, names), strict=True):

@@ -13,6 +13,7 @@ Units = Literal["m", "mm", "in"]
 AngleUnits = Literal["deg", "rad"]
 Delimiter = Literal["comma", "semicolon", "tab", "space"]
 Decimal = Literal["point", "comma"]
+Average = Literal["mean", "median"]
 TimeUnits = Literal["s", "ms", "us", "ns"]
 TUM_HEADER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 """The columns of a TUM file, and the numbers of a stamped pose."""
@@ -50,13 +51,19 @@ class LogFormat:
         Column of times, if it is not "time".
     range_columns : names
         Columns of ranges, COLUMN or BEAM=COLUMN for every beam, if they are not range_NAME:
-        left=AI1,right=AI2; of bags topics.
+        left=AI1,right=AI2; of bags topics, and TOPIC[INDEX] for a ray of a LaserScan.
+    beam_column : str
+        Column of beams in a long table, one row a reading.
+    range_column : str
+        Column of ranges in a long table.
     range_units : {"m", "mm", "in"}
         Of ranges: m (the default), mm, or in (inches).
     plane : str
         The plane of all stations.
     plane_ranges : names
         Planes by stations, A=1..12,B=13..24, or by times with an s, A=0s..12.5s.
+    plane_file : Path, optional
+        The same as CSV: plane,from,to.
     header : names
         Columns of a file that has no header.
     delimiter : {"comma", "semicolon", "tab", "space"}, optional
@@ -88,6 +95,8 @@ class LogFormat:
         How far the hand may move in a stand, mm (0.1).
     stand_deg : float
         How far the hand may turn in a stand, deg (0.05).
+    average : {"mean", "median"}
+        Of repeated readings: mean (the default) or median.
     lag_s : float
         How much later readings are stamped than poses of the same moment, s.
     estimate_lag : bool
@@ -96,6 +105,10 @@ class LogFormat:
         Of a bag: topic of PoseStamped of the hand.
     frames : names
         Of a bag, instead: names of world and hand in tf, WORLD,HAND.
+    receive_time : bool
+        Of a bag: times at which messages were received, not the stamps of their headers.
+    range_sigma_from_scatter : bool
+        Take the scatter of repeated readings as range sigma, where none is given.
     as_stated : bool
         Read it so although it looks otherwise; that is then a warning.
 
@@ -117,9 +130,12 @@ class LogFormat:
     station_column: str = ""
     time_column: str = ""
     range_columns: tuple[str, ...] = ()
+    beam_column: str = ""
+    range_column: str = ""
     range_units: Units = "m"
     plane: str = ""
     plane_ranges: tuple[str, ...] = ()
+    plane_file: Path | None = None
     header: tuple[str, ...] = ()
     delimiter: Delimiter | None = None
     decimal: Decimal | None = None
@@ -135,10 +151,13 @@ class LogFormat:
     stand_s: float = 0.5
     stand_mm: float = 0.1
     stand_deg: float = 0.05
+    average: Average = "mean"
     lag_s: float = 0.0
     estimate_lag: bool = False
     pose_topic: str = ""
     frames: tuple[str, ...] = ()
+    receive_time: bool = False
+    range_sigma_from_scatter: bool = False
     as_stated: bool = False
 
     def __post_init__(self) -> None:
@@ -154,9 +173,9 @@ class LogFormat:
         return get_args(parts[0]) if parts else ()
 
     @property
-    def files(self) -> tuple[Path, ...]:
-        """The file beside the log itself, if there is one."""
-        return () if self.readings is None else (self.readings,)
+    def files(self) -> tuple[Path | None, ...]:
+        """The files beside the log itself."""
+        return self.readings, self.plane_file
 
     @property
     def stated(self) -> bool:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 EXCLUSIVE = {
     ("pose_format", "rotation"): "one of the two: the format says what rotation it has",
-    ("plane", "plane_column", "plane_ranges"): "one way to state planes",
+    ("plane", "plane_column", "plane_ranges", "plane_file"): "one way to state planes",
     ("pose_topic", "frames"): "one of the two",
     ("stands", "interpolate"): "one of the two: the arm stands, or it moves",
 }
@@ -71,7 +71,7 @@ def _check_kinds(given: "LogFormat") -> None:
         elif isinstance(default, tuple):
             numbers = one.name in ("tool", "base")
             object.__setattr__(given, one.name, _tuple_of(one.name, value, numbers=numbers))
-        elif one.name == "readings":
+        elif one.name in ("readings", "plane_file"):
             if value is not None:
                 object.__setattr__(given, one.name, path_of(value))
         elif isinstance(default, str) and not isinstance(value, str):
@@ -103,6 +103,10 @@ def _check_together(given: "LogFormat") -> None:
     turned = EULER.fullmatch(given.rotation) or given.rotation == "rotvec"
     if turned and given.angles is None:
         raise InputError(f"--rotation {given.rotation} without --angles", "--angles deg or rad")
+    if bool(given.beam_column) != bool(given.range_column):
+        raise InputError("one of --beam-column and --range-column", "both, of a long table")
+    if given.beam_column and given.range_columns:
+        raise InputError("--range-columns and --beam-column", "a wide or a long table")
     if given.plane and name_fault(given.plane):
         raise InputError(name_fault(given.plane), "a name for the plane")
     if len(given.frames) not in (0, 2):

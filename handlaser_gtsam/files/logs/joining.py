@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording_checks import first_repeated, numbered
 from ...errors import CalibrationWarning, InputError
-from ...model.conventions import FORMATS, poses_of
+from ...model.conventions import FORMATS, TIME_UNITS, poses_of
 from ...quantities import IN_MM
 from .format import LogFormat
 from .format_checks import convention_of
@@ -18,6 +18,9 @@ from .motion import MOVES_M, MOVES_RAD, Way, bracketed, nearest
 from .planes import intervals, planes_in_time, planes_of
 from .rows import LogRows
 from .stands import Track, find_stands
+
+UNIT_OFF = 0.15
+"""Spans of one recording agree within a factor of three: this part of a power of a thousand."""
 
 
 class Stations(NamedTuple):
@@ -53,6 +56,31 @@ class Stations(NamedTuple):
     warnings: tuple[CalibrationWarning, ...] = ()
     words: str = ""
     lag: tuple[float, float] = (0.0, 0.0)
+
+
+def one_table(rows: LogRows, given: LogFormat) -> Stations:
+    """Return the stations of a table that has poses and readings.
+
+    Raises
+    ------
+    InputError
+        Rows of one station with other poses or planes; a long table without stations.
+    """
+    if rows.columns.range and rows.stations is None:
+        expected = "a column station, or its name by --station-column"
+        raise InputError("a long table without stations", expected, rows.table.path)
+    names, group = _groups(rows.names)
+    way = Way.of_groups(group)
+    first, words = way.row[way.start], ""
+    if len(names) < len(group):
+        every, expected = np.arange(len(group)), "one pose a station, or a label of its own"
+        whose = [f"station {name!r}" for name in rows.names]
+        _refuse_other_pose(rows, given, every, first[group], rows.columns.station, whose, expected)
+        words = f"{len(group)} rows of {len(names)} stations"
+    of_station = _planes_by_station(rows, group)
+    planes = [of_station[i] for i in range(len(names))] if of_station else None
+    times = None if rows.times is None else rows.times[first]
+    return Stations(rows, rows, way, names, planes, times, group, words=words)
 
 
 def _planes_by_station(rows: LogRows, station: IntArray) -> dict[int, str]:
@@ -103,22 +131,20 @@ def _refuse_other_pose(
     poses.table.refuse(wrong, column, expected, f"{whose[first]} again at a pose {off}")
 
 
-def by_station(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
-    """Return the stations of a table of poses with the readings of the same labels, of it or another.
+def by_station(poses: LogRows, readings: LogRows) -> Stations:
+    """Return stations of a table of poses with the readings of another of the same labels.
 
     Raises
     ------
     InputError
-        Rows of one station with other poses or planes, or no label in common.
+        A label twice among the poses, or none in common.
     """
-    names, group = _groups(poses.names)
-    way = Way.of_groups(group)
-    first = way.row[way.start]
-    if len(names) < len(group):
-        every, expected = np.arange(len(group)), "one pose a station, or a label of its own"
-        whose = [f"station {name!r}" for name in poses.names]
-        column = poses.columns.station
-        _refuse_other_pose(poses, given, every, first[group], column, whose, expected)
+    names = poses.names
+    twice = first_repeated(names)
+    if twice is not None:
+        wrong, found = np.arange(len(names)) == twice, f"station {names[twice]!r} again"
+        column, expected = poses.columns.station, "every station once among the poses"
+        poses.table.refuse(wrong, column, expected, found)
     number = {name: i for i, name in enumerate(names)}
     station = np.array([number.get(name, -1) for name in readings.names], dtype=np.intp)
     if (station < 0).all():
@@ -128,26 +154,25 @@ def by_station(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
             "the same labels in both files; see --station-column and --readings-station-column",
             readings.table.path,
         )
-    labelled = (readings, station) if poses.planes is None else (poses, group)
-    of_station = _planes_by_station(*labelled)
-    missing = len(names) - len(of_station)
-    if of_station and missing:
-        found = f"{missing} stations without a reading, and so without a plane"
-        expected = "the planes in the table of poses, or --plane"
-        raise InputError(found, expected, readings.table.path)
-    words = f"{len(group)} rows of {len(names)} stations" if len(names) < len(group) else ""
-    if poses is not readings:
-        words = f"{len(group)} poses and {len(station)} rows of readings, joined by station"
+    planes = poses.planes
+    of_station = _planes_by_station(readings, station) if planes is None else {}
+    if of_station:
+        missing = len(names) - len(of_station)
+        if missing:
+            found = f"{missing} stations without a reading, and so without a plane"
+            expected = "the planes in the table of poses, or --plane"
+            raise InputError(found, expected, readings.table.path)
+        planes = [of_station[index] for index in range(len(names))]
     return Stations(
         poses,
         readings,
-        way,
+        Way.of_rows(len(names)),
         names,
-        [of_station[index] for index in range(len(names))] if of_station else None,
-        None if poses.times is None else poses.times[first],
+        planes,
+        poses.times,
         station,
         _unmatched(station >= 0, "have a station without a pose"),
-        words,
+        f"{len(names)} poses and {len(station)} rows of readings, joined by station",
     )
 
 
@@ -165,8 +190,9 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
 
     Both may stand in one table, whose readings then belong to the poses of earlier rows if they lag.
 
-    Stations are the moments at which the hand stands; or the rows of readings, each with a pose that is
-    interpolated between two; or else the rows of poses, each with the readings nearest to it.
+    Stations are the moments at which the hand stands, or else the rows of the shorter table. To each
+    row of readings belongs the nearest pose, or one between two; to a row of poses all readings within
+    the tolerance.
 
     Raises
     ------
@@ -198,26 +224,32 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
             expected = "one pose at a time: finer stamps, or --stands"
             column = poses.columns.time
             _refuse_other_pose(poses, given, again, again - 1, column, whose, expected)
-        if given.interpolate:
-            near = bracketed(clock, wanted, tolerance)
-            needed = "poses before and after it within the tolerance"
+        row, off = nearest(clock, wanted)
+        near = off <= tolerance
+        if given.interpolate or len(clock) >= len(wanted):
+            words = "the nearest pose"
+            if given.interpolate:
+                near, words = bracketed(clock, wanted, tolerance), "a pose between its neighbours"
+                needed = "poses before and after it within the tolerance"
             kept = np.flatnonzero(near)
             station, times = np.cumsum(near) - 1, wanted[kept]
-            way, names = Way.between(clock, times), tuple(readings.names[i] for i in kept.tolist())
-            labels = (readings, kept), (poses, nearest(clock, times)[0])
+            way = Way(row[kept], np.arange(len(kept), dtype=np.intp))
+            if given.interpolate:
+                way = Way.between(clock, times)
+            names = tuple(readings.names[i] for i in kept.tolist())
+            labels = (readings, kept), (poses, row[kept])
             twice = first_repeated(names)
             if twice is not None:
                 found = f"station {names[twice]!r} twice among the readings"
                 expected = "every label once where each row of readings is a station"
                 raise InputError(found, expected, path)
-            words = f"{len(kept)} rows of readings, each with a pose between its neighbours"
+            words = f"{len(kept)} rows of readings, each with {words}"
             warnings = _unmatched(near, "have no pose within the tolerance")
         else:
-            station, off = nearest(clock, wanted)
-            near, times, names = off <= tolerance, clock, tuple(poses.names)
-            way = Way.of_rows(len(clock))
-            labels = (poses, way.row), (readings, nearest(wanted, clock)[0])
-            words = f"{len(clock)} poses, each with the readings within {tolerance:g} s: "
+            every, station, times, names = np.arange(len(clock)), row, clock, tuple(poses.names)
+            labels = (poses, every), (readings, nearest(wanted, clock)[0])
+            way = Way.of_rows(len(every))
+            words = f"{len(every)} poses, each with the readings within {tolerance:g} s: "
             words += f"{int(near.sum())} of {len(near)} rows"
     if not near.any():
         far = nearest(clock, wanted)[1].min()
@@ -265,3 +297,35 @@ def _track_of(poses: LogRows, given: LogFormat) -> Track:
         return Track(poses.clock, poses.posed[:, :3], poses.posed[:, 3:])
     R, t = poses_of(poses.posed, convention_of(given))
     return Track(poses.clock, t, Rotation.from_matrix(R).as_quat())
+
+
+def refuse_other_units(poses: LogRows, readings: LogRows, given: LogFormat) -> None:
+    """Refuse times of which one table has seconds and the other, say, milliseconds.
+
+    Two tables of one recording last about as long: a quotient near a power of a thousand is a unit.
+
+    Raises
+    ------
+    InputError
+        The spans differ so, and the unit of the second table is not stated by itself.
+    """
+    spans = float(np.ptp(poses.clock)), float(np.ptp(readings.clock))
+    if min(spans) <= 0.0 or given.readings_time_units is not None or given.as_stated:
+        return
+    power = np.log10(spans[1] / spans[0]) / 3.0
+    if round(power) == 0 or abs(power - round(power)) > UNIT_OFF:
+        return
+    units = list(TIME_UNITS)
+    finer = units.index(given.time_units) + abs(round(power))
+    if finer >= len(units):
+        return
+    own, other = given.time_units, units[finer]
+    stated = f"--readings-time-units {other}"
+    if power < 0:
+        stated = f"--time-units {other} --readings-time-units {own}"
+    raise InputError(
+        f"poses over {spans[0]:.4g} s and readings over {spans[1]:.4g} s, as if one table had times in "
+        f"{own} and the other in {other}",
+        f"{stated}; or --readings-time-units {own} if both are right",
+        readings.table.path,
+    )

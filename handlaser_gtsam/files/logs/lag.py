@@ -21,20 +21,27 @@ these leave of the derivative of e by tau, a,
 
 The derivative is a difference over some steps of the recorded poses (`STEPS_APART`).
 
-Before a plane, the rate of a range is linear in the hand's velocity w (6,), of its position and of its
-turn in the world, with coefficients that change little unless the hand turns far. So an offset of two
-clocks is where one set of coefficients explains the rates y_i of each beam best,
+Offsets of the two clocks are suggested by the velocities of the hand and the rates of readings. Before
+a plane, the rate of a range is linear in the hand's velocity w (6,), of its position and of its
+turn in the world, with coefficients that change little unless the hand turns far. The offset tau by
+which readings are stamped later is looked for where one set of coefficients explains the rates y_i of
+each beam best,
 
     rho(tau) = sum_i b_i' G^-1 b_i / y_i' y_i,    b_i(tau) = sum_t y_i(t) w(t - tau),    G = sum_t w w',
 
-whether the arm stops or not. Where planes are turned far from one another one set explains little, but
-an arm that stops shows when: an offset is also where hand and readings move at the same times.
+for all offsets at once by the Fourier transform. It does not matter whether the arm stops. Where planes
+are turned far from one another one set of coefficients explains little, but an arm that stops shows
+when: so the offset is looked for, too, where hand and readings move and rest at the same times. The
+maxima of both are candidates only: the range equation judges them.
 """
 
 from collections.abc import Callable
+from functools import partial
+from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.ndimage import median_filter
 from scipy.spatial.transform import Rotation
 
@@ -46,14 +53,7 @@ from ...model.equation import residuals_or_infinite
 from ...model.families import count_unknowns
 from ...model.search import LevenbergOptions
 from ...model.weighting import Variances, whitening
-from ...quantities import (
-    FAR_SIGMAS,
-    MOST_ROUNDS,
-    NUMBERS_AT_ONCE,
-    ROUNDING,
-    SAME_OPTIMUM,
-    SINGULAR,
-)
+from ...quantities import FAR_SIGMAS, MOST_ROUNDS, NUMBERS_AT_ONCE, ROUNDING, SINGULAR
 from ...results.projection import LinearRows, Projection
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
@@ -64,6 +64,8 @@ REACH = 0.5
 """Lags up to this [s] from an offset are looked for."""
 COARSE, FINE = 0.04, 0.002
 """First and last steps of the search [s]."""
+LAG_SETTLED = 0.01
+"""A lag that moves by fewer of its standard deviations has come to rest."""
 WORST_SIGMA = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag."""
 INTERPOLATED = 1e-4
@@ -76,41 +78,64 @@ STEPS_APART = 2.0
 AS_GOOD = 4.0
 """What leaves less than this factor of the mean square of another fits as well: another offset as the
 best one, and a calibration as the linear equation."""
-STEP = 0.02
-"""Step [s] in which velocities and rates are taken for offsets of two clocks."""
 LONGEST_MOVE = 15.0
 """A longer move [s] is not the way from one plane to another, but of an arm that never stops."""
+PIECES = 6
+"""Pieces of a recording in which the lag should be the same."""
+OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
+"""Of each calibration: a step of a thousandth of a standard deviation moves no minimum, and what a
+motion that repeats leaves undetermined would take all steps."""
 LEAST_READINGS = 264
 """Readings of a beam before a plane: twelve for each coefficient."""
 MOST_READINGS = 1500
 """Readings of one plane and beam that are looked at, evenly spread."""
 
 
-Part = tuple[int, IntArray, FloatArray, FloatArray]
+_Part = tuple[int, IntArray, FloatArray, FloatArray]
 """A plane, beams (b,) before it, times (N,) [s] and readings (N, b) [m]."""
+STEP = 0.02
+"""Step in which velocities and rates are taken [s]."""
+HALF_WIDTH = 5
+"""Velocities are differences over twice this number of steps, because readings have noise."""
+CANDIDATES = 6
+"""Most candidates of either kind: a motion that repeats has several."""
+LEAST_OVERLAP = 0.3
+"""Offsets at which a smaller part of the shorter recording lies within the other count less."""
+RESTS = 0.1
+"""What is slower than such a part of the root mean square speed hardly moves."""
+SPIKE = 10.0
+"""A reading is wild if it is off the median of five by this factor of what nine in ten readings are."""
 
 
 class _Candidate(NamedTuple):
-    """The best lag near an offset [s], and the sum of squares that the linear equation leaves there.
+    """The best lag near an offset [s], and what the linear equation leaves there.
 
-    `variation` is the sum of squares of readings about their means; `number` counts readings.
+    Attributes
+    ----------
+    lag : float
+    squares, variation : float
+        Sums of squares that are left of readings, and of their differences from their means [m^2].
+    number, covered : int
+        How many readings they are, and how many they stand for.
+    parts : list of _Part
     """
 
     lag: float
     squares: float
     variation: float
     number: int
-    parts: list[Part]
+    covered: int
+    parts: list[_Part]
 
     @property
     def gain(self) -> float:
         """How much likelier the readings are than if they did not follow the motion: a logarithm."""
-        return float(self.number * np.log(self.variation / self.squares))
+        return float(self.covered * np.log(self.variation / self.squares))
 
     def as_good_as(self, other: "_Candidate") -> bool:
         """Whether it leaves as little as another one, of readings that are not far fewer."""
         least = AS_GOOD * other.squares / other.number
-        return self.squares < least * self.number and 2 * self.number > other.number
+        return self.squares < least * self.number and 2 * self.covered > other.covered
 
 
 def estimated_lag(
@@ -149,25 +174,31 @@ def estimated_lag(
             errors.append(error)
     if not found:
         raise errors[0]
-    best = max(found, key=lambda one: one.gain)
+    # The likeliest; of those as good, the nearest to a stated lag. Where none is stated, and the
+    # clocks are not one, those as good far from it are asked, too.
+    best, others = max(found, key=lambda one: one.gain), []
     alike = [one for one in found if one.as_good_as(best)]
-    other = next((one.lag for one in alike if abs(one.lag - best.lag) > REACH), best.lag)
     if near:
         best = min(alike, key=lambda one: abs(one.lag - near))
-    elif abs(best.lag) > REACH and other != best.lag:  # the clocks are not one
-        raise InputError(
-            f"readings that fit the motion at lags of {best.lag:.6g} s and {other:.6g} s",
-            "a motion that does not repeat; or a rough --lag-s, near which the lag is then looked for",
-        )
+    elif abs(best.lag) > REACH:
+        others = [one for one in alike if abs(one.lag - best.lag) > REACH]
     lag = _calibrated(track, best)
     if lag is None:
         expected = "a log with stops, turns and changes of speed before a plane; or state --lag-s"
         raise InputError("a motion that does not tell the lag of the readings", expected)
     value, sigma, varies = lag
     if not varies <= WORST_SIGMA:
+        found_so = f"a lag that varies by some {1e3 * varies:.0f} ms in the recording"
+        expected = (
+            "clocks that run alike and are not set meanwhile; or parts of the log by themselves"
+        )
+        raise InputError(found_so, expected)
+    fits = [one.lag for one in others if _calibrated(track, one) is not None]
+    if fits:
+        more = f" and {len(fits) - 1} more" if len(fits) > 1 else ""
         raise InputError(
-            f"a lag that varies by some {1e3 * varies:.0f} ms in the recording",
-            "clocks that run alike and are not set meanwhile; or parts of the log by themselves",
+            f"readings that fit the motion at lags of {best.lag:.6g} s and {fits[0]:.6g} s{more}",
+            "a motion that does not repeat; or a rough --lag-s, near which the lag is then looked for",
         )
     return value, float(np.hypot(sigma, varies))
 
@@ -190,7 +221,7 @@ def _coarse(
             "readings follow the motion",
             "one clock and one unit (--time-units, --readings-time-units); or a rough --lag-s",
         )
-    parts = _parts(track, time, d, plane, offset)
+    parts, covered = _parts(track, time, d, plane, offset)
     if not parts:
         raise InputError(
             "too few readings while the hand moves to estimate the lag",
@@ -210,14 +241,16 @@ def _coarse(
         pair = [(_squares(track, parts, other), other) for other in (lag - step, lag + step)]
         squares, lag = min((squares, lag), *pair)
     variation = sum(float(own.var(axis=0).sum()) * len(own) for *_, own in parts)
-    return _Candidate(lag, squares, variation, sum(own.size for *_, own in parts), parts)
+    count = sum(own.size for *_, own in parts)
+    return _Candidate(lag, squares, variation, count, covered, parts)
 
 
 def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, float] | None:
     """Return the lag near a candidate at which a calibration of beams and planes fits best.
 
-    With its standard deviation, and by how much it varies in the recording. None where none is found
-    that fits about as well as the linear equation, or where none tells it.
+    With its standard deviation, and by how much it varies in the recording.
+
+    None where none is found that fits about as well as the linear equation, or where none tells it.
     """
     if candidate.squares > UNEXPLAINED * candidate.variation:
         return None
@@ -230,15 +263,12 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
     count = len(readings) - count_unknowns(readings, terms)
     how = whitening(start, local, Variances(np.ones(readings.beams)))
     apart = max(FINE, STEPS_APART * float(np.median(np.diff(track.time))))
-    # A step of a thousandth of a standard deviation moves no minimum, and what a motion that repeats
-    # leaves undetermined would take all steps.
-    options = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
     for _ in range(MOST_ROUNDS):
         at, later, sooner = (
             _readings(track, parts, lag + shift).seen_from(origins)
             for shift in (0.0, apart, -apart)
         )
-        solved = solve_together([at], [start], terms, 1.0, options=options)
+        solved = solve_together([at], [start], terms, 1.0, options=OPTIONS)
         start = solved.parameters[0]
         e, after, before = (residuals_or_infinite(start, rows) for rows in (at, later, sooner))
         rate = (after - before) / (2.0 * apart)
@@ -249,24 +279,24 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
         square = max(float(rest @ rest), ROUNDING)
         sigma = float(np.hypot(np.sqrt(float(e @ e) / max(count, 1) / square), INTERPOLATED))
         step = -float(rest @ e) / square
-        if abs(step) < SAME_OPTIMUM * sigma:
+        if abs(step) < LAG_SETTLED * sigma:
             break
         lag += float(np.clip(step, -COARSE, COARSE))
-    if not (abs(step) < SAME_OPTIMUM * sigma <= SAME_OPTIMUM * WORST_SIGMA):
+    if not (abs(step) < LAG_SETTLED * sigma <= LAG_SETTLED * WORST_SIGMA):
         return None
     if not 2.0 * solved.cost[0] <= AS_GOOD * candidate.squares:
         return None
     time = np.concatenate([own for _, _, own, _ in parts])[at.station]
-    # Beside noise, each sixth of the recording is off by -rate'e / rate'rate.
-    piece = np.searchsorted(np.linspace(time.min(), time.max(), 7)[1:-1], time)
-    weight = np.bincount(piece, rate**2, 6)
-    off = -np.bincount(piece, rate * e, 6) / np.maximum(weight, ROUNDING)
-    noise = 6.0 * float(e @ e) / len(e)
-    excess = (float(weight @ off**2) - noise) / float(weight.sum())
+    # Beside noise, a piece of the recording is off by -rate'e / rate'rate.
+    piece = np.searchsorted(np.linspace(time.min(), time.max(), PIECES + 1)[1:-1], time)
+    told = np.bincount(piece, rate**2, PIECES)
+    off = -np.bincount(piece, rate * e, PIECES) / np.maximum(told, ROUNDING)
+    noise = PIECES * float(e @ e) / len(e)
+    excess = (float(told @ off**2) - noise) / float(told.sum())
     return lag, sigma, float(np.sqrt(max(excess, 0.0)))
 
 
-def _readings(track: Track, parts: list[Part], lag: float) -> Readings:
+def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:
     """Return all readings with the poses of their times less the lag, each time a station."""
     columns, first = [], 0
     for index, beams_of_part, time, readings in parts:
@@ -287,9 +317,13 @@ def _readings(track: Track, parts: list[Part], lag: float) -> Readings:
 
 def _parts(
     track: Track, time: FloatArray, d: FloatArray, plane: IntArray, offset: float
-) -> list[Part]:
-    """Return the readings of each plane and beam that tell a lag near an offset [s]; of many, some."""
-    parts: list[Part] = []
+) -> tuple[list[_Part], int]:
+    """Return the readings of each plane and beam that tell something of a lag near an offset [s].
+
+    Of many they are some; the second result is how many they stand for.
+    """
+    parts: list[_Part] = []
+    covered = 0
     moments = time - offset
     inside = (moments - REACH >= track.time[0]) & (moments + REACH <= track.time[-1]) & (plane >= 0)
     moves = _moves(track, moments)
@@ -302,10 +336,12 @@ def _parts(
             alike.setdefault(mine.tobytes(), []).append(beam)
         for beams in map(np.array, alike.values()):
             rows = np.flatnonzero(read[beams[0]])
-            if len(rows) >= LEAST_READINGS:
-                rows = rows[evenly(len(rows), MOST_READINGS)]
-                parts.append((index, beams, time[rows], d[rows][:, beams]))
-    return parts
+            if len(rows) < LEAST_READINGS:
+                continue
+            covered += len(rows) * len(beams)
+            rows = rows[evenly(len(rows), MOST_READINGS)]
+            parts.append((index, beams, time[rows], d[rows][:, beams]))
+    return parts, covered
 
 
 def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
@@ -314,13 +350,18 @@ def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
     A label may be set on arrival, and the sensor reads on while the hand goes to another plane: of a
     move near whose beginning or end the label changes nothing is taken.
     """
-    first = np.searchsorted(time, time - REACH)
-    last = np.searchsorted(time, time + REACH, side="right") - 1
-    settled = (plane[first] == plane) & (plane[last] == plane)
+    order = np.argsort(time, kind="stable")
+    stamps, label, moves = time[order], plane[order], moves[order]
+    first = np.searchsorted(stamps, stamps - REACH)
+    last = np.searchsorted(stamps, stamps + REACH, side="right") - 1
+    settled = (label[first] == label) & (label[last] == label)
     move = np.cumsum(np.diff(moves, prepend=False))  # moves have odd numbers
     begin, end = np.searchsorted(move, move), np.searchsorted(move, move, side="right") - 1
-    short = moves & (time[end] - time[begin] <= LONGEST_MOVE)
-    return np.asarray(settled & ~np.isin(move, move[short & ~settled]))
+    short = moves & (stamps[end] - stamps[begin] <= LONGEST_MOVE)
+    settled &= ~np.isin(move, move[short & ~settled])
+    found = np.empty(len(time), dtype=bool)
+    found[order] = settled
+    return found
 
 
 def _moves(track: Track, time: FloatArray) -> BoolArray:
@@ -333,7 +374,7 @@ def _moves(track: Track, time: FloatArray) -> BoolArray:
     return np.asarray(moves.any(axis=0))
 
 
-def _squares(track: Track, parts: list[Part], lag: float) -> float:
+def _squares(track: Track, parts: list[_Part], lag: float) -> float:
     """Return the sum of squares that the linear equation leaves at a lag, over planes and beams."""
     total = 0.0
     for _, _, time, readings in parts:
@@ -367,63 +408,85 @@ def despiked(d: FloatArray) -> FloatArray:
         read = np.flatnonzero(~np.isnan(column))
         if len(read):
             off = np.abs(column[read] - median_filter(column[read], 5, mode="nearest"))
-            # Off the median of five by ten times what nine in ten readings are.
-            column[read[off > 10.0 * np.quantile(off, 0.9)]] = np.nan
+            column[read[off > SPIKE * np.quantile(off, 0.9)]] = np.nan
     return d
 
 
 def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[float]:
-    """Return by how much readings d (N, B) may be stamped later [s], a few offsets of either kind.
+    """Return by how much readings d (N, B) may be stamped later [s], the likeliest offset first.
 
     Times (N,) increase. There is none where the hand or the readings rest all the time.
     """
-    from scipy.signal import correlate, find_peaks  # takes half a second, and few logs need it
+    from scipy.signal import find_peaks  # takes half a second to import, and few logs need it
 
     spans = track.time[-1] - track.time[0], time[-1] - time[0]
     if min(spans) <= 0.0:
         return []
     step = max(STEP, 4.0 * sum(spans) / NUMBERS_AT_ONCE)  # longer ones, for the memory they need
-    half = (
-        5.0 * step
-    )  # velocities are differences over this to either side, because readings have noise
-    at, grid = np.arange(track.time[0], track.time[-1], step), np.arange(time[0], time[-1], step)
-    (R, p), (S, s) = (_poses(track, at + side) for side in (half, -half))
-    w = np.hstack((p - s, (R * S.inv()).as_rotvec()))
-    w /= np.maximum(np.sqrt((w**2).mean(axis=0)), ROUNDING)
-    y = np.zeros((len(grid), d.shape[1]))
-    for rate, column in zip(y.T, d.T, strict=True):
-        read = np.flatnonzero(~np.isnan(column))
-        if len(read) > 1:
-            late, early = (
-                np.interp(grid + side, time[read], column[read]) for side in (half, -half)
-            )
-            most = FAR_SIGMAS * np.sqrt(((late - early) ** 2).mean())  # faster: a change of planes
-            rate[:] = np.clip(late - early, -most, most)
-            rate /= max(float(np.linalg.norm(rate)), SINGULAR)
+    w = _velocities(track, step)
+    y = _rates(time, d, step)
+    n = next_fast_len(len(w) + len(y) - 1, real=True)
+    shift = np.arange(n)
+    shift = np.where(shift < len(y), shift, shift - n)
+    overlap = np.minimum(len(w) + shift, len(y)) - np.maximum(shift, 0)
+    share = np.maximum(overlap / min(len(w), len(y)), LEAST_OVERLAP)
+    forms = [np.conj(rfft(column, n)) for column in w.T]
     # A hand that does not turn, or moves in one plane, leaves directions without a velocity.
     inverse = np.linalg.pinv(w.T @ w, rcond=1e-3, hermitian=True)
-    lags = np.arange(1 - len(w), len(y))
-    explained = np.zeros(len(lags))
-    for rate in y.T:
-        b = np.stack([correlate(rate, column, method="fft") for column in w.T])
+    explained = np.zeros(n)
+    for column in y.T:
+        own = rfft(column, n)
+        b = np.stack([irfft(own * form, n) for form in forms])
         explained += np.einsum("in,in->n", b, inverse @ b)
-    together = correlate(_activity(y), _activity(w), method="fft")
+    moves = [_activity(one) for one in (w, y)]
+    together = irfft(rfft(moves[1], n) * np.conj(rfft(moves[0], n)), n)
+    order, found = np.argsort(shift), []
     # Where less overlaps, both what a motion explains and what chance does are less.
-    overlap = np.minimum(len(w) + lags, len(y)) - np.maximum(lags, 0)
-    share = np.maximum(overlap / min(len(w), len(y)), 0.3)
-    found: list[float] = []
-    for height in (explained / share, together / np.sqrt(share)):
+    for height in ((explained / share)[order], (together / np.sqrt(share))[order]):
         peaks = find_peaks(height)[0]
-        best = peaks[
-            np.argsort(-height[peaks], kind="stable")[:6]
-        ]  # a motion that repeats has several
-        found += (time[0] - track.time[0] + step * lags[best]).tolist()
-    return found
+        best = peaks[np.argsort(-height[peaks], kind="stable")[:CANDIDATES]]
+        found.append([float(time[0] - track.time[0] + step * i) for i in shift[order][best]])
+    return [one for pair in zip_longest(*found) for one in pair if one is not None]
 
 
 def _activity(columns: FloatArray) -> FloatArray:
     """Return where columns (M, k) of speeds move, 1, or rest, 0, less the mean (M,)."""
     speed = np.linalg.norm(columns, axis=1)
-    # A tenth of the root mean square speed hardly moves.
-    found = speed / (speed + 0.1 * max(float(np.sqrt((speed**2).mean())), SINGULAR))
+    found = speed / (speed + RESTS * max(float(np.sqrt((speed**2).mean())), SINGULAR))
     return np.asarray(found - found.mean())
+
+
+def _velocities(track: Track, step: float) -> FloatArray:
+    """Return velocities of position and turn (M, 6) in steps from the first time on, scaled to 1."""
+    x = np.hstack((track.position, track.steady))
+    late, early = _sides(track.time, x, step)
+    late_turn, early_turn = Rotation.from_quat(late[:, 3:]), Rotation.from_quat(early[:, 3:])
+    turn = (late_turn * early_turn.inv()).as_rotvec()
+    w = np.hstack((late[:, :3] - early[:, :3], turn))
+    return np.asarray(w / np.maximum(np.sqrt((w**2).mean(axis=0)), ROUNDING))
+
+
+def _rates(time: FloatArray, d: FloatArray, step: float) -> FloatArray:
+    """Return rates of the beams that read (N, B) in steps from the first time on, scaled to 1."""
+    columns = []
+    for column in d.T:
+        read = np.flatnonzero(~np.isnan(column))
+        if len(read) > 1:
+            ends = np.interp(time[[0, -1]], time[read], column[read])
+            t = np.concatenate((time[:1], time[read], time[-1:]))
+            x = np.concatenate((ends[:1], column[read], ends[1:]))
+            late, early = _sides(t, x[:, None], step)
+            rate = (late - early)[:, 0]
+            # Faster ones come from a change of planes.
+            most = FAR_SIGMAS * np.sqrt((rate**2).mean())
+            rate = np.clip(rate, -most, most)
+            columns.append(rate / max(float(np.linalg.norm(rate)), SINGULAR))
+    return np.stack(columns, axis=1) if columns else np.zeros((1, 0))
+
+
+def _sides(time: FloatArray, x: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return columns (N, k) a little after and a little before each step."""
+    grid = np.arange(time[0], time[-1], step)
+    late, early = grid + HALF_WIDTH * step, grid - HALF_WIDTH * step
+    at = partial(np.apply_along_axis, lambda column, when: np.interp(when, time, column), 0, x)
+    return at(late), at(early)

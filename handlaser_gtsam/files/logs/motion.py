@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...model.conventions import Convention, inverted, poses_of
 from ...model.geometry import nearest_rotation, steps_between
+from ...quantities import ROWS_AT_ONCE
 
 MOVES_M, MOVES_RAD = 1e-3, np.radians(0.1)
 """Poses farther apart than this show a hand that moves: a robot that stands still does not."""
@@ -68,6 +69,15 @@ class Way(NamedTuple):
         inverse : bool
             Whether they are taken as hand_T_world.
         """
+        # Matrices and their copies take some 300 bytes a row: not of all rows at once.
+        if len(numbers) > ROWS_AT_ONCE and len(self.start) > 1:
+            stations = np.arange(len(self.start))
+            each = []
+            for part in np.array_split(stations, -(-len(numbers) // ROWS_AT_ONCE)):
+                if len(part):
+                    rows, way = self.narrowed(part)
+                    each.append(way.poses(numbers[rows], convention, inverse=inverse))
+            return np.concatenate([R for R, _ in each]), np.concatenate([t for _, t in each])
         R, t = poses_of(numbers, convention)
         R, t = inverted(R, t) if inverse else (R, t)
         if self.part is not None:

@@ -9,8 +9,10 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...errors import InputError
 from ...text import A_NAME, name_fault, shown
+from ..table import labels
 from .format import LogFormat
 from .stands import Track, find_stands
+from .tables import read_table
 
 RANGE = re.compile(r"(.+?)=(.+?)\.\.(.+)", re.DOTALL)
 SECONDS = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*s\s*")
@@ -32,6 +34,11 @@ def intervals(given: LogFormat) -> list[Interval]:
         What is no interval, or intervals of both kinds.
     """
     found = []
+    if given.plane_file is not None:
+        table = read_table(given.plane_file)
+        table.require("plane", "from", "to")
+        columns = [labels(table, name) for name in ("plane", "from", "to")]
+        found = [_interval(*row) for row in zip(*columns, strict=True)]
     for text in given.plane_ranges:
         parts = RANGE.fullmatch(text)
         if parts is None:
@@ -89,7 +96,7 @@ def planes_of(
         else:
             for end in (first, last):
                 if end not in place:
-                    expected = "a station of it, in --plane-ranges"
+                    expected = "a station of it, in --plane-ranges or --plane-file"
                     raise InputError(f"no station {shown(end)} in the log", expected)
             if place[first] > place[last]:
                 raise InputError(f"stations {first} to {last}", "in the order of the log")

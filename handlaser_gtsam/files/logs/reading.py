@@ -16,21 +16,21 @@ from .assembling import assembled
 from .bags import METADATA, is_bag, read_bag
 from .columns import columns_of, formats_in
 from .format import LogFormat
-from .joining import Stations, by_station, by_time
+from .joining import Stations, by_station, by_time, one_table, refuse_other_units
 from .report import LogReport
 from .rows import rows_of
 from .tables import REFUSED, VALUES, WORKBOOKS, read_table
 
 OF_TABLES = (
     *("pose_format", "rotation", "units", "angles", "pose_columns", "plane_column"),
-    *("station_column", "time_column", "header", "delimiter"),
+    *("station_column", "time_column", "beam_column", "range_column", "header", "delimiter"),
     *("decimal", "sheet", "readings", "readings_station_column", "readings_time_column"),
     *("time_units", "readings_time_units"),
 )
 """Fields that say nothing of a bag."""
-OF_READINGS = ("range_columns", "range_units")
+OF_READINGS = ("range_columns", "range_units", "average", "range_sigma_from_scatter")
 """Fields that say nothing of sensors of many rays."""
-OF_BAGS = ("pose_topic", "frames")
+OF_BAGS = ("pose_topic", "frames", "receive_time")
 """Fields that say nothing of a table."""
 
 
@@ -146,7 +146,7 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
     if given.readings is None:
         in_time = bool(given.stands or given.interpolate or given.lag_s or given.estimate_lag)
         rows = rows_of(table, columns, given, sensor, in_time=in_time)
-        return by_time(rows, rows, given) if in_time else by_station(rows, rows, given)
+        return by_time(rows, rows, given) if in_time else one_table(rows, given)
     # The second file has no poses: what is stated of these says nothing of its header.
     second = replace(
         given,
@@ -164,7 +164,8 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
     poses = rows_of(table, columns, given, sensor, in_time=in_time)
     readings = rows_of(other, others, second, sensor, in_time=in_time)
     if not in_time:
-        return by_station(poses, readings, given)
+        return by_station(poses, readings)
+    refuse_other_units(poses, readings, given)
     return by_time(poses, readings, given)
 
 

@@ -1,6 +1,7 @@
 """What was read from a log, beside the recording itself."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ...data.recording import Recording
@@ -15,6 +16,8 @@ class LogReport:
     recording : Recording
     scatter : float or None
         Standard deviation of one reading, from readings that repeat [m].
+    scatter_of : {beam: sigma}
+        The same of each beam that repeats [m].
     lag : float
         How much later readings were taken to be stamped than poses [s].
     lag_sigma : float or None
@@ -27,6 +30,7 @@ class LogReport:
 
     recording: Recording
     scatter: float | None = None
+    scatter_of: Mapping[str, float] = field(default_factory=dict)
     lag: float = 0.0
     lag_sigma: float | None = None
     lines: tuple[str, ...] = ()

@@ -12,6 +12,7 @@ from ...errors import CalibrationWarning, InputError
 from ...model.conventions import LENGTHS, TIME_UNITS
 from ...model.sensor import Sensor
 from ...quantities import LARGEST_LENGTH
+from ...text import some
 from ..recording_csv import code_warnings, range_numbers
 from ..table import NUMBER, Table, column_numbers, labels
 from .columns import Columns
@@ -21,6 +22,8 @@ from .poses import faults
 
 GERMAN = ("%d.%m.%Y %H:%M:%S%.f", "%d.%m.%YT%H:%M:%S%.f", "%d.%m.%Y %H:%M")
 """Dates with points begin with the day everywhere."""
+MOST_BEAMS = 200
+"""More labels of beams in a long table are another column."""
 
 
 class LogRows(NamedTuple):
@@ -32,14 +35,14 @@ class LogRows(NamedTuple):
         Where the rows stand; without cells for a bag.
     beams : names
     ranges : (M, B)
-        [m]
+        [m]; of a long table each row has one reading.
     poses : (M, k) or None
         The numbers of poses.
     planes, stations : M labels, or None
     times : (M,) or None
         [s]
-    coded : (M, B) or None
-        Which cells of ranges say that there is no reading.
+    coded : (M, C) or None
+        Which cells of the C columns of ranges say that there is no reading.
     columns : Columns
     ignored : names
         Of columns or topics that are not used.
@@ -84,7 +87,11 @@ class LogRows(NamedTuple):
         """Return a warning for each code for "no reading" among the rows that are `counted` (M,)."""
         if self.coded is None:
             return ()
-        return code_warnings(self.table, self.columns.beams, self.coded & counted[:, None])
+        columns, whose = self.columns, dict[str, Sequence[str]]()
+        whose |= {name: [beam] for beam, name in columns.beams.items()}
+        if columns.range:
+            whose = {columns.range: labels(self.table, columns.beam)}
+        return code_warnings(self.table, whose, self.coded & counted[:, None])
 
 
 def rows_of(
@@ -121,7 +128,7 @@ def rows_of(
             order = np.argsort(clock, kind="stable")
             table = replace(table, frame=table.frame[order], lines=table.lines[order])
             clock = clock[order]
-    lengths = list(columns.beams.values())
+    lengths = [columns.range] if columns.range else list(columns.beams.values())
     if given.decimal is None:
         _refuse_thousands(table, [*columns.pose, *lengths])
     numbers: FloatArray | None = None
@@ -135,13 +142,17 @@ def rows_of(
         how += ", inverted" if given.inverted else ""
         how += "; the hand is the flange, for the tool is taken off" if given.tool else ""
         how += "; the world is the robot's frame, for the base is added" if given.base else ""
+    beams: tuple[str, ...] = ()
     d, coded = np.full((len(table.frame), 0), np.nan), None
     if lengths:
         d, coded = range_numbers(table, lengths, sensor, LENGTHS[given.range_units])
-    stated = given.plane or given.plane_ranges
+        beams = tuple(columns.beams)
+    if columns.range:
+        beams, d = _wide(table, columns, d)
+    stated = given.plane or given.plane_ranges or given.plane_file is not None
     return LogRows(
         table,
-        tuple(columns.beams),
+        beams,
         d,
         numbers,
         planes=labels(table, columns.plane) if columns.plane and not stated else None,
@@ -153,6 +164,19 @@ def rows_of(
         warnings=warnings,
         words=how,
     )
+
+
+def _wide(table: Table, columns: Columns, d: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the beams of a long table, and its readings (M, 1) in a column of their beam (M, B)."""
+    whose = labels(table, columns.beam)
+    beams = tuple(dict.fromkeys(whose))
+    if len(beams) > MOST_BEAMS:
+        found, expected = f"{len(beams)} beams, {some(beams, 4)}", "is --beam-column right?"
+        expected = f"at most {MOST_BEAMS}; {expected}"
+        raise InputError(found, expected, table.path, None, columns.beam)
+    number = {beam: i for i, beam in enumerate(beams)}
+    mine = np.array([number[beam] for beam in whose])[:, None] == np.arange(len(beams))
+    return beams, np.where(mine, d, np.nan)
 
 
 def _pose_numbers(

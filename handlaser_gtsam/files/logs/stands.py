@@ -3,7 +3,8 @@
 A row of poses is still if the hand is, within the limits, on average where it was during a quarter of
 the shortest stand before and where it will be during a quarter after. A stand is a run of still rows
 that lasts half of the shortest stand or more: so its ends have the distance of a quarter from what
-moves, where brakes, filters and late stamps are at work.
+moves, where brakes, filters and late stamps are at work. Where a run creeps, as a soft start or end
+does, it is trimmed to the rows about its median pose that are within the limits of it.
 
 Poses have noise, which is no motion: means are compared, and the limits grow by the noise of these.
 """
@@ -17,6 +18,11 @@ from ...errors import InputError
 from ...model.distributions import chi2_quantile
 from ...quantities import FAR_SIGMAS, MM, ROWS_AT_ONCE
 from .format import LogFormat
+
+GAP = 0.25
+"""Part of the shortest stand that a row must be still before and after it."""
+QUIET = 0.25
+"""A quarter of the rows at least shows noise alone."""
 
 
 class Track(NamedTuple):
@@ -52,7 +58,7 @@ def find_stands(track: Track, given: LogFormat) -> tuple[IntArray, IntArray, str
     InputError
         The hand never stands still so long.
     """
-    half = 0.25 * given.stand_s  # that a row must be still before and after it
+    half = GAP * given.stand_s
     step = float(np.median(np.diff(track.time))) if len(track.time) > 1 else 0.0
     if step > half:
         raise InputError(
@@ -66,8 +72,12 @@ def find_stands(track: Track, given: LogFormat) -> tuple[IntArray, IntArray, str
     # A run is not over because of a moment at which noise is large.
     apart = np.flatnonzero(track.time[first[1:]] - track.time[last[:-1]] >= half)
     first, last = np.append(first[:1], first[apart + 1]), np.append(last[apart], last[-1:])
-    kept = track.time[last] - track.time[first] >= given.stand_s - 2.0 * half - 1e-9
-    dropped = int((~kept).sum())
+    runs = np.stack((first, last), axis=1)
+    ends = [_trimmed(track, means, run, half) for run in runs]
+    begin, end = np.array(ends, dtype=np.intp).reshape(-1, 2).T
+    # Runs that are cut to where they do not creep, and those of which too little is left.
+    kept = track.time[end] - track.time[begin] >= given.stand_s - 2.0 * half - 1e-9
+    trimmed, dropped = int(((begin != first) | (end != last))[kept].sum()), int((~kept).sum())
     if not kept.any():
         short = f"; {dropped} shorter stops were found" if dropped else ""
         raise InputError(
@@ -75,10 +85,13 @@ def find_stands(track: Track, given: LogFormat) -> tuple[IntArray, IntArray, str
             f"{given.stand_deg:g} deg for {given.stand_s:g} s{short}",
             "stations; or other limits (--stand-mm, --stand-deg, --stand-s), or --interpolate",
         )
-    words = f"{int(kept.sum())} moments at which the hand stands"
+    begin, end = begin[kept], end[kept]
+    words = f"{len(begin)} moments at which the hand stands"
+    if trimmed:
+        words += f", {trimmed} of them trimmed where the hand creeps (--stand-mm, --stand-deg)"
     if dropped:
-        words += f"; {dropped} more are too short (--stand-s)"
-    return first[kept], last[kept], words
+        words += f"; {dropped} more left out because they are too short (--stand-s)"
+    return begin, end, words
 
 
 class _Means:
@@ -97,11 +110,10 @@ class _Means:
         if len(x) > 2:
             rows = np.arange(1, len(x) - 1, -(-len(x) // (5 * ROWS_AT_ONCE)))
             bend = x[rows + 1] - 2.0 * x[rows] + x[rows - 1]
-            quiet = 0.25  # a quarter of the rows at least shows noise alone
-            usual = np.sqrt(6.0 * chi2_quantile(quiet, 3))  # of a length in space, at unit noise
+            usual = np.sqrt(6.0 * chi2_quantile(QUIET, 3))  # of a length in space, at unit noise
             for kind, columns in enumerate((slice(3), slice(3, 7))):
                 length = np.linalg.norm(bend[:, columns], axis=1)
-                self.noise[kind] = np.quantile(length, quiet) / usual
+                self.noise[kind] = np.quantile(length, QUIET) / usual
         np.cumsum(x, axis=0, out=x)
 
     def of_rows(self, begin: IntArray, end: IntArray) -> FloatArray:
@@ -129,3 +141,22 @@ def _still(t: FloatArray, means: _Means, half: float) -> BoolArray:
         own = np.arange(len(t))[rows]
         still[rows] &= means.near((before[rows], own + 1), (own, after[rows]))
     return np.asarray(still)
+
+
+def _trimmed(track: Track, means: _Means, run: IntArray, half: float) -> tuple[int, int]:
+    """Return the ends of the rows of a run about its median pose that are within the limits."""
+    rows = np.arange(run[0], run[1] + 1)
+    t = track.time[rows]
+    begin = run[0] + np.searchsorted(t, t - 0.5 * half, side="left")
+    end = run[0] + np.searchsorted(t, t + 0.5 * half, side="right")
+    x = means.of_rows(begin, end) / np.repeat(means.limits, (3, 4))
+    centre = int(((x - np.median(x, axis=0)) ** 2).sum(axis=1).argmin())
+    alike = np.full_like(begin, begin[centre]), np.full_like(end, end[centre])
+    near = means.near((begin, end), alike)
+    own = np.flatnonzero(near)
+    middle = own[len(own) // 2]
+    far = np.flatnonzero(~near)
+    before, after = far[far < middle], far[far > middle]
+    first = before[-1] + 1 if before.size else 0
+    last = after[0] - 1 if after.size else len(rows) - 1
+    return int(rows[first]), int(rows[last])

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...arrays import FloatArray, evenly
+from ...arrays import FloatArray
 from ...data.recording import Recording
 from ...data.survey import Survey
 from ...errors import CalibrationWarning
@@ -19,11 +19,21 @@ from ...estimation.survey_starts import start_of
 from ...model.sensors.mounted import SENSOR
 from ...model.shots import Mixed
 from ...quantities import TINY, UNIT_SIGMA
-from ...results.rereading import SPARE
+from ...results.rereading import misfits
+from ...results.warnings import FAR_BEAM
 from ...starts import Effort
 from .format import LogFormat
 from .motion import Way
-from .suspicion import MOST_STATIONS, accused, alternatives, good_square
+from .suspicion import (
+    BETTER,
+    FITS,
+    LEAST_SPARE,
+    MOST_STATIONS,
+    WELL,
+    accused,
+    alternatives,
+    good_square,
+)
 
 
 def refuse_wrong_poses(
@@ -49,38 +59,46 @@ def refuse_wrong_poses(
     """
     rows = _part(survey)
     read = [item.shot.reading for item in rows.items if item.shot is not None]
-    if sum(map(len, read)) < len(rows.places().names) + SPARE:
+    if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
         return ()
     variance = max(float(np.concatenate(read).var()), TINY)
 
-    def measure(reach: float, recording: Recording, effort: Effort) -> float:
+    def measure(recording: Recording, effort: Effort) -> float:
         del effort  # there is one way to a start
         at = recording.world_R_hand, recording.world_t_hand
         stations = replace(survey.stations, world_R_hand=at[0], world_t_hand=at[1])
-        moved = replace(rows, survey=replace(rows.survey, stations=stations))
-        return _misfit(moved, reach) / variance
+        return _misfit(replace(rows, survey=replace(rows.survey, stations=stations))) / variance
 
     # What carries poses from one convention to another has readings, which nobody asks here.
     carrier = survey.stations.recording(np.ones((len(survey.stations), 1)))
-    return accused(carrier, list(alternatives(numbers, way, given)), (measure,), given)
+    now = measure(carrier, "glance")
+    if now <= FITS:
+        return ()
+    others = list(alternatives(numbers, way, given))
+    best, words = min(misfits(carrier, others, measure), default=(np.inf, ""))
+    if best > min(now / BETTER, WELL):
+        return ()
+    return accused(now / best, words, given)
 
 
 def _part(survey: Survey) -> Rows:
     """Return the shots of the sensor that has most of them, at some stations where these are many."""
     one = max(survey.shots, key=lambda shots: len(np.unique(shots.station)))
     stations = np.unique(one.station)
-    some = np.isin(one.station, stations[evenly(len(stations), MOST_STATIONS)])
+    if len(stations) > MOST_STATIONS:
+        stations = stations[np.linspace(0, len(stations) - 1, MOST_STATIONS).astype(np.intp)]
+    some = np.isin(one.station, stations)
     return rows_of(Survey(survey.stations, (one.part(some),)))
 
 
-def _misfit(rows: Rows, reach: float) -> float:
+def _misfit(rows: Rows) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian [m^2].
 
-    It is infinite without a start, or where the sensor lies farther from the hand than `reach` [m].
+    It is infinite without a start, or where the sensor lies farther from the hand than `FAR_BEAM`.
     """
     sigmas: Mapping[tuple[str, int], float] = {(SENSOR.name, 0): UNIT_SIGMA}
     values, without = start_of(rows, sigmas, last_resort=False)
-    if without or np.linalg.norm(values[SENSOR.name][0, 0, 9:12]) > reach:
+    if without or np.linalg.norm(values[SENSOR.name][0, 0, 9:12]) > FAR_BEAM:
         return np.inf
     blocks, _ = blocks_of(rows.items, sigmas, values)
     e = [block.ranges.evaluate(values).columns[-1] for block in blocks if isinstance(block, Mixed)]

@@ -9,7 +9,7 @@ residual is compared, and where that shows nothing the residual below which 70 %
 that outliers do not hide a better convention. One is named where it fits much better, and well.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -49,6 +49,12 @@ MOVED = 0.02
 BETTER = 6.25
 """A convention is named where it lowers the squared residual by this factor: a factor of 4 accused one
 of 150 right logs, a third of which had a fifth of their readings wrong."""
+WELL = POOR_START**2
+"""A convention is named where it leaves at most this part of the variance: of a log that fits in no way
+the best way says nothing."""
+LEAST_OF_BEAM, LEAST_SPARE = 24, 10
+"""Readings of one beam, and readings beyond the unknowns, that tell one convention from another: fewer
+than for other mistakes, because the other convention must fit well, too."""
 MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
 GOOD = 0.7
@@ -108,38 +114,32 @@ def refuse_wrong_convention(
     InputError
         It fits so, and is not to be read `as_stated` in any case.
     """
-    part, stations = one_beam(recording, MOST_STATIONS)
-    if not tells(part) or len(part.beam_names) > 1:
+    part, stations = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
+    if len(stations) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
         return ()
     rows, way = way.narrowed(chosen[stations])
     numbers = numbers[rows]
     R, t = way.poses(numbers, convention_of(given), inverse=given.inverted)
     part = replace(part, world_R_hand=R, world_t_hand=t, warnings=())
-    others = list(alternatives(numbers, way, given))
-    return accused(
-        part, others, (_at_a_glance, _robustly), given, f", ranges in {given.range_units}"
-    )
+    found = _better(part, list(alternatives(numbers, way, given)))
+    if found is None:
+        return ()
+    return accused(*found, given, f", ranges in {given.range_units}")
 
 
 def accused(
-    part: Recording,
-    others: Sequence[Rereading],
-    measures: Sequence[Callable[[float, Recording, Effort], float]],
-    given: LogFormat,
-    more: str = "",
+    ratio: float, words: str, given: LogFormat, more: str = ""
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log whose readings fit much better in another way; warn where it is less.
 
     Parameters
     ----------
-    part : Recording
-    others : sequence of Rereading
-        The other ways.
-    measures : sequence of callable
-        Each returns the squared residual in parts of the variance of the readings, of beams that lie no
-        farther from the hand than a length. A later one is asked where those before it show nothing.
+    ratio : float
+        How many times smaller squared residuals are.
+    words : str
+        The other way.
     given : LogFormat
-        How the log is read.
+        How it is read.
     more : str
         What else is stated of it.
 
@@ -148,26 +148,10 @@ def accused(
     InputError
         It fits so, and is not to be read `as_stated` in any case.
     """
-    ratio, better = 1.0, ""
-    for measure in measures:
-        try:
-            now = measure(np.inf, part, "glance")
-        except HandlaserError:
-            now = np.inf
-        if now <= FITS:  # as it is; or, by the second measure, but for outliers
-            return ()
-        found = misfits(part, others, partial(measure, FAR_BEAM))
-        best, better = min(found, default=(np.inf, ""))
-        # Of a log that fits in no way the best way says nothing.
-        if best <= min(now / BETTER, POOR_START**2):
-            ratio = now / best
-            break
-    if ratio == 1.0:
-        return ()
     convention = convention_of(given)
     times = float(min(np.sqrt(ratio), 1e6))
     stated = f"{convention.words}{', inverted' if given.inverted else ''}{more}"
-    message = f"the readings fit {times:.3g} times better if {better}"
+    message = f"the readings fit {times:.3g} times better if {words}"
     if ratio >= MUCH_BETTER and not given.as_stated:
         found_so = f"poses that do not fit as {stated}; {message}"
         raise InputError(found_so, "that, or --as-stated if it is right")
@@ -175,11 +159,27 @@ def accused(
     return (CalibrationWarning("pose-convention", words, {"times": times}),)
 
 
-def _at_a_glance(reach: float, recording: Recording, effort: Effort) -> float:
+def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] | None:
+    """Return by what squared factor another convention fits better, and which; None where none does."""
+    for measure in (_at_a_glance, _robustly):
+        try:
+            now = measure(part, "glance")
+        except HandlaserError:
+            now = np.inf
+        if now <= FITS:  # as it is; or, by the second measure, but for outliers
+            return None
+        near = partial(measure, reach=FAR_BEAM)
+        best, words = min(misfits(part, others, near), default=(np.inf, ""))
+        if best <= min(now / BETTER, WELL):
+            return now / best, words
+    return None
+
+
+def _at_a_glance(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
     return misfit(recording, RANGE_ERROR_TERMS["auto"], effort, reach)
 
 
-def _robustly(reach: float, recording: Recording, effort: Effort) -> float:
+def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian."""
     readings, _ = sorted_readings(recording)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))

@@ -143,8 +143,11 @@ def read_contents(
             copy.write_bytes(lines + rest)
             copies[copy] = path
         there = {original: copy for copy, original in copies.items()}
-        readings = there.get(rig.log.readings)  # type: ignore[arg-type]  # None is none
-        log = replace(rig.log, readings=readings)
+        log = replace(
+            rig.log,
+            readings=there.get(rig.log.readings),  # type: ignore[arg-type]  # None is none
+            plane_file=there.get(rig.log.plane_file),  # type: ignore[arg-type]
+        )
         survey = None if rig.survey is None else replace(rig.survey, copies=there)
         try:
             return read_any_kind(replace(rig, log=log, survey=survey), next(iter(copies)))

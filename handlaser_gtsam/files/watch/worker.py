@@ -80,7 +80,7 @@ class Calibrator:
         except InputError as error:
             self._last = None
             return FileAnswer(error=str(error))
-        beside = rig.log.files
+        beside = tuple(path for path in rig.log.files if path is not None)
         folders, awaited = tuple[Path, ...](), tuple[Path, ...]()
         if rig.survey is not None:
             awaited, folders = rig.survey.awaited, rig.survey.folders
