@@ -10,9 +10,12 @@ set that the system reports of the process, which is never less than that of thi
 """
 
 import argparse
+import bz2
 import decimal
+import json
 import math
 import re
+import struct
 import subprocess
 import sys
 import tempfile
@@ -29,6 +32,17 @@ ROWS = 8
 MOST_MB, MOST_S = 500.0, 2.0
 """What a file may take: memory, and time on a machine with nothing else to do."""
 KB_A_MB = 1024.0
+ROS1_MAGIC = b"#ROSBAG V2.0\n"
+POSE_STAMPED = (b"\n" + b"=" * 80 + b"\nMSG: ").join(
+    (
+        b"Header header\nPose pose",
+        b"std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id",
+        b"geometry_msgs/Pose\nPoint position\nQuaternion orientation",
+        b"geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z",
+        b"geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    )
+)
+"""The definition of `geometry_msgs/PoseStamped`."""
 STARTER = """
 import resource, subprocess, sys, time
 begin = time.perf_counter()
@@ -95,12 +109,92 @@ def without_places(path: Path) -> Path:
     return path
 
 
+def zip_bomb(path: Path, columns: Columns) -> Path:
+    """Add 200 MB of zeros to a workbook."""
+    workbook(path, columns)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("xl/sharedStrings2.xml", bytes(200 << 20))
+    return path
+
+
+# --- bags -----------------------------------------------------------------------------------------
+
+
+def record(header: Mapping[bytes, bytes], data: bytes = b"") -> bytes:
+    """Return a record of a ROS 1 bag."""
+    fields = b"".join(
+        struct.pack("<I", len(name) + 1 + len(value)) + name + b"=" + value
+        for name, value in header.items()
+    )
+    return struct.pack("<I", len(fields)) + fields + struct.pack("<I", len(data)) + data
+
+
+def ros1_bag(path: Path, content: bytes, compression: bytes = b"bz2", chunks: int = 1) -> Path:
+    """Write a bag of equal chunks, each with one message of a pose, beside a topic of ranges."""
+    zero, one, moment = bytes(4), struct.pack("<I", 1), bytes(8)
+    chunk = record({b"op": b"\x05", b"compression": compression, b"size": zero}, content)
+    index = {b"op": b"\x04", b"ver": one, b"conn": zero, b"count": one}
+    chunk += record(index, moment + zero)
+    topics = b""
+    for number, (topic, kind) in enumerate(
+        ((b"/pose", b"geometry_msgs/PoseStamped"), (b"/laser", b"sensor_msgs/Range"))
+    ):
+        inner = record({b"type": kind, b"md5sum": b"", b"message_definition": POSE_STAMPED})
+        size = struct.unpack("<I", inner[:4])[0]
+        conn = struct.pack("<I", number)
+        topics += record({b"op": b"\x07", b"conn": conn, b"topic": topic}, inner[4 : 4 + size])
+    count = struct.pack("<I", chunks)
+    head = {b"op": b"\x03", b"conn_count": struct.pack("<I", 2), b"chunk_count": count}
+    begin = len(ROS1_MAGIC) + len(record(head | {b"index_pos": bytes(8)}))
+    info = {b"op": b"\x06", b"ver": one, b"start_time": moment, b"end_time": moment, b"count": one}
+    for i in range(chunks):
+        place = struct.pack("<Q", begin + i * len(chunk))
+        topics += record(info | {b"chunk_pos": place}, zero + one)
+    head[b"index_pos"] = struct.pack("<Q", begin + chunks * len(chunk))
+    path.write_bytes(ROS1_MAGIC + record(head) + chunks * chunk + topics)
+    return path
+
+
+def zeros(size: int) -> bytes:
+    """Return the content of a chunk: one stamped pose in a frame with a name of so many zeros."""
+    pose = bytes(12) + struct.pack("<I", size) + bytes(size) + bytes(56)
+    return record({b"op": b"\x02", b"conn": bytes(4), b"time": bytes(8)}, pose)
+
+
+def mcap(path: Path, content: bytes, stated: int, compression: bytes = b"zstd") -> Path:
+    """Write an MCAP file of one chunk."""
+    chunk = (
+        struct.pack("<QQQI", 0, 1, stated, 0) + struct.pack("<I", len(compression)) + compression
+    )
+    chunk += struct.pack("<Q", len(content)) + content
+    magic = b"\x89MCAP0\r\n"
+    path.write_bytes(magic + b"\x06" + struct.pack("<Q", len(chunk)) + chunk + magic)
+    return path
+
+
+def zstd_zeros(blocks: int) -> bytes:
+    """Return a frame of blocks of 128 KiB zeros each, without its content size (RFC 8878)."""
+    block = [
+        int((1 << 17) << 3 | 1 << 1 | (i == blocks - 1)).to_bytes(3, "little")
+        for i in range(blocks)
+    ]
+    return b"\x28\xb5\x2f\xfd\x00\x58" + b"".join(one + b"\0" for one in block)
+
+
 # --- text and tables of values ---------------------------------------------------------------------
 
 
 def _text(path: Path, lines: Sequence[str], encoding: str = "utf-8") -> Path:
     path.write_bytes(("\n".join(lines) + "\n").encode(encoding))
     return path
+
+
+def json_lines(path: Path, columns: Columns, end: str) -> Path:
+    """Write a row a line; `end` is put behind the fields of the third."""
+    rows = zip(*columns.values(), strict=True)
+    lines = [json.dumps(dict(zip(columns, row, strict=True))) for row in rows]
+    lines[2] = lines[2][:-1] + end + "}"
+    return _text(path, lines)
 
 
 def parquet(path: Path, columns: Columns, *, spoilt: slice | None = None) -> Path:
@@ -169,19 +263,31 @@ def _stray(place: str) -> Callable[[Path, Columns], Path]:
     return lambda path, log: workbook(path, log, lambda sheet: sheet.write(place, 1.0))
 
 
+def _deep(depth: int) -> str:
+    return "[" * depth + "]" * depth
+
+
 def _floats(value: float) -> Callable[[Path, Columns], Path]:
     return lambda path, log: parquet(path, dict(log) | {"plane": [value] * ROWS})
 
 
 MM = ("--rotation", "xyzw", "--units", "mm", "--range-units", "mm")
+LYING_LZ4 = b"\x04\x22\x4d\x18\x68\x40" + struct.pack("<Q", 1 << 40) + bytes(9)
 ODD = (
-    Odd("errors.xlsx", lambda path, log: workbook(path, log, errors_in_cells)),
+    Odd("errors.xlsx", lambda path, log: workbook(path, log, errors_in_cells), 0),
     Odd("no-places.xlsx", lambda path, log: without_places(workbook(path, log)), None),
     Odd("XFD1048576.xlsx", _stray("XFD1048576")),
     Odd("ZZ100000.xlsx", _stray("ZZ100000")),
-    Odd("old.xls", lambda path, log: _text(path, lines_of(log))),
-    Odd("log.jsonl", lambda path, _: _text(path, ['{"x": 1.0}'])),
+    Odd("bomb.xlsx", zip_bomb),
     Odd("no-zip.xlsx", lambda path, _: _text(path, ["PK no archive"])),
+    Odd("twice.jsonl", lambda path, log: json_lines(path, log, ', "range_a": 0.3')),
+    Odd("deep.jsonl", lambda path, _: _text(path, ['{"x": ' + _deep(1_000_000) + "}"])),
+    Odd("deep-line.jsonl", lambda path, log: json_lines(path, log, f', "x": {_deep(100_000)}')),
+    Odd("bomb.bag", lambda path, _: ros1_bag(path, bz2.compress(zeros(1 << 28)))),
+    Odd("many.bag", lambda path, _: ros1_bag(path, bz2.compress(zeros(1 << 24)), chunks=190)),
+    Odd("bomb.mcap", lambda path, _: mcap(path, zstd_zeros(25_000), 1000)),
+    Odd("lying.mcap", lambda path, _: mcap(path, b"", 1 << 40)),
+    Odd("lz4.mcap", lambda path, _: mcap(path, LYING_LZ4, 1000, b"lz4")),
     Odd("decimal.parquet", lambda path, log: parquet(path, _decimals(log)), 0),
     Odd(
         "binary.parquet", lambda path, log: parquet(path, dict(log) | {"range_a": [b"\xff"] * ROWS})

@@ -206,6 +206,25 @@ def test_compressed_bags_are_the_same(tmp_path, short, kind, compression, whole)
     assert hl.read_log(first, given) == hl.read_log(second, given)
 
 
+def test_chunks_of_a_bag_written_topic_by_topic_are_unpacked_once_a_topic(tmp_path, monkeypatch):
+    """As programs write that convert logs; in the order of time, every message would take one."""
+    frame = pytest.importorskip("lz4.frame")
+    drive = example(stations=60)[0]
+
+    def by_topic(make):
+        return sorted(published(drive, make), key=lambda message: message[0])
+
+    straight, sorted_ = tmp_path / "straight", tmp_path / "sorted"
+    straight.mkdir()
+    sorted_.mkdir()
+    given = hl.LogFormat(plane="A", as_stated=True)
+    first = hl.read_log(write_bag(straight, "ros1", partial(published, drive), "LZ4"), given)
+    unpacked, plain = [], frame.LZ4FrameDecompressor
+    monkeypatch.setattr(frame, "LZ4FrameDecompressor", lambda: unpacked.append(1) or plain())
+    assert hl.read_log(write_bag(sorted_, "ros1", by_topic, "LZ4"), given) == first
+    assert 3 <= len(unpacked) <= 9  # three chunks, three topics
+
+
 def test_a_topic_of_several_publishers_is_warned_of(tmp_path, short):
     """Of one frame: a node that was started again, or two nodes that say the same topic."""
     alone, both = tmp_path / "alone", tmp_path / "both"

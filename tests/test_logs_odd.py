@@ -226,19 +226,20 @@ def test_names_that_stand_twice_in_a_workbook_are_refused(tmp_path, log):
 
 def test_a_truth_value_in_a_workbook_is_no_number(tmp_path, log):
     path = book(tmp_path, log, lambda sheet: sheet.write(3, 1, True))
-    refused(path, ("line 4, column x", "found 'True'"))
+    refused(path, ("line 4, column x", "found 'true'"))
 
 
 def test_texts_and_numbers_in_a_workbook_are_read_and_notes_said_nothing_of(tmp_path, log, capfd):
     def change(sheet):
-        sheet.write(3, 1, repr(log["x"][2]))
+        sheet.write(3, 1, repr(log["x"][2]).replace(".", ","))
         sheet.write(3, 30, "the robot was warm")
 
     found = hl.read_log(book(tmp_path, log, change))
-    assert np.abs(found.world_t_hand[:, :2] - np.column_stack((log["x"], log["y"]))).max() < 1e-15
+    assert (
+        np.abs(found.world_t_hand[:, 0] - log["x"]).max() < 1e-9
+    )  # nine decimals, of such a column
+    assert np.abs(found.world_t_hand[:, 1] - log["y"]).max() < 1e-15
     assert capfd.readouterr() == ("", "")
-    comma = book(tmp_path, log, lambda sheet: sheet.write(3, 1, "0,25"))
-    refused(comma, ("line 4, column x", "found '0,25'", "write decimals with a point"))
 
 
 def test_dates_of_a_workbook_keep_their_milliseconds(tmp_path, log):
@@ -257,6 +258,37 @@ def test_columns_of_parquet_of_any_type_are_read_or_refused(tmp_path, log):
     assert len(hl.read_log(path, hl.LogFormat(plane_ranges=("A=0s..1s",))).ranges) == 8
     frame.with_columns(pl.struct(b="x").alias("a"), pl.col("x").alias("a.b")).write_parquet(path)
     refused(path, ("column a.b", "the same name twice"))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda row: row | {"x": [row["x"]]},
+            ("line 3, column x", "an array", "a number, as in line 1"),
+        ),
+        (lambda row: row | {"x": True}, ("line 3, column x", "a truth value")),
+        (lambda row: row | {"x": math.nan}, ("line 3", "NaN, which JSON has not")),
+    ],
+    ids=["array", "truth", "nan"],
+)
+def test_lines_of_json_that_differ_are_named(tmp_path, log, change, words):
+    rows = pl.DataFrame(log).to_dicts()
+    rows[2] = change(rows[2])
+    path = tmp_path / "log.jsonl"
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    refused(path, words)
+
+
+def test_json_lines_of_any_encoding_are_read_or_refused(tmp_path, log):
+    path = tmp_path / "log.jsonl"
+    text = "".join(json.dumps(row) + "\n" for row in pl.DataFrame(log).to_dicts())
+    path.write_text(text, encoding="utf-8-sig")
+    assert len(hl.read_log(path).ranges) == 8
+    path.write_text(text, encoding="utf-16")
+    refused(path, "UTF-16 text")
+    path.write_text("")
+    refused(path, "an empty file")
 
 
 # --- folders and pipes --------------------------------------------------------------------------------

@@ -105,7 +105,7 @@ FAULTS = {
         "no column 'plane'",
     ),
     "no pose column": ([HEADER.replace("qw", "w"), *ROWS], 1, "qw", "no column 'qw'"),
-    "capital letters": ([HEADER.replace(",x,", ",X,"), *ROWS], 1, "x", "no column 'x' among"),
+    "capital letters": ([HEADER.replace(",x,", ",X,"), *ROWS], 1, "x", "column 'X'"),
     "misspelt beam": ([HEADER.replace("range_2", "rang_2"), *ROWS], 1, "rang_2", "'range_2'"),
     "beam without underscore": (
         [HEADER.replace("range_2", "range2"), *ROWS],
@@ -121,9 +121,9 @@ FAULTS = {
     "text in pose": ([HEADER, ROWS[0], ROWS[1].replace("0.4", "up"), ROWS[2]], 3, "z", "'up'"),
     "decimal comma": (
         [line.replace(",", ";") for line in (HEADER, ROWS[0])] + ["A;s2;0,1;0;0;0;0;0;1;0.1;0.1"],
-        2,
+        3,
         "x",
-        "decimal commas, as in other cells",
+        "decimals with a point",
     ),
     "empty pose": ([HEADER, ROWS[0].replace("0.2", ""), *ROWS[1:]], 2, "y", "an empty cell"),
     "empty label": ([HEADER, ROWS[0].replace("A", "", 1), *ROWS[1:]], 2, "plane", "an empty cell"),
@@ -170,7 +170,7 @@ FAULTS = {
         [HEADER + ',"note', *(row + "," for row in ROWS)],
         1,
         None,
-        "a stray quote",
+        "a stray quote in '\"note'",
     ),
     "stray quote in a note": (
         [HEADER + ",note", ROWS[0] + ',"ok', ROWS[1] + ",", ROWS[2] + ',ok"'],
@@ -178,12 +178,7 @@ FAULTS = {
         None,
         "a stray quote",
     ),
-    "quotes that end amid a cell": (
-        [HEADER, ROWS[0].replace("s1", '"5" plate')],
-        2,
-        None,
-        "a stray quote",
-    ),
+    "quotes in a cell": ([HEADER, ROWS[0].replace("s1", '5" plate')], 2, None, "a stray quote"),
     "control character": ([HEADER, ROWS[0].replace("s1", "s\x07")], 2, None, "'\\x07'"),
     "null character": ([HEADER, *ROWS[:2], ROWS[2].replace("0.6", "0.6\0")], 4, None, "'\\x00'"),
     "terminal escape": ([HEADER, ROWS[0].replace("s1", "\x1b[31ms")], 2, None, "'\\x1b'"),
@@ -208,12 +203,7 @@ FAULTS = {
         "range_",
         "an empty name of a beam",
     ),
-    "carriage return in a line": (
-        [HEADER, ROWS[0] + "\r" + ROWS[1]],
-        2,
-        None,
-        "control character '\\r'",
-    ),
+    "carriage return in a line": ([HEADER, ROWS[0] + "\r" + ROWS[1]], 2, None, "a carriage return"),
     "quaternion that overflows": (
         [HEADER, ROWS[0].replace("0,0,0,1", "1e308,0,0,1e308"), *ROWS[1:]],
         2,
@@ -229,7 +219,7 @@ FAULTS = {
     ),
     "range beyond reason": ([HEADER, ROWS[0].replace("0.021", "1e307")], 2, "range_2", "1e307"),
     "open quote": ([HEADER, ROWS[0], '"A,s2,0,0'], 3, None, "a stray quote"),
-    "header only": ([HEADER], None, None, "no row"),
+    "header only": ([HEADER], None, None, "no station"),
 }
 
 
@@ -281,6 +271,7 @@ def test_a_file_that_is_cut_is_refused_wherever_its_end_is_lost(tmp_path, cut):
         pytest.param("0.025", id="as many decimals as the others"),
         pytest.param('"0.02"', id="quotes that are closed"),
         pytest.param("0.025123456", id="decimals below a nanometre"),
+        pytest.param("2.5e-02", id="exponent"),
     ],
 )
 def test_a_last_line_without_an_end_is_read_if_its_last_cell_is_whole(tmp_path, last):
@@ -295,6 +286,11 @@ def test_a_last_cell_that_may_be_cut_is_refused(tmp_path, last):
     error = refusal(without_end(tmp_path, HEADER, *ROWS[:2], row))
     assert (error.line, error.column) == (4, "range_2")
     assert "a last line without a line end" in str(error)
+
+
+def test_what_nobody_reads_may_be_cut(tmp_path):
+    rows = [row + ",note" for row in ROWS]
+    assert len(read_recording(without_end(tmp_path, HEADER + ",note", *rows)).plane_labels) == 3
 
 
 @pytest.mark.parametrize(

@@ -444,7 +444,7 @@ BAD = {
         "echo of scanner, which is of kind = 'profiler'; expected it of kind = 'array' only",
     ),
     "angles of a profiler": ("[[sensors]]", '[[sensors]]\nangles = "rad"', "angles of scanner"),
-    "a workbook": ('"profiles.csv"', '"profiles.xls"', "a .xls file, which is not read"),
+    "a workbook": ('"profiles.csv"', '"profiles.xlsx"', "a .xlsx file, which is not read"),
     "a relation that is none": (
         "[[sensors]]",
         '[[known]]\nrelation = "near"\nof = ["sphere:ball"]\n[[sensors]]',
@@ -542,7 +542,7 @@ WRONG_POINTS = {
         "station,x,X [mm]",
         "found several columns that may be x: x, X [mm]; expected one of them, and other names for the",
     ),
-    "a stray quote": ("\nP3,", '\n"P3,', "found a stray quote"),
+    "a stray quote": ("\nP3,", '\nP"3,', "found a stray quote in"),
     "a control character": ("\nP3,", "\nP3\x07,", "found the control character"),
 }
 
@@ -557,16 +557,17 @@ def test_a_wrong_table_of_points_is_refused_in_one_line(case, folder, refusal):
     )
 
 
-def test_a_wrong_row_is_named_however_it_is_wrong(folder):
+def test_the_first_wrong_row_is_named_however_it_is_wrong(folder):
+    """Rows with quotes are taken apart one by one, others together."""
     points = folder / "profiles.csv"
     rows = points.read_text().splitlines()
-    rows[5], rows[7] = '"P1",1,2,3', '"P1,1,2'
-    points.write_text("\n".join(rows) + "\n")
-    with pytest.raises(hl.InputError, match="line 8: found a stray quote"):
-        hl.read_survey(folder / "poses.csv", folder / "rig.toml")
-    rows[7] = '"P1",1,2'
+    rows[5], rows[7] = '"P1",1,2,3', 'P"1,1,2'
     points.write_text("\n".join(rows) + "\n")
     with pytest.raises(hl.InputError, match="line 6: found 4 fields"):
+        hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    rows[5] = '"P1",1,"2"'
+    points.write_text("\n".join(rows) + "\n")
+    with pytest.raises(hl.InputError, match="line 8: found a stray quote"):
         hl.read_survey(folder / "poses.csv", folder / "rig.toml")
 
 

@@ -28,7 +28,7 @@ def convert(
     Parameters
     ----------
     log_file : Path
-        Log: CSV, TSV, XLSX, Parquet, or a ROS 1, ROS 2 or MCAP bag.
+        Log: CSV, TSV, XLSX, Parquet, JSON Lines, or a ROS 1, ROS 2 or MCAP bag.
     log : Log
     out : Path, optional
         Write the recording to this CSV file; else only say.

@@ -7,6 +7,7 @@ have a column `echo` where a zone has several. Letters of names count in either 
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,10 +17,18 @@ import polars as pl
 from ..arrays import FloatArray, IntArray
 from ..errors import InputError
 from ..text import count, shown, some
+from .checked_text import in_file
 from .logs.columns import plain, unit_of
-from .logs.tables import read_table
+from .logs.tables import FOREIGN, PARQUET, table_of_values
 from .recording_csv import known_numbers
-from .table import Table, label_texts
+from .table import (
+    MOST_TITLES,
+    Table,
+    label_texts,
+    table_below_titles,
+    table_text,
+    without_separator_line,
+)
 
 COLUMNS = {
     "profiler": ("x", "z"),
@@ -37,6 +46,8 @@ FARTHEST = 1e9
 """No reading in any unit: a thousand kilometres in millimetres, or a code such as 3.4e38."""
 AWAITED = "waiting for the poses of"
 """Begins the line that says which stations have points, and no pose yet."""
+DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
+"""A number with a decimal comma; a name of a station that holds one stays as it is."""
 
 
 def read_points(
@@ -93,7 +104,7 @@ def read_points(
             continue
         if name and path.is_file() and not path.stat().st_size:
             continue  # the sensor saw nothing there
-        table = _read_table(path, kind)
+        table = _read_table(path, kind, name)
         titles += [one.message for one in table.warnings]
         if name:
             _require_station(table, name, place)
@@ -143,10 +154,11 @@ def _words(units: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {unit or 'without a unit'}" for name, unit in units.items())
 
 
-def _read_table(path: Path, kind: str) -> Table:
-    """Return a table of points whose columns are not those of another kind of sensor."""
+def _read_table(path: Path, kind: str, name: str) -> Table:
+    """Return a table of points, of the station `name` where that is not empty."""
     wanted = COLUMNS[kind]
-    table = read_table(path)
+    expected = "a table of points, CSV with a header or Parquet"
+    table = read_frame(path, expected, ", ".join(wanted if name else ("station", *wanted)))
     names_there = {plain(one) for one in table.frame.columns}
     others = [one for one, columns in COLUMNS.items() if names_there.issuperset(columns)]
     if others and kind not in others:
@@ -211,3 +223,45 @@ def _column(table: Table, name: str) -> str:
         found = f"several columns that may be {name}: {', '.join(alike)}"
         raise table.fault(found, "one of them, and other names for the others")
     return alike[0]
+
+
+def read_frame(path: Path, expected: str, header: str) -> Table:
+    """Return a table as it stands: of CSV the texts of the cells, of Parquet what they are.
+
+    Semicolons or tabs in most of its first lines separate the cells; then commas in these are decimal.
+
+    Parameters
+    ----------
+    path : Path
+    expected : str
+        What kind of file it is.
+    header : str
+        The names of its columns, in words.
+
+    Raises
+    ------
+    InputError
+        No readable file, or no table.
+    """
+    suffix = path.suffix.lower()
+    if suffix in PARQUET:
+        if not path.is_file():
+            raise InputError("no readable file", expected, path)
+        try:
+            with in_file(path):
+                return table_of_values(pl.read_parquet(path), path)
+        except (pl.exceptions.PolarsError, OSError) as error:
+            what = str(error).splitlines()[0][:120]
+            raise InputError(f"no table ({what})", expected, path) from error
+    if suffix in FOREIGN:
+        raise InputError(f"a {suffix} file, which is not read", expected, path)
+    text, stated = without_separator_line(table_text(path, expected))
+    first = [line for line in text.split("\n", MOST_TITLES)[:MOST_TITLES] if line.strip()]
+    often = [one for one in ";\t" if 2 * sum(one in line for line in first) > len(first)]
+    separator = stated or (often[0] if often else ",")
+    names = f"a header with {header}"
+    table = table_below_titles(text, path, separator, header=names, may_be_empty=True)
+    if separator == "," or "," not in text:
+        return table
+    points = pl.all().str.replace(DECIMAL_COMMA, "${1}.${2}")
+    return replace(table, frame=table.frame.select(points))

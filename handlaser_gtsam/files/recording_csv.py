@@ -32,8 +32,7 @@ from ..errors import CalibrationWarning, InputError
 from ..model.sensor import Sensor
 from ..quantities import LARGEST_LENGTH, MM
 from ..text import A_NAME, name_fault
-from .logs.tables import read_table
-from .table import Table, column_numbers, labels
+from .table import Table, column_numbers, labels, read_table
 from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -44,11 +43,8 @@ MISSPELT = 0.75
 """Likeness to `range` (difflib) above which the name of a column is a misspelt beam and not ignored."""
 JOINT = "joint_"
 """Before the names of joints; a recording ignores such columns."""
-NO_READING = (
-    *("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null"),
-    *("#n/a", "#div/0!", "#num!", "#value!", "#ref!", "#name?", "#null!"),
-)
-"""Words, with a sign or without, by which sensors, programs and workbooks say that there is none."""
+NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
+"""Words, with a sign or without, by which sensors and programs say that there is no reading."""
 
 
 def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
@@ -72,10 +68,10 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     """
     if sensor is not None:
         require_kind("sensor", sensor, Sensor)
-    table = read_table(path_of(path))
+    table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
     samples = [SAMPLES + beam for beam in beams if SAMPLES + beam in table.frame.columns]
-    stations = stations_of(table)
+    stations = stations_of(table, PREFIX, *samples)
     columns = [PREFIX + beam for beam in beams]
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
     whose = {PREFIX + beam: [beam] for beam in beams}
@@ -95,11 +91,7 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
         planes,
         tuple(beams),
         stations.station_names,
-        tuple(
-            x
-            for x in table.frame.columns
-            if x not in ("plane", "station", *POSE, *columns, *samples)
-        ),
+        tuple(x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples),
         _samples(table, beams, ranges) if samples else None,
         warnings,
         range_min=min(0.0, (sensor or Sensor()).range_min),
@@ -138,8 +130,10 @@ def station_columns(stations: Recording | StationList) -> pl.DataFrame:
     return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
 
 
-def stations_of(table: Table) -> StationList:
+def stations_of(table: Table, *prefixes: str) -> StationList:
     """Return the hand poses, plane labels and station names of the rows of a table.
+
+    Columns whose names begin with one of the `prefixes` are read, too.
 
     Raises
     ------
@@ -147,7 +141,8 @@ def stations_of(table: Table) -> StationList:
         A column that is missing, or a cell that is not what its column holds.
     """
     table.require("plane", *POSE)
-    table.require_rows()
+    if _used(table.frame.columns[-1], *prefixes):
+        table.refuse_cut()
     planes = labels(table, "plane")
     stations = tuple(str(line - table.header_line) for line in table.lines)
     if "station" in table.frame.columns:
@@ -192,6 +187,11 @@ def _check_header(table: Table) -> list[str]:
     return beams
 
 
+def _used(column: str, *prefixes: str) -> bool:
+    """Tell whether a column is read, by its name or the beginning of it."""
+    return column in ("plane", "station", *POSE) or column.startswith(prefixes)
+
+
 def _samples(table: Table, beams: list[str], ranges: FloatArray) -> FloatArray:
     """Return how many readings each is worth: one where the cell or the column is missing."""
     found = np.ones(ranges.shape)
@@ -231,8 +231,8 @@ def read_stations(path: Path | str) -> StationList:
     InputError
         The first fault of the file: its line and column, what was found, what was expected.
     """
-    table = read_table(path_of(path))
-    stations = stations_of(table)
+    table = read_table(path_of(path), ("plane", *POSE))
+    stations = stations_of(table, JOINT)
     columns = [name for name in table.frame.columns if name.startswith(JOINT)]
     if not columns:
         return stations

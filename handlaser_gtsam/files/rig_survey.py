@@ -34,8 +34,7 @@ from ..quantities import DEG, IN_MM, MAJORITY, MM
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
-from .logs.tables import read_table
-from .points_table import Echo, Points, read_points
+from .points_table import Echo, Points, read_frame, read_points
 from .recording_csv import known_numbers
 from .writing import same_file
 
@@ -368,7 +367,7 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
     InputError
     """
     expected = "zone, x, y, z or zone, x_deg, y_deg"
-    table = read_table(path)
+    table = read_frame(path, f"CSV with {expected}", expected)
     numbers = {name: known_numbers(table, name)[0] for name in table.frame.columns}
     if {"zone", "x", "y", "z"} <= numbers.keys():
         u = np.stack([numbers[a] for a in "xyz"], axis=1)

@@ -21,9 +21,10 @@ from .logs.poses import hand_poses
 from .logs.reading import OF_READINGS, is_log, refuse_of_a_bag
 from .logs.rows import LogRows, rows_of
 from .logs.survey_suspicion import refuse_wrong_poses
-from .logs.tables import read_table
-from .recording_csv import PREFIX, range_numbers, read_recording, stations_of
+from .logs.tables import read_log_table
+from .recording_csv import POSE, PREFIX, range_numbers, read_recording, stations_of
 from .rig_toml import Rig, read_rig
+from .table import read_table
 from .writing import path_of
 
 
@@ -62,8 +63,8 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         shots, lines = tables.shots(stations.station_names, log.station_column)
         lines = (rows.words, *lines)
     else:
-        table = read_table(path)
-        stations = stations_of(table)
+        table = read_table(path, ("plane", *POSE))
+        stations = stations_of(table, PREFIX)
         columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
         beams = tuple(name.removeprefix(PREFIX) for name in columns)
         ranges = range_numbers(table, columns, rig.sensor)[0] if columns else None
@@ -108,7 +109,7 @@ def _survey(
 
 def _of_log(path: Path, given: LogFormat) -> tuple[StationList, LogRows]:
     """Return the stations of a log of poses that has labels, or one target for all; and its rows."""
-    table = read_table(path, given)
+    table = read_log_table(path, given)
     rows = rows_of(table, columns_of(table, given, readings=False), given, Sensor())
     R, t = hand_poses(rows.posed, Way.of_rows(len(rows.posed)), given)
     labels = rows.planes if rows.planes is not None else [given.plane] * len(R)

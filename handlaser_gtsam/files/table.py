@@ -1,14 +1,13 @@
-"""Tables: the rows of a file of any kind (`logs.tables`), and how those of text are taken apart.
+"""Tables of text: a header and one row a line, whose cells are taken apart without any guess.
 
-Every line that is not blank becomes one row, and every row has exactly the cells of the
-header: no parser stands between the two that could join, drop or pad them. A cell in quotes begins and
-ends with its quotes on one line, and quotes inside are doubled. Separator and decimal mark are
-recognised where only one of each is possible; else they must be stated.
+Separator and header are found in the first lines. Every further line that is not blank becomes one
+row, and every row has exactly the cells of the header: no parser stands between the two that could
+join, drop or pad them. A cell in quotes begins and ends with its quotes on one line, and quotes inside
+are doubled; any other quote is refused, since it would swallow what follows it.
 """
 
-import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,26 +19,38 @@ from ..data.recording import first_repeated
 from ..errors import CalibrationWarning, InputError
 from ..text import A_NAME, LONGEST_NAME, count, name_fault, shown, some
 from .checked_text import read_text
-from .logs.format import LogFormat
 
 SEPARATORS = ",;\t"
-DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 BLANK = " \t"
 """Blanks that are ignored around cells; others, such as a no-break space, belong to the cell."""
 UNIT = "\x1f"
 """Stands between cells once quotes are taken away; as a control character it is in no cell."""
-CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f]")
+CONTROL = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+CELLS = {
+    separator: re.compile(
+        f'(?:^|{separator})(?:[{blanks}]*"((?:[^"]|"")*)"[{blanks}]*(?={separator}|$)'
+        f"|([^{separator}]*))"
+    )
+    for separator, blanks in ((",", BLANK), (";", BLANK), ("\t", " "))
+}
+"""A cell in quotes, with blanks around it that are no separators, or one without quotes."""
 COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 POINT = re.compile(r"[+-]?\d*\.\d+(?:[eE][+-]?\d+)?")
 NUMBER = re.compile(rf"(?:{COMMA.pattern}|{POINT.pattern}|[+-]?\d+)")
-THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
-"""May be 1234, or 1 and 234 thousandths."""
-GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
-"""Has points between thousands where the decimal mark is stated to be a comma."""
+PLAIN = r"^[!-~]([ -~]{0,198}[!-~])?$"
+"""Names of ASCII, which most are, need no closer look."""
 STATED = re.compile(r'\A"?sep=([,;\t])"?[ \t]*(?=\n)', re.IGNORECASE)
 """The first line by which a spreadsheet states the separator."""
+MOST_LOOKED_AT = 1000
+"""Cells of a line that tell whether it is a header, for no log has more columns; and lines in which
+separators are counted."""
+NANOMETRE_DECIMALS = 9
+"""A length that is cut behind this number of decimals is wrong by less than a nanometre."""
 MOST_TITLES = 20
 """A header stands behind this number of lines of titles at most."""
+MOST_CHARACTERS = 10**9
+"""Polars has texts of less than 2^32 bytes, and a character has four of them at most."""
+A_HEADER = "names of columns in the first line, or from `handlaser convert LOG --header NAMES`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,14 +65,17 @@ class Table:
     header_line : int
     lines : (M,)
         The line of every row in the file, from 1.
+    open_ended : bool
+        Whether nothing, neither a line end nor a closing quote, follows the last cell.
     warnings : tuple of CalibrationWarning
-        That titles above the header were passed over.
+        What was passed over: titles above the header, cells of a workbook without a value.
     """
 
     frame: pl.DataFrame
     path: Path
     header_line: int
     lines: IntArray
+    open_ended: bool
     warnings: tuple[CalibrationWarning, ...] = ()
 
     def refuse(
@@ -71,9 +85,7 @@ class Table:
         rows = np.flatnonzero(wrong)
         if rows.size:
             row = int(rows[0])
-            if found is None:
-                content = self.frame[column][row]
-                found = "an empty cell" if content is None else shown(content)
+            found = _cell(self.frame[column][row]) if found is None else found
             raise InputError(found, expected, self.path, int(self.lines[row]), column)
 
     def where(self, kept: BoolArray) -> "Table":
@@ -98,144 +110,80 @@ class Table:
         """
         for name in names:
             if name not in self.frame.columns:
-                raise self.fault(f"no column {name!r} among {self.names}", f"{name!r}", name)
+                near = next((one for one in self.frame.columns if one.lower() == name), None)
+                found = f"column {near!r}" if near else f"no column {name!r} among {self.names}"
+                raise self.fault(found, f"{name!r}", name)
 
-    def require_rows(self) -> None:
-        """Refuse a table without a row.
+    def refuse_cut(self) -> None:
+        """Refuse a last line without a line end, unless its last cell shows that it is whole.
 
-        Raises
-        ------
-        InputError
+        A file whose end is lost looks the same, and its last number may lack digits.
         """
-        if not len(self.frame):
-            raise InputError("a header but no row", "one row a station or a reading", self.path)
+        name = self.frame.columns[-1]
+        column = self.frame[name]
+        if not self.open_ended or _whole(column[-1], column[:-1]):
+            return
+        last = np.arange(len(column)) == len(column) - 1
+        cell = _cell(column[-1])
+        found = f"a last line without a line end: {cell} may be what is left of a longer one"
+        self.refuse(last, name, "a line end; add one if the line is whole", found)
 
 
-def table_of_text(path: Path, given: LogFormat) -> Table:
-    """Read a table of text; its numbers have a decimal point then.
+def _cell(content: object) -> str:
+    return "an empty cell" if content is None else shown(content)
+
+
+def read_table(path: Path, known: Collection[str] = ()) -> Table:
+    """Read a table from a file; columns of the `known` names tell its separator.
 
     Raises
     ------
     InputError
-        No readable file, no table, or one that can be read in several ways.
+        No readable file, bytes that are no UTF-8, control characters, a stray quote, a row that has not
+        as many cells as the header, or a header whose names cannot be printed or stand twice.
     """
-    text, header = table_text(path), given.header_given
-    if header:
-        text = re.sub(r"(?m)^[ \t]*#.*$", "", text)
+    text, separator = without_separator_line(table_text(path))
+    if separator is None:
+        # That of the first line with most known names; where these are as many, with most cells.
+        lines = text.split("\n", MOST_TITLES + 1)[: MOST_TITLES + 1]
+        fits = [(0, 0, 0, ",")]
+        for number, line in enumerate(line for line in lines if line.strip()):
+            for one in SEPARATORS:
+                names = first_cells(line, one)
+                fits.append((len(set(known) & set(names)), -number, len(names), one))
+        separator = max(fits, key=lambda fit: fit[:3])[-1]
+    return table_below_titles(text, path, separator)
+
+
+def without_separator_line(text: str) -> tuple[str, str | None]:
+    """Return a text whose first line `sep=;` is empty, and the separator that it stated."""
     stated = STATED.match(text)
-    text = text if stated is None else text[stated.end() :]
-    separator = DELIMITERS.get(given.delimiter or "") or (stated[1] if stated else "")
-    if given.pose_format == "tum":
-        separator = separator or " "
-    separator = separator or _separator([line for line in text.split("\n") if line.strip()], path)
-    if separator == " ":
-        text = "\n".join("\t".join(line.split()) for line in text.split("\n"))
-        separator = "\t"
-    table = _taken_apart(text, path, separator, header)
-    if '"' in text or given.decimal == "comma" or (separator != "," and "," in text):
-        table = _with_points(table, given)
-    if not text.endswith("\n"):
-        _refuse_cut(table, text)
-    return table
+    return (text, None) if stated is None else (text[stated.end() :], stated[1])
 
 
-def table_text(path: Path) -> str:
-    """Return the text of a file, whose lines end with a line feed.
+def table_below_titles(
+    text: str, path: Path, separator: str, *, header: str = A_HEADER, may_be_empty: bool = False
+) -> Table:
+    """Take a text apart as `table_of` does, without the titles above its header, of which it warns.
 
     Raises
     ------
     InputError
-        No readable file, bytes that are no UTF-8, or control characters.
     """
-    text = read_text(path, "a table").removeprefix("\ufeff").replace("\r\n", "\n")
-    if "\n" not in text:
-        text = text.replace("\r", "\n")  # line ends of an old Mac
-    wrong = CONTROL.search(text)
-    if wrong is not None:
-        line = text.count("\n", 0, wrong.start()) + 1
-        found = f"the control character {shown(wrong[0])}"
-        raise InputError(found, "text with line ends of one kind", path, line)
-    return text
+    lines = text.split("\n", MOST_TITLES + 1)
+    first = lines[: MOST_TITLES + 1]
+    above = titles_above([first_cells(line, separator) for line in first])
+    titles = [line.strip(BLANK + separator) for line in lines[:above]]
+    if any(titles):
+        text = "\n".join([""] * above + lines[above:])
+    table = table_of(text, path, separator, header=header, may_be_empty=may_be_empty)
+    return replace(table, warnings=titles_warning(titles, path)) if any(titles) else table
 
 
-def _separator(lines: Sequence[str], path: Path) -> str:
-    """Return the only separator at which the lines have equally many cells, two or more.
-
-    Where there is none, it is that at which the first line has most; where there are several, it must
-    be stated.
-    """
-    # Separators in quotes are none.
-    bare = [re.sub('"[^"]*"', "", line) for line in lines[:1000]]  # which are enough to tell
-    cells = {one: [line.count(one) + 1 for line in bare] for one in SEPARATORS}
-    for begin in (0, len(bare) // 2):  # titles above the header are never half of the lines
-        even = [one for one in SEPARATORS if len(set(cells[one][begin:])) == 1]
-        possible = [one for one in even if cells[one][-1] > 1]
-        if begin == 0 and len(possible) > 1:
-            words = {value: name for name, value in DELIMITERS.items()}
-            both = " and ".join(words[one] for one in possible)
-            expected = "one of them as separator: state --delimiter"
-            raise InputError(f"lines that {both} divide alike", expected, path)
-        if len(possible) == 1:
-            return possible[0]
-    if lines and not any(one in lines[0] for one in SEPARATORS):
-        return " " if all(len(line.split()) > 1 for line in lines) else ","
-    return max(SEPARATORS, key=lambda one: cells[one][:1])
-
-
-def _taken_apart(text: str, path: Path, separator: str, header: Sequence[str]) -> Table:
-    """Return the lines of a text as rows of cells; the first is the header, unless one is given."""
-    lines = pl.Series([text]).str.split("\n").explode()
-    filled = lines.str.strip_chars(BLANK + separator) != ""
-    numbers, rows = np.flatnonzero(filled.to_numpy()) + 1, lines.filter(filled)
-    if not len(rows):
-        raise InputError("an empty file", "a header and one row a station", path)
-    warnings: tuple[CalibrationWarning, ...] = ()
-    if not header:
-        head = [line.split(separator) for line in rows[: MOST_TITLES + 1]]
-        above = titles_above([[cell.strip(f'{BLANK}"') for cell in line] for line in head])
-        titles = [line.strip(BLANK + separator) for line in rows[:above]]
-        warnings = titles_warning(titles, path)
-        numbers, rows = numbers[above:], rows[above:]
-    mark = separator
-    if '"' in text:
-        mark = UNIT
-        both = zip(rows, numbers.tolist(), strict=True)
-        rows = pl.Series([_unquoted(row, separator, path, number) for row, number in both])
-    names = list(header) or [cell.strip(BLANK) for cell in rows[0].split(mark)]
-    values = [cell for cell in names if NUMBER.fullmatch(cell)]
-    if len(values) > 1 and len(names) - len(values) < 2:  # numbers, and no two names: no header
-        found = f"numbers in the first line ({shown(values[0])[1:-1]}, ...)"
-        expected = "names of columns in the first line, or of a log from --header NAMES"
-        raise InputError(found, expected, path, int(numbers[0]))
-    counts = rows.str.count_matches(mark, literal=True).to_numpy() + 1
-    wrong = np.flatnonzero(counts != len(names))
-    if wrong.size:
-        row = int(wrong[0])
-        is_cut = numbers[row] == len(lines) and counts[row] < len(names)
-        found = f"{counts[row]} fields{' in a last line that is cut' if is_cut else ''}"
-        more = counts[row] > len(names) and separator == ","
-        hint = "; decimal commas need another separator than commas" if more else ""
-        raise InputError(found, f"{len(names)}, as in the header{hint}", path, int(numbers[row]))
-    line = 0 if header else int(numbers[0])
-    names = header_names(names, path, line)
-    begin = 0 if header else 1
-    split = rows[begin:].str.split_exact(mark, len(names) - 1)
-    cells = pl.all().str.strip_chars(BLANK)
-    frame = split.struct.rename_fields(names).struct.unnest()
-    frame = frame.select(pl.when(cells != "").then(cells))
-    return Table(frame, path, line, numbers[begin:], warnings)
-
-
-def _unquoted(line: str, separator: str, path: Path, number: int) -> str:
-    """Return a line with `UNIT` between its cells and without the quotes around them."""
-    if '"' not in line:
-        return line.replace(separator, UNIT)
-    try:
-        (cells,) = csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)
-    except csv.Error as error:
-        expected = "no quotes, or quotes around a whole cell on one line with those inside doubled"
-        raise InputError(f"a stray quote ({error})", expected, path, number) from error
-    return UNIT.join(cells)
+def first_cells(line: str, separator: str) -> list[str]:
+    """Return the first `MOST_LOOKED_AT` cells of a line, without blanks and quotes around them."""
+    cells = line.split(separator, MOST_LOOKED_AT)[:MOST_LOOKED_AT]
+    return [cell.strip(f'{BLANK}"') for cell in cells]
 
 
 def titles_above(rows: Sequence[Sequence[str]]) -> int:
@@ -251,84 +199,91 @@ def titles_above(rows: Sequence[Sequence[str]]) -> int:
 
 
 def titles_warning(titles: Sequence[str], path: Path) -> tuple[CalibrationWarning, ...]:
-    """Return the warning that lines above the header were passed over, if there are any."""
-    if not titles:
-        return ()
+    """Return the warning that lines above the header were passed over."""
+    there = [title for title in titles if title]
     words = (
-        f"{path.name}: passed over {count(len(titles), 'line')} above the header: "
-        f"{shown(titles[0])}{', ...' if len(titles) > 1 else ''}"
+        f"{path.name}: passed over {count(len(there), 'line')} above the header: {shown(there[0])}"
     )
-    return (CalibrationWarning("title-lines", words, {"lines": len(titles)}),)
+    words += ", ..." if len(there) > 1 else ""
+    return (CalibrationWarning("title-lines", words, {"lines": len(there)}),)
 
 
-def header_names(names: Sequence[str], path: Path, line: int | None) -> list[str]:
-    """Return the names of columns, a number for one without a name.
+def table_of(
+    text: str, path: Path, separator: str, *, header: str = A_HEADER, may_be_empty: bool = False
+) -> Table:
+    """Take a text apart as `read_table` does, at a separator.
+
+    Parameters
+    ----------
+    text : str
+        As `table_text` returns it.
+    path : Path
+    separator : str
+    header : str
+        What the first line has, in words, for one that is no header.
+    may_be_empty : bool
+        Whether there may be a header, and no row.
 
     Raises
     ------
     InputError
-        Names that cannot be printed, or stand twice.
     """
+    lines = pl.Series([text]).str.split("\n").explode()
+    filled = lines.str.strip_chars(BLANK + separator) != ""
+    numbers, rows = np.flatnonzero(filled.to_numpy()) + 1, lines.filter(filled)
+    if not len(rows):
+        raise InputError("an empty file", "a header and one row a station", path)
+    first = first_cells(rows[0], separator)
+    values = [cell for cell in first if NUMBER.fullmatch(cell)]
+    if len(values) > 1 and len(first) - len(values) < 2:  # numbers, and no two names: no header
+        found = f"numbers in the first line ({shown(values[0])[1:-1]}, ...)"
+        raise InputError(found, header, path, int(numbers[0]))
+    if len(rows) < 2 and not may_be_empty:
+        raise InputError("a header but no station", "one row a station", path)
+    ended, last = numbers[-1] < len(lines), rows[-1]
+    mark, fault = separator, None
+    if '"' in text:
+        mark = UNIT
+        rows, fault = _unquoted(rows, separator, path, numbers)
+    counts = rows.str.count_matches(mark, literal=True).to_numpy() + 1
+    width = int(counts[0]) if len(rows) else 0
+    wrong = np.flatnonzero(counts != width)
+    if wrong.size:
+        row = int(wrong[0])
+        is_cut = row == len(numbers) - 1 and not ended and counts[row] < width
+        cut = " in a last line that is cut" if is_cut else ""
+        hint = "; decimal commas need another separator than commas"
+        hint = hint if counts[row] > width and separator == "," else ""
+        expected = f"{width}, as in the header{hint}"
+        raise InputError(f"{counts[row]} fields{cut}", expected, path, int(numbers[row]))
+    if fault is not None:
+        raise fault
+    names = [cell.strip(BLANK) for cell in rows[0].split(mark)]
     names = [name or f"(column {i + 1} without a name)" for i, name in enumerate(names)]
+    require_columns(names, path, int(numbers[0]))
+    split = rows[1:].str.split_exact(mark, width - 1)
+    frame = split.struct.rename_fields(names).struct.unnest()
+    cells = pl.all()
+    if any(one in text for one in BLANK):  # with millions of rows it takes a while
+        cells = cells.str.strip_chars(BLANK)
+    frame = frame.select(pl.when(cells != "").then(cells))
+    open_ended = not ended and not last.rstrip(BLANK).endswith('"')
+    return Table(frame, path, int(numbers[0]), numbers[1:], open_ended)
+
+
+def require_columns(names: Sequence[str], path: Path, line: int | None) -> None:
+    """Refuse columns whose names cannot be printed, or stand twice in the line of a header.
+
+    Raises
+    ------
+    InputError
+    """
     for fault in filter(None, map(name_fault, names)):
         expected = f"printable names of at most {LONGEST_NAME} characters in the header"
-        raise InputError(fault, expected, path, line or None)
+        raise InputError(fault, expected, path, line)
     twice = first_repeated(names)
     if twice is not None:
-        found = "the same name twice"
-        raise InputError(found, "every column once", path, line or None, names[twice])
-    return names
-
-
-def _with_points(table: Table, given: LogFormat) -> Table:
-    """Return the table with points for decimal commas.
-
-    Raises
-    ------
-    InputError
-        Numbers with commas and numbers with points, or commas that may stand between thousands.
-    """
-    frame = table.frame
-    if given.decimal == "comma":
-        whole = pl.all().str.replace_all(".", "", literal=True)
-        frame = frame.select(pl.when(_matches(pl.all(), GROUPED)).then(whole).otherwise(pl.all()))
-        table = replace(table, frame=frame)
-    commas = frame.select(_matches(pl.all(), COMMA).fill_null(value=False))
-    name = next((one.name for one in commas if one.any()), None)
-    if given.decimal == "point" or name is None:
-        return table
-    cells = pl.concat([frame[one.name].filter(one).alias("") for one in commas])
-    if given.decimal is None and cells.str.contains(f"^{THOUSANDS.pattern}$").all():
-        expected = "a decimal comma or a separator of thousands? state --decimal comma"
-        table.refuse(commas[name].to_numpy(), name, f"{expected}, or leave it out")
-    for points in frame.select(_matches(pl.all(), POINT).fill_null(value=False)):
-        expected = "decimal commas, as in other cells; or state --decimal point"
-        table.refuse(points.to_numpy(), points.name, expected)
-    changed = pl.all().str.replace(",", ".", literal=True)
-    changed = pl.when(_matches(pl.all(), COMMA)).then(changed).otherwise(pl.all())
-    return replace(table, frame=frame.select(changed))
-
-
-def _matches(cells: pl.Expr, pattern: re.Pattern[str]) -> pl.Expr:
-    """Return which cells are of a pattern as a whole."""
-    return cells.str.contains(f"^{pattern.pattern}$")
-
-
-def _refuse_cut(table: Table, text: str) -> None:
-    """Refuse a last line without a line end, unless its last cell shows that it is whole.
-
-    A file whose end is lost looks the same, and its last number may lack digits. A whole one has as
-    many decimals as any other of its column, or is given to a nanometre; or its quotes are closed.
-    """
-    name = table.frame.columns[-1]
-    cells = table.frame[name].cast(pl.String)
-    decimals = cells.str.extract(r"^[+-]?\d+\.(\d+)$").str.len_chars().fill_null(0).to_numpy()
-    if not len(cells) or text.endswith('"') or 0 < min(decimals.max(), 9) <= decimals[-1]:
-        return
-    cell = "an empty cell" if cells[-1] is None else shown(cells[-1])
-    found = f"a last line without a line end: {cell} may be what is left of a longer one"
-    last = np.arange(len(cells)) == len(cells) - 1
-    table.refuse(last, name, "a line end; add one if the line is whole", found)
+        raise InputError("the same name twice", "every column once", path, line, names[twice])
 
 
 def column_numbers(
@@ -355,21 +310,103 @@ def label_texts(table: Table, column: str) -> pl.Series:
     Raises
     ------
     InputError
-        An empty cell, or what cannot be a name.
+        An empty cell.
     """
     cells = table.frame[column]
     table.refuse(cells.is_null().to_numpy(), column, "a label")
     if cells.dtype.is_float() and (cells == cells.round()).all():  # 3.0 of a workbook is 3
         whole = cells.cast(pl.Int64, strict=False)
         cells = cells if whole.is_null().any() else whole
-    text = cells.cast(pl.String)
-    faults = {name: name_fault(name) for name in text.unique()}
-    rows = text.is_in([name for name, fault in faults.items() if fault]).to_numpy()
-    if rows.any():
-        table.refuse(rows, column, A_NAME, faults[text[int(rows.argmax())]])
-    return text
+    return cells.cast(pl.String)
 
 
 def labels(table: Table, column: str) -> tuple[str, ...]:
-    """Return the labels in a column, numbers as text; raises InputError as `label_texts`."""
-    return tuple(label_texts(table, column).to_list())
+    """Return the labels in a column, numbers as text.
+
+    Raises
+    ------
+    InputError
+        An empty cell, or what cannot be a name.
+    """
+    text = label_texts(table, column)
+    strange = text.filter(~text.str.contains(PLAIN))
+    faults = {name: name_fault(name) for name in strange.unique().to_list()}
+    rows = text.is_in([name for name, fault in faults.items() if fault]).to_numpy()
+    if rows.any():
+        table.refuse(rows, column, A_NAME, faults[text[int(rows.argmax())]])
+    return tuple(text.to_list())
+
+
+def table_text(path: Path, expected: str = "a recording") -> str:
+    """Return the text of a file, whose lines end with a line feed.
+
+    Raises
+    ------
+    InputError
+        No readable file, bytes that are no UTF-8, control characters, or a file that is too long.
+    """
+    text = read_text(path, expected)
+    text = text.removeprefix("\ufeff").replace("\r\n", "\n")
+    if "\n" not in text:
+        text = text.replace("\r", "\n")  # line ends of an old Mac
+    if len(text) > MOST_CHARACTERS:
+        expected = f"at most {MOST_CHARACTERS}, in several files or as Parquet"
+        raise InputError(f"{len(text)} characters", expected, path)
+    wrong, stray = CONTROL.search(text), text.find("\r")
+    if wrong is not None and not 0 <= stray < wrong.start():
+        line = text.count("\n", 0, wrong.start()) + 1
+        raise InputError(f"the control character {shown(wrong[0])}", "text", path, line)
+    if stray >= 0:
+        expected = "line ends of one kind: LF or CR LF, or CR throughout"
+        line = text.count("\n", 0, stray) + 1
+        raise InputError("a carriage return within a line", expected, path, line)
+    return text
+
+
+def _unquoted(
+    rows: pl.Series, separator: str, path: Path, numbers: IntArray
+) -> tuple[pl.Series, InputError | None]:
+    """Return rows with `UNIT` between their cells, without the quotes around these.
+
+    A stray quote ends them; its fault comes with the rows before it, of which one may be wrong, too.
+    """
+    cells = []
+    for row, number in zip(rows, numbers.tolist(), strict=True):
+        try:
+            cells.append(_split(row, separator, path, number))
+        except InputError as error:
+            return pl.Series(cells, dtype=pl.String), error
+    return pl.Series(cells, dtype=pl.String), None
+
+
+def _split(line: str, separator: str, path: Path, number: int) -> str:
+    """Return a line with `UNIT` between its cells and without the quotes around them."""
+    cells = CELLS[separator].findall(line) if '"' in line else ()
+    for _, plain in cells:
+        if '"' in plain:
+            found = f"a stray quote in {shown(plain.strip(BLANK))}"
+            expected = (
+                "no quotes, or quotes around a whole cell on one line with those inside doubled"
+            )
+            raise InputError(found, expected, path, number)
+    whole = [plain or quoted.replace('""', '"') for quoted, plain in cells]
+    return UNIT.join(whole) if cells else line.replace(separator, UNIT)
+
+
+def _whole(cell: str | None, others: pl.Series) -> bool:
+    """Tell whether a number has all its digits, as far as the numbers above it in its column show.
+
+    It has as many decimals as any of them, up to where further ones do not matter, or an exponent.
+    """
+    if cell is None:
+        return False
+    if re.fullmatch(r"[+-]?[\d.]+[eE][+-]?\d\d+", cell):
+        return True
+    number = re.fullmatch(r"[+-]?(\d+)\.(\d+)", cell)
+    if number is None or others.str.contains("[eE]").any():
+        return False
+    decimals = len(number[2])
+    if number[1] == "0" and decimals >= NANOMETRE_DECIMALS:
+        return True
+    most = others.str.extract(r"\.(\d+)$").str.len_chars().max()
+    return isinstance(most, int) and decimals >= most

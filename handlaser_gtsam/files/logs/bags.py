@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +31,18 @@ from ..recording_csv import off_unit
 from ..table import Table
 from .format import TUM_HEADER, LogFormat
 from .motion import interpolated, neighbours
+from .packed import limit_chunks, refuse_bag_bomb
 from .rows import LogRows
 
 RANGE, SCAN = "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan"
 POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 STATIC = "/tf_static"
+ROS1 = ".bag"
+"""The ending of a ROS 1 bag."""
 METADATA = "metadata.yaml"
 """Which every folder of a ROS 2 bag has."""
-BAGS = (".bag", ".mcap", ".db3")
+BAGS = (ROS1, ".mcap", ".db3")
 RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
 Place = tuple[str, int | None]
 """The topic that a beam reads on, and which ray of a `LaserScan` it is."""
@@ -67,7 +71,10 @@ def _opened(path: Path) -> Iterator[Any]:
         expected = "pip install 'handlaser-gtsam[ros]'"
         raise InputError("a bag, but no package that reads it", expected, path) from error
     try:
+        if path.suffix.lower() != ROS1:
+            refuse_bag_bomb(path)
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            limit_chunks(reader, path)
             yield reader
     except (HandlaserError, MemoryError):
         raise
@@ -146,7 +153,9 @@ def read_messages(
         frames = Frames(*given.frames) if given.frames else None
         stamped = array("d")
         wanted = list(dict.fromkeys([*poses, *readers]))
-        for message, topic, received in _messages(reader, wanted, topics):
+        wanted.sort(key=lambda topic: not topic.endswith(STATIC))
+        by_topic = path.suffix.lower() == ROS1
+        for message, topic, received in _messages(reader, wanted, topics, by_topic=by_topic):
             when = received if given.receive_time else None
             if topic not in poses:
                 readers[topic](message, _time(message, when, received))
@@ -185,7 +194,7 @@ def read_messages(
 
 def lines_of(path: Path, count: int) -> Table:
     """Return a table without cells, whose rows have the numbers from 1 on."""
-    return Table(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp))
+    return Table(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp), False)
 
 
 def _readings(numbers: "Mapping[str, array[float]]", path: Path) -> LogRows:
@@ -209,16 +218,24 @@ def _readings(numbers: "Mapping[str, array[float]]", path: Path) -> LogRows:
 
 
 def _messages(
-    reader: Any, wanted: Sequence[str], topics: Mapping[str, str]
+    reader: Any, wanted: Sequence[str], topics: Mapping[str, str], *, by_topic: bool
 ) -> Iterator[tuple[Any, str, int]]:
-    """Yield messages of the wanted topics, each with its topic and the time of receipt [ns]."""
+    """Yield messages of the wanted topics, each with its topic and the time of receipt [ns].
+
+    Of a ROS 1 bag topic by topic: rosbags keeps one unpacked chunk and goes through topics in the order
+    of time, which in a bag that was written topic by topic unpacks a chunk for every message.
+    """
     connections = [one for one in reader.connections if one.topic in wanted]
     for one in connections:
         if one.msgtype != topics[one.topic]:
             found = f"messages of {one.msgtype} and of {topics[one.topic]} on topic {one.topic}"
             raise InputError(found, "one type on one topic")
+    groups = [connections]
+    if by_topic:
+        groups = [[one for one in connections if one.topic == topic] for topic in wanted]
     total, frame_of = sum(one.msgcount for one in connections), dict[str, str]()
-    for count, (one, received, data) in enumerate(reader.messages(connections)):
+    messages = chain.from_iterable(map(reader.messages, groups))
+    for count, (one, received, data) in enumerate(messages):
         if count % ROWS_AT_ONCE == 0:  # in less than a second
             tell("read", count // ROWS_AT_ONCE, total // ROWS_AT_ONCE + 1, "part of the bag")
         message = reader.deserialize(data, one.msgtype)

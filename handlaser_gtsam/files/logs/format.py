@@ -11,7 +11,6 @@ from typing import Literal, get_args, get_origin
 
 Units = Literal["m", "mm", "in"]
 AngleUnits = Literal["deg", "rad"]
-Delimiter = Literal["comma", "semicolon", "tab", "space"]
 Decimal = Literal["point", "comma"]
 Average = Literal["mean", "median"]
 TimeUnits = Literal["s", "ms", "us", "ns"]
@@ -66,8 +65,8 @@ class LogFormat:
         The same as CSV: plane,from,to.
     header : names
         Columns of a file that has no header.
-    delimiter : {"comma", "semicolon", "tab", "space"}, optional
-        What stands between cells; default: recognised.
+    delimiter : str
+        comma, semicolon, tab or space; default: recognised.
     decimal : {"point", "comma"}, optional
         The decimal mark; default: recognised.
     sheet : str
@@ -137,7 +136,7 @@ class LogFormat:
     plane_ranges: tuple[str, ...] = ()
     plane_file: Path | None = None
     header: tuple[str, ...] = ()
-    delimiter: Delimiter | None = None
+    delimiter: str = ""
     decimal: Decimal | None = None
     sheet: str = ""
     readings: Path | None = None

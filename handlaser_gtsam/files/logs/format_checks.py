@@ -20,6 +20,7 @@ EXCLUSIVE = {
     ("stands", "interpolate"): "one of the two: the arm stands, or it moves",
 }
 """Fields of which one at most is stated; where a user states one, the rig file's do not count."""
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " "}
 
 
 def check_format(given: "LogFormat") -> None:
@@ -30,6 +31,8 @@ def check_format(given: "LogFormat") -> None:
     InputError
     """
     _check_kinds(given)
+    if given.delimiter:
+        require_word("delimiter", given.delimiter, DELIMITERS)
     largest = {"tolerance_s": LARGEST_LENGTH, "stand_s": LARGEST_LENGTH}
     for name, most in (largest | {"stand_mm": 1e3, "stand_deg": 180.0}).items():
         value, unit = getattr(given, name), name.rpartition("_")[2]

@@ -9,10 +9,9 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...errors import InputError
 from ...text import A_NAME, name_fault, shown
-from ..table import labels
+from ..table import labels, read_table
 from .format import LogFormat
 from .stands import Track, find_stands
-from .tables import read_table
 
 RANGE = re.compile(r"(.+?)=(.+?)\.\.(.+)", re.DOTALL)
 SECONDS = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*s\s*")
@@ -35,7 +34,7 @@ def intervals(given: LogFormat) -> list[Interval]:
     """
     found = []
     if given.plane_file is not None:
-        table = read_table(given.plane_file)
+        table = read_table(given.plane_file, ("plane", "from", "to"))
         table.require("plane", "from", "to")
         columns = [labels(table, name) for name in ("plane", "from", "to")]
         found = [_interval(*row) for row in zip(*columns, strict=True)]

@@ -11,6 +11,7 @@ from ...model.sensor import Sensor
 from ...text import shown
 from ..checked_text import in_file
 from ..recording_csv import POSE
+from ..table import read_table
 from ..writing import path_of
 from .assembling import assembled
 from .bags import METADATA, is_bag, read_bag
@@ -19,7 +20,7 @@ from .format import LogFormat
 from .joining import Stations, by_station, by_time, one_table, refuse_other_units
 from .report import LogReport
 from .rows import rows_of
-from .tables import REFUSED, VALUES, WORKBOOKS, read_table
+from .tables import FOREIGN, WORKBOOKS, read_log_table
 
 OF_TABLES = (
     *("pose_format", "rotation", "units", "angles", "pose_columns", "plane_column"),
@@ -42,7 +43,7 @@ def read_log(
     Parameters
     ----------
     path : Path or str
-        A table: text with separators, XLSX, Parquet. Or a bag: ROS 1, ROS 2, MCAP.
+        A table: text with separators, XLSX, Parquet, JSON Lines. Or a bag: ROS 1, ROS 2, MCAP.
     given : LogFormat, optional
         How it is written; as `read_recording` reads it where nothing is stated.
     sensor : Sensor, optional
@@ -99,7 +100,7 @@ def is_log(path: Path, given: LogFormat, *, readings: bool = True) -> bool:
     the same: what `convert` has written is calibrated with the rig file of the log. Without `readings`
     it has poses only, as of a survey.
     """
-    foreign = is_bag(path) or path.suffix.lower() in (*VALUES, *REFUSED)
+    foreign = is_bag(path) or path.suffix.lower() in FOREIGN
     readings = readings and given.readings is None
     return foreign or (given.stated and not _is_recording(path, given, readings=readings))
 
@@ -109,7 +110,7 @@ def _is_recording(path: Path, given: LogFormat, *, readings: bool) -> bool:
     if not path.is_file():  # a pipe can be read only once
         return False
     try:
-        table = read_table(path)
+        table = read_table(path, ("plane", *POSE))
     except InputError:
         return False
     names = set(table.frame.columns)
@@ -128,7 +129,7 @@ def missing_columns_hint(error: InputError) -> str:
     if error.column not in ("plane", *POSE) or error.path is None or not lacking:
         return ""
     try:
-        names = read_table(error.path, LogFormat()).frame.columns
+        names = read_log_table(error.path, LogFormat()).frame.columns
     except InputError:
         return ""
     formats = formats_in(names)
@@ -141,7 +142,7 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
     _refuse_stated(given, OF_BAGS, "a table", path)
     books = [one for one in (path, given.readings) if one and one.suffix.lower() in WORKBOOKS]
     _refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)
-    table = read_table(path, given)
+    table = read_log_table(path, given)
     columns = columns_of(table, given, readings=given.readings is None)
     if given.readings is None:
         in_time = bool(given.stands or given.interpolate or given.lag_s or given.estimate_lag)
@@ -155,7 +156,7 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
         rotation="",
         time_units=given.readings_time_units or given.time_units,
     )
-    other = read_table(given.readings, second)
+    other = read_log_table(given.readings, second)
     others = columns_of(other, second, poses=False)
     if given.plane_column and not (columns.plane or others.plane):
         expected = "the name of a column of either, as its header has it"

@@ -110,7 +110,6 @@ def rows_of(
     InputError
         A cell that cannot be what its column holds, or no times where they are wanted.
     """
-    table.require_rows()
     warnings = table.warnings
     clock = _times(table, columns.time, given) if columns.time else None
     if in_time:

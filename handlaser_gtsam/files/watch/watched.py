@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...estimation.options import CalibrationOptions
 from ..logs.bags import BAGS, METADATA
 from ..logs.report import LogReport
-from ..logs.tables import VALUES
+from ..logs.tables import BOOKS
 from ..rig_reading import read_any_kind
 from ..rig_toml import Rig
 from ..writing import path_of
@@ -112,7 +112,7 @@ def file_content(path: Path) -> FileContent:
         No readable file.
     """
     data = content(path, "a recording or a log")
-    if path.suffix.lower() in VALUES:
+    if path.suffix.lower() in BOOKS:
         return path, data, b""
     cut = data.rfind(b"\n" if b"\n" in data else b"\r") + 1
     return path, data[:cut], data[cut:]
