@@ -22,9 +22,10 @@ BASE = {
     "convert": [RECORDING, "--quiet"],
     "export": ["calibration.json", "--to", "kuka"],
     "plan": [
-        RECORDING,
         "--rig",
         str(GRIPPER.parent / "planned" / "rig.toml"),
+        "--calibration",
+        "calibration.json",
     ],
     "plot": [RECORDING, "--out", "pictures"],
     "simulate": ["made", "--quiet"],
@@ -98,6 +99,8 @@ def test_names_the_option(verb, option, values, refusal, calibrated, monkeypatch
     if verb == "watch":
         pytest.importorskip("uvicorn")
     base = BASE[verb]
+    if option == "--calibration" and verb == "plan":
+        base = base[:2]
     err = refusal(verb, *base, option, *values)
     assert option in err
     assert not PYDANTIC.search(err)

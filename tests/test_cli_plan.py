@@ -78,10 +78,15 @@ def test_a_plan_that_is_not_written_shows_its_stations(handlaser, rig):
     assert text.splitlines()[-1] == "--out FILE writes the poses of the 11 stations"
 
 
-def test_with_the_plate_moved(handlaser, tmp_path, rig):
-    out = tmp_path / "stations.csv"
-    plan = ("plan", RECORDING, "--rig", rig, "--stations", 8, "--out", out, "--planes", 2)
+def test_from_a_result_and_with_the_plate_put_anew(handlaser, tmp_path, rig):
+    result, out = tmp_path / "result.json", tmp_path / "stations.csv"
+    assert handlaser("calibrate", RECORDING, "--rig", rig, "-q", "--out", result)[0] == 0
+    plan = ("plan", "--rig", rig, "--calibration", result, "--stations", 8, "--out", out)
     code, text, _ = handlaser(*plan)
+    assert code == 0
+    assert "put the plate" not in text
+    assert set(hl.read_stations(out).plane_labels) <= {"A", "B", "C", "D"}
+    code, text, _ = handlaser(*plan, "--planes", 2)
     assert code == 0
     assert set(hl.read_stations(out).plane_labels) <= {"E", "F"}
     assert "put the plate" in text
@@ -101,6 +106,7 @@ def test_it_stops_at_the_limits(handlaser, tmp_path):
     ("arguments", "words"),
     [
         ((), "[blind]"),
+        ((RECORDING, "--calibration", RECORDING), "one of the two"),
         ((RECORDING, "--stations", 0), "--stations"),
     ],
 )

@@ -381,7 +381,7 @@ def test_a_plan_says_which_errors_its_stations_are_taken_to_be_without(
     assert any(
         "without the freed errors lag" in line for line in advice_lines(hl.plan(only, 1, sensor))
     )
-    path, rig = tmp_path / "r.csv", tmp_path / "rig.toml"
+    path, rig, out = tmp_path / "r.csv", tmp_path / "rig.toml", tmp_path / "c.json"
     hl.write_recording(path, recorded(scene, 0, "lag", 0.05))
     rig.write_text(
         "[noise]\nrange_sigma_mm = 0.1\npose_translation_sigma_mm = 0\npose_rotation_sigma_deg = 0\n"
@@ -392,7 +392,14 @@ def test_a_plan_says_which_errors_its_stations_are_taken_to_be_without(
     code, text, err = handlaser("plan", path, *few, "--free", "lag,incidence")
     assert code == 0, err
     assert "the stations are taken to be without the freed errors lag:" in text
-    assert "--free without RECORDING" in refusal("plan", *few, "--free", "incidence")
+    hl.write_recording(path, recorded(scene))
+    assert handlaser("calibrate", path, "--rig", rig, "--free", "incidence", "--out", out)[0] == 0
+    code, text, err = handlaser("plan", "--calibration", out, *few)
+    assert code == 0, err
+    assert "--free incidence instead of --calibration" in err.replace("\n", " ")
+    assert "--free without RECORDING" in refusal(
+        "plan", "--calibration", out, *few, "--free", "incidence"
+    )
 
 
 def test_more_sizes_than_are_known_together_are_refused():

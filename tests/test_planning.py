@@ -25,6 +25,7 @@ from handlaser_gtsam.planning.information import outlook, station_rows
 from handlaser_gtsam.planning.task import Task
 from handlaser_gtsam.planning.way import divided, shortest
 from handlaser_gtsam.planning.workspace import inside, joined
+from handlaser_gtsam.results.mounts import Mounts
 from handlaser_gtsam.results.spot_error import spot
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Stations, simulate
@@ -146,6 +147,14 @@ def test_the_belief_is_the_covariance_of_the_calibration(recorded, belief):
     for i, name in enumerate(joint.beam_names):
         own = belief.covariance[BEAM.dim * i : BEAM.dim * i + 3, BEAM.dim * i : BEAM.dim * i + 3]
         assert np.allclose(own, joint.matrix([name], [])[:3, :3], rtol=1e-12)
+    mounts = belief_of(Mounts.of(recorded[2]))
+    count = belief.first_plane
+    # Other tangent bases: what does not depend on them is equal.
+    for i in range(belief.beams):
+        at = BEAM.dim * i + np.arange(3, 5)
+        both = [np.linalg.eigvalsh(x.covariance[np.ix_(at, at)]) for x in (belief, mounts)]
+        assert np.allclose(*both, rtol=1e-9)
+    assert mounts.covariance.shape == (count, count)
 
 
 def test_the_spot_is_that_of_the_results(recorded, belief):

@@ -10,15 +10,21 @@ from .answer import Answer, Working, wrote
 from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from ..files.rig_toml import Rig
+    from ..planning.bounds import Plate
     from ..planning.route import Plan
     from ..planning.survey import SurveyPlan
+    from ..results.calibration import Calibration
+    from ..results.mounts import Mounts
 
 
 def plan(
     given: Given,
     model: Model,
     recording: Annotated[Path | None, typer.Argument()] = None,
+    calibration: Path | None = None,
     planes: OneOrMore = None,
     stations: OneOrMore = None,
     seed: Seed = 0,
@@ -28,7 +34,7 @@ def plan(
 ) -> None:
     r"""Say where to measure next.
 
-    Without RECORDING: a first motion for any mount within the bounds of the rig file.
+    Without RECORDING and --calibration: a first motion for any mount within the bounds of the rig file.
 
     Exit codes: 0 good; 2 bad input; 3 the recording does not determine the calibration that would guide
     the plan. With sensors of many rays, or other targets than planes, stations are chosen all the same,
@@ -39,6 +45,9 @@ def plan(
     given, model
     recording : Path, optional
         What was recorded so far: a recording, CSV, or a log; it is calibrated first.
+    calibration : Path, optional
+        Result of `handlaser calibrate --out`, instead of RECORDING. What it says of the planes is their
+        place only: stations before them count as before planes that were moved.
     planes : int, optional
         Times to move the plate, to orientations that are part of the plan; default: before the planes
         as they stand.
@@ -68,15 +77,16 @@ def plan(
     with Working():
         rig = given.read()
         outputs = {"--out": out}
-        require_outputs(outputs, (recording, given.rig, *rig.log.files))
+        require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
         require_outputs_of(outputs, rig)
-        planned = _planned(recording, rig, model, planes, stations, seed)
+        planned = _planned(recording, calibration, rig, model, planes, stations, seed)
         warnings: list[str] = []
         failure, robot = None, None if rig.workspace is None else rig.workspace.robot
         if isinstance(planned, SurveyPlan):
             lines, text = survey_plan_lines(planned, rig.goal, robot), survey_plan_text(planned)
             warnings, failure = survey_plan_gaps(planned)
         else:
+            warnings = [] if calibration is None else _uncounted(calibration)
             lines, text = plan_lines(planned, rig.goal, robot), plan_text(planned)
         if out is not None:
             write_stations(out, planned.stations)
@@ -89,13 +99,14 @@ def plan(
 
 def _planned(
     recording: Path | None,
+    result: Path | None,
     rig: "Rig",
     model: Model,
     planes: int | None,
     stations: int | None,
     seed: int,
 ) -> "Plan | SurveyPlan":
-    """Return a first motion, or the next stations of a recording."""
+    """Return a first motion, or the next stations of a recording or a result."""
     import numpy as np
 
     from ..data.survey import Survey
@@ -109,31 +120,68 @@ def _planned(
     from .survey import refuse_of_beams
 
     rng = np.random.default_rng(seed)
+    if recording is not None and result is not None:
+        raise InputError("RECORDING and --calibration", "one of the two")
     options = model.options(rig)
     if recording is None and options.free:
         expected = "RECORDING, which is calibrated with these errors as unknowns"
         raise InputError("--free without RECORDING", expected)
-    if recording is None:
+    if recording is None and result is None:
         if rig.bounds is None or rig.workspace is None:
-            expected = "RECORDING, or the tables [blind] and [workspace] of the rig file"
-            raise InputError("no RECORDING", expected)
+            expected = "one of the two, or the tables [blind] and [workspace] of the rig file"
+            raise InputError("neither RECORDING nor --calibration", expected)
         each = None if stations is None else stations // (planes or 1)
         known = rig.bounds, rig.sensor, rig.workspace, rig.noise, each
         return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
     # Without a goal as many as an hour's work; with one, the plan ends where it is reached.
     count = stations or (100 if rig.goal.stated else 20)
-    read = read_any_kind(rig, recording)
+    read = None if recording is None else read_any_kind(rig, recording)
     if isinstance(read, Survey):
         stated = model.stated() + ([] if planes is None else ["--planes"])
-        refuse_of_beams(rig, stated, recording)
+        refuse_of_beams(rig, stated, recording or Path())
         found = calibrate(read, rig.noise)
         return plan_survey(found, count, rig.workspace, rig.goal, rng)
-    report, rig = read
     require_range(rig.sensor)
-    options = replace(options, sensor=rig.sensor)
-    calibration = calibrate(report.recording, rig.noise, options)
-    if calibration.status != "converged":
-        raise SolverError(calibration.message)
+    calibration: Calibration | Mounts
+    if read is None:
+        calibration, plates = _result(result or Path(), rig)
+    else:
+        report, rig = read
+        options, plates = replace(options, sensor=rig.sensor), None
+        calibration = calibrate(report.recording, rig.noise, options)
+        if calibration.status != "converged":
+            raise SolverError(calibration.message)
     placement = None if planes is None else replace(rig.placement, count=planes)
     asked = calibration, count, rig.sensor, rig.workspace, rig.goal
-    return planning.plan(*asked, placement=placement, rng=rng)
+    return planning.plan(*asked, plates=plates, placement=placement, rng=rng)
+
+
+def _uncounted(path: Path) -> list[str]:
+    """Say which freed errors of a result a plan does not count at the stations to come."""
+    from ..files.calibration_file import read_calibration
+
+    codes = dict.fromkeys(effect.code for effect in read_calibration(path).effects)
+    if not codes:
+        return []
+    words = ", ".join(codes)
+    return [
+        f"the stations are taken to be without the freed errors {words} of {path}: a plan counts them "
+        f"with RECORDING and --free {words} instead of --calibration"
+    ]
+
+
+def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
+    """Return the mounts of a result, and its planes as plates that are known as well as it says."""
+    from ..errors import InputError
+    from ..files.calibration_file import read_calibration, read_mounts
+    from ..planning.bounds import plate_of
+
+    mounts = read_mounts(path)
+    if rig.workspace is None:
+        raise InputError("a result without a workspace", "the table [workspace] of the rig file")
+    middle, plates = 0.5 * (rig.workspace.low + rig.workspace.high), {}
+    for plane in read_calibration(path).planes:
+        sigma = plane.sigma
+        known = (None, None) if sigma is None else (sigma.offset_m, sigma.normal_rad)
+        plates[plane.name] = plate_of(plane.normal, plane.offset_m, middle, known)
+    return mounts, plates

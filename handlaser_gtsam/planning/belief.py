@@ -14,8 +14,10 @@ from ..errors import InputError
 from ..model.effects import EFFECTS, OF_STATIONS
 from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, PLANE, modelled
+from ..model.joint import beams_lift
 from ..model.weighting import Variances
 from ..results.calibration import Calibration
+from ..results.mounts import Mounts
 from .bounds import Plate, plate_of
 from .goal import Mount, beam_mount
 
@@ -131,10 +133,10 @@ class Belief:
         return [plate_of(n, b, origin) for n, b, origin in planes]
 
 
-def belief_of(calibration: Calibration) -> Belief:
+def belief_of(calibration: Calibration | Mounts) -> Belief:
     """Return what a calibration knows of beams and its last planes, and the noise behind it.
 
-    Freed errors that a station has by itself are unknowns beside them.
+    Freed errors that a station has by itself are unknowns beside them. Mounts know no planes.
 
     Raises
     ------
@@ -144,6 +146,15 @@ def belief_of(calibration: Calibration) -> Belief:
     """
     pose = calibration.pose_covariance
     pose = None if pose is None else pose[None]
+    if isinstance(calibration, Mounts):
+        r, v, k = calibration.locations, calibration.directions, calibration.range_errors
+        bases, nothing = model.tangent_basis(v), np.empty((0, 3))
+        lift = beams_lift(bases, [2] * len(bases))
+        covariance = lift.T @ calibration.covariance @ lift
+        mean = Parameters(r, v, k, nothing, np.empty(0))
+        noise = Variances(np.full(len(bases), calibration.range_sigma), pose=pose)
+        no_bases = np.empty((0, 3, 2))
+        return Belief(mean, covariance, bases, no_bases, nothing, noise, (), covariance)
     joint, effects = calibration.covariance, calibration.effects
     if joint is None or calibration.status != "converged":
         raise InputError(

@@ -179,10 +179,28 @@ def tilted(axes: FloatArray, most: float, rng: np.random.Generator) -> FloatArra
     return Rotation.from_rotvec(np.einsum("nij,nj->ni", basis, turn)).apply(axes)
 
 
-def plate_of(normal: object, offset: float, near: FloatArray) -> Plate:
-    """Return a plane n . x + b = 0, offset b [m], as a plate about the foot of a point (3,) on it."""
+def plate_of(
+    normal: object,
+    offset: float,
+    near: FloatArray,
+    sigma: tuple[float | None, float | None] = (None, None),
+) -> Plate:
+    """Return a plane n . x + b = 0 as a plate, about the foot of a point (3,) on it.
+
+    Parameters
+    ----------
+    normal : (3,)
+    offset : float
+        b [m].
+    near : (3,)
+    sigma : (float or None, float or None), optional
+        Standard deviations of b [m] and of the normal [rad]; None for what is not known, which counts
+        as for a plate that a person has put there.
+    """
     n = directions("a normal", normal, 1)[0]
-    return Plate(near - (n @ near + offset) * n, n)
+    within = PLACED_WITHIN if sigma[0] is None else 2.0 * sigma[0]
+    tilt = PLACED_TILT if sigma[1] is None else min(2.0 * sigma[1], STEEPEST_TILT)
+    return Plate(near - (n @ near + offset) * n, n, within, tilt)
 
 
 def vectors(name: str, values: object, count: int | None = None) -> FloatArray:

@@ -8,6 +8,7 @@ import numpy as np
 from ..checks import require_count, require_kind
 from ..model.sensor import Sensor
 from ..results.calibration import Calibration
+from ..results.mounts import Mounts
 from ..validation.simulate import generator, plane_name
 from .bounds import MOST_PLANNED, Placement, Plate
 from .choice import updated
@@ -22,7 +23,7 @@ POOL = 1200
 
 
 def plan(
-    calibration: Calibration,
+    calibration: Calibration | Mounts,
     stations: int,
     sensor: Sensor,
     workspace: Workspace | None = None,
@@ -39,7 +40,8 @@ def plan(
 
     Parameters
     ----------
-    calibration : Calibration
+    calibration : Calibration or Mounts
+        Mounts know no planes: `plates` says where there are some.
     stations : int
         At most; fewer where fewer reach what the goal states.
     sensor : Sensor
@@ -59,7 +61,8 @@ def plan(
     rng = generator(rng)
     require_kind("sensor", sensor, Sensor)
     require_count("stations", stations, 1, MOST_PLANNED)
-    require_kind("calibration", calibration, Calibration)
+    if not isinstance(calibration, Mounts):
+        require_kind("calibration", calibration, Calibration, "a Calibration, or Mounts")
     if workspace is not None:
         require_kind("workspace", workspace, Workspace)
     task = planning_task(calibration, sensor, workspace, goal or Goal(), plates)

@@ -11,6 +11,7 @@ from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import FAR_SIGMAS
 from ..results.calibration import Calibration
+from ..results.mounts import Mounts
 from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .bounds import Plate
@@ -157,7 +158,7 @@ class Task(NamedTuple):
 
 
 def planning_task(
-    calibration: Calibration,
+    calibration: Calibration | Mounts,
     sensor: Sensor,
     workspace: Workspace | None,
     goal: Goal,
@@ -168,9 +169,9 @@ def planning_task(
     Raises
     ------
     InputError
-        No covariance or workspace is known.
+        No covariance, plane or workspace is known.
     """
-    recording = calibration.recording
+    recording = None if isinstance(calibration, Mounts) else calibration.recording
     if workspace is None:
         if recording is None:
             raise InputError(
@@ -180,5 +181,7 @@ def planning_task(
     belief = belief_of(calibration)
     if plates is not None:
         belief = belief.before(plates)
+    if not belief.plane_names:
+        raise InputError("no plane to plan stations before", "where a plate stands roughly")
     names = () if recording is None else recording.station_names
     return Task(belief, workspace, sensor, goal, names)
