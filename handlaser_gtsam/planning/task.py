@@ -32,6 +32,9 @@ from .workspace import (
 
 ENDS = 0.4
 """Both exponents of the beta distribution of where in the range candidates read: mostly at its ends."""
+MOST_TRIED = 40
+"""Multiple of the candidates wanted that are drawn, before giving up: of a workspace of which a
+fortieth is good."""
 LEAST_CANDIDATES = 10
 """Fewer are no choice."""
 
@@ -115,7 +118,7 @@ class Task(NamedTuple):
 
         kept: list[Stations] = []
         good = asked = 0
-        for _ in range(40):  # of a workspace of which a fortieth is good
+        for _ in range(MOST_TRIED):
             tried = moved_to_read()
             tried = tried[inside(workspace, tried)]
             if len(tried):

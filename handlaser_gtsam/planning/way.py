@@ -24,6 +24,8 @@ from .workspace import Workspace, inside, joined
 WITHDRAWN_BY = (0.05, 0.1, 0.02)
 """How far the hand withdraws from the plate [m], in the order in which it is tried: most hands clear
 the plate with 50 mm, farther or nearer is for narrow cells."""
+TRIED_SOLUTIONS = 4
+"""Solutions of a pose that are tried on the way: an arm of six joints has up to eight."""
 
 
 def shortest(stations: Stations, length: float) -> IntArray:
@@ -160,8 +162,7 @@ def driven(
         found: list[FloatArray] = []
         for R, t, plane in zip(way.world_R_hand, way.world_t_hand, way.plane.tolist(), strict=True):
             passed = plates[plane] if plane == before else None
-            # Of up to eight solutions, which an arm of six joints has, the nearest ones are tried.
-            solutions = islice(robot.solutions(R, t, plates[plane], q), 4)
+            solutions = islice(robot.solutions(R, t, plates[plane], q), TRIED_SOLUTIONS)
             free = (solved for solved in solutions if robot.free_way(q, solved, passed, box))
             solved = next(free, None)
             if solved is None:
