@@ -18,14 +18,18 @@ from ..model.robots.scene import Scene
 from ..quantities import LARGEST_LENGTH
 from .bounds import Plate, vectors
 
-STARTS = 12
+STARTS = 8
 """Random joints from which a pose is looked for, after those known to be near: about one pose in two
 hundred that an arm reaches is missed from all of them."""
+MANY_STARTS = 12
+"""The same for one pose on the way of the arm, which is not missed for want of a ninth start."""
 LEEWAY = 0.1
 """Between stations the hand stays in their box to within this [m]: it does not move on a line."""
 WAY_STEP = np.deg2rad(1.0)
 """The way between joints is checked in steps of this, of the joint that moves most [rad], [m]: at the
 end of an arm of 1 m they are 17 mm."""
+SAME_JOINTS = 1e-4
+"""Joints that differ by less are one solution [rad], [m]: both are at the pose to far less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -128,13 +132,26 @@ class Robot(Value):
         if R.shape != (len(R), 3, 3) or t.shape != (len(R), 3):
             raise InputError(f"poses of shapes {R.shape} and {t.shape}", "(M, 3, 3) and (M, 3)")
         check_poses(R, t, numbered(len(t)))
-        arm = self._scene().arm
+        arm, touches, rng = self._scene().arm, self._touching(plate), np.random.default_rng(0)
         stands = self.start if len(self.start) else 0.5 * (arm.low + arm.high)
-        none = np.full(len(stands), np.nan)
-        found = [
-            next(self.solutions(*pose, plate, stands), none) for pose in zip(R, t, strict=True)
-        ]
-        return np.array(found).reshape(-1, len(stands))
+        joints = np.full((len(t), len(arm.low)), np.nan)
+        for attempt in range(STARTS + 2):
+            missing = np.isnan(joints).any(axis=1)
+            left, reached = np.flatnonzero(missing), np.flatnonzero(~missing)
+            if not left.size:
+                break
+            if attempt == 0:
+                start = np.tile(stands, (len(left), 1))
+            elif attempt == 1 and reached.size:  # the joints of the nearest pose
+                distance = np.linalg.norm(t[left, None] - t[None, reached], axis=2)
+                start = joints[reached[distance.argmin(axis=1)]]
+            else:
+                start = rng.uniform(arm.low, arm.high, (len(left), len(arm.low)))
+            for pose, begin in zip(left, start, strict=True):
+                q = arm.inverse(R[pose], t[pose], begin)
+                if q is not None and not touches(q):
+                    joints[pose] = arm.nearest(q, stands)
+        return joints
 
     def solutions(
         self, R: FloatArray, t: FloatArray, plate: Plate | None, near: FloatArray
@@ -144,14 +161,13 @@ class Robot(Value):
         The others come in the order of how far their farthest joint moves.
         """
         arm = self._scene().arm
-        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (STARTS, len(near)))
+        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (MANY_STARTS, len(near)))
         seen: list[FloatArray] = []
         for starts in (near[None], drawn):
             solved = [arm.inverse(R, t, start) for start in starts]
             turned = [arm.nearest(q, near) for q in solved if q is not None]
             for joints in sorted(turned, key=lambda q: float(np.abs(q - near).max())):
-                # Joints that differ by less are one solution: both are at the pose to far less.
-                if all(np.abs(joints - other).max() > 1e-4 for other in seen):
+                if all(np.abs(joints - other).max() > SAME_JOINTS for other in seen):
                     seen.append(joints)
                     if self.free(joints, plate)[0]:
                         yield joints

@@ -26,6 +26,8 @@ WITHDRAWN_BY = (0.05, 0.1, 0.02)
 the plate with 50 mm, farther or nearer is for narrow cells."""
 TRIED_SOLUTIONS = 4
 """Solutions of a pose that are tried on the way: an arm of six joints has up to eight."""
+MOST_WAYS = 100
+"""Ways between two stations that are tried, before another detour: a second or two."""
 
 
 def shortest(stations: Stations, length: float) -> IntArray:
@@ -154,22 +156,22 @@ def driven(
             passed, _ = divided(joined(route), workspace.largest_step)
             yield passed[np.arange(1, len(passed))]
 
-    def along(q: FloatArray, before: int, way: Stations) -> list[FloatArray]:
-        """Return joints of a way from joints q before plane `before`; none where it is not free.
+    def along(q: FloatArray, before: int, way: Stations, left: Iterator[int]) -> list[FloatArray]:
+        """Return joints of a way from joints q before plane `before`; fewer where none is free.
 
-        No plate stands on the way to another plane.
+        No plate stands on the way to another plane. `left` ends after as many ways as may be tried.
         """
-        found: list[FloatArray] = []
-        for R, t, plane in zip(way.world_R_hand, way.world_t_hand, way.plane.tolist(), strict=True):
-            passed = plates[plane] if plane == before else None
-            solutions = islice(robot.solutions(R, t, plates[plane], q), TRIED_SOLUTIONS)
-            free = (solved for solved in solutions if robot.free_way(q, solved, passed, box))
-            solved = next(free, None)
-            if solved is None:
-                return []
-            found.append(solved)
-            q, before = solved, plane
-        return found
+        if not len(way):
+            return []
+        plane, rest = int(way.plane[0]), way[np.arange(1, len(way))]
+        R, t = way.world_R_hand[0], way.world_t_hand[0]
+        solutions = robot.solutions(R, t, plates[plane], q)
+        for solved, _ in zip(islice(solutions, TRIED_SOLUTIONS), left, strict=False):
+            if robot.free_way(q, solved, plates[plane] if plane == before else None, box):
+                found = [solved, *along(solved, plane, rest, left)]
+                if len(found) == len(way):
+                    return found
+        return []
 
     before: Stations | None = None
     for index in range(len(stations)):
@@ -178,7 +180,7 @@ def driven(
             q = joints[-1] if joints else robot.start
             plane = int((way if before is None else before).plane[0])
             if len(q):
-                found = along(q, plane, way)
+                found = along(q, plane, way, iter(range(MOST_WAYS)))
             else:  # where no joints are known before, only those of the station matter
                 solved = robot.joints(way.world_R_hand, way.world_t_hand, plates[plane])
                 found = [] if np.isnan(solved).any() else list(solved)

@@ -273,8 +273,8 @@ def run_blocks(
         if type(error).__name__ not in LOST:
             raise
         raise SolverError(
-            f"a worker was lost ({type(error).__name__}); expected workers with enough memory: the "
-            "same command with fewer --jobs goes on from the table of --out"
+            f"a worker was lost ({type(error).__name__}); expected workers with enough memory: the same "
+            "command with fewer --jobs goes on from the table of --out"
         ) from error
     finally:
         for future in futures:
