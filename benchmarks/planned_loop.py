@@ -84,4 +84,4 @@ def random_plan(
     pool = joined([task.candidates(p, 40, rng) for p in planes])
     every = len(pool.plane)
     chosen = rng.choice(every, count, replace=False)
-    return planned(task, pool, chosen, plates=plates)
+    return planned(task, pool[chosen], plates=plates)

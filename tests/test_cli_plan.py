@@ -31,6 +31,13 @@ def test_a_first_motion(handlaser, tmp_path):
     assert f"wrote {out}" in text
     stations = hl.read_stations(out)
     assert len(stations) >= 11
+    # Four translations at one orientation first, then turns; long steps between them are divided.
+    read = [j for j, name in enumerate(stations.station_names) if not name.startswith("via")]
+    assert len(read) < len(stations)
+    first = stations.world_R_hand[read[:4]]
+    assert np.allclose(first, first[0])
+    steps = stations.world_t_hand[read[1:4]] - stations.world_t_hand[read[0]]
+    assert np.linalg.matrix_rank(steps, tol=1e-4) == 3
     way = np.linalg.norm(np.diff(stations.world_t_hand, axis=0), axis=1)
     assert way.max() < 0.06 + 1e-9  # largest_step_mm
 

@@ -101,9 +101,10 @@ def test_a_plan_ends_where_its_goal_is_reached():
     whole = plan_survey(first, 6)
     enough = hl.planning.Goal(spot=float(whole.spot_errors[3]) * 1.001)
     plan = plan_survey(first, 6, goal=enough)
-    assert plan.reached == len(plan.sensors) == 3
+    assert plan.reached
+    assert len(plan.sensors) == 3
     for hard in (hl.planning.Goal(location_sigma=1e-9), hl.planning.Goal(direction_sigma=1e-9)):
-        assert plan_survey(first, 6, goal=hard).reached is None
+        assert plan_survey(first, 6, goal=hard).reached is False
     assert whole.reached is None
 
 
@@ -206,11 +207,12 @@ def test_an_arm_before_several_targets_is_refused(tmp_path):
         plan_survey(several, 3, here)
 
 
-def test_what_a_goal_cannot_say_of_a_survey_is_refused():
+@pytest.mark.parametrize("more", [{"criterion": "D"}, {"working_distance": 0.5}])
+def test_what_a_goal_cannot_say_of_a_survey_is_refused(more):
     rng = np.random.default_rng(2)
     first = hl.calibrate(measured(list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng)), rng), EXACT)
-    with pytest.raises(hl.InputError, match="working_distance_mm"):
-        plan_survey(first, 3, goal=hl.planning.Goal(spot=1e-4, working_distance=0.5))
+    with pytest.raises(hl.InputError, match=r"criterion D or E, or working_distance_mm"):
+        plan_survey(first, 3, goal=hl.planning.Goal(spot=1e-4, **more))
 
 
 @pytest.mark.slow

@@ -93,7 +93,7 @@ def survey_plan_lines(plan: "SurveyPlan", goal: "Goal", robot: "Robot | None") -
         plan=plan,
         looks=looks,
         within=within,
-        goal=goal,
+        needless=plan.reached is not None and plan.forecast.reaches(goal) == 0,
         passed=passed,
         via=VIA,
         robot=robot,

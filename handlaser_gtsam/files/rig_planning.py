@@ -7,7 +7,7 @@
              clearance_mm, plate_across_mm, plate_thickness_mm, table_mm: its height in the world
 [blind]      location_mm and direction: three numbers a beam; location_within_mm, cone_deg;
              plate_point_mm, plate_normal, plate_within_mm, plate_tilt_deg
-[goal]       criterion = "A" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
+[goal]       criterion = "A", "D", "E" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
              working_distance_mm
 [placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be moved
 """
@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray
 from ..errors import ArgumentError, InputError
 from ..planning.bounds import Bounds, Placement, Plate
-from ..planning.goal import Criterion, Goal
+from ..planning.choice import Criterion
+from ..planning.goal import Goal
 from ..planning.robot import Robot
 from ..planning.workspace import Workspace
 from .checked_text import FileRecord, in_table, made, numbers

@@ -18,11 +18,13 @@ from .blind import completing_motion
 from .bounds import Bounds
 from .goal import Goal
 from .information import station_rows
-from .plan import POOL
+from .plan import POOL, without
 from .route import Plan, planned
 from .task import planning_task
 from .workspace import Workspace
 
+ADVISED = 3
+"""Stations that are named: more are a plan."""
 ADVISED_BEAMS = 16
 """With more beams, a plan takes longer than a word of advice may."""
 
@@ -35,7 +37,7 @@ def next_stations(
 ) -> Plan | None:
     """Return a plan of the next few stations; None where there is no basis for one.
 
-    Chosen from few candidates: `plan` does better, and takes longer.
+    Chosen greedily from few candidates at the estimate itself: `plan` does better, and takes longer.
     """
     if calibration.status != "converged" or calibration.recording is None:
         return None
@@ -45,8 +47,8 @@ def next_stations(
         task = planning_task(calibration, sensor, workspace, Goal() if goal is None else goal)
         share = POOL // 5 // len(task.belief.plane_names)  # so that nobody waits
         pool = task.reachable(share, np.random.default_rng(0))
-        # More stations than three are a plan.
-        return planned(task, pool, task.known.chosen(station_rows(task.belief, pool), 3))
+        chosen = task.chosen(station_rows(task.belief, pool)[None], ADVISED)
+        return planned(task, pool[chosen], without(pool, chosen))
     except HandlaserError:
         return None
 

@@ -13,9 +13,9 @@ from ..data.parameters import Parameters
 from ..errors import InputError
 from ..model.effects import EFFECTS, OF_STATIONS
 from ..model.effects.effect import SeenStations
-from ..model.families import BEAM, PLANE, modelled
+from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR, modelled
 from ..model.joint import beams_lift
-from ..model.weighting import Variances
+from ..model.weighting import Variances, covariance_roots
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from .bounds import Plate, plate_of
@@ -27,6 +27,8 @@ anything, and small enough that rounding does not matter."""
 UNKNOWN_ANGLE = 0.5
 """The same of an angle [rad]."""
 UNKNOWN_PLANE = np.array([UNKNOWN_ANGLE, UNKNOWN_ANGLE, UNKNOWN_LENGTH])
+COMPARED_DRAWS = 4
+"""Draws of a belief, or of bounds, at which stations are compared: more change no choice much."""
 LAST_PLANES = 16
 """Planes of a calibration before which stations are planned, from the last: the plate of earlier ones
 has hardly stayed where it was."""
@@ -103,6 +105,37 @@ class Belief:
             for i, (beam, basis) in enumerate(beams)
         ]
 
+    def draw(self, rng: np.random.Generator) -> Parameters:
+        """Return beams and planes drawn from the spread."""
+        (root,) = covariance_roots(self.spread[None])
+        return self.moved(root @ rng.standard_normal(len(root)))
+
+    def moved(self, x: FloatArray) -> Parameters:
+        """Return beams and planes that differ from the mean by tangent coordinates x (U,)."""
+        beam = x[self.first_beam : self.first_plane].reshape(-1, BEAM.dim)
+        plane = x[self.first_plane :].reshape(-1, PLANE.dim)
+        mean = self.mean
+        turned = np.einsum("bij,bj->bi", self.beam_bases, beam[:, DIRECTION])
+        tilted = np.einsum("pij,pj->pi", self.plane_bases, plane[:, :2])
+        normals = model.normalized(mean.normals + tilted)
+        heights = (mean.normals * self.origins).sum(axis=1) + mean.offsets + plane[:, 2]
+        return Parameters(
+            mean.locations + beam[:, LOCATION],
+            model.normalized(mean.directions + turned),
+            mean.range_errors + beam[:, RANGE_ERROR],
+            normals,
+            heights - (normals * self.origins).sum(axis=1),
+        )
+
+    def about(self, mean: Parameters) -> "Belief":
+        """Return the belief with the same covariance about another mean nearby."""
+        return replace(
+            self,
+            mean=mean,
+            beam_bases=transported(self.beam_bases, mean.directions),
+            plane_bases=transported(self.plane_bases, mean.normals),
+        )
+
     def before(self, plates: Mapping[str, Plate], *, only: bool = False) -> "Belief":
         """Return the belief with plates that nothing was read of yet; `only` with them, if asked."""
         keep = 0 if only else len(self.plane_names)
@@ -131,6 +164,15 @@ class Belief:
         """Return the planes as plates, each about the foot of its origin."""
         planes = zip(self.mean.normals, self.mean.offsets.tolist(), self.origins, strict=True)
         return [plate_of(n, b, origin) for n, b, origin in planes]
+
+
+def transported(bases: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return tangent bases (N, 3, 2) moved to neighbouring unit vectors (N, 3)."""
+    along = np.einsum("ni,nij->nj", directions, bases)
+    moved = bases - directions[:, :, None] * along[:, None, :]
+    first = model.normalized(moved[:, :, 0])
+    second = moved[:, :, 1] - (moved[:, :, 1] * first).sum(axis=1, keepdims=True) * first
+    return np.stack((first, model.normalized(second)), axis=2)
 
 
 def belief_of(calibration: Calibration | Mounts) -> Belief:

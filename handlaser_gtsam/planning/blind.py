@@ -1,19 +1,23 @@
 r"""A first motion, before anything is known but bounds; and what a motion that was begun still lacks.
 
-The hand turns from an orientation at which the beams face the plate, about the point at which they are
-expected there, and moves a little. Which of many such stations, and how many, is chosen by what is
-known after them: that leads to turns about two axes at least (Lemma 2 of Wei and Hirzinger). All keep
-the readings of every mount that was drawn from the bounds within the sensor's limits.
+At one orientation, at which the beams face the plate, the hand makes four positions that span space, so
+that the plate's normal follows in closed form (Lemma 1 of Wei and Hirzinger). It then turns about the
+point at which the beams are expected on the plate: to which sides and how far (Lemma 2 asks for two
+axes) is chosen among many turns, by what is least known afterwards. All keep the readings of every
+mount that was drawn from the bounds within the sensor's limits.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import BoolArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_count, require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters
@@ -21,13 +25,13 @@ from ..data.recording import Recording
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..model.weighting import Variances
-from ..quantities import KNOWN, ROUNDING, SINGULAR
+from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, generator, plane_name
-from .belief import UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
-from .bounds import MOST_PLANNED, Bounds
-from .choice import updated
-from .goal import Goal
-from .information import recorded_rows, station_rows
+from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
+from .bounds import MOST_PLANNED, SIDES, Bounds
+from .choice import choose, value
+from .goal import Goal, goal_rows
+from .information import recorded_rows, station_rows, updated
 from .route import Plan, planned
 from .task import Task
 from .workspace import (
@@ -44,14 +48,22 @@ from .workspace import (
 MOUNTS = 2000
 """Mounts drawn from the bounds: no station leaves the sensor's limits at any of them, so that one in a
 thousand others does at most."""
-TRIED_MOVES = 1500
-"""Moves that are tried: of a narrow workspace a tenth is safe."""
+FIRST_MOUNTS = 50
+"""Mounts at which every turn is tried first: they refuse nearly all that are refused."""
+TRANSLATION_SHARES = (1.0, 0.7, 0.5, 0.35, 0.2, 0.1)
+"""Parts of the largest translations that are tried: each is about 0.7 of the one before."""
+TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+"""Four positions that span space evenly."""
+TRIED_TURNS = 1500
+"""Turns that are tried: of a narrow workspace a tenth is safe."""
 NOISE_PART = 1e-3
 """A sensor whose noise is not known errs by this part of its range, as cheap ones do."""
 LEAST_BLIND = 11
-"""Stations before a plane, at least: fewer leave hardly a reading to notice a mistake by."""
+"""Stations before a plane, at least: four positions and seven turns."""
 MOST_BLIND = 60
 """Stations before a plane, at most: where they do not determine the mounts, the bounds are too wide."""
+COMPLETING_COUNTS = (3, 4, 5, 6, 8, 10, 12)
+"""Numbers of stations that are tried, until they determine the mounts."""
 
 
 def blind_motion(
@@ -95,25 +107,34 @@ def blind_motion(
         require_count("stations before each plane", stations, LEAST_BLIND, MOST_BLIND)
     require_count("planes", planes, 1, MOST_PLANNED)
     rng = generator(rng)
-    plates = {plane_name(p): bounds.plate for p in range(planes)}
-    first = Task(_belief(bounds, sensor, workspace, noise), workspace, sensor, goal or Goal())
-    pool = _safe_moves(bounds, first, rng)
-    least, most = stations or LEAST_BLIND, stations or MOST_BLIND
-    chosen, determined = _determining(first, pool, least, most)
-    every = [replace(pool, plane=np.full(len(pool), p)) for p in range(planes)]
-    task = first._replace(belief=first.belief.before(plates, only=True))
-    safe = safe_stations(bounds.draw(rng, MOUNTS), pool[chosen], sensor).all(axis=1).mean()
-    same = np.concatenate([chosen + p * len(pool) for p in range(planes)])
-    motion = planned(task, joined(every), same, plates=plates, safe=float(safe))
-    if motion.skipped or not determined:
-        reach = "" if workspace.robot is None else ", and that the arm reaches"
-        raise InputError(
-            "no motion that determines the mounts and keeps the beams of all mounts within the bounds "
-            f"in range{reach}",
-            "narrower bounds of mount and plate, a wider workspace, more stations or a sensor of "
-            "longer range",
+    known = assumed(bounds, sensor, workspace, noise)
+    mounts = bounds.draw(rng, MOUNTS)
+    first = known.translations(mounts)
+    turns = known.turns(rng)
+    turns = known.safe(turns, (bounds.draw(rng, FIRST_MOUNTS), mounts))
+    drawn = [known.belief(bounds.draw(rng)) for _ in range(COMPARED_DRAWS)]
+    beliefs = [_after(belief, station_rows(belief, first)) for belief in drawn]
+    # A calibration calls undetermined what is known worse than `KNOWN`: half of it is well enough, and
+    # nearly all where the number of stations is given.
+    enough = (0.5 if stations is None else 0.8) * KNOWN
+    most = MOST_BLIND if stations is None else stations
+    counts = np.arange(stations or LEAST_BLIND, most + 1, 4) - len(first)
+    for more in counts[counts <= len(turns)].tolist():
+        chosen, worst = known.best(beliefs, turns, more)
+        if worst <= enough:
+            break
+    else:
+        raise known.refusal(
+            "no motion that determines the mounts and keeps", "a wider workspace, more stations"
         )
-    return motion
+    motion = joined([first, turns[chosen]])
+    plates = {plane_name(p): bounds.plate for p in range(planes)}
+    belief = known.belief(bounds.middle()).before(plates, only=True)
+    every = joined([replace(motion, plane=np.full(len(motion), p)) for p in range(planes)])
+    others = bounds.draw(rng, MOUNTS)
+    safe = float(safe_stations(others, motion, sensor).all(axis=1).mean())
+    task = Task(belief, workspace, sensor, Goal() if goal is None else goal)
+    return planned(task, every, ordered=True, plates=plates, safe=safe)
 
 
 def completing_motion(
@@ -135,45 +156,199 @@ def completing_motion(
         The sensor's range is not stated, the bounds are of another number of beams, or hardly a
         station is safe for all mounts within them.
     """
-    beams = len(bounds.locations)
+    beams, rng = len(bounds.locations), np.random.default_rng(0)
     if beams != len(recording.beam_names):
         found = f"bounds of {beams} beams for {len(recording.beam_names)} in the recording"
         raise InputError(found, "the bounds of all beams, in the order of the columns")
     workspace = workspace_of(recording) if workspace is None else workspace
+    known = assumed(bounds, sensor, workspace, noise)
     plates = dict.fromkeys(recording.plane_names, bounds.plate)
-    belief = _belief(bounds, sensor, workspace, noise).before(plates, only=True)
-    rows = recorded_rows(belief, recording)
-    if not len(rows):
-        raise InputError(
-            "bounds of beams and plate that face each other at no station of the recording",
-            "the normal of the plate away from the sensor, and directions in the hand frame",
-        )
-    belief = replace(belief, covariance=updated(belief.covariance, rows))
-    task = Task(belief, workspace, sensor, goal or Goal(), recording.station_names)
-    pool = _safe_moves(bounds, task, np.random.default_rng(0))
-    pool = replace(pool, plane=np.full(len(pool), recording.plane_of_station[-1]))
-    chosen, _ = _determining(task, pool, 3, LEAST_BLIND)
-    return planned(task, pool, chosen)
+    beliefs = []
+    for at in (*(bounds.draw(rng) for _ in range(COMPARED_DRAWS)), bounds.middle()):
+        belief = known.belief(at).before(plates, only=True)
+        rows = recorded_rows(belief, recording)
+        if not len(rows):
+            raise InputError(
+                "bounds of beams and plate that face each other at no station of the recording",
+                "the normal of the plate away from the sensor, and directions in the hand frame",
+            )
+        beliefs.append(_after(belief, rows))
+    *beliefs, belief = beliefs
+    # Turns before the last plane, and moves without a turn from stations recorded there.
+    taken = Stations(recording.world_R_hand, recording.world_t_hand, recording.plane_of_station)
+    last = np.flatnonzero(taken.plane == taken.plane[-1])
+    shifts = TRIED_TURNS // 3
+    moved = taken[rng.choice(last, shifts)]
+    span = 0.5 * (sensor.range_max - sensor.range_min)
+    moved = replace(
+        moved, world_t_hand=moved.world_t_hand + span * rng.uniform(-1.0, 1.0, (shifts, 3))
+    )
+    pool = joined([known.turns(rng), moved])
+    pool = known.safe(pool, (bounds.draw(rng, FIRST_MOUNTS), bounds.draw(rng, MOUNTS)))
+    pool = replace(pool, plane=np.full(len(pool), taken.plane[-1]))
+    if len(pool) < COMPLETING_COUNTS[-1]:
+        expected = "narrower bounds of mount and plate, a wider workspace or a longer range"
+        raise InputError("no stations that are safe for all mounts within the bounds", expected)
+    for count in COMPLETING_COUNTS:
+        chosen, worst = known.best(beliefs, pool, count)
+        if worst <= 0.5 * KNOWN:
+            break
+    goal = Goal() if goal is None else goal
+    task = Task(belief, workspace, sensor, goal, recording.station_names)
+    return planned(task, pool[chosen])
 
 
-def _determining(task: Task, pool: Stations, least: int, most: int) -> tuple[IntArray, bool]:
-    """Return the best stations (M,) of a pool that determine the mounts, and whether they do.
+def _after(belief: Belief, rows: FloatArray) -> Belief:
+    """Return what is known after stations with whitened rows (M, B, U)."""
+    return replace(belief, covariance=updated(belief.covariance, rows))
 
-    The standard deviations are half of what a calibration calls undetermined, amid the bounds.
+
+class Blind(NamedTuple):
+    """What is known before any calibration.
+
+    Attributes
+    ----------
+    bounds : Bounds
+    sensor : Sensor
+    workspace : Workspace
+    variances : Variances
+        What readings are expected to err by.
     """
-    middle = 0.5 * (task.sensor.range_min + task.sensor.range_max)
-    goal = Goal("A", 0.5 * KNOWN * middle, 0.5 * KNOWN)
-    rows, known = station_rows(task.belief, pool), task.known._replace(goal=goal)
-    enough = known.forecast(rows[known.chosen(rows, most)]).reaches(goal)
-    chosen = known.chosen(rows, most if enough is None else max(enough, least))
-    return chosen, enough is not None
+
+    bounds: Bounds
+    sensor: Sensor
+    workspace: Workspace
+    variances: Variances
+
+    @property
+    def middle(self) -> float:
+        """The middle of the sensor's range [m]."""
+        return 0.5 * (self.sensor.range_min + self.sensor.range_max)
+
+    @property
+    def axis(self) -> FloatArray:
+        """The mean direction (3,) of the beams, hand frame."""
+        return model.normalized(self.bounds.directions.mean(axis=0))
+
+    def belief(self, at: Parameters) -> Belief:
+        """Return what a calibration would start from about some beams and a plate: next to nothing.
+
+        It does not use the bounds. The bounds of the beams are the `spread`; those of a plate come with
+        `Belief.before`.
+        """
+        bounds, plate, sensor = self.bounds, self.bounds.plate, self.sensor
+        k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), ROUNDING)])
+        unknown = np.tile([*[UNKNOWN_LENGTH] * 3, *[UNKNOWN_ANGLE] * 2, *k], len(bounds.locations))
+        # The sigma of a uniform number is its half-width over the root of three.
+        box, cone = bounds.location_within / math.sqrt(3.0), 0.5 * bounds.cone
+        spread = np.tile([*[box] * 3, *[cone] * 2, *k], len(bounds.locations))
+        return Belief(
+            at,
+            np.diag(np.append(unknown, UNKNOWN_PLANE) ** 2),
+            model.tangent_basis(at.directions),
+            model.tangent_basis(at.normals),
+            plate.point[None],
+            self.variances,
+            ("plate",),
+            np.diag(np.append(np.maximum(spread, ROUNDING), UNKNOWN_PLANE) ** 2),
+        )
+
+    def facing(self) -> FloatArray:
+        """Return the orientation nearest to home at which the beams face the plate.
+
+        As far as half of the largest turn: the other half is left for the motion.
+        """
+        home, n = self.workspace.home, self.bounds.plate.normal
+        v = home @ self.axis
+        axis = np.cross(v, n)
+        size = float(np.linalg.norm(axis))
+        if size < SINGULAR:
+            return home
+        angle = min(math.atan2(size, float(v @ n)), 0.5 * self.workspace.largest_turn)
+        return np.asarray(Rotation.from_rotvec(axis / size * angle).as_matrix() @ home)
+
+    def moved(self, turns: FloatArray, shift: FloatArray) -> Stations:
+        """Return stations that are turned from `facing`, and shifted.
+
+        They turn about the point where the beams are expected on the plate, so that readings change
+        little.
+        """
+        facing, bounds = self.facing(), self.bounds
+        lever = facing @ (bounds.locations.mean(axis=0) + self.middle * self.axis)
+        R = Rotation.from_rotvec(turns)
+        t = bounds.plate.point - R.apply(lever) + shift
+        return Stations(R.as_matrix() @ facing, t, np.zeros(len(t), dtype=np.intp))
+
+    def translations(self, mounts: Parameters) -> Stations:
+        """Return four positions that span space, as far apart as is safe at all mounts."""
+        span, n = self.sensor.range_max - self.sensor.range_min, self.bounds.plate.normal
+        across = model.tangent_basis(n[None])[0].T
+        shares = product(TRANSLATION_SHARES, TRANSLATION_SHARES)
+        for deep, wide in sorted(shares, key=lambda pair: -(pair[0] * pair[1] ** 2)):
+            depth = TETRAHEDRON[:, 2:] * (0.5 * span * deep * n)
+            stations = self.moved(
+                np.zeros((4, 3)), TETRAHEDRON[:, :2] @ (span * wide * across) + depth
+            )
+            if len(self.safe(stations, [mounts])) == 4:
+                return stations
+        raise self.refusal("no translations that keep")
+
+    def refusal(self, motion: str, remedy: str = "a wider workspace") -> InputError:
+        """Return the error that says that there is no such motion."""
+        reach = "" if self.workspace.robot is None else ", and that the arm reaches"
+        return InputError(
+            f"{motion} the beams of all mounts within the bounds in range{reach}",
+            f"narrower bounds of mount and plate, {remedy} or a sensor of longer range",
+        )
+
+    def turns(self, rng: np.random.Generator) -> Stations:
+        """Return turns to several sides, about the beams too, each with a translation."""
+        span, n = self.sensor.range_max - self.sensor.range_min, self.bounds.plate.normal
+        v = self.facing() @ self.axis
+        across = model.tangent_basis(v[None])[0].T
+        side = 2.0 * math.pi * rng.integers(SIDES, size=TRIED_TURNS) / SIDES
+        size = self.workspace.largest_turn * rng.uniform(size=TRIED_TURNS)
+        spin = rng.choice([-0.5, 0.0, 0.5], size=TRIED_TURNS) * size
+        tilt = size[:, None] * (
+            np.cos(side)[:, None] * across[0] + np.sin(side)[:, None] * across[1]
+        )
+        along = rng.uniform(-1.0, 1.0, (TRIED_TURNS, 2)) @ model.tangent_basis(n[None])[0].T
+        depth = rng.uniform(-0.5, 0.5, (TRIED_TURNS, 1))
+        return self.moved(tilt + spin[:, None] * v, span * (along + depth * n))
+
+    def safe(self, stations: Stations, draws: Sequence[Parameters]) -> Stations:
+        """Return the stations of the workspace that are safe at all mounts, draw after draw."""
+        stations = stations[inside(self.workspace, stations)]
+        for mounts in draws:
+            safe = safe_stations(mounts, stations, self.sensor)
+            stations = stations[np.flatnonzero(safe.all(axis=0))]
+        return stations[reached(self.workspace, stations, [self.bounds.plate])]
+
+    def best(
+        self, beliefs: Sequence[Belief], stations: Stations, count: int
+    ) -> tuple[IntArray, float]:
+        """Return the stations after which the largest standard deviation is least, and it.
+
+        It is the largest over directions [rad] and over locations as parts of the middle of the
+        sensor's range.
+
+        Parameters
+        ----------
+        beliefs : K of Belief
+            About several mounts within the bounds, before these stations.
+        stations : Stations
+        count : int
+        """
+        rows = np.stack([station_rows(belief, stations) for belief in beliefs])
+        weight = goal_rows(Goal("E", self.middle, 1.0), beliefs[0].mounts(self.middle))
+        before = np.stack([belief.covariance for belief in beliefs])
+        best = choose(rows, before, weight, count, "E", exchange=False)
+        after = (updated(C, each[best]) for C, each in zip(before, rows, strict=True))
+        return best, max(math.sqrt(value(C, weight, "E")) for C in after)
 
 
-def _belief(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise | None) -> Belief:
-    """Return what a calibration would start from amid the bounds: next to nothing.
-
-    It does not use the bounds. The bounds of the beams are the `spread`; those of a plate come with
-    `Belief.before`. Noise that is not stated is as its prior says.
+def assumed(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise | None) -> Blind:
+    """Return what is known before any calibration; noise that is not stated is as its prior says.
 
     Raises
     ------
@@ -182,7 +357,7 @@ def _belief(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise |
     """
     require_range(sensor)
     require_facing("the plate", workspace, bounds.directions, bounds.plate.normal)
-    noise, beams = Noise() if noise is None else noise, len(bounds.locations)
+    noise = Noise() if noise is None else noise
     sigma = noise.range_sigma
     if sigma is None:
         sigma = NOISE_PART * (sensor.range_max - sensor.range_min)
@@ -192,69 +367,9 @@ def _belief(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise |
         turn = noise.pose_rotation_prior if turn is None else turn
     stated = replace(noise, pose_translation_sigma=shift, pose_rotation_sigma=turn)
     pose = stated.pose_covariances(1).mean(axis=0)
-    variances = Variances(
-        np.full(beams, sigma), noise.incidence_sigma, pose[None] if pose.any() else None
-    )
-    k = sensor.linearity * np.array([1.0, 1.0 / max(abs(sensor.range_max), ROUNDING)])
-    unknown = np.tile([*[UNKNOWN_LENGTH] * 3, *[UNKNOWN_ANGLE] * 2, *k], beams)
-    # The sigma of a uniform number is its half-width over the root of three.
-    box, cone = bounds.location_within / math.sqrt(3.0), 0.5 * bounds.cone
-    spread = np.tile([*[box] * 3, *[cone] * 2, *k], beams)
-    at = bounds.middle()
-    return Belief(
-        at,
-        np.diag(np.append(unknown, UNKNOWN_PLANE) ** 2),
-        model.tangent_basis(at.directions),
-        model.tangent_basis(at.normals),
-        bounds.plate.point[None],
-        variances,
-        ("plate",),
-        np.diag(np.append(np.maximum(spread, ROUNDING), UNKNOWN_PLANE) ** 2),
-    )
-
-
-def _safe_moves(bounds: Bounds, task: Task, rng: np.random.Generator) -> Stations:
-    """Return turns to all sides, about the beams too, and moves that are safe at all mounts.
-
-    Raises
-    ------
-    InputError
-        There are hardly any.
-    """
-    workspace, sensor, n = task.workspace, task.sensor, bounds.plate.normal
-    axis = model.normalized(bounds.directions.mean(axis=0))
-    # The orientation nearest to home at which the beams face the plate, as far as half of the largest
-    # turn: the other half is left for the motion.
-    facing = workspace.home
-    v = facing @ axis
-    across = np.cross(v, n)
-    sine = float(np.linalg.norm(across))
-    if sine > SINGULAR:
-        angle = min(math.atan2(sine, float(v @ n)), 0.5 * workspace.largest_turn)
-        facing = Rotation.from_rotvec(across / sine * angle).as_matrix() @ facing
-        v = facing @ axis
-    # They turn about the point where the beams are expected on the plate, so that readings change
-    # little.
-    size = workspace.largest_turn * rng.uniform(size=(TRIED_MOVES, 1))
-    side = rng.uniform(0.0, 2.0 * math.pi, TRIED_MOVES)
-    tilt = np.stack((np.cos(side), np.sin(side)), axis=1) @ model.tangent_basis(v[None])[0].T
-    spin = rng.choice([-0.5, 0.0, 0.5], size=(TRIED_MOVES, 1))
-    R = Rotation.from_rotvec(size * (tilt + spin * v))
-    span, middle = sensor.range_max - sensor.range_min, 0.5 * (sensor.range_min + sensor.range_max)
-    along = rng.uniform(-1.0, 1.0, (TRIED_MOVES, 2)) @ model.tangent_basis(n[None])[0].T
-    shift = span * (along + rng.uniform(-0.5, 0.5, (TRIED_MOVES, 1)) * n)
-    lever = facing @ (bounds.locations.mean(axis=0) + middle * axis)
-    t = bounds.plate.point - R.apply(lever) + shift
-    moves = Stations(R.as_matrix() @ facing, t, np.zeros(TRIED_MOVES, dtype=np.intp))
-    moves = moves[inside(workspace, moves)]
-    for _ in range(MOUNTS // 50):  # few mounts refuse nearly all that are refused
-        safe = safe_stations(bounds.draw(rng, 50), moves, sensor)
-        moves = moves[np.flatnonzero(safe.all(axis=0))]
-    moves = moves[reached(workspace, moves, [bounds.plate])]
-    if len(moves) < LEAST_BLIND:
-        expected = "narrower bounds of mount and plate, a wider workspace or a longer range"
-        raise InputError("no stations that are safe for all mounts within the bounds", expected)
-    return moves
+    sigmas = np.full(len(bounds.locations), sigma)
+    variances = Variances(sigmas, noise.incidence_sigma, pose[None] if pose.any() else None)
+    return Blind(bounds, sensor, workspace, variances)
 
 
 def safe_stations(mounts: Parameters, stations: Stations, sensor: Sensor) -> BoolArray:
@@ -265,9 +380,13 @@ def safe_stations(mounts: Parameters, stations: Stations, sensor: Sensor) -> Boo
     R, t = stations.world_R_hand, stations.world_t_hand
     n, b = mounts.normals, mounts.offsets
     r, v = (x.reshape(len(n), -1, 3) for x in (mounts.locations, mounts.directions))
-    n_hand = np.einsum("kj,mji->kmi", n, R)
-    cosine = n_hand @ np.swapaxes(v, 1, 2)
-    height = n_hand @ np.swapaxes(r, 1, 2) + (n @ t.T + b[:, None])[..., None]
-    with np.errstate(all="ignore"):
-        within = sensor.can_read(-height / cosine) & (cosine >= least_cosine(sensor))
-    return np.asarray(within.all(axis=2))
+    good = np.empty((len(n), len(t)), dtype=bool)
+    size = max(ROWS_AT_ONCE // max(len(t) * r.shape[1], 1), 1)
+    for some in (slice(k, k + size) for k in range(0, len(n), size)):
+        n_hand = (n[some] @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(-1, len(t), 3)
+        cosine = n_hand @ np.swapaxes(v[some], 1, 2)
+        height = n_hand @ np.swapaxes(r[some], 1, 2) + (n[some] @ t.T + b[some, None])[..., None]
+        with np.errstate(all="ignore"):
+            within = sensor.can_read(-height / cosine) & (cosine >= least_cosine(sensor))
+        good[some] = within.all(axis=2)
+    return good

@@ -1,157 +1,163 @@
-r"""Choose the stations that shrink the uncertainty of the mounts most, and forecast what they bring.
+r"""Choose the stations that shrink the uncertainty of the beams most.
 
-The residuals of one station are A x, with x the deviation of the unknowns and A (B, U) whitened. From
-the covariance C before the station follows
+The criteria, of the covariance C of the beams in units of the goal (or of natural units):
 
-    C - C A' inv(I + A C A') A C
+    A: trace;  D: logarithm of the determinant;  E: largest eigenvalue;
+    spot: trace of the covariance of the laser spots at the working distance
 
-after it (the update of a Kalman filter). The criterion is tr(W C W'): the sum of the variances of what
-is to become small, W x. Stations are taken one by one, each the best beside those before (greedy), and
-are then exchanged for better ones (Fedorov).
+Stations are taken one by one, each the best beside those before (greedy), and are then exchanged for
+better ones while that helps (Fedorov). A and spot are tr(M C) with a fixed M; D and E have a different
+M at every step, the gradient of the criterion.
 """
 
-import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..quantities import KNOWN
-from ..results.spot_error import radius
-from .goal import Forecast, Goal, Mount, goal_rows
+
+Criterion = Literal["A", "D", "E", "spot"]
+CRITERIA: tuple[Criterion, ...] = ("A", "D", "E", "spot")
+LEAST_GAIN = 1e-3
+"""A round of exchanges that lowers the criterion by less than this part is the last."""
+SHORTLIST = 60
+"""Candidates that are compared at the draws of the belief, too: draws hardly bring up one beyond."""
+SHARPNESS = 8
+"""p of the p-norm of all eigenvalues, of which the gradient is smooth where the largest changes."""
 
 
-class Known(NamedTuple):
-    """What is known before the next stations, and what they are chosen for.
-
-    Attributes
-    ----------
-    covariance : (U, U)
-        Of all unknowns.
-    mounts : sequence of Mount
-        What the goal asks of every beam or sensor.
-    goal : Goal
-    distance : float
-        Working distance of the spots [m].
-    unit : (U,), optional
-        Natural units of the unknowns, where some of them are still undetermined.
-    """
-
-    covariance: FloatArray
-    mounts: Sequence[Mount]
-    goal: Goal
-    distance: float
-    unit: FloatArray | None = None
-
-    def chosen(self, rows: FloatArray, count: int) -> IntArray:
-        """Return the best stations by `choose`, of those with whitened rows (N, B, U)."""
-        return choose(rows, self.covariance, goal_rows(self.goal, self.mounts), count)
-
-    def enough(self, rows: FloatArray, count: int) -> IntArray:
-        """Return the best stations, as many as reach the goal where it states anything."""
-        for _ in range(2):  # the fewer that the goal takes are chosen for themselves
-            chosen = self.chosen(rows, count)
-            reached = self.forecast(rows[chosen]).reaches(self.goal)
-            if reached is None:
-                break
-            count = max(reached, 1)
-        return chosen[:count]
-
-    def forecast(self, rows: FloatArray) -> Forecast:
-        """Return what will be known after each of some stations; NaN while anything is undetermined."""
-        sigmas, determined, unit = [], False, self.unit
-        for C in updates(self.covariance, rows):
-            if not determined:  # as a calibration judges it
-                determined = unit is None or bool(
-                    np.linalg.eigvalsh(C / np.outer(unit, unit))[-1] < KNOWN**2
-                )
-            location = max(np.diagonal(m.location @ C @ m.location.T).max() for m in self.mounts)
-            turns = (m.turns @ C @ np.swapaxes(m.turns, 1, 2) for m in self.mounts)
-            direction = max(np.linalg.eigvalsh(turn).max() for turn in turns)
-            spot = max(radius(m.spot @ C @ m.spot.T) for m in self.mounts)
-            known = math.sqrt(location), math.sqrt(direction), spot
-            sigmas.append(known if determined else (math.nan,) * 3)
-        location, direction, spot = np.array(sigmas).T
-        return Forecast(location, direction, spot, self.distance)
-
-
-def updates(covariance: FloatArray, rows: FloatArray) -> Iterator[FloatArray]:
-    """Yield the covariance (U, U) before stations with whitened rows (M, B, U), and after each."""
-    yield covariance
-    for station in rows:
-        V = station @ covariance
-        S = np.eye(len(V)) + V @ station.T
-        covariance = np.asarray(covariance - V.T @ np.linalg.solve(S, V))
-        yield covariance
-
-
-def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the covariance (U, U) after stations with whitened rows (M, B, U)."""
-    *_, last = updates(covariance, rows)
-    return last
-
-
-def choose(rows: FloatArray, covariance: FloatArray, weight: FloatArray, count: int) -> IntArray:
+def choose(
+    rows: FloatArray,
+    covariance: FloatArray,
+    weight: FloatArray,
+    count: int,
+    criterion: Criterion = "A",
+    *,
+    exchange: bool = True,
+    start: IntArray | None = None,
+) -> IntArray:
     """Return chosen stations (M,) among candidates, in the order in which greedy choice takes them.
 
     Parameters
     ----------
-    rows : (N, B, U)
-        Whitened rows of every candidate.
-    covariance : (U, U)
+    rows : (K, N, B, U)
+        Whitened rows of every candidate, at the mean of the belief first and then at draws of it: the
+        gain is averaged over all.
+    covariance : (U, U) or (K, U, U)
         Before the first station.
     weight : (W, U)
-        What is to become small: the covariance of `weight @ x`.
+        What is to become small: covariance of `weight @ x`.
     count : int
         How many to choose; no candidate is chosen twice.
+    criterion : str
+        "A" and "spot" differ by `weight` only.
+    exchange : bool
+        Whether to exchange stations afterwards.
+    start : (count,), optional
+        Candidates to start the exchange from, instead of those that greedy choice takes.
     """
-    search = _Search(rows, covariance, weight)
-    chosen: list[int] = []
-    for _ in range(min(count, len(rows))):
-        chosen.append(search.best(chosen))
-        search.update(chosen[-1], 1.0)
-    for _ in range(2):  # the first round brings nearly all of the gain
-        for place in range(len(chosen)):
-            search.update(chosen[place], -1.0)
-            chosen[place] = search.best(chosen[:place] + chosen[place + 1 :])
-            search.update(chosen[place], 1.0)
-    left = np.array(chosen, dtype=np.intp)
-    again, order = _Search(rows[left], covariance, weight), list[int]()
-    for _ in left:
-        order.append(again.best(order))
-        again.update(order[-1], 1.0)
-    return left[order]
+    search = _Search(rows, covariance, weight, criterion)
+    for step in range(min(count, rows.shape[1])):
+        search.take(search.best() if start is None else int(start[step]))
+    for _ in range(3 if exchange else 0):  # the first brings nearly all of the gain
+        before = search.value()
+        for place in range(len(search.chosen)):
+            search.drop(place)
+            search.take(search.best(), place)
+        if search.value() > before - LEAST_GAIN * abs(before):
+            break
+    taken = np.array(search.chosen, dtype=np.intp)
+    first = covariance if covariance.ndim == 2 else covariance[0]
+    again = _Search(rows[:1, taken], first, weight, criterion)
+    for _ in taken:
+        again.take(again.best())
+    return taken[again.chosen]
 
 
 class _Search:
     """The covariance, and what its products with the candidates' rows say, as stations come and go.
 
-    With A the rows of a candidate and W the weight, S = I + A C A' and T = A C W' are kept for all
-    candidates, and follow C by the same update.
+    With A the rows of a candidate and W the weight, S = I + A C A' and T = A C W' at the mean of the
+    belief are kept for all candidates, and follow C by the same downdate; at draws of the belief only
+    the best candidates are looked at.
     """
 
-    def __init__(self, rows: FloatArray, covariance: FloatArray, weight: FloatArray) -> None:
-        self.rows, self.weight, self.C = rows, weight, covariance
-        self.identity = np.eye(rows.shape[1])
-        self.flat = rows.reshape(-1, rows.shape[2])
-        AC = self.flat @ covariance
-        self.T = (AC @ weight.T).reshape(*rows.shape[:2], -1)
-        self.S = self.identity + AC.reshape(rows.shape) @ np.swapaxes(rows, 1, 2)
+    def __init__(
+        self, rows: FloatArray, covariance: FloatArray, weight: FloatArray, criterion: Criterion
+    ) -> None:
+        self.rows, self.weight, self.criterion = rows, weight, criterion
+        self.C = np.broadcast_to(covariance, (len(rows), *covariance.shape[-2:])).copy()
+        self.identity = np.eye(rows.shape[2])
+        self.flat = rows[0].reshape(-1, rows.shape[-1])
+        AC = self.flat @ self.C[0]
+        self.T = (AC @ weight.T).reshape(*rows.shape[1:3], -1)
+        self.S = self.identity + AC.reshape(rows.shape[1:]) @ np.swapaxes(rows[0], 1, 2)
+        self.chosen: list[int] = []
 
-    def best(self, taken: list[int]) -> int:
-        """Return the candidate that lowers the criterion most, by tr(T' inv(S) T), beside others."""
-        gains = (self.T * (np.linalg.inv(self.S) @ self.T)).sum(axis=(1, 2))
-        gains[taken] = -np.inf
-        return int(gains.argmax())
+    def value(self) -> float:
+        """Return the criterion at the mean."""
+        return value(self.C[0], self.weight, self.criterion)
 
-    def update(self, candidate: int, sign: float) -> None:
-        """Add a candidate with a sign of 1, or remove it with -1."""
-        A = self.rows[candidate]
+    def best(self) -> int:
+        """Return the candidate that improves the criterion most."""
+        gains = self._gains(self.S, self.T, self.C[:1])
+        gains[self.chosen] = -np.inf
+        if len(self.rows) == 1:
+            return int(gains.argmax())
+        short = np.argsort(-gains)[:SHORTLIST]
+        A, C = self.rows[1:, short], self.C[1:]
+        AC = A @ C[:, None]
+        S, T = self.identity + AC @ np.swapaxes(A, -1, -2), AC @ self.weight.T
+        others = self._gains(S, T, C)
+        total = gains[short] / gains[short[0]]
+        total = total + (others / others.max(axis=1, keepdims=True)).sum(axis=0)
+        return int(short[total.argmax()])
+
+    def _gains(self, S: FloatArray, T: FloatArray, C: FloatArray) -> FloatArray:
+        """Return what candidates gain (..., N), given their S (..., N, B, B) and T (..., N, B, W)."""
+        if self.criterion in ("D", "E"):
+            root = np.stack([_root(one, self.weight, self.criterion) for one in C])
+            T = T @ (root[0] if T.ndim == 3 else root[:, None])
+        if self.criterion == "D":
+            G = T @ np.swapaxes(T, -1, -2)
+            return np.asarray(np.linalg.slogdet(S)[1] - np.linalg.slogdet(S - G)[1])
+        return np.asarray((T * (np.linalg.inv(S) @ T)).sum(axis=(-2, -1)))  # tr(T' inv(S) T)
+
+    def take(self, candidate: int, place: int | None = None) -> None:
+        """Add a candidate, at its place in the order."""
+        self._update(candidate, 1.0)
+        self.chosen.insert(len(self.chosen) if place is None else place, candidate)
+
+    def drop(self, place: int) -> None:
+        """Remove what was taken at a place."""
+        self._update(self.chosen.pop(place), -1.0)
+
+    def _update(self, candidate: int, sign: float) -> None:
+        A = self.rows[:, candidate]
         V = A @ self.C
-        K = sign * np.linalg.inv(self.identity + sign * (V @ A.T))
-        M = self.flat @ V.T
-        self.T -= (M @ (K @ (V @ self.weight.T))).reshape(self.T.shape)
-        self.S -= (M @ K).reshape(self.S.shape) @ np.swapaxes(M.reshape(self.S.shape), 1, 2)
-        C = self.C - V.T @ (K @ V)
-        self.C = 0.5 * (C + C.T)
+        S = self.identity + sign * (V @ np.swapaxes(A, 1, 2))
+        step = sign * np.linalg.solve(S, V)
+        M = self.flat @ V[0].T
+        self.T -= (M @ (step[0] @ self.weight.T)).reshape(self.T.shape)
+        left = (M @ (sign * np.linalg.inv(S[0]))).reshape(self.S.shape)
+        self.S -= left @ np.swapaxes(M.reshape(self.S.shape), 1, 2)
+        C = self.C - np.swapaxes(V, 1, 2) @ step
+        self.C = 0.5 * (C + np.swapaxes(C, 1, 2))
+
+
+def value(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> float:
+    """Return the criterion for a covariance (U, U) and a weight (W, U)."""
+    C = weight @ covariance @ weight.T
+    if criterion == "D":
+        return float(np.linalg.slogdet(C)[1])
+    if criterion == "E":
+        return float(np.linalg.eigvalsh(C)[-1])
+    return float(np.trace(C))
+
+
+def _root(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> FloatArray:
+    """Return a root (W, W) of M, with which the criterion falls by tr(M dC) to first order."""
+    values, axes = np.linalg.eigh(weight @ covariance @ weight.T)
+    if criterion == "D":
+        return np.asarray(axes / np.sqrt(values))
+    return np.asarray(axes * (values / values[-1]) ** (0.5 * (SHARPNESS - 1)))

@@ -1,9 +1,9 @@
 """What a plan is for, and when it is reached."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +21,8 @@ from ..model.families import (
 from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
-from ..results.spot_error import spot_of
-
-Criterion = Literal["A", "spot"]
+from ..results.spot_error import radius, spot_of
+from .choice import CRITERIA, Criterion
 
 LOCATION_UNIT = 1e-4
 """A location that is known to this counts as much as a direction known to `DIRECTION_UNIT`, where no
@@ -78,8 +77,9 @@ class Goal:
     Attributes
     ----------
     criterion : str
-        "A": the sum of the variances of locations and directions in units of the goal; "spot": that
-        of the laser spots at the working distance.
+        "A": the sum of the variances of locations and directions in units of the goal; "D": the
+        volume of their confidence region; "E": the direction that is known least; "spot": the laser
+        spots at the working distance.
     location_sigma, direction_sigma : float, optional
         Standard deviations of every beam that are to be reached: of a coordinate of the location
         [m], and of the direction along any tangent [rad].
@@ -101,7 +101,7 @@ class Goal:
     working_distance: float | None = None
 
     def __post_init__(self) -> None:
-        require_word("criterion", self.criterion, get_args(Criterion))
+        require_word("criterion", self.criterion, CRITERIA)
         for name in ("location_sigma", "direction_sigma", "spot"):
             if getattr(self, name) is not None:
                 require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH, above=True)
@@ -165,16 +165,15 @@ class Forecast(Value):
     def reaches(self, goal: Goal) -> int | None:
         """Return the least number of stations that reaches a goal; None where all do not.
 
-        None where the goal states nothing, too.
+        Zero stations reach a goal that states nothing.
         """
         pairs = (
             (self.location_sigma, goal.location_sigma),
             (self.direction_sigma, goal.direction_sigma),
             (self.spot, goal.spot),
         )
-        if not goal.stated:
-            return None
-        good = np.all([values <= most for values, most in pairs if most is not None], axis=0)
+        asked = [values <= most for values, most in pairs if most is not None]
+        good = np.all(asked, axis=0) if asked else np.ones(len(self.spot), dtype=bool)
         return int(good.argmax()) if good.any() else None
 
     def words(self, stations: int) -> str:
@@ -193,3 +192,18 @@ def goal_rows(goal: Goal, mounts: Sequence[Mount]) -> FloatArray:
     location, turn = goal.units
     parts = [(m.location / location, np.concatenate(m.turns) / turn) for m in mounts]
     return np.concatenate([part for pair in parts for part in pair])
+
+
+def forecast(
+    mounts: Sequence[Mount], covariances: Iterable[FloatArray], distance: float
+) -> Forecast:
+    """Return what is known of mounts with the covariances (U, U) before and after each station."""
+    sigmas = []
+    for C in covariances:
+        location = max(np.diagonal(m.location @ C @ m.location.T).max() for m in mounts)
+        turns = (m.turns @ C @ np.swapaxes(m.turns, 1, 2) for m in mounts)
+        direction = max(np.linalg.eigvalsh(turn).max() for turn in turns)
+        spot = max(radius(m.spot @ C @ m.spot.T) for m in mounts)
+        sigmas.append((math.sqrt(location), math.sqrt(direction), spot))
+    location, direction, spot = np.array(sigmas).T
+    return Forecast(location, direction, spot, distance)

@@ -11,14 +11,14 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.value import Value
+from ..errors import InputError
 from ..validation.simulate import Stations
 from .bounds import Plate
-from .choice import Known, updated
 from .goal import Forecast
-from .information import outlook, station_rows
+from .information import outlook, station_rows, updated
 from .task import Task
 from .way import divided, driven, shortest
-from .workspace import Workspace
+from .workspace import Workspace, joined
 
 VIA = "via"
 """Beginning of the names of stations on the way, at which nothing need be read."""
@@ -138,7 +138,10 @@ def visited(
 
 
 def with_ways(
-    rows: FloatArray, known: Known, chosen: IntArray, way: Callable[[IntArray], Visit]
+    rows: FloatArray,
+    chosen: IntArray,
+    choose: Callable[[IntArray, int, IntArray], IntArray],
+    way: Callable[[IntArray], Visit],
 ) -> tuple[IntArray, Visit]:
     """Return chosen candidates with a way to them, in the order in which they matter.
 
@@ -149,64 +152,75 @@ def with_ways(
     ----------
     rows : (N, B, U)
         Whitened rows of all candidates.
-    known : Known
     chosen : (M,)
+    choose : callable
+        Takes candidates, how many to choose, and those that are chosen already.
     way : callable
         Takes candidates.
     """
-    others, tried, best = np.arange(len(rows)), chosen, None
-    for _ in range(6):  # most plans need one or two, before fewer stations have to do
-        visit = way(tried)
-        found = tried[np.sort(visit.kept)]
-        if best is None or len(found) > len(best[0]):
-            best = found, visit
-        others, missing = np.setdiff1d(others, tried), len(chosen) - len(found)
+    nothing, others = chosen[:0], np.setdiff1d(np.arange(len(rows)), chosen)
+    tried, visit = chosen, way(chosen)
+    best = tried[np.sort(visit.kept)], visit
+    for _ in range(5):  # most plans need one or two, before fewer stations have to do
+        reached = tried[np.sort(visit.kept)]
+        missing = len(chosen) - len(reached)
         if not missing or len(others) < missing:
             break
-        beside = known._replace(covariance=updated(known.covariance, rows[found]))
-        tried = np.concatenate((found, others[beside.chosen(rows[others], missing)]))
-    assert best is not None
+        more = choose(others, missing, reached)
+        others = np.setdiff1d(others, more)
+        tried = choose(np.concatenate((reached, more)), len(chosen), nothing)
+        visit = way(tried)
+        if len(visit.kept) > len(best[0]):
+            best = tried[np.sort(visit.kept)], visit
     return best
 
 
 def planned(
     task: Task,
-    pool: Stations,
-    chosen: IntArray,
+    stations: Stations,
+    spare: Stations | None = None,
     *,
+    ordered: bool = False,
     plates: Mapping[str, Plate] | None = None,
     safe: float | None = None,
 ) -> Plan:
-    """Return a plan of chosen stations, which matter in the order given, or of others of the pool.
+    """Return a plan of stations, which matter in the order given, or of `spare` ones instead.
 
-    They are visited in another order, with others between them where steps are long.
+    They are visited in another order, unless this one is to stay (`ordered`), with others between them
+    where steps are long.
 
     Raises
     ------
     InputError
-        The arm finds no way to any station.
+        The arm finds no way to any station, or not to all that are ordered.
     """
-    belief, workspace, known = task.belief, task.workspace, task.known
+    belief, workspace = task.belief, task.workspace
     location, direction = task.goal.units
-    rows, before = station_rows(belief, pool), belief.plates()
+    pool, names, before = stations, belief.plane_names, belief.plates()
+    if spare is not None and workspace.robot is not None:
+        pool = joined([stations, spare])
+    rows, C = station_rows(belief, pool), belief.covariance
+
+    def choose(some: IntArray, number: int, beside: IntArray) -> IntArray:
+        return some[task.chosen(rows[None, some], number, updated(C, rows[beside]))]
 
     def way(some: IntArray) -> Visit:
-        where, length = pool[some], location / direction
-        return visited(workspace, where, belief.plane_names, before, task.taken, length)
+        length = None if ordered else location / direction
+        return visited(workspace, pool[some], names, before, task.taken, length)
 
-    found, visit = with_ways(rows, known, chosen, way)
+    every = np.arange(len(stations))
+    chosen, visit = with_ways(rows, every, choose, way)
+    skipped = len(stations) - len(chosen)
+    if skipped and ordered:
+        raise InputError(
+            f"no way of the arm to {skipped} of {len(stations)} stations of a first motion",
+            "more room around the plate, or a smaller clearance",
+        )
     ranges, sigmas = (np.full((len(visit.read), belief.beams), math.nan) for _ in range(2))
-    in_order = found[np.argsort(np.argsort(visit.kept))]
+    in_order = chosen[np.argsort(np.argsort(visit.kept))]
     ranges[visit.read], sigmas[visit.read], _, _ = outlook(belief, pool[in_order])
-    forecast = known.forecast(rows[found])
-    return Plan(
-        visit.stations,
-        ranges,
-        sigmas,
-        forecast,
-        forecast.reaches(task.goal),
-        dict(plates or {}),
-        safe,
-        len(chosen) - len(found),
-        belief.uncounted,
-    )
+    forecast = task.forecast(rows[chosen])
+    reached = forecast.reaches(task.goal) if task.goal.stated else None
+    put = {} if plates is None else dict(plates)
+    at = visit.stations
+    return Plan(at, ranges, sigmas, forecast, reached, put, safe, skipped, belief.uncounted)

@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, evenly
+from ..arrays import BoolArray, FloatArray, IntArray, evenly
 from ..checks import require_count, require_kind
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
 from ..estimation.dense import dense_rows, with_pose_errors
-from ..estimation.estimate import information_axes
+from ..estimation.estimate import information_axes, least_information
 from ..estimation.survey_rows import (
     TARGETS,
     Entity,
@@ -50,8 +50,9 @@ from ..model.targets.sphere import SPHERE
 from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations, generator, read_back
 from .bounds import MOST_PLANNED, Plate, plate_of
-from .choice import Known
-from .goal import Forecast, Goal, Mount, beam_mount
+from .choice import choose
+from .goal import Forecast, Goal, Mount, beam_mount, forecast, goal_rows
+from .information import updated, updates
 from .route import visited, with_ways
 from .workspace import Workspace, drawn_turns, inside, joined, reached, workspace_of
 
@@ -69,6 +70,8 @@ PAST_CENTRE = 0.6
 """They look past the centre of a sphere by up to this part of its radius."""
 FEWEST = {PLANE.name: 0.6, SPHERE.name: 0.2}
 """This part of the rays of a sensor meets its target at least: a sphere is smaller than a plate."""
+UNDETERMINED_SIGMA = 1.0
+"""Standard deviation [m], [rad] of what is undetermined so far."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -86,8 +89,8 @@ class SurveyPlan(Value):
         survey, with the stations up to there, leaves anything undetermined.
     undetermined : tuple of str
         What the survey alone leaves undetermined, in sentences.
-    reached : int or None
-        How many of them reach the goal; None where all do not, or none is stated.
+    reached : bool, optional
+        Whether the goal is reached after them, where there is one: the plan ends there.
     skipped : int
         Stations fewer than were chosen: the arm found no way to them, nor to others in their place.
     """
@@ -96,7 +99,7 @@ class SurveyPlan(Value):
     sensors: tuple[str, ...]
     forecast: Forecast
     undetermined: tuple[str, ...]
-    reached: int | None = None
+    reached: bool | None = None
     skipped: int = 0
 
     @property
@@ -142,9 +145,10 @@ def plan_survey(
     require_count("count", count, 1, MOST_PLANNED)
     if calibration.status not in ("converged", "undetermined"):
         raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
-    if goal is not None and goal.working_distance:
+    if goal is not None and (goal.criterion in ("D", "E") or goal.working_distance):
         raise InputError(
-            "working_distance_mm in [goal], with sensors of many rays or other targets",
+            "criterion D or E, or working_distance_mm in [goal], with sensors of many rays or other "
+            "targets",
             "what is enough: stations are chosen for spots at the typical readings",
         )
     of, rng = calibration._found.rows, generator(rng)
@@ -188,38 +192,69 @@ def plan_survey(
     padded = [np.pad(said, ((0, 0), (0, most - said.shape[1]), (0, 0))) for _, said in parts]
     rows, labels = np.concatenate(padded), [of.label(target) for target in targets]
     planned = {(family, member) for family, member, _ in looks}
-    goal = replace(goal or Goal(), criterion="spot")
-    known = _known(calibration, list(_mounts(calibration, planned)), goal)
-    asked = known.enough(rows, count)
+    mounts, known = list(_mounts(calibration, planned)), _Known(calibration)
+    weight = goal_rows(Goal("spot"), mounts)
+
+    def best(some: IntArray, number: int, beside: IntArray) -> IntArray:
+        C = updated(known.covariance, rows[beside])
+        return some[choose(rows[None, some], C, weight, number)]
+
+    every = np.arange(len(rows))
+    chosen = best(every, min(count, len(rows)), every[:0])
+    if goal is not None and goal.stated:
+        enough = known.forecast(mounts, rows[chosen]).reaches(goal)
+        chosen = chosen if enough is None else chosen[: max(enough, 1)]
+    asked = len(chosen)
     chosen, visit = with_ways(
-        rows, known, asked, lambda some: visited(workspace, pool[some], labels, plates)
+        rows, chosen, best, lambda some: visited(workspace, pool[some], labels, plates)
     )
-    expected = known.forecast(rows[chosen])
+    expected = known.forecast(mounts, rows[chosen])
     looking = iter([names[i] for i in chosen])
     return SurveyPlan(
         visit.stations,
         tuple(next(looking) if is_read else "" for is_read in visit.read),
         expected,
         calibration.undetermined,
-        expected.reaches(goal),
-        len(asked) - len(chosen),
+        None if goal is None or not goal.stated else expected.reaches(goal) is not None,
+        asked - len(chosen),
     )
 
 
-def _known(calibration: SurveyCalibration, mounts: Sequence[Mount], goal: Goal) -> Known:
-    """Return what a survey knows: what it leaves undetermined counts as known to a metre, a radian."""
-    found = calibration._found
-    problem = found.problem()
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    information, axes, unit = information_axes(problem, problem.blocks, values)
-    H = (axes * information) @ axes.T + np.diag(unit**2)
-    scale = 1.0 / np.sqrt(np.diagonal(H))  # unknowns differ in size
-    size, own = np.linalg.eigh(H * np.outer(scale, scale))
-    root = own / np.sqrt(np.maximum(size, np.finfo(float).eps))
-    spread = scale * unit * found.spread
-    covariance = (root @ root.T) * np.outer(spread, spread)
-    natural = unit * found.spread if calibration.undetermined else None
-    return Known(covariance, mounts, goal, np.nan, natural)
+class _Known:
+    """What a survey knows of its unknowns, and from when on it knows all of them.
+
+    Attributes
+    ----------
+    covariance : (U, U)
+        With what is undetermined known to `UNDETERMINED_SIGMA`.
+    """
+
+    def __init__(self, calibration: SurveyCalibration) -> None:
+        found = calibration._found
+        problem = found.problem()
+        values = {name: x[None] for name, x in found.estimate.values.items()}
+        information, axes, self._unit = information_axes(problem, problem.blocks, values)
+        self._rows = np.sqrt(information)[:, None] * axes.T
+        self._open = bool(calibration.undetermined)
+        unit = self._unit
+        H = (axes * information) @ axes.T + np.diag((unit / UNDETERMINED_SIGMA) ** 2)
+        scale = 1.0 / np.sqrt(np.diagonal(H))  # unknowns differ in size
+        size, own = np.linalg.eigh(H * np.outer(scale, scale))
+        root = own / np.sqrt(np.maximum(size, np.finfo(float).eps))
+        spread = scale * unit * found.spread
+        self.covariance: FloatArray = (root @ root.T) * np.outer(spread, spread)
+
+    def forecast(self, mounts: Sequence[Mount], rows: FloatArray) -> Forecast:
+        """Return what will be known after each station; NaN where something is undetermined."""
+        said = forecast(mounts, updates(self.covariance, rows), np.nan)
+        told, known = self._rows, [not self._open]
+        for station in rows:  # of unit weight and in natural units: do they determine all unknowns
+            told = np.vstack((told, station * self._unit))
+            information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
+            known.append(known[-1] or bool(information.min() >= least_information(information)))
+        unsaid = np.where(known, 1.0, np.nan)
+        location, direction, spot = said.location_sigma, said.direction_sigma, said.spot
+        return Forecast(unsaid * location, unsaid * direction, unsaid * spot, np.nan)
 
 
 def _mounts(calibration: SurveyCalibration, planned: Container[Entity]) -> Iterator[Mount]:

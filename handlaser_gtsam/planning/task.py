@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import model
-from ..arrays import BoolArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import FAR_SIGMAS
@@ -15,9 +15,9 @@ from ..results.mounts import Mounts
 from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .bounds import Plate
-from .choice import Known
-from .goal import Goal
-from .information import outlook
+from .choice import choose
+from .goal import Forecast, Goal, forecast, goal_rows
+from .information import outlook, updates
 from .workspace import (
     Workspace,
     drawn_turns,
@@ -35,6 +35,12 @@ ENDS = 0.4
 MOST_TRIED = 40
 """Multiple of the candidates wanted that are drawn, before giving up: of a workspace of which a
 fortieth is good."""
+MOST_AT_ONCE = 3000
+"""Poses drawn in one round, or as many as are wanted if those are more: they fit into memory."""
+MORE_THAN_MISSING = 1.3
+"""Multiple of the poses that seem to be missing that are drawn: most rounds are the last."""
+MOST_ASKED = 3
+"""Multiple of the candidates wanted of which an arm is asked, which takes longer than drawing them."""
 LEAST_CANDIDATES = 10
 """Fewer are no choice."""
 
@@ -59,10 +65,26 @@ class Task(NamedTuple):
     taken: Sequence[str] = ()
 
     @property
-    def known(self) -> Known:
-        """What is known before the next stations, and what they are chosen for."""
-        distance = self.goal.distance(self.sensor)
-        return Known(self.belief.covariance, self.belief.mounts(distance), self.goal, distance)
+    def weight(self) -> FloatArray:
+        """What is to become small (W, U)."""
+        return goal_rows(self.goal, self.belief.mounts(self.goal.distance(self.sensor)))
+
+    def chosen(
+        self,
+        rows: FloatArray,
+        count: int,
+        covariance: FloatArray | None = None,
+        *,
+        exchange: bool = False,
+        start: IntArray | None = None,
+    ) -> IntArray:
+        """Choose among stations given by rows (K, N, B, U) at the belief and draws; see `choose`.
+
+        Beside what the `covariance` (U, U) says, or the belief where it is not given.
+        """
+        known, weight = self.belief.covariance if covariance is None else covariance, self.weight
+        criterion = self.goal.criterion
+        return choose(rows, known, weight, count, criterion, exchange=exchange, start=start)
 
     def safe(self, stations: Stations) -> BoolArray:
         """Tell at which stations (M,) all readings are within the sensor's limits, with a margin.
@@ -80,6 +102,12 @@ class Task(NamedTuple):
         steep = cosine - FAR_SIGMAS * cosine_sigma >= least_cosine(self.sensor)
         readable = self.sensor.can_read(near) & self.sensor.can_read(far)
         return np.asarray((readable & steep).all(axis=1))
+
+    def safe_and_reached(self, stations: Stations) -> Stations:
+        """Return the stations in the workspace that are safe and that the arm, if any, reaches."""
+        stations = stations[inside(self.workspace, stations)]
+        stations = stations[self.safe(stations)]
+        return stations[reached(self.workspace, stations, self.belief.plates())]
 
     def candidates(self, plane: int, count: int, rng: np.random.Generator) -> Stations:
         """Return up to `count` stations before a plane at which every beam can read it safely.
@@ -99,7 +127,7 @@ class Task(NamedTuple):
             for end in (sensor.range_min, sensor.range_max)
         )
 
-        def moved_to_read() -> Stations:
+        def moved_to_read(count: int) -> Stations:
             """Return random stations, moved along the normal until the beams can read."""
             R = drawn_turns(workspace, count, rng)
             t = rng.uniform(workspace.low, workspace.high, (count, 3))
@@ -117,17 +145,25 @@ class Task(NamedTuple):
             return Stations(R[fits], t[fits] - back[:, None] * n, np.full(len(back), plane))
 
         kept: list[Stations] = []
-        good = asked = 0
-        for _ in range(MOST_TRIED):
-            tried = moved_to_read()
+        plates = belief.plates()
+        drawn = good = asked = 0
+        while drawn < MOST_TRIED * count and good < count and asked < MOST_ASKED * count:
+            wanted = count
+            if drawn:  # by how many of those drawn were good so far
+                most = min(max(MOST_AT_ONCE, count), MOST_TRIED * count - drawn)
+                missing = MORE_THAN_MISSING * (count - good) * drawn / max(good, 1)
+                wanted = int(np.clip(missing, 0.1 * count, most))
+            drawn += wanted
+            tried = moved_to_read(wanted)
             tried = tried[inside(workspace, tried)]
-            if len(tried):
-                tried = tried[self.safe(tried)]
+            if not len(tried):
+                continue
+            tried = tried[self.safe(tried)]
+            if workspace.robot is not None:
+                tried = tried[np.arange(min(len(tried), count))]
                 asked += len(tried)
-                kept.append(tried[reached(workspace, tried, belief.plates())])
-                good += len(kept[-1])
-            if good >= count or asked >= 3 * count:  # an arm takes long to answer
-                break
+            kept.append(tried[reached(workspace, tried, plates)])
+            good += len(kept[-1])
         if good >= LEAST_CANDIDATES:
             return joined(kept)[np.arange(min(count, good))]
         if asked >= LEAST_CANDIDATES:
@@ -158,6 +194,12 @@ class Task(NamedTuple):
         if refusal is not None and not parts:
             raise refusal
         return joined(parts)
+
+    def forecast(self, rows: FloatArray) -> Forecast:
+        """Return what will be known after each of some stations, given by whitened rows (M, B, U)."""
+        distance = self.goal.distance(self.sensor)
+        mounts = self.belief.mounts(distance)
+        return forecast(mounts, updates(self.belief.covariance, rows), distance)
 
 
 def planning_task(
