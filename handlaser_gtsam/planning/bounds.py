@@ -19,15 +19,10 @@ STEEPEST_TILT = math.pi / 3.0
 """Nobody tilts a plate further, nor knows its direction worse."""
 MOST_PLANNED = 1000
 """Nobody drives to more stations, nor puts up a plate more often: a larger number is a slip."""
-TILT_SHARES = (0.5, 1.0)
-"""Of the largest tilt: how far a plate is turned in the orientations that are compared. The largest
-are the best ones for a workspace that reaches them, half of it for others."""
 PLACED_WITHIN = 0.002
 """How far off in distance a person puts a plate, where nothing else is stated [m]."""
 PLACED_TILT = math.radians(2.0)
 """How far off in orientation [rad]."""
-SIDES = 8
-"""Number of sides to which a plate, or a hand, is turned: neighbours have a cosine of 0.7."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -97,10 +92,15 @@ class Placement:
         """Return the plates that are compared: as it stands, and turned about its point."""
         across = model.tangent_basis(plate.normal[None])[0]
         normals = [plate.normal]
-        tilts = self.largest_tilt * np.array(TILT_SHARES if self.largest_tilt > 0.0 else ())
-        for tilt, side in product(tilts, 2.0 * math.pi * np.arange(SIDES) / SIDES):
-            toward = across @ np.array([math.cos(side), math.sin(side)])
-            normals.append(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
+        if self.largest_tilt > 0.0:
+            # The largest tilts are the best ones for a workspace that reaches them, half of them for
+            # others; to eight sides, of which neighbours have a cosine of 0.7.
+            for share, side in product(
+                (0.5, 1.0), np.linspace(0.0, 2.0 * math.pi, 8, endpoint=False)
+            ):
+                tilt = share * self.largest_tilt
+                toward = across @ np.array([math.cos(side), math.sin(side)])
+                normals.append(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
         return [Plate(plate.point, n, self.within, self.tilt) for n in normals]
 
 

@@ -59,9 +59,6 @@ from .workspace import Workspace, drawn_turns, inside, joined, reached, workspac
 VIEWS = 600
 """Candidates before each target for each sensor, or for all beams together: twice as many bring less
 than a tenth more."""
-ORIENTATIONS = 6
-"""Orientations that are drawn for a candidate: of a hand that turns in all directions a sixth looks
-there."""
 RAYS = 60
 """Rays of a candidate: some of a shot, evenly spaced, with the weight of all."""
 STEEPEST_VIEW = np.radians(50.0)
@@ -314,7 +311,8 @@ class _Look:
         """Draw stations before `target`, turned as far as allowed, whose middle ray looks there."""
         beams = len(self.found.rows.survey.beam_names)
         views = VIEWS // beams if self.first.family == BEAM.name else VIEWS
-        R, x = drawn_turns(workspace, ORIENTATIONS * views, rng), self.target
+        # Of a hand that turns in all directions a sixth looks there.
+        R, x = drawn_turns(workspace, 6 * views, rng), self.target
         if self.first.target[0] == PLANE.name:
             away = np.sign((self.before @ x[:3]).sum())
             R = R[away * (R @ self.ray @ x[:3]) > np.cos(STEEPEST_VIEW)][:views]

@@ -23,10 +23,6 @@ from .robot import Robot
 
 STEEPEST = math.radians(75.0)
 """Incidence to which a sensor without a stated limit is used: beyond, most sensors read nothing."""
-ROOMY = 0.25
-"""A workspace that is not stated surrounds the stations so far by this part of their extent."""
-SMALLEST_TURN = math.radians(20.0)
-"""Largest turn of a workspace that is not stated, where the hand has not turned: any hand can."""
 TURN_EXPONENT = 9.0
 """The turns of candidates are the largest one times the root of this order of a uniform number: nine of
 ten turn by more than three quarters of it, because stations that turn far say most."""
@@ -101,11 +97,14 @@ def reached(workspace: Workspace, stations: Stations, plates: Sequence[Plate | N
 
 
 def workspace_of(recording: Recording | StationList) -> Workspace:
-    """Return the workspace that the stations of a recording show."""
+    """Return the workspace that the stations of a recording show, and a quarter of it around them.
+
+    The hand turns as far as there, and by 20 degrees where it has turned less: any hand can.
+    """
     t, R = recording.world_t_hand, Rotation.from_matrix(recording.world_R_hand)
     home = R.mean()
-    turn = max(float((home.inv() * R).magnitude().max()), SMALLEST_TURN)
-    room = max(ROOMY * float(np.ptp(t, axis=0).max()), MM)  # for a hand that has not moved
+    turn = max(float((home.inv() * R).magnitude().max()), math.radians(20.0))
+    room = max(0.25 * float(np.ptp(t, axis=0).max()), MM)  # for a hand that has not moved
     return Workspace(t.min(axis=0) - room, t.max(axis=0) + room, home.as_matrix(), turn)
 
 

@@ -40,8 +40,6 @@ Draw = Callable[[np.random.Generator], tuple[Recording, Parameters]]
 Solve = Callable[[Sequence[Recording]], Sequence[Estimated | HandlaserError]]
 """Returns an estimate for each recording, or the error that refuses it."""
 Result = TypeVar("Result")
-MOST_JOBS = 1000
-"""Processes on one computer: more than any has processors, and fewer than take its memory."""
 CONNECTS_WITHIN = 10.0
 """Seconds after which there is no scheduler at an address."""
 LOST = ("BrokenProcessPool", "CancelledError", "CommClosedError", "KilledWorker")
@@ -222,7 +220,7 @@ def workers(jobs: int | None, scheduler: str | None) -> Iterator[Callable[[], Ex
         Jobs beyond sense, both are given, no dask.distributed, or no scheduler at that address.
     """
     if jobs is not None:
-        require_count("jobs", jobs, 1, MOST_JOBS)
+        require_count("jobs", jobs, 1, 1000)  # more than any computer has processors
     if scheduler is None:
         yield partial(ProcessPoolExecutor, jobs)
         return

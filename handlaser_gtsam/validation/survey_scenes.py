@@ -22,25 +22,15 @@ from ..model.targets.sphere import SPHERE
 from .simulate import Errors
 from .survey_simulate import SurveyTruth
 
-STEEPEST_LOOK = np.radians(40.0)
-"""Hands look at planes at angles of incidence up to that."""
 SPREAD = np.radians(30.0)
 """Planes lean up to that from the vertical of the scene, and hands look at spheres and points from
 directions up to twice that from it."""
-SPINS = np.radians(90.0)
-"""Hands turn up to that about their line of sight, to either side."""
 BASE = np.array([0.6, 0.1, 0.4])
 """About where targets stand [m], world frame: before a robot, and not at the origin."""
 SURVEY_ERRORS = Errors(5e-5, 5e-5, np.radians(0.01))
 """What a survey errs by where nothing else is said: a triangulation sensor on an industrial arm."""
 WORKING = 0.2
 """Working distance where the rig file states no range of the sensor [m]: as many profilers have."""
-PROFILE = 0.15
-"""A profile reaches so far to either side, in parts of the working distance."""
-FAN, CONE = np.radians(15.0), np.radians(12.0)
-"""Half of the fields of view of a scan, and of the points of a camera."""
-POINTS_OF_LINE, POINTS_OF_SIDE = 121, 15
-"""Rays of a profile or a scan, and of each side of a camera: more say little more."""
 
 
 def fan_of(
@@ -52,6 +42,9 @@ def fan_of(
 ) -> Shots:
     """Return the rays of a sensor as one shot at its working distance, for `simulate_survey`.
 
+    A profile reaches 0.15 of the working distance to either side, a scan 15 degrees, a camera 12. A
+    line has 121 rays, a camera 15 x 15: more say little more.
+
     Parameters
     ----------
     name, kind : str
@@ -62,13 +55,13 @@ def fan_of(
     noise
         `sigma`, `sigma_across` and `free` of `Shots`.
     """
-    line = np.linspace(-1.0, 1.0, POINTS_OF_LINE)
+    line = np.linspace(-1.0, 1.0, 121)
     if kind == "profiler":
-        across = PROFILE * working * line
+        across = 0.15 * working * line
     elif kind == "scanner":
-        across = FAN * line
+        across = np.radians(15.0) * line
     elif zones is None:
-        side = np.tan(CONE) * np.linspace(-1.0, 1.0, POINTS_OF_SIDE)
+        side = np.tan(np.radians(12.0)) * np.linspace(-1.0, 1.0, 15)
         x, y = (one.ravel() for one in np.meshgrid(side, side))
         across = normalized(np.column_stack((x, y, np.ones_like(x))))
     else:
@@ -133,10 +126,13 @@ def survey_scene(
             targets[label] = np.append(place, [radius] * (kind_of(label) == SPHERE.name))
 
     def looking(label: str, viewer: int) -> tuple[FloatArray, FloatArray]:
-        """Return a hand pose whose sensor looks at a target with its middle ray."""
+        """Return a hand pose whose sensor looks at a target with its middle ray.
+
+        It is up to 40 degrees aside of the normal of a plane, and turns about its line of sight.
+        """
         x, (o, u), mount = targets[label], lines[viewer], mounts[viewer]
         if kind_of(label) == PLANE.name:
-            w = _square(x[:3]) @ _tilted(STEEPEST_LOOK, rng)
+            w = _square(x[:3]) @ _tilted(np.radians(40.0), rng)
             at = BASE + working * rng.uniform(-0.5, 0.5, 3)
             at = at - (at @ x[:3] + x[3]) * x[:3]
         elif kind_of(label) == SPHERE.name:
@@ -145,7 +141,7 @@ def survey_scene(
         else:
             w = _tilted(2.0 * SPREAD, rng)
             at = x[:3] + AIMING_SIGMA * (bases(w) @ rng.standard_normal(2))
-        sensor = _square(w) @ _spun(rng.uniform(-SPINS, SPINS)) @ _square(u).T
+        sensor = _square(w) @ _spun(rng.uniform(-0.5 * np.pi, 0.5 * np.pi)) @ _square(u).T
         R = sensor @ mount[:3, :3].T
         return R, at - working * rng.uniform(0.8, 1.2) * w - sensor @ o - R @ mount[:3, 3]
 

@@ -23,13 +23,9 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import OF_MANY
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
+from ..quantities import FAR_SIGMAS
 from ..text import shown, some
 from .simulate import Errors, Stations, disturbed, read_back
-
-LEAST_READ, MOST_READ = 0.4, 2.0
-"""Readings beyond these parts of the working distance are none: they are past the target."""
-AIMED_PAST = 5.0
-"""A spot farther than this many standard deviations of the aiming from a point is not on it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -165,7 +161,7 @@ def _ranges_of_rays(
             at, target = seen[family]
             rows = rays_before(member, rays, family, target, at).evaluate(values)
             s[at] = np.where(missed(family, rows), np.nan, rows.columns[-1, 0])
-    s[~((s > LEAST_READ * working) & (s < MOST_READ * working))] = np.nan
+    s[~((s > 0.4 * working) & (s < 2.0 * working))] = np.nan  # past the target
     s[np.isfinite(s).mean(axis=1) < OF_MANY] = np.nan
     return s
 
@@ -189,7 +185,8 @@ def _ranges_of_beams(
             spots = SpotsOnPoints(Beam(beam), robot, target, zero, axes)
             e = spots.evaluate(values).columns[-1, 0]
             passed = np.hypot(e[:, 1], e[:, 2])
-            s[station, beam] = np.where(passed < AIMED_PAST * AIMING_SIGMA, e[:, 0], np.nan)
+            aimed = passed < FAR_SIGMAS * AIMING_SIGMA
+            s[station, beam] = np.where(aimed, e[:, 0], np.nan)
             continue
         sensor = Cone(beam, half_angle) if half_angle else Beam(beam)
         rows = Ranges(sensor, TARGETS[family](target), robot, zero).evaluate(values)
