@@ -10,9 +10,9 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.factors import SharedEvaluation
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes
 
-MOST = {"levenberg_marquardt": 4, "build_graph": 4, "observability": 5, "linearize": 45}
-"""On the recording that ships; `linearize` is that of the model, of the reduction and of the
-graph."""
+MOST = {"levenberg_marquardt": 4, "build_graph": 4, "observability": 7, "linearize": 45}
+"""On the recording that ships; `linearize` is that of the model, of the reduction and of the graph. The
+rank is judged in every round in which weights settle."""
 HOMES = {
     "levenberg_marquardt": "solvers.levenberg",
     "build_graph": "solvers.graph",

@@ -40,35 +40,21 @@ from ..errors import CalibrationWarning, InputError
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, ROWS_AT_ONCE
 from .recording import Recording, typical_range
 
-NEARLY_ALL = 0.9
-"""The part of the common stations at which two columns must read the same."""
 BY_CHANCE = 3
 """Fewer coincidences, of columns at a station or of a number in a table, may be chance: among numbers
 near it, fewer than this multiple of any other."""
 ENOUGH_STATIONS = 8
 """With this many common stations, agreement within rounding or a part of the noise is no chance."""
-PART_OF_SIGMA = 0.4
-"""The difference of two sensors has sqrt(2) sigma: it stays within 0.4 sigma once in four."""
 PART_OF_SPREAD = 5e-3
 """Columns that differ by more of their spread are not alike, however generous the sigma or coarse the
 rounding."""
 DECIMALS = range(2, 8)
 """Decimals of metres to which a column may have been rounded, the coarsest first."""
-SAME_UNIT = 0.01
-"""Columns whose ratio differs from one by less are in one unit."""
 FINEST_STEP = 1e-6
 """Poses [m, rad] and readings of a pose [m] that differ by less are the same: nothing is so fine."""
-WIDEST_POSE = 4.0
-"""Poses that extend over more of these steps move, if slowly."""
-HELD_PART = 0.02
-"""Readings of one pose that differ by less than this part of a given range sigma are one sample."""
 FAR_SAMPLE = 12.0
 """A sample more standard deviations, robust or given, off the others of its pose is not averaged: the
 hand has moved on, and its pose was logged again."""
-FAR_PART = 0.01
-"""A sample farther off the others than this part of the typical range is not averaged either."""
-SCATTERING = 0.8
-"""Samples that scatter by this part of the given sigma or more are taken to be independent."""
 
 REPEATED = (
     "the pose and the readings of another: a held sample or a part of the file that stands twice tells "
@@ -125,7 +111,8 @@ def refuse_repeated_columns(recording: Recording, sigma: float | None) -> None:
         if len(a) >= BY_CHANCE:
             factor = float(_factors(a[:, None], b[:, None])[0])
             same = _agreeing(a, b, factor, sigma)
-            if same >= NEARLY_ALL * len(a):
+            # The part of the common stations at which two columns must read the same.
+            if same >= 0.9 * len(a):
                 names = recording.beam_names[i], recording.beam_names[j]
                 raise RepeatedColumnError(names, same, len(a), factor)
 
@@ -158,7 +145,8 @@ def _factors(a: FloatArray, b: FloatArray) -> FloatArray:
     size = np.abs(a)
     large = (size >= 0.1 * _medians(size)) & (size > 0.0)
     factor = _medians(np.divide(b, a, out=np.full(a.shape, np.nan), where=large))
-    return np.where(np.abs(factor - 1.0) > SAME_UNIT, factor, 1.0)
+    # Columns whose ratio differs from one by less are in one unit.
+    return np.where(np.abs(factor - 1.0) > 0.01, factor, 1.0)
 
 
 def _medians(x: FloatArray) -> FloatArray:
@@ -174,7 +162,8 @@ def _agreeing(a: FloatArray, b: FloatArray, factor: float, sigma: float | None) 
     off = np.abs(b - factor * a)
     limit = FINEST_STEP * abs(factor)
     if factor == 1.0 and len(a) >= ENOUGH_STATIONS:
-        most = max(rounding(a), rounding(b), PART_OF_SIGMA * (sigma or 0.0))
+        # The difference of two sensors has sqrt(2) sigma: it stays within 0.4 sigma once in four.
+        most = max(rounding(a), rounding(b), 0.4 * (sigma or 0.0))
         limit = np.maximum(limit, min(most, PART_OF_SPREAD * float(np.ptp(a))))
     return int((off <= limit).sum())
 
@@ -344,7 +333,8 @@ def pose_groups(recording: Recording) -> IntArray:
     index = np.repeat(np.arange(count), np.diff(start, append=len(rows)))
     x = coordinates[:, rows]
     extent = np.maximum.reduceat(x, start, axis=1) - np.minimum.reduceat(x, start, axis=1)
-    wide = np.any(extent > WIDEST_POSE * FINEST_STEP, axis=0)
+    # Poses that extend over more of these steps move, if slowly.
+    wide = np.any(extent > 4.0 * FINEST_STEP, axis=0)
     group[rows] = np.where(wide[index], rows, len(group) + index)
     return group
 
@@ -360,12 +350,15 @@ def _averaged(
     count = np.diff(np.append(start, len(key)))
     median = 0.5 * (value[start + (count - 1) // 2] + value[start + count // 2])
     off = np.abs(value - median[key])
-    held = np.maximum.reduceat(off, start) <= max(FINEST_STEP, HELD_PART * (sigma or 0.0))
+    # Readings of one pose that differ by less than this part of a given range sigma are one sample.
+    held = np.maximum.reduceat(off, start) <= max(FINEST_STEP, 0.02 * (sigma or 0.0))
     agree = np.ones(len(off), dtype=bool)
     free = ~held[key] & (count[key] > 1)
     if free.any():
         robust = MEDIAN_TO_SIGMA * float(np.median(off[free]))
-        most = FAR_PART * typical_range(value) if sigma is None else FAR_SAMPLE * sigma
+        # A sample farther off the others than this part of the typical range is not averaged
+        # either.
+        most = 0.01 * typical_range(value) if sigma is None else FAR_SAMPLE * sigma
         agree = off <= (min(FAR_SAMPLE * robust, most) if robust > 0.0 else most)
     number = np.add.reduceat(agree.astype(np.float64), start)
     total = np.add.reduceat(np.where(agree, value, 0.0), start)
@@ -381,7 +374,8 @@ def _averaged(
 
 def worth_of_mean(number: FloatArray, scatter: float, sigma: float | None) -> FloatArray:
     """Return how many independent readings the mean of `number` samples of a variance is worth."""
-    if sigma is None or scatter >= (SCATTERING * sigma) ** 2:
+    # Samples that scatter by this part of the given sigma or more are taken to be independent.
+    if sigma is None or scatter >= (0.8 * sigma) ** 2:
         return number
     return np.asarray(sigma**2 / (sigma**2 - scatter + scatter / number))
 

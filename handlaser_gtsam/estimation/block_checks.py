@@ -8,7 +8,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..model.block import Block
-from ..model.families import FAMILIES, Direction, Motion
+from ..model.families import FAMILIES, Direction, Motion, pose_of
 from ..quantities import NEGLIGIBLE
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def _require_on_manifold(family: str, x: FloatArray) -> None:
             off = np.abs(np.linalg.norm(own, axis=-1) - 1.0)
             what = "unit vectors"
         elif isinstance(part, Motion):
-            R = own[..., :9].reshape(-1, 3, 3)
+            R = pose_of(own)[0].reshape(-1, 3, 3)
             off, what = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)), "rotation matrices"
         else:
             continue

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, bases
+from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, POSE, bases, pose_of
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -170,9 +170,10 @@ def _images(
             if family == BEAM.name:
                 x[:3], x[3:6] = H @ x[:3], H @ x[3:6]
                 continue
-            X = H @ x[:9].reshape(3, 3)
+            R, t = pose_of(x)
+            X = H @ R
             X[:, kinds[i].across] *= -1.0
-            x[:9], x[9:12] = X.ravel(), H @ x[9:12]
+            x[: POSE.size] = np.append(X, H @ t)
         for target, mounts in seen.items():
             if mounts & group:
                 x, a = image[target[0]][0, target[1]], upright[target]
@@ -191,10 +192,10 @@ def _differences(
     for family, members in here.items():
         for i, (x, y) in enumerate(zip(members, there[family], strict=True)):
             if family == SENSOR.name:
-                R = x[:9].reshape(3, 3)
-                turn = Rotation.from_matrix(R.T @ y[:9].reshape(3, 3)).as_rotvec()
+                (R, t), (Q, s) = pose_of(x), pose_of(y)
+                turn = Rotation.from_matrix(R.T @ Q).as_rotvec()
                 yield family, i, TURNS[family], turn
-                yield family, i, slice(3, 6), R.T @ (y[9:12] - x[9:12])
+                yield family, i, slice(3, 6), R.T @ (s - t)
             elif family == BEAM.name:
                 yield family, i, TURNS[family], _turned(x[3:6], y[3:6])
                 yield family, i, LOCATION, y[:3] - x[:3]

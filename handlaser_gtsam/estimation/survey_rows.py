@@ -38,8 +38,6 @@ TARGETS: dict[str, type[Plane] | type[Sphere]] = {PLANE.name: Plane, SPHERE.name
 """Targets that rays meet, by family."""
 LEAST_SEGMENT = 5
 """Points of a profile that each side of a groove has at least."""
-NO_EDGE = 0.5
-"""Two lines that misfit a profile by more than this part of what one line does are no groove."""
 RANGE_ERRORS = np.array([0.05, 0.02, 0.1, 0.05])
 """Standard deviations of range errors before any reading: k0 [m], k1 [1], k2 [1/m] and scale [1]."""
 AIMING = ("aiming", 0)
@@ -276,7 +274,8 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
 
     cuts = range(LEAST_SEGMENT, len(rows) - LEAST_SEGMENT + 1)
     squares = [misfit(slice(None, i)) + misfit(slice(i, None)) for i in cuts]
-    if not squares or min(squares) > NO_EDGE * misfit(slice(None)):
+    # Two lines that misfit a profile by more than this part of what one line does are no groove.
+    if not squares or min(squares) > 0.5 * misfit(slice(None)):
         return []  # one side alone, or what is no groove
     cut = cuts[int(np.argmin(squares))]
     # A point at the edge may be of either side, or of both.

@@ -19,7 +19,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import kind_of, normal_label
 from ..model.block import Values
-from ..model.families import PLANE
+from ..model.families import PLANE, POSE, pose_of
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import MANY, condensed_shots
@@ -199,10 +199,10 @@ def misses_of(rows: Rows, values: Values, member: int, plane: int, some: IntArra
     """
     shots, sensor = rows.survey.shots[member], values[SENSOR.name][0, member]
     rays, d = KINDS[shots.kind].rays(shots.across[some]), shots.reading[some]
-    k0, k1, k2, scale = sensor[12:]
+    k0, k1, k2, scale = sensor[POSE.size :]
     R = rows.survey.stations.world_R_hand[shots.station[some]]
     t = rows.survey.stations.world_t_hand[shots.station[some]]
-    X, location = sensor[:9].reshape(3, 3), sensor[9:12]
+    X, location = pose_of(sensor)
     direction = (rays.direction + scale * rays.direction_by_scale) @ X.T
     direction = np.einsum("nij,nj->ni", R, direction)
     hits = Plane(np.array([plane])).hit(

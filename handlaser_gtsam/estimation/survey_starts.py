@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..errors import HandlaserError
 from ..model.block import Values, whitened
-from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE
+from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE, pose_of
 from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
 from ..model.search import LeastSquares, LevenbergOptions, search
@@ -45,8 +45,6 @@ RANDOM = 300
 """Random mounts that are tried where nothing else leads to a good fit."""
 MOST_STEPS = 60
 """Steps of a search from all starts of a sensor or beam; most have arrived within twenty."""
-POOR = 25.0
-"""A mean square misfit beyond this [squared standard deviations] is no good fit."""
 TRIMMED = 0.75
 """Part of the shots, those that fit best, by which the ends of searches are compared."""
 HARMLESS = {SENSOR.name: [0, 4, 8], BEAM.name: [5], PLANE.name: [2], SPHERE.name: [3]}
@@ -74,7 +72,8 @@ def start_of(
         candidates = [from_planes[entity]] if entity in from_planes else []
         candidates += _others(rows, entity, own)
         found = _searched(rows, entity, own, candidates, sigmas, thorough=last_resort)
-        if last_resort and entity[0] == SENSOR.name and (found is None or found[0] > POOR):
+        # A mean square misfit beyond this [squared standard deviations] is no good fit.
+        if last_resort and entity[0] == SENSOR.name and (found is None or found[0] > 25.0):
             more = _searched(rows, entity, own, _random_mounts(), sigmas, thorough=True)
             if more is not None and (found is None or more[0] < found[0]):
                 found = more
@@ -493,8 +492,8 @@ def _complete(rows: Rows, items: Sequence[Item], values: dict[str, FloatArray]) 
     else:
         points = [_nodes_of(item) for item in items]
         many = [len(p) for p in points]
-        X = x[:, :9].reshape(-1, 3, 3)
-        hand = np.einsum("kab,nb->kna", X, np.concatenate(points)) + x[:, None, 9:12]
+        X, location = pose_of(x)
+        hand = np.einsum("kab,nb->kna", X, np.concatenate(points)) + location[:, None]
         R, t = np.repeat(R, many, axis=0), np.repeat(t, many, axis=0)
         ahead = np.concatenate([i.shot.rays.direction for i in items if i.shot is not None])
         towards = np.einsum("nij,kja,na->kni", R, X, ahead)

@@ -44,8 +44,6 @@ STATED = re.compile(r'\A"?sep=([,;\t])"?[ \t]*(?=\n)', re.IGNORECASE)
 MOST_LOOKED_AT = 1000
 """Cells of a line that tell whether it is a header, for no log has more columns; and lines in which
 separators are counted."""
-NANOMETRE_DECIMALS = 9
-"""A length that is cut behind this number of decimals is wrong by less than a nanometre."""
 MOST_TITLES = 20
 """A header stands behind this number of lines of titles at most."""
 MOST_CHARACTERS = 10**9
@@ -406,7 +404,8 @@ def _whole(cell: str | None, others: pl.Series) -> bool:
     if number is None or others.str.contains("[eE]").any():
         return False
     decimals = len(number[2])
-    if number[1] == "0" and decimals >= NANOMETRE_DECIMALS:
+    # A length that is cut behind this number of decimals is wrong by less than a nanometre.
+    if number[1] == "0" and decimals >= 9:
         return True
     most = others.str.extract(r"\.(\d+)$").str.len_chars().max()
     return isinstance(most, int) and decimals >= most

@@ -11,15 +11,19 @@ angle, 1 / L for a curvature of the range error.
 
 from collections.abc import Iterable, Sequence
 from itertools import accumulate, pairwise
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
 from ..data.readings import Readings
 from ..errors import InputError
 from .geometry import skew, tangent_basis
+
+Reals = TypeVar("Reals", FloatArray, NDArray[np.complex128])
+"""Numbers, along an imaginary axis, too, where derivatives are taken."""
 
 
 class Part(Protocol):
@@ -94,6 +98,11 @@ class Direction:
         return bases(x)
 
 
+def pose_of(x: Reals) -> tuple[Reals, Reals]:
+    """Return rotations (..., 3, 3) and translations (..., 3) [m] from the numbers of motions."""
+    return x[..., :9].reshape(*x.shape[:-1], 3, 3), x[..., 9:12]
+
+
 class Motion:
     """A rigid motion: its rotation matrix row by row, then its translation.
 
@@ -106,14 +115,14 @@ class Motion:
 
     def retract(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Turn and shift in the own frame."""
-        R = x[..., :9].reshape(*x.shape[:-1], 3, 3)
+        R, t = pose_of(x)
         turn = Rotation.from_rotvec(step[..., :3].reshape(-1, 3)).as_matrix().reshape(R.shape)
         shift = (R @ step[..., 3:, None])[..., 0]
-        return np.concatenate(((R @ turn).reshape(*x.shape[:-1], 9), x[..., 9:] + shift), axis=-1)
+        return np.concatenate(((R @ turn).reshape(*x.shape[:-1], 9), t + shift), axis=-1)
 
     def tangents_at(self, x: FloatArray) -> FloatArray:
         """Return how the matrix turns about each of its axes, and the axes themselves."""
-        R = x[..., :9].reshape(*x.shape[:-1], 3, 3)
+        R, _ = pose_of(x)
         tangents = np.zeros((*x.shape, len(self.coordinates)))
         turned = np.einsum("...ab,jbc->...acj", R, skew(np.eye(3)))
         tangents[..., :9, :3] = turned.reshape(*x.shape[:-1], 9, 3)

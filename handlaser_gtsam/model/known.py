@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from .families import BEAM, OF_DIRECTION, PLANE, Family, Motion, bases, register
+from .families import BEAM, OF_DIRECTION, PLANE, Family, Motion, bases, pose_of, register
 from .geometry import skew
 from .relations import Numbers, Relation
 from .sensors.mounted import SENSOR
@@ -110,7 +110,7 @@ def face(
     T = bases(m)
 
     def rule(x: Numbers, y: Numbers) -> Numbers:
-        R, t = _pose(y)
+        R, t = pose_of(y)
         off = _seen(R, _foot(x) - t) @ m[:, None] - d
         return _joined(_seen(R, x[..., :3]) @ T / sigma_angle, off / sigma)
 
@@ -144,7 +144,7 @@ def held(body: int, pose: FloatArray, faces: FloatArray, sigma: float) -> Relati
     at, place = pose[:9].reshape(3, 3), pose[9:]
 
     def rule(x: Numbers) -> Numbers:
-        R, t = _pose(x)
+        R, t = pose_of(x)
         return np.asarray(_joined(_turn(at.T @ R), (t - place) @ at) @ open_.T / sigma)
 
     return Relation(((BODY.name, body),), rule)
@@ -155,7 +155,7 @@ def mounted_at(sensor: int, pose: FloatArray, sigma: float, sigma_angle: float) 
     at, place = pose[:3, :3], pose[:3, 3]
 
     def rule(x: Numbers) -> Numbers:
-        R, t = _pose(x)
+        R, t = pose_of(x)
         return _joined(_turn(at.T @ R) / sigma_angle, (t - place) @ at / sigma)
 
     return Relation(((SENSOR.name, sensor),), rule)
@@ -167,7 +167,7 @@ def mounted_together(
     """Return that two sensors sit at a known pose to each other: first_T_second (4, 4)."""
 
     def rule(x: Numbers, y: Numbers) -> Numbers:
-        (R, t), (Q, s) = _pose(x), _pose(y)
+        (R, t), (Q, s) = pose_of(x), pose_of(y)
         turn = _turn(pose[:3, :3].T @ np.swapaxes(R, -1, -2) @ Q)
         return _joined(turn / sigma_angle, (_seen(R, s - t) - pose[:3, 3]) / sigma)
 
@@ -196,10 +196,6 @@ def _joined(*parts: Numbers | FloatArray) -> Numbers:
 
 def _foot(plane: Numbers) -> Numbers:
     return np.asarray(plane[..., 4:] - plane[..., 3:4] * plane[..., :3])
-
-
-def _pose(x: Numbers) -> tuple[Numbers, Numbers]:
-    return x[..., :9].reshape(*x.shape[:-1], 3, 3), x[..., 9:12]
 
 
 def _seen(R: Numbers, vectors: Numbers) -> Numbers:

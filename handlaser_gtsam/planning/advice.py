@@ -23,8 +23,6 @@ from .route import Plan, planned
 from .task import planning_task
 from .workspace import Workspace
 
-ADVISED = 3
-"""Stations that are named: more are a plan."""
 ADVISED_BEAMS = 16
 """With more beams, a plan takes longer than a word of advice may."""
 
@@ -47,7 +45,8 @@ def next_stations(
         task = planning_task(calibration, sensor, workspace, Goal() if goal is None else goal)
         share = POOL // 5 // len(task.belief.plane_names)  # so that nobody waits
         pool = task.reachable(share, np.random.default_rng(0))
-        chosen = task.chosen(station_rows(task.belief, pool)[None], ADVISED)
+        # Stations that are named: more are a plan.
+        chosen = task.chosen(station_rows(task.belief, pool)[None], 3)
         return planned(task, pool[chosen], without(pool, chosen))
     except HandlaserError:
         return None

@@ -29,9 +29,6 @@ UNKNOWN_ANGLE = 0.5
 UNKNOWN_PLANE = np.array([UNKNOWN_ANGLE, UNKNOWN_ANGLE, UNKNOWN_LENGTH])
 COMPARED_DRAWS = 4
 """Draws of a belief, or of bounds, at which stations are compared: more change no choice much."""
-LAST_PLANES = 16
-"""Planes of a calibration before which stations are planned, from the last: the plate of earlier ones
-has hardly stayed where it was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +200,9 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
             f"a calibration that is {calibration.status.replace('_', ' ')}",
             "a converged one; plan without a calibration for a first motion",
         )
-    last = slice(max(len(joint.plane_names) - LAST_PLANES, 0), None)
+    # Planes of a calibration before which stations are planned, from the last: the plate of earlier
+    # ones has hardly stayed where it was.
+    last = slice(max(len(joint.plane_names) - 16, 0), None)
     names, mean = joint.plane_names[last], calibration.parameters()
     mean = replace(mean, normals=mean.normals[last], offsets=mean.offsets[last])
     noise = calibration.variances or Variances(

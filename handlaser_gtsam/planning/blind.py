@@ -56,8 +56,6 @@ TETRAHEDRON = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [
 """Four positions that span space evenly."""
 TRIED_TURNS = 1500
 """Turns that are tried: of a narrow workspace a tenth is safe."""
-NOISE_PART = 1e-3
-"""A sensor whose noise is not known errs by this part of its range, as cheap ones do."""
 LEAST_BLIND = 11
 """Stations before a plane, at least: four positions and seven turns."""
 MOST_BLIND = 60
@@ -360,7 +358,8 @@ def assumed(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise |
     noise = Noise() if noise is None else noise
     sigma = noise.range_sigma
     if sigma is None:
-        sigma = NOISE_PART * (sensor.range_max - sensor.range_min)
+        # A sensor whose noise is not known errs by this part of its range, as cheap ones do.
+        sigma = 1e-3 * (sensor.range_max - sensor.range_min)
     shift, turn = noise.pose_translation_sigma, noise.pose_rotation_sigma
     if noise.pose_covariance is None:
         shift = noise.pose_translation_prior if shift is None else shift

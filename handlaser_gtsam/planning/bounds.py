@@ -19,6 +19,8 @@ STEEPEST_TILT = math.pi / 3.0
 """Nobody tilts a plate further, nor knows its direction worse."""
 MOST_PLANNED = 1000
 """Nobody drives to more stations, nor puts up a plate more often: a larger number is a slip."""
+SIDES = 8
+"""Sides to which a plate, or a hand, is turned: neighbours have a cosine of 0.7."""
 PLACED_WITHIN = 0.002
 """How far off in distance a person puts a plate, where nothing else is stated [m]."""
 PLACED_TILT = math.radians(2.0)

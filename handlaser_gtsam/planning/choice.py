@@ -18,12 +18,6 @@ from ..arrays import FloatArray, IntArray
 
 Criterion = Literal["A", "D", "E", "spot"]
 CRITERIA: tuple[Criterion, ...] = ("A", "D", "E", "spot")
-LEAST_GAIN = 1e-3
-"""A round of exchanges that lowers the criterion by less than this part is the last."""
-SHORTLIST = 60
-"""Candidates that are compared at the draws of the belief, too: draws hardly bring up one beyond."""
-SHARPNESS = 8
-"""p of the p-norm of all eigenvalues, of which the gradient is smooth where the largest changes."""
 
 
 def choose(
@@ -64,7 +58,8 @@ def choose(
         for place in range(len(search.chosen)):
             search.drop(place)
             search.take(search.best(), place)
-        if search.value() > before - LEAST_GAIN * abs(before):
+        # A round of exchanges that lowers the criterion by less than this part is the last.
+        if search.value() > before - 1e-3 * abs(before):
             break
     taken = np.array(search.chosen, dtype=np.intp)
     first = covariance if covariance.ndim == 2 else covariance[0]
@@ -104,7 +99,9 @@ class _Search:
         gains[self.chosen] = -np.inf
         if len(self.rows) == 1:
             return int(gains.argmax())
-        short = np.argsort(-gains)[:SHORTLIST]
+        # Candidates that are compared at the draws of the belief, too: draws hardly bring up one
+        # beyond.
+        short = np.argsort(-gains)[:60]
         A, C = self.rows[1:, short], self.C[1:]
         AC = A @ C[:, None]
         S, T = self.identity + AC @ np.swapaxes(A, -1, -2), AC @ self.weight.T
@@ -160,4 +157,5 @@ def _root(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> F
     values, axes = np.linalg.eigh(weight @ covariance @ weight.T)
     if criterion == "D":
         return np.asarray(axes / np.sqrt(values))
-    return np.asarray(axes * (values / values[-1]) ** (0.5 * (SHARPNESS - 1)))
+    # p of the p-norm of all eigenvalues, of which the gradient is smooth where the largest changes.
+    return np.asarray(axes * (values / values[-1]) ** (0.5 * (8 - 1)))

@@ -24,9 +24,6 @@ from ..results.limits import Limits
 from ..results.spot_error import radius, spot_of
 from .choice import CRITERIA, Criterion
 
-LOCATION_UNIT = 1e-4
-"""A location that is known to this counts as much as a direction known to `DIRECTION_UNIT`, where no
-goal is stated [m]: a tenth of a millimetre."""
 DIRECTION_UNIT = math.radians(0.1)
 """[rad]"""
 
@@ -118,7 +115,9 @@ class Goal:
     @property
     def units(self) -> tuple[float, float]:
         """What of a location [m] and of a direction [rad] counts as much."""
-        return self.location_sigma or LOCATION_UNIT, self.direction_sigma or DIRECTION_UNIT
+        # A location that is known to this counts as much as a direction known to `DIRECTION_UNIT`,
+        # where no goal is stated [m]: a tenth of a millimetre.
+        return self.location_sigma or 1e-4, self.direction_sigma or DIRECTION_UNIT
 
     def distance(self, sensor: Sensor) -> float:
         """Return the working distance [m]."""

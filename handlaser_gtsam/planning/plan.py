@@ -24,11 +24,6 @@ from .workspace import Workspace, joined
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
-REFINING_MOVES = (0.4, 0.15)
-"""Sizes of the moves by which chosen stations are refined, as parts of the largest turn and of the
-sensor's range: about as far as candidates are apart, and then as those are."""
-NEIGHBOURS = 24
-"""Moved copies of every station in each of these rounds: a few to either side of each coordinate."""
 
 
 def plan(
@@ -153,8 +148,12 @@ def _refined(task: Task, stations: Stations, rng: np.random.Generator) -> Statio
     """
     belief, workspace, sensor = task.belief, task.workspace, task.sensor
     count, span = len(stations), sensor.range_max - sensor.range_min
-    for size in REFINING_MOVES:
-        near = stations[np.repeat(np.arange(count), NEIGHBOURS)]
+    # Sizes of the moves by which chosen stations are refined, as parts of the largest turn and of
+    # the sensor's range: about as far as candidates are apart, and then as those are.
+    for size in (0.4, 0.15):
+        # Moved copies of every station in each of these rounds: a few to either side of each
+        # coordinate.
+        near = stations[np.repeat(np.arange(count), 24)]
         turn = size * workspace.largest_turn * rng.standard_normal((len(near), 3))
         step = size * span * rng.standard_normal((len(near), 3))
         near = Stations(

@@ -18,18 +18,11 @@ from ..model.robots.scene import Scene
 from ..quantities import LARGEST_LENGTH
 from .bounds import Plate, vectors
 
-STARTS = 8
-"""Random joints from which a pose is looked for, after those known to be near: about one pose in two
-hundred that an arm reaches is missed from all of them."""
-MANY_STARTS = 12
-"""The same for one pose on the way of the arm, which is not missed for want of a ninth start."""
 LEEWAY = 0.1
 """Between stations the hand stays in their box to within this [m]: it does not move on a line."""
 WAY_STEP = np.deg2rad(1.0)
 """The way between joints is checked in steps of this, of the joint that moves most [rad], [m]: at the
 end of an arm of 1 m they are 17 mm."""
-SAME_JOINTS = 1e-4
-"""Joints that differ by less are one solution [rad], [m]: both are at the pose to far less."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -135,7 +128,9 @@ class Robot(Value):
         arm, touches, rng = self._scene().arm, self._touching(plate), np.random.default_rng(0)
         stands = self.start if len(self.start) else 0.5 * (arm.low + arm.high)
         joints = np.full((len(t), len(arm.low)), np.nan)
-        for attempt in range(STARTS + 2):
+        # Random joints from which a pose is looked for, after those known to be near: about one
+        # pose in two hundred that an arm reaches is missed from all of them.
+        for attempt in range(8 + 2):
             missing = np.isnan(joints).any(axis=1)
             left, reached = np.flatnonzero(missing), np.flatnonzero(~missing)
             if not left.size:
@@ -161,13 +156,17 @@ class Robot(Value):
         The others come in the order of how far their farthest joint moves.
         """
         arm = self._scene().arm
-        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (MANY_STARTS, len(near)))
+        # The same for one pose on the way of the arm, which is not missed for want of a ninth
+        # start.
+        drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (12, len(near)))
         seen: list[FloatArray] = []
         for starts in (near[None], drawn):
             solved = [arm.inverse(R, t, start) for start in starts]
             turned = [arm.nearest(q, near) for q in solved if q is not None]
             for joints in sorted(turned, key=lambda q: float(np.abs(q - near).max())):
-                if all(np.abs(joints - other).max() > SAME_JOINTS for other in seen):
+                # Joints that differ by less are one solution [rad], [m]: both are at the pose to
+                # far less.
+                if all(np.abs(joints - other).max() > 1e-4 for other in seen):
                     seen.append(joints)
                     if self.free(joints, plate)[0]:
                         yield joints

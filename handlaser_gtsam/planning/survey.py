@@ -61,8 +61,6 @@ VIEWS = 600
 than a tenth more."""
 RAYS = 60
 """Rays of a candidate: some of a shot, evenly spaced, with the weight of all."""
-STEEPEST_VIEW = np.radians(50.0)
-"""Candidates look at a plane at angles of incidence up to that: most sensors read there."""
 PAST_CENTRE = 0.6
 """They look past the centre of a sphere by up to this part of its radius."""
 FEWEST = {PLANE.name: 0.6, SPHERE.name: 0.2}
@@ -315,7 +313,8 @@ class _Look:
         R, x = drawn_turns(workspace, 6 * views, rng), self.target
         if self.first.target[0] == PLANE.name:
             away = np.sign((self.before @ x[:3]).sum())
-            R = R[away * (R @ self.ray @ x[:3]) > np.cos(STEEPEST_VIEW)][:views]
+            # Candidates look at a plane at angles of incidence up to that: most sensors read there.
+            R = R[away * (R @ self.ray @ x[:3]) > np.cos(np.radians(50.0))][:views]
             direction, middle = R @ self.ray, self.spots.mean(axis=0)
             spread = (self.spots - middle)[rng.integers(len(self.spots), size=len(R))]
             at = middle + rng.uniform(-1.0, 1.0, (len(R), 1)) * spread

@@ -35,12 +35,6 @@ ENDS = 0.4
 MOST_TRIED = 40
 """Multiple of the candidates wanted that are drawn, before giving up: of a workspace of which a
 fortieth is good."""
-MOST_AT_ONCE = 3000
-"""Poses drawn in one round, or as many as are wanted if those are more: they fit into memory."""
-MORE_THAN_MISSING = 1.3
-"""Multiple of the poses that seem to be missing that are drawn: most rounds are the last."""
-MOST_ASKED = 3
-"""Multiple of the candidates wanted of which an arm is asked, which takes longer than drawing them."""
 LEAST_CANDIDATES = 10
 """Fewer are no choice."""
 
@@ -147,11 +141,17 @@ class Task(NamedTuple):
         kept: list[Stations] = []
         plates = belief.plates()
         drawn = good = asked = 0
-        while drawn < MOST_TRIED * count and good < count and asked < MOST_ASKED * count:
+        # Multiple of the candidates wanted of which an arm is asked, which takes longer than
+        # drawing them.
+        while drawn < MOST_TRIED * count and good < count and asked < 3 * count:
             wanted = count
             if drawn:  # by how many of those drawn were good so far
-                most = min(max(MOST_AT_ONCE, count), MOST_TRIED * count - drawn)
-                missing = MORE_THAN_MISSING * (count - good) * drawn / max(good, 1)
+                # Poses drawn in one round, or as many as are wanted if those are more: they fit
+                # into memory.
+                most = min(max(3000, count), MOST_TRIED * count - drawn)
+                # Multiple of the poses that seem to be missing that are drawn: most rounds are the
+                # last.
+                missing = 1.3 * (count - good) * drawn / max(good, 1)
                 wanted = int(np.clip(missing, 0.1 * count, most))
             drawn += wanted
             tried = moved_to_read(wanted)

@@ -21,14 +21,6 @@ from .bounds import Plate
 from .robot import Robot
 from .workspace import Workspace, inside, joined
 
-WITHDRAWN_BY = (0.05, 0.1, 0.02)
-"""How far the hand withdraws from the plate [m], in the order in which it is tried: most hands clear
-the plate with 50 mm, farther or nearer is for narrow cells."""
-TRIED_SOLUTIONS = 4
-"""Solutions of a pose that are tried on the way: an arm of six joints has up to eight."""
-MOST_WAYS = 100
-"""Ways between two stations that are tried, before another detour: a second or two."""
-
 
 def shortest(stations: Stations, length: float) -> IntArray:
     """Return an order (M,) of stations with a short way: plane by plane, nearest first, uncrossed.
@@ -133,7 +125,9 @@ def driven(
         plate, t = plates[int(station.plane[0])], station.world_t_hand
         if plate is None:
             return []
-        moved = (replace(station, world_t_hand=t - far * plate.normal) for far in WITHDRAWN_BY)
+        # How far the hand withdraws from the plate [m], in the order in which it is tried: most
+        # hands clear the plate with 50 mm, farther or nearer is for narrow cells.
+        moved = (replace(station, world_t_hand=t - far * plate.normal) for far in (0.05, 0.1, 0.02))
         return [away for away in moved if inside(workspace, away).all()]
 
     def ways(before: Stations | None, station: Stations) -> Iterator[Stations]:
@@ -166,7 +160,8 @@ def driven(
         plane, rest = int(way.plane[0]), way[np.arange(1, len(way))]
         R, t = way.world_R_hand[0], way.world_t_hand[0]
         solutions = robot.solutions(R, t, plates[plane], q)
-        for solved, _ in zip(islice(solutions, TRIED_SOLUTIONS), left, strict=False):
+        # Solutions of a pose that are tried on the way: an arm of six joints has up to eight.
+        for solved, _ in zip(islice(solutions, 4), left, strict=False):
             if robot.free_way(q, solved, plates[plane] if plane == before else None, box):
                 found = [solved, *along(solved, plane, rest, left)]
                 if len(found) == len(way):
@@ -180,7 +175,8 @@ def driven(
             q = joints[-1] if joints else robot.start
             plane = int((way if before is None else before).plane[0])
             if len(q):
-                found = along(q, plane, way, iter(range(MOST_WAYS)))
+                # Ways between two stations that are tried, before another detour: a second or two.
+                found = along(q, plane, way, iter(range(100)))
             else:  # where no joints are known before, only those of the station matter
                 solved = robot.joints(way.world_R_hand, way.world_t_hand, plates[plane])
                 found = [] if np.isnan(solved).any() else list(solved)

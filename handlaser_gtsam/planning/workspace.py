@@ -23,9 +23,6 @@ from .robot import Robot
 
 STEEPEST = math.radians(75.0)
 """Incidence to which a sensor without a stated limit is used: beyond, most sensors read nothing."""
-TURN_EXPONENT = 9.0
-"""The turns of candidates are the largest one times the root of this order of a uniform number: nine of
-ten turn by more than three quarters of it, because stations that turn far say most."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -159,7 +156,9 @@ def least_cosine(sensor: Sensor) -> float:
 def drawn_turns(workspace: Workspace, count: int, rng: np.random.Generator) -> FloatArray:
     """Return random orientations (count, 3, 3) of the hand in a workspace."""
     axis = model.normalized(rng.standard_normal((count, 3)))
-    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / TURN_EXPONENT)
+    # The turns of candidates are the largest one times the root of this order of a uniform number:
+    # nine of ten turn by more than three quarters of it, because stations that turn far say most.
+    angle = workspace.largest_turn * rng.uniform(size=count) ** (1.0 / 9.0)
     return np.asarray(workspace.home @ Rotation.from_rotvec(angle[:, None] * axis).as_matrix())
 
 

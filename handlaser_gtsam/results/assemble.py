@@ -69,9 +69,6 @@ from .warnings import (
 OF_NOISE = ("sigmas-too-small", "sigmas-too-large", "poses-err")
 """Codes of warnings that judge the noise by the residuals."""
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
-MOST_EXCHANGED = 1.0 / 3.0
-"""Where readings of beams are exchanged and one of them loses more than this part of its own, it is not
-sure which of the two mounts is whose, or whether both are one."""
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 
 
@@ -100,7 +97,9 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
         wrong = implausible_mounts(used, solution.best, names)
     way = _way(problem, used, fit, solution, wrong)
     lost = lost_of_beams(fit, problem.recording.beam_names)
-    exchanged = any(out > MOST_EXCHANGED * every and every > out for out, every in lost)
+    # Where readings of beams are exchanged and one of them loses more than this part of its own, it
+    # is not sure which of the two mounts is whose, or whether both are one.
+    exchanged = any(out > (1.0 / 3.0) * every and every > out for out, every in lost)
     mistaken = way is not None and (wrong is not None or suspicious(used, fit) or exchanged)
     if mistaken:
         wrong = way

@@ -15,22 +15,18 @@ from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording
 from ..errors import InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
-from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MM
+from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MM, TINY
 from ..starts import Effort
 from .messages import MISTAKES, READ_AS
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
 from .warnings import MANY_OUTLIERS
 
-ALIKE = 4.0
-"""Of several hypotheses those are named whose misfit is within this factor of the least."""
 PROMISING = 9.0
 """And it is tried in earnest when it does so by this factor at a glance."""
 LEAST_REJECTED = 3
 """Fewer rejected readings of one beam do not suggest that they are another beam's."""
 SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
 """Parts of the way to the next station, or back to the one before, at which readings may be taken."""
-UNIT_GAP = 3.0
-"""Readings that differ by this factor on both sides of a station, without overlap, have two units."""
 SPLITS = 9
 """Evenly spaced stations that are tried as the first of a second plate; then the best is refined."""
 GROUPS = 4
@@ -73,7 +69,8 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
             continue
         now, best = measure(recording, "normal"), min(without)[0]
         if now >= MUCH_BETTER * best:
-            most = min(now / MUCH_BETTER, ALIKE * best)
+            # Of several hypotheses those are named whose misfit is within this factor of the least.
+            most = min(now / MUCH_BETTER, 4.0 * best)
             words = " or ".join(words for value, words in without if value <= most)
             times = min(np.sqrt(now / best), 1e6)
             return f"{words}: read so, the readings fit {times:.0f} times better"
@@ -206,8 +203,10 @@ def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tupl
     before = np.maximum.accumulate(high)[:-1], np.minimum.accumulate(low)[:-1]
     after = np.maximum.accumulate(high[::-1])[::-1][1:], np.minimum.accumulate(low[::-1])[::-1][1:]
     for larger, smaller, late in ((after, before, True), (before, after, False)):
-        gap = larger[1] / np.maximum(smaller[0], 1e-300)
-        if not len(gap) or not gap.max() > UNIT_GAP:
+        gap = larger[1] / np.maximum(smaller[0], TINY)
+        # Readings that differ by this factor on both sides of a station, without overlap, have two
+        # units.
+        if not len(gap) or not gap.max() > 3.0:
             continue
         split = int(gap.argmax()) + 1
         rows = np.arange(len(d)) >= split if late else np.arange(len(d)) < split

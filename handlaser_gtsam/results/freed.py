@@ -50,9 +50,6 @@ from .systematic import subject_in_words
 
 MOST_FREED = 200
 """Unknown sizes at most: every one has a column of all readings, and all are known together."""
-DETERMINED = 0.5
-"""A size is determined where the readings lower the variance of its prior to below this part: then they
-say more of it than the prior."""
 
 Member = tuple[str, str]
 """Code of an error, and whom or what this unknown of it concerns: the name of its size."""
@@ -88,7 +85,9 @@ class Freed(NamedTuple):
     @property
     def determined(self) -> BoolArray:
         """Which sizes (q,) the readings determine."""
-        return np.asarray(np.diagonal(self.covariance) < DETERMINED)
+        # A size is determined where the readings lower the variance of its prior to below this
+        # part: then they say more of it than the prior.
+        return np.asarray(np.diagonal(self.covariance) < 0.5)
 
     @property
     def rank(self) -> int:

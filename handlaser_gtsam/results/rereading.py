@@ -16,6 +16,7 @@ from ..arrays import FloatArray, IntArray, evenly
 from ..data.recording import Readings, Recording, sorted_readings
 from ..errors import HandlaserError
 from ..model.families import BEAM, PLANE
+from ..quantities import TINY
 from ..starts import Effort, find_start
 from ..starts.choice import mean_squares_at_a_glance
 
@@ -78,7 +79,7 @@ def glances(recording: Recording, changes: Sequence[Change]) -> FloatArray:
     found = np.full(len(changes), np.inf)
     for alike in shapes.values():
         which, each = [i for i, _ in alike], [_about_planes(readings) for _, readings in alike]
-        variance = [max(float(readings.distance.var()), 1e-300) for readings in each]
+        variance = [max(float(readings.distance.var()), TINY) for readings in each]
         found[which] = mean_squares_at_a_glance(each) / variance
     return found
 
@@ -97,7 +98,7 @@ def misfit(recording: Recording, terms: int, effort: Effort, reach: float = np.i
     start = find_start(readings, None, terms, effort=effort)
     if not np.linalg.norm(start.parameters.locations, axis=1).max() <= reach:
         return np.inf
-    return float(start.tried[0][1] ** 2) / max(float(readings.distance.var()), 1e-300)
+    return float(start.tried[0][1] ** 2) / max(float(readings.distance.var()), TINY)
 
 
 def one_beam(

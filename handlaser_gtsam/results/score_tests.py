@@ -32,10 +32,6 @@ from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..quantities import NEGLIGIBLE
 from .projection import SQUARE_ROUNDING, LinearRows, Projection
 
-UNKNOWN_SIZE = 0.02
-"""An error is confounded, too, where the standard deviation of its size is above this part of its
-natural unit, the typical range or 1: it would be found from five times that on, where derivatives at
-zero do not describe it any more."""
 STRAINED_SHARE = 0.95
 """An error strains the prior where removing the prior lowers the square of its adjusted column below
 this part: to 0.04 to 0.1 for a cubic range error, to 0.7 or more for all others. A cubic error that is
@@ -156,7 +152,10 @@ class ScoreTests:
         left, whole = self._loose.left, np.concatenate([kind.squares for kind in self.kinds])
         share = left / np.where(whole > 0.0, whole, np.inf)
         unit = {"m": self.rows.readings.typical_range(), "1": 1.0}
-        most = self._by_code(lambda code: UNKNOWN_SIZE * unit[EFFECTS[code].unit])
+        # An error is confounded, too, where the standard deviation of its size is above this part
+        # of its natural unit, the typical range or 1: it would be found from five times that on,
+        # where derivatives at zero do not describe it any more.
+        most = self._by_code(lambda code: 0.02 * unit[EFFECTS[code].unit])
         # An error is confounded where the unknowns explain all of its column but a negligible part.
         # Rounding makes up to 1e-11 of a member; errors that a recording shows have 3e-5 or more.
         determined = (share > NEGLIGIBLE) & (left > (scale / most) ** 2)

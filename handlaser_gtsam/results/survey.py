@@ -33,6 +33,7 @@ from ..model.families import (
     PLANE,
     RANGE_ERROR,
     bases,
+    pose_of,
 )
 from ..model.geometry import skew
 from ..model.sensors.kinds import KINDS
@@ -51,8 +52,6 @@ from .verdict import Verdict
 from .warnings import MANY_OUTLIERS
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
-NOTABLE_SIGMA = 1.5
-"""Points tell a sigma to a per cent; data sheets do not state it better than by such a factor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -375,7 +374,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
 def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...]) -> SensorMount:
     shots = found.rows.survey.shots[member]
     x = found.estimate.values[SENSOR.name][member]
-    R = x[:9].reshape(3, 3)
+    R, location = pose_of(x)
     own = found.estimate.marginal(SENSOR.name, member)
     first = f"{SENSOR.name}[{member}]."
     names = [n.removeprefix(first) for n in found.estimate.names if n.startswith(first)]
@@ -395,7 +394,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         shots.name,
         shots.kind,
         R,
-        x[9:12],
+        location,
         {name: float(x[12 + RAY_ERRORS.index(name)]) for name in shots.free},
         C,
         np.sqrt(np.diagonal(located)),
@@ -658,7 +657,9 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         square = many * (inside / shots.sigma) ** 2
         smaller = inside < shots.sigma
         p = float((chi2_cdf if smaller else chi2_sf)(square, many))
-        if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > NOTABLE_SIGMA:
+        # Points tell a sigma to a per cent; data sheets do not state it better than by such a
+        # factor.
+        if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > 1.5:
             how, stated = "large" if smaller else "small", shots.sigma
             times = inside / shots.sigma
             values: Values = {"sigma_mm": inside * IN_MM, "times": times, "p": p}

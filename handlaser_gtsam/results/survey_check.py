@@ -18,7 +18,7 @@ from ..estimation.estimate import Estimate, information_axes, judged, least_info
 from ..estimation.survey import first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import Rows, rows_of
-from ..model.families import BEAM, RANGE_ERROR
+from ..model.families import BEAM, RANGE_ERROR, pose_of
 from ..model.sensors.mounted import SENSOR
 from ..observability.motion import PlaneMotion, motion_before
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
@@ -182,7 +182,7 @@ def _held(rows: Rows, found: Estimate | None) -> Iterator[SensorHeld]:
         if found is not None and own:
             C = found.marginal(family, member)
             if family == SENSOR.name:
-                R = found.values[family][member, :9].reshape(3, 3)
+                R = pose_of(found.values[family][member])[0]
                 C = C[:6, :6]
                 C = np.block(
                     [[R @ C[3:, 3:] @ R.T, np.zeros((3, 3))], [np.zeros((3, 3)), C[:3, :3]]]

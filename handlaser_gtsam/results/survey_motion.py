@@ -8,7 +8,7 @@ from ..arrays import FloatArray
 from ..estimation.estimate import Estimate
 from ..estimation.survey_mirror import motion_of, numbers_of
 from ..estimation.survey_rows import Rows
-from ..model.families import BEAM, FAMILIES, PLANE, bases
+from ..model.families import BEAM, FAMILIES, PLANE, bases, pose_of
 from ..model.known import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -20,9 +20,6 @@ from ..text import some
 from .lines import NAMES_IN_LINE
 from .messages import said
 
-NEARLY_LEVEL = np.radians(5.0)
-"""Rays that lean less than this [rad] out of the plane of a motion may be level: where the lean is
-undetermined, noise alone makes it appear so large."""
 CURE_OF_A_CIRCLE = "tilt it by another angle, or add a second plane"
 """What determines a sensor whose normals lie on one circle."""
 
@@ -114,13 +111,15 @@ def _level(
         kind = KINDS[shots.kind]
         if not kind.flat or any(i.target[0] != PLANE.name for i in own):
             continue
-        across = found.values[SENSOR.name][member, :9].reshape(3, 3)[:, kind.across]
+        across = pose_of(found.values[SENSOR.name][member])[0][:, kind.across]
         lean = float(np.arccos(np.clip(abs(across @ motion.axis), 0.0, 1.0)))
         C = found.marginal(SENSOR.name, member)[:3, :3]
         # It is NaN where the lean is undetermined, or where the mirror image fits as well.
         sigma = float(np.sqrt(np.delete(np.diagonal(C), kind.across).max()))
         known = lean > FAR_SIGMAS * sigma or (SENSOR.name, member) in images
-        if lean < COUNTED_TURN or (lean < NEARLY_LEVEL and not known):
+        # Rays that lean less than this [rad] out of the plane of a motion may be level: where the
+        # lean is undetermined, noise alone makes it appear so large.
+        if lean < COUNTED_TURN or (lean < np.radians(5.0) and not known):
             level[shots.name] = shots.kind
     return level
 
@@ -178,7 +177,7 @@ def _quantities(
 ) -> tuple[Kind, str, dict[str, FloatArray]]:
     """Return kind and name of a variable, and what steps (dim, q) of it are, by quantity."""
     if family == SENSOR.name:
-        R = x[:9].reshape(3, 3)
+        R, _ = pose_of(x)
         parts = {"location": R @ moved[3:6], "turn": R @ moved[:3], "range error": moved[6:]}
         return "sensor", rows.survey.shots[member].name, parts
     if family == BEAM.name:
@@ -210,7 +209,7 @@ def _on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str
             continue
         n = values[PLANE.name][next(iter(planes))[1], :3]
         station = [i.station for i in own]
-        X = values[SENSOR.name][member, :9].reshape(3, 3)
+        X, _ = pose_of(values[SENSOR.name][member])
         m = np.einsum("sij,i->sj", stations.world_R_hand[station], n) @ X
         spread, axes = np.linalg.svd(m - m.mean(axis=0), full_matrices=False)[1:]
         # They are on one circle about a direction along which they hardly spread.

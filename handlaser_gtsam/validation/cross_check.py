@@ -36,9 +36,6 @@ from ..starts import find_start
 
 FITS = "converged", "contradicted"
 """Status of a survey that has a minimum."""
-START_OFF = 0.005
-"""SciPy solves surveys from so far [m], [rad] beside their solution: far more than their standard
-deviations."""
 COMPARED_PARTS = {
     SENSOR.name: {"rotation": slice(0, 3), "location": slice(3, 6), "range error": slice(6, None)},
     BEAM.name: {"location": slice(0, 3), "direction": slice(3, 6), "range error": slice(6, None)},
@@ -262,6 +259,8 @@ def _problem(found: SurveyEstimate) -> Problem:
     known = [(one, rows.entities(one)) for one in rows.known if one.relation != "body"]
     known += [(one, [at, *rows.entities(one)]) for one, at in zip(rows.bodies, bodies, strict=True)]
     pose = state.pose_covariance()
+    # SciPy solves surveys from so far [m], [rad] beside their solution: far more than their
+    # standard deviations.
     return Problem(
         observed,
         (survey.stations.world_R_hand, survey.stations.world_t_hand),
@@ -273,7 +272,7 @@ def _problem(found: SurveyEstimate) -> Problem:
         pose if pose.any() else None,
         float(found.noise.sigma[-1]),
         known,
-        beside=START_OFF,
+        beside=0.005,
     )
 
 

@@ -31,9 +31,6 @@ from .runs import RUN_SCHEMA, Estimated, run_row
 BLOCK = 20
 """Runs that a worker solves at once: enough to gain from solving them together, and few enough that an
 interrupted study loses seconds."""
-PERIOD = 2.0
-"""Seconds from one writing of the table to the next: what a killed study loses at most, and far more
-than the writing takes."""
 
 Draw = Callable[[np.random.Generator], tuple[Recording, Parameters]]
 """Draws a recording, and the truth behind it with the beams in the order of the recording."""
@@ -155,7 +152,9 @@ def run_study(
                 table = table.vstack(rows.with_columns(study=pl.lit(digest)))
                 finished += rows.height
                 tell("study", finished, total, "runs")
-                if keep is not None and time.monotonic() - written > PERIOD:
+                # Seconds from one writing of the table to the next: what a killed study loses at
+                # most, and far more than the writing takes.
+                if keep is not None and time.monotonic() - written > 2.0:
                     keep(table)
                     written = time.monotonic()
         finally:
@@ -271,8 +270,8 @@ def run_blocks(
         if type(error).__name__ not in LOST:
             raise
         raise SolverError(
-            f"a worker was lost ({type(error).__name__}); expected workers with enough memory: the same "
-            "command with fewer --jobs goes on from the table of --out"
+            f"a worker was lost ({type(error).__name__}); expected workers with enough memory: the "
+            "same command with fewer --jobs goes on from the table of --out"
         ) from error
     finally:
         for future in futures:

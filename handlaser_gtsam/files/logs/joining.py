@@ -19,9 +19,6 @@ from .planes import intervals, planes_in_time, planes_of
 from .rows import LogRows
 from .stands import Track, find_stands
 
-UNIT_OFF = 0.15
-"""Spans of one recording agree within a factor of three: this part of a power of a thousand."""
-
 
 class Stations(NamedTuple):
     """Stations of a log, with their poses and readings.
@@ -313,7 +310,8 @@ def refuse_other_units(poses: LogRows, readings: LogRows, given: LogFormat) -> N
     if min(spans) <= 0.0 or given.readings_time_units is not None or given.as_stated:
         return
     power = np.log10(spans[1] / spans[0]) / 3.0
-    if round(power) == 0 or abs(power - round(power)) > UNIT_OFF:
+    # Spans of one recording agree within a factor of three: this part of a power of a thousand.
+    if round(power) == 0 or abs(power - round(power)) > 0.15:
         return
     units = list(TIME_UNITS)
     finer = units.index(given.time_units) + abs(round(power))

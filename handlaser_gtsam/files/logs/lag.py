@@ -68,18 +68,12 @@ LAG_SETTLED = 0.01
 """A lag that moves by fewer of its standard deviations has come to rest."""
 WORST_SIGMA = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag."""
-INTERPOLATED = 1e-4
-"""The interpolation between two poses may move the minimum by this much [s]."""
-UNEXPLAINED = 0.1
-"""A larger part of the variance of readings than this says that they do not follow the motion."""
 STEPS_APART = 2.0
 """Steps between recorded poses to either side over which residuals are differenced. Poses that err by
 0.3 mm moved the lag by 0.40, 0.09 and 0.08 ms (rms) with a sixteenth of a step, one and two."""
 AS_GOOD = 4.0
 """What leaves less than this factor of the mean square of another fits as well: another offset as the
 best one, and a calibration as the linear equation."""
-LONGEST_MOVE = 15.0
-"""A longer move [s] is not the way from one plane to another, but of an arm that never stops."""
 PIECES = 6
 """Pieces of a recording in which the lag should be the same."""
 OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
@@ -97,14 +91,6 @@ STEP = 0.02
 """Step in which velocities and rates are taken [s]."""
 HALF_WIDTH = 5
 """Velocities are differences over twice this number of steps, because readings have noise."""
-CANDIDATES = 6
-"""Most candidates of either kind: a motion that repeats has several."""
-LEAST_OVERLAP = 0.3
-"""Offsets at which a smaller part of the shorter recording lies within the other count less."""
-RESTS = 0.1
-"""What is slower than such a part of the root mean square speed hardly moves."""
-SPIKE = 10.0
-"""A reading is wild if it is off the median of five by this factor of what nine in ten readings are."""
 
 
 class _Candidate(NamedTuple):
@@ -252,7 +238,8 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
 
     None where none is found that fits about as well as the linear equation, or where none tells it.
     """
-    if candidate.squares > UNEXPLAINED * candidate.variation:
+    # A larger part of the variance of readings than this says that they do not follow the motion.
+    if candidate.squares > 0.1 * candidate.variation:
         return None
     parts, lag = candidate.parts, candidate.lag
     readings = _readings(track, parts, lag)
@@ -277,7 +264,8 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
         rows = LinearRows(start, at, how, free, at.station)
         rest = Projection(rows, free).rest(rate[:, None])[0][:, 0]
         square = max(float(rest @ rest), ROUNDING)
-        sigma = float(np.hypot(np.sqrt(float(e @ e) / max(count, 1) / square), INTERPOLATED))
+        # The interpolation between two poses may move the minimum by this much [s].
+        sigma = float(np.hypot(np.sqrt(float(e @ e) / max(count, 1) / square), 1e-4))
         step = -float(rest @ e) / square
         if abs(step) < LAG_SETTLED * sigma:
             break
@@ -357,7 +345,8 @@ def _settled(time: FloatArray, plane: IntArray, moves: BoolArray) -> BoolArray:
     settled = (label[first] == label) & (label[last] == label)
     move = np.cumsum(np.diff(moves, prepend=False))  # moves have odd numbers
     begin, end = np.searchsorted(move, move), np.searchsorted(move, move, side="right") - 1
-    short = moves & (stamps[end] - stamps[begin] <= LONGEST_MOVE)
+    # A longer move [s] is not the way from one plane to another, but of an arm that never stops.
+    short = moves & (stamps[end] - stamps[begin] <= 15.0)
     settled &= ~np.isin(move, move[short & ~settled])
     found = np.empty(len(time), dtype=bool)
     found[order] = settled
@@ -408,7 +397,9 @@ def despiked(d: FloatArray) -> FloatArray:
         read = np.flatnonzero(~np.isnan(column))
         if len(read):
             off = np.abs(column[read] - median_filter(column[read], 5, mode="nearest"))
-            column[read[off > SPIKE * np.quantile(off, 0.9)]] = np.nan
+            # A reading is wild if it is off the median of five by this factor of what nine in ten
+            # readings are.
+            column[read[off > 10.0 * np.quantile(off, 0.9)]] = np.nan
     return d
 
 
@@ -429,7 +420,8 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
     shift = np.arange(n)
     shift = np.where(shift < len(y), shift, shift - n)
     overlap = np.minimum(len(w) + shift, len(y)) - np.maximum(shift, 0)
-    share = np.maximum(overlap / min(len(w), len(y)), LEAST_OVERLAP)
+    # Offsets at which a smaller part of the shorter recording lies within the other count less.
+    share = np.maximum(overlap / min(len(w), len(y)), 0.3)
     forms = [np.conj(rfft(column, n)) for column in w.T]
     # A hand that does not turn, or moves in one plane, leaves directions without a velocity.
     inverse = np.linalg.pinv(w.T @ w, rcond=1e-3, hermitian=True)
@@ -444,7 +436,8 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
     # Where less overlaps, both what a motion explains and what chance does are less.
     for height in ((explained / share)[order], (together / np.sqrt(share))[order]):
         peaks = find_peaks(height)[0]
-        best = peaks[np.argsort(-height[peaks], kind="stable")[:CANDIDATES]]
+        # Most candidates of either kind: a motion that repeats has several.
+        best = peaks[np.argsort(-height[peaks], kind="stable")[:6]]
         found.append([float(time[0] - track.time[0] + step * i) for i in shift[order][best]])
     return [one for pair in zip_longest(*found) for one in pair if one is not None]
 
@@ -452,7 +445,8 @@ def candidate_offsets(track: Track, time: FloatArray, d: FloatArray) -> list[flo
 def _activity(columns: FloatArray) -> FloatArray:
     """Return where columns (M, k) of speeds move, 1, or rest, 0, less the mean (M,)."""
     speed = np.linalg.norm(columns, axis=1)
-    found = speed / (speed + RESTS * max(float(np.sqrt((speed**2).mean())), SINGULAR))
+    # What is slower than such a part of the root mean square speed hardly moves.
+    found = speed / (speed + 0.1 * max(float(np.sqrt((speed**2).mean())), SINGULAR))
     return np.asarray(found - found.mean())
 
 

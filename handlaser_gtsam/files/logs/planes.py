@@ -16,8 +16,6 @@ from .stands import Track, find_stands
 RANGE = re.compile(r"(.+?)=(.+?)\.\.(.+)", re.DOTALL)
 SECONDS = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*s\s*")
 EXPECTED = "PLANE=FIRST..LAST of stations, or of times with an s: A=1..12, or A=0s..12.5s"
-EPOCH = 1e8
-"""Times beyond this [s] are counted from 1970; smaller ones from the beginning of the log."""
 
 
 Interval = tuple[str, str | float, str | float]
@@ -90,7 +88,9 @@ def planes_of(
             if times is None:
                 found_so = "planes by times, and a log without times"
                 raise InputError(found_so, "planes by stations: A=1..12")
-            shift = 0.0 if abs(first) > EPOCH else begin
+            # Times beyond this [s] are counted from 1970; smaller ones from the beginning of the
+            # log.
+            shift = 0.0 if abs(first) > 1e8 else begin
             inside = np.flatnonzero((times >= first + shift) & (times <= last + shift))
         else:
             for end in (first, last):

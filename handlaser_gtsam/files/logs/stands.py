@@ -19,8 +19,6 @@ from ...model.distributions import chi2_quantile
 from ...quantities import FAR_SIGMAS, MM, ROWS_AT_ONCE
 from .format import LogFormat
 
-GAP = 0.25
-"""Part of the shortest stand that a row must be still before and after it."""
 QUIET = 0.25
 """A quarter of the rows at least shows noise alone."""
 
@@ -58,7 +56,8 @@ def find_stands(track: Track, given: LogFormat) -> tuple[IntArray, IntArray, str
     InputError
         The hand never stands still so long.
     """
-    half = GAP * given.stand_s
+    # Part of the shortest stand that a row must be still before and after it.
+    half = 0.25 * given.stand_s
     step = float(np.median(np.diff(track.time))) if len(track.time) > 1 else 0.0
     if step > half:
         raise InputError(

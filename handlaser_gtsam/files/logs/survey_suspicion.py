@@ -16,6 +16,7 @@ from ...data.survey import Survey
 from ...errors import CalibrationWarning
 from ...estimation.survey_rows import Rows, blocks_of, rows_of
 from ...estimation.survey_starts import start_of
+from ...model.families import pose_of
 from ...model.sensors.mounted import SENSOR
 from ...model.shots import Mixed
 from ...quantities import TINY, UNIT_SIGMA
@@ -98,7 +99,7 @@ def _misfit(rows: Rows) -> float:
     """
     sigmas: Mapping[tuple[str, int], float] = {(SENSOR.name, 0): UNIT_SIGMA}
     values, without = start_of(rows, sigmas, last_resort=False)
-    if without or np.linalg.norm(values[SENSOR.name][0, 0, 9:12]) > FAR_BEAM:
+    if without or np.linalg.norm(pose_of(values[SENSOR.name][0, 0])[1]) > FAR_BEAM:
         return np.inf
     blocks, _ = blocks_of(rows.items, sigmas, values)
     e = [block.ranges.evaluate(values).columns[-1] for block in blocks if isinstance(block, Mixed)]

@@ -60,8 +60,6 @@ THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """May be 1234, or 1 and 234 thousandths."""
 GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
 """Has points between thousands where the decimal mark is stated to be a comma."""
-EMPTY_CELLS = 2_000_000
-"""Empty cells that a sheet may have between others, at some 70 bytes each in memory."""
 PLACE = re.compile(r"([A-Z]{1,3})(\d{1,7})")
 
 
@@ -395,7 +393,8 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
     if not cells:
         return 1, ()
     width, height = max(columns) - min(columns) + 1, max(rows) - min(rows) + 1
-    if width * height > max(EMPTY_CELLS, 2 * cells):
+    # Empty cells that a sheet may have between others, at some 70 bytes each in memory.
+    if width * height > max(2_000_000, 2 * cells):
         found = (
             f"a sheet of {width} columns and {height} rows, up to column {_letters(max(columns))} and "
             f"row {max(rows)}, in which only {cells} cells hold anything"

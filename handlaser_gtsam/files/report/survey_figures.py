@@ -15,7 +15,7 @@ from ...data.survey import Survey
 from ...model.families import BEAM, bases
 from ...model.sensors.kinds import KINDS
 from ...model.sensors.mounted import SENSOR
-from ...quantities import IN_MM
+from ...quantities import IN_MM, TINY
 from ...results.survey import SurveyCalibration, SurveyTarget
 from ..checked_text import Record
 from .figure import (
@@ -82,7 +82,7 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
         spot = origin + d[:, None] * (fan.direction + scale * fan.direction_by_scale)
         source, hand = (x @ mount.rotation.T + mount.location for x in (origin, spot))
         across = shots.across[some, 0]
-        along = 2.0 * (across - across.min()) / max(float(np.ptp(across)), 1e-300) - 1.0
+        along = 2.0 * (across - across.min()) / max(float(np.ptp(across)), TINY) - 1.0
         called = f"sensor {short(shots.name)}"
         yield seen(
             called, mount.reading_sigma, shots.station[some], (source, hand), along, good[some]
@@ -222,7 +222,7 @@ def on_targets(
         else:
             centre = np.array([v["x"], v["y"], v["z"]])
             towards = (place - centre).mean(axis=0)
-        towards = towards / max(float(np.linalg.norm(towards)), 1e-300)
+        towards = towards / max(float(np.linalg.norm(towards)), TINY)
         some = evenly(len(off), 2 * MOST_POINTS)
         x, y = (place[some] - centre).dot(bases(towards)).T * IN_MM
         most = float(np.quantile(np.abs(off), SHOWN_OF_POINTS)) or 1.0
