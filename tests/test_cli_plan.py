@@ -44,7 +44,10 @@ def test_a_first_motion(handlaser, tmp_path):
 
 def test_from_a_recording(handlaser, tmp_path, rig):
     out = tmp_path / "stations.csv"
-    code, text, err = handlaser("plan", RECORDING, "--rig", rig, "--stations", 6, "--out", out)
+    picture = tmp_path / "forecast.svg"
+    words = ("plan", RECORDING, "--rig", rig, "--stations", 6, "--out", out, "--picture", picture)
+    code, text, err = handlaser(*words)
+    assert picture.read_text().count('class="curve"') == 3
     assert (code, err) == (0, "")
     assert "stations  location mm  direction deg  spot mm" in " ".join(text.split("\n"))
     stations = hl.read_stations(out)

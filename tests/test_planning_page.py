@@ -22,7 +22,7 @@ def test_commands_of_the_page(line, handlaser, monkeypatch, tmp_path):
     monkeypatch.chdir(ROOT)
     words = shlex.split(line)
     assert words[0] == "handlaser"
-    outputs = [i + 1 for i, word in enumerate(words) if word == "--out"]
+    outputs = [i + 1 for i, word in enumerate(words) if word in ("--out", "--picture")]
     for i in outputs:
         words[i] = str(tmp_path / words[i])
     code, _, err = handlaser(*words[1:])

@@ -331,6 +331,9 @@ def test_spots_lie_on_their_planes(page, calibration):
 def test_correlations_are_those_of_the_covariance(page, calibration):
     S, names = calibration.covariance.matrix(planes=[]), calibration.covariance.beam_names
     C = correlation_matrix(names, calibration.parameters().directions, S)[1]
+    drawn = np.array(page.data("figures")["correlation"]["data"][0]["z"])
+    assert drawn.shape == (28, 28)  # 7 a beam: of a direction, one component follows
+    assert np.allclose(drawn, C, atol=1e-3)
     listed = page.table("correlations")
     upper = np.abs(C[np.triu_indices(28, 1)])
     assert f"{(upper > 0.95).sum()} pairs" in page.text  # as the JSON has them, and their advice

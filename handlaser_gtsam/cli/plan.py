@@ -29,6 +29,7 @@ def plan(
     stations: OneOrMore = None,
     seed: Seed = 0,
     out: OutOption = None,
+    picture: OutOption = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -58,6 +59,8 @@ def plan(
         Draws the candidates.
     out : Path, optional
         Write the stations to this CSV file.
+    picture : Path, optional
+        Write the forecast to this picture, SVG.
     json_, quiet
 
     Examples
@@ -65,18 +68,19 @@ def plan(
     handlaser plan recording.csv --rig rig.toml \
         --stations 12 --out stations.csv
     handlaser plan recording.csv --rig rig.toml \
-        --stations 5
+        --stations 5 --picture forecast.svg
     """
+    from ..files.exports.picture import forecast_svg
     from ..files.plan_json import plan_text, survey_plan_text
     from ..files.recording_csv import write_stations
-    from ..files.writing import require_outputs
+    from ..files.writing import require_outputs, write_text
     from ..planning.survey import SurveyPlan
     from .survey import require_outputs_of, survey_plan_gaps
     from .words import plan_lines, station_lines, survey_plan_lines
 
     with Working():
         rig = given.read()
-        outputs = {"--out": out}
+        outputs = {"--out": out, "--picture": picture}
         require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
         require_outputs_of(outputs, rig)
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
@@ -92,7 +96,9 @@ def plan(
             write_stations(out, planned.stations)
         else:
             lines += station_lines(planned.stations)
-        lines += wrote(out)
+        if picture is not None:
+            write_text(picture, forecast_svg(planned.forecast, rig.goal))
+        lines += wrote(out, picture)
         answer = Answer(text, lines, warnings, failure)
     answer.give(json=json_, quiet=quiet)
 

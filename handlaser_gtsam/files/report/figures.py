@@ -5,12 +5,15 @@ of surveys.
 """
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
 from ...arrays import FloatArray, IntArray, evenly
 from ...model.distributions import CONFIDENCE, beta_quantile, gaussian_quantile
+from ...model.families import BEAM
+from ...model.joint import STRONG, correlation_matrix
 from ...quantities import IN_DEG, IN_MM
 from ..checked_text import Record
 from .figure import (
@@ -26,6 +29,7 @@ from .figure import (
     label,
     layout,
     marker,
+    numbers,
     trace,
 )
 from .subject import ReadingRows, Subject
@@ -33,11 +37,17 @@ from .subject import ReadingRows, Subject
 BESIDE = 0.7
 """The part of the distance between two planes that their beams take up: a gap tells the planes
 apart."""
+SHADES = ("#08306b", "#6baed6", "#f7f8fa", "#fc9272", "#7f0000")
+"""Of correlations from -1 to 1: pale up to a strong one, and dark beyond."""
 
 
 def flat_figures(subject: Subject) -> list[Figure]:
     """Return the flat figures that there are something to draw for."""
     figures = [*residual_figures(subject), qq_figure(subject)]
+    joint = subject.calibration.covariance
+    if joint is not None and subject.solved:
+        names, directions = joint.beam_names[:LEGEND], subject.calibration.parameters().directions
+        figures.append(correlation_figure(names, directions[:LEGEND], joint.matrix(names, [])))
     figures.append(stations_figure(subject))
     return [figure for figure in figures if figure is not None]
 
@@ -139,6 +149,37 @@ def qq_figure(subject: Subject) -> Figure | None:
         trace("quantiles", x, z[drawn]),
     ]
     return Figure("qq", traces, layout("expected", "residual, standard deviations"))
+
+
+def correlation_figure(
+    names: Sequence[str], directions: FloatArray, covariance: FloatArray
+) -> Figure:
+    """Return the correlations of beams as a map; arguments as of `correlation_matrix`."""
+    unknowns, C = correlation_matrix(names, directions, covariance)
+    owners = [unknown.beam for unknown in unknowns]
+    beams = list(dict.fromkeys(owners))
+    first = [owners.index(beam) for beam in beams]
+    numbered = {beam: label(beam) for beam in beams}
+    if len(set(numbered.values())) < len(beams):  # names that differ only where they are cut
+        numbered = {beam: f"{label(beam)} ({i})" for i, beam in enumerate(beams, 1)}
+    words = [f"beam {numbered[one.beam]} {BEAM.labels[one.number]}" for one in unknowns]
+    at = (0.0, 0.5 * (1.0 - STRONG), 0.5, 0.5 * (1.0 + STRONG), 1.0)
+    drawn: Record = {"z": [numbers(row, 3) for row in C], "x": words, "y": words}
+    drawn["colorscale"] = list(zip(at, SHADES, strict=True))
+    middles = [0.5 * (a + b - 1) for a, b in pairwise((*first, len(owners)))]
+    longest = max(24 // len(beams), 3)  # letters of all labels on a phone, and of one at least
+    ticks = [label(beam, longest) for beam in beams]
+    side = axis("beam", type="category", tickvals=middles, ticktext=ticks, ticks="")
+    side |= STYLE["names"]
+    borders = [  # between the beams
+        STYLE["border"] | {f"{across}ref": "paper", f"{across}0": 0, f"{across}1": 1} | edge
+        for at_row in first[1:]
+        for across, along in ("xy", "yx")
+        for edge in [{f"{along}0": at_row - 0.5, f"{along}1": at_row - 0.5}]
+    ]
+    upright = side | {"autorange": "reversed", "tickangle": -90}
+    square: Record = {"height": 420, "xaxis": side, "yaxis": upright, "shapes": borders}
+    return Figure("correlation", [STYLE["correlations"] | drawn], layout("", "") | square)
 
 
 def stations_figure(subject: Subject) -> Figure | None:

@@ -115,6 +115,9 @@ def _flat(figure: Figure) -> "Drawing":
         _axis(sides["y2"], layout["yaxis2"], "y")
     before: Any = None
     for trace in figure.data:
+        if trace["type"] == "heatmap":
+            _map(axes, trace)
+            continue
         _trace(sides[str(trace.get("yaxis", "y"))], trace, before)
         before = trace
     for shape in layout.get("shapes", ()):
@@ -157,9 +160,21 @@ def _trace(axes: "Axes", trace: Mapping[str, Any], before: Mapping[str, Any] | N
         drawn.set_gid(str(trace["name"]))
 
 
+def _map(axes: "Axes", trace: Mapping[str, Any]) -> None:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    colours = LinearSegmentedColormap.from_list("flagged", list(trace["colorscale"]))
+    z = np.array([_numbers(row) for row in trace["z"]])
+    drawn = axes.imshow(z, cmap=colours, vmin=trace["zmin"], vmax=trace["zmax"])
+    axes.figure.colorbar(drawn, ax=axes, shrink=0.85, ticks=trace["colorbar"]["tickvals"])
+
+
 def _shape(axes: "Axes", shape: Mapping[str, Any]) -> None:
-    """Draw a band across the figure."""
-    if shape.get("xref") == "paper":
+    """Draw a band across the figure, or a line."""
+    if shape["type"] == "line":
+        draw = axes.axhline if shape.get("xref") == "paper" else axes.axvline
+        draw(shape["y0"] if shape.get("xref") == "paper" else shape["x0"], color="white", lw=1.2)
+    elif shape.get("xref") == "paper":
         axes.axhspan(shape["y0"], shape["y1"], color=GREY, alpha=0.2, lw=0)
     else:
         axes.axvspan(shape["x0"], shape["x1"], color=GREY, alpha=0.13, lw=0)
