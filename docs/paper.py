@@ -200,8 +200,7 @@ def prediction_lines(scene: Seen, other: hl.Recording) -> list[str]:
     for choice, paper in (("k1k2", "0.088, 0.41"), ("none", "0.092, 0.43")):
         options = hl.CalibrationOptions(choice, outliers="keep")  # type: ignore[arg-type]
         for one in (scene.recording, other):
-            at = hl.calibrate(one, scene.noise, options).parameters()
-            found = reconstruction(at.beams, scene.recording)
+            found = reconstruction(hl.calibrate(one, scene.noise, options), scene.recording)
             assert isinstance(found, Prediction)
             name = "k1 and k2" if choice == "k1k2" else "none"
             count = len(one.plane_labels)

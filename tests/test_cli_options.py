@@ -47,7 +47,7 @@ WORDS = {
 }
 """Bad values of options that take text."""
 FREE = {
-    *("--beam", "--link", "--into", "--out", "--report", "--host", "--scheduler"),
+    *("--beam", "--link", "--into", "--out", "--picture", "--report", "--host", "--scheduler"),
     "--write-log",
     *("--plane", "--header", "--sheet", "--pose-topic", "--frames"),
     *("--beam-column", "--range-column"),  # both or none

@@ -14,7 +14,7 @@ from handlaser_gtsam.results.description.tables import NAME_IN_TABLE
 from handlaser_gtsam.text import shortened
 
 HOSTILE = ("<script>alert(1)</script>", "$x^2$ & </td>", "_hidden", "%{x}" + "y" * 100)
-FLAT = ("by-range", "by-incidence", "by-station", "by-plane", "qq", "by-count")
+FLAT = ("by-range", "by-incidence", "by-station", "by-plane", "qq", "correlation", "by-count")
 SPACE = ("space-world", "space-hand")
 
 

@@ -8,7 +8,7 @@ import pytest
 from helpers import ROOT, first_and_slow, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.validation.prediction import predicted, reconstruction
+from handlaser_gtsam.validation.prediction import predict, reconstruction
 from handlaser_gtsam.validation.scenes import Layout
 
 NOISE = hl.Noise(3e-5)
@@ -66,7 +66,7 @@ def test_reconstruction_is_what_the_paper_describes(gripper):
             s = -(n @ (R @ beam.location + t) + b) / (n @ R @ beam.direction)
             d = part.ranges[there, i]
             errors.append(s - d * (1 + beam.range_error[0] + beam.range_error[1] * d))
-    found = reconstruction(calibration.parameters().beams, part)
+    found = reconstruction(calibration, part)
     assert found.tests == 8
     assert found.rms == pytest.approx(np.sqrt(np.mean(np.square(errors))))
     assert found.max_residual == pytest.approx(np.abs(errors).max())
@@ -74,8 +74,7 @@ def test_reconstruction_is_what_the_paper_describes(gripper):
 
 def test_predictions_of_the_readings_themselves_are_the_residuals(gripper):
     calibration = hl.calibrate(gripper, NOISE)
-    at, joint = calibration.parameters(), calibration.covariance
-    found = predicted(at, joint, gripper, calibration.variances)
+    found = predict(calibration, gripper, NOISE)
     assert found.rms == pytest.approx(calibration.fit.rms, rel=1e-6)
     assert found.max_residual == pytest.approx(calibration.fit.max_residual, rel=1e-6)
 

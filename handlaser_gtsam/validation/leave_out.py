@@ -1,58 +1,42 @@
-"""How well a calibration predicts parts of its recording when it does not see them.
+"""How well a calibration predicts readings that it has not seen.
 
-The calibration is the start: its choice of readings, its noise and its prior of range errors stay as
-they are, and a few Gauss-Newton steps lead to the solution without that part. That takes milliseconds a
-plane, and is the solution of a calibration without that part where noise and prior are given. Where
-they were learned from everything, the part that is held out has contributed to them.
+A reading that was rejected as an outlier of the whole recording stays rejected.
 """
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, evenly
+from ..arrays import BoolArray
 from ..checks import require_count, require_kind
 from ..data.noise import Noise
-from ..data.parameters import Parameters, RangeErrorPrior
-from ..data.readings import Readings
 from ..data.recording import Recording
 from ..data.value import Value
-from ..errors import GrazingBeamError, InputError, SolverError
+from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
-from ..estimation.posterior import covariance_of_determined
 from ..model.distributions import chance, contradicted
-from ..model.errors_in_variables import weighed
-from ..model.joint import JointCovariance
-from ..model.losses import GAUSSIAN
-from ..model.weighting import Variances, Whitening
-from ..observability.rank import Observability, observability
 from ..pipeline import calibrate, calibrate_from
 from ..progress import Listener, tell, told_to
-from ..quantities import MOST_ROUNDS, NEGLIGIBLE
 from ..results.calibration import Calibration
 from ..results.limits import Limits, rms_checked
 from ..results.lines import NAMES_IN_LINE
 from ..results.mounts import Mounts
 from ..results.verdict import Verdict, failures, verdict
-from ..solvers.beam_problem import newton_step
 from ..text import some
 from .hold_out import HoldOut, hold_out
-from .prediction import Prediction, predicted, reconstruction
+from .prediction import Prediction, predict, reconstruction
 from .simulate import generator
 
 PART_LEFT_OUT = 0.3
 """Part of the stations that a random split predicts; in recordings, of the stations of every plane."""
 USUAL_SPLITS = 5
-"""Random splits of the stations: enough to see how predictions scatter."""
-UNSOLVED = (InputError, SolverError, GrazingBeamError)
-"""What a part of a recording ends in that does not determine a solution near the whole one."""
+"""Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PlaneLeftOut(Value):
-    """What was found without one plane, and how its beams fit that plane; None where it failed."""
+    """A calibration without one plane, and how its beams fit that plane; None where it failed."""
 
     plane: str
     result: HoldOut | None
@@ -68,23 +52,20 @@ class Validation(Value):
     calibration : Calibration
         From everything.
     planes : tuple of PlaneLeftOut
-        Empty where there is one plane only; some of more than forty.
+        Empty where there is one plane only.
     splits : tuple of Prediction
         30 % of the stations of every plane, predicted from the others.
     reconstruction, without_range_error : Prediction or None
         The plane reconstructed from all beams at one station predicts the ranges at the others
-        (section 3.2 of Wei and Hirzinger), with the range errors chosen and, by `validate`, with none;
-        None where no station has three beams that span a plane.
-    message : str
-        Why nothing was held out; empty where something was.
+        (section 3.2 of Wei and Hirzinger), with the range errors chosen and with none; None where no
+        station has three beams that span a plane.
     """
 
     calibration: Calibration
-    planes: tuple[PlaneLeftOut, ...] = ()
-    splits: tuple[Prediction, ...] = ()
-    reconstruction: Prediction | None = None
-    without_range_error: Prediction | None = None
-    message: str = ""
+    planes: tuple[PlaneLeftOut, ...]
+    splits: tuple[Prediction, ...]
+    reconstruction: Prediction | None
+    without_range_error: Prediction | None
 
 
 def validate(
@@ -96,7 +77,7 @@ def validate(
     rng: np.random.Generator | None = None,
     progress: Listener | None = None,
 ) -> Validation:
-    """Calibrate a recording, and validate that by leaving parts of it out.
+    """Validate the calibration of a recording by leaving parts of it out.
 
     Parameters
     ----------
@@ -108,7 +89,7 @@ def validate(
     rng : numpy.random.Generator, optional
         Chooses the splits; the same ones each time where not given.
     progress : callable, optional
-        Called with a `Progress` in every phase of the calibration, and before every part left out.
+        Called with a `Progress` before every calibration, and in every phase of each.
 
     Raises
     ------
@@ -123,192 +104,72 @@ def validate(
     require_kind("recording", recording, Recording, of_surveys)
     options = CalibrationOptions() if options is None else options
     with told_to(progress):
-        whole = calibrate(recording, noise, options)
-        if whole.interrupted:  # Ctrl-C ends everything
-            raise KeyboardInterrupt
+        planes = recording.plane_names if len(recording.plane_names) > 1 else ()
+        total = 2 + len(planes) + splits
+        tell("leave-out", 0, total, "everything")
+        whole = _ended(calibrate(recording, noise, options))
         if whole.status != "converged":
             raise SolverError(f"no calibration to validate: {whole.message}")
-        found, kept = validated(whole, splits, rng), whole.used_in(recording)
-        plain = replace(options, range_error="none", outliers="keep", free=())
-        bare = calibrate_from(whole.parameters(), kept, noise, plain)
-        if bare.interrupted:
-            raise KeyboardInterrupt
-        bare_error = reconstruction(bare.parameters().beams, kept)
-        return replace(found, without_range_error=bare_error)
-
-
-def validated(
-    calibration: Calibration, splits: int = USUAL_SPLITS, rng: np.random.Generator | None = None
-) -> Validation:
-    """Predict every plane, and 30 % of all stations several times, from the rest of the recording.
-
-    Of many planes only some are held out, evenly spread: as many as take a second or two. Arguments
-    are as `validate` has them.
-
-    Returns
-    -------
-    Validation
-        With nothing but the reason where `WholeSolution.of` knows of nothing to hold out.
-
-    Raises
-    ------
-    InputError
-        What is no calibration.
-    """
-    require_kind("calibration", calibration, Calibration)
-    rng = generator(rng)
-    try:
-        whole = WholeSolution.of(calibration)
-    except SolverError as error:
-        return Validation(calibration, message=str(error))
-    recording, fit = whole.recording, calibration.fit
-    known = fit.range_sigma_given or bool(calibration.noise_estimate)
-    # The cost of one plane that is held out is linear in the number of planes.
-    count = len(recording.plane_names)
-    held_out = evenly(count, 0 if count < 2 else max(2000 // count, 10)).tolist()
-    total = len(held_out) + splits
-    left_out, predictions = [], []
-    for number, p in enumerate(held_out):
-        tell("leave-out", number, total, f"without plane {recording.plane_names[p]}")
-        mine = recording.plane_of_station == p
-        try:
-            at, joint = whole.known_by(~mine, solve=True)
-            held, variances = whole.stations(mine)
-            exact = 0.0 if variances.pose is None else None
-            sigma = fit.range_sigma if known else None
-            noise = Noise(sigma, exact, exact, variances.incidence_sigma, variances.pose)
-            typical, S = float(np.median(variances.range_sigma)), joint.matrix(planes=[])
-            mounts = Mounts(joint.beam_names, *at.beams, joint.terms, S, typical)
-            result, message = hold_out(mounts, held, noise, each_beam=False), ""
-        except UNSOLVED as error:
-            result, message = None, str(error)
-        left_out.append(PlaneLeftOut(recording.plane_names[p], result, message))
-    for number in range(splits):
-        tell("leave-out", len(held_out) + number, total, f"split {number + 1}")
-        training = np.zeros(len(recording.plane_labels), dtype=bool)
-        for p in range(count):
-            rows = np.flatnonzero(recording.plane_of_station == p)
-            most = int(np.ceil((1.0 - PART_LEFT_OUT) * len(rows)))
-            training[rng.permutation(rows)[:most]] = True
-        # Where the training stations do not suffice there is no prediction.
-        with suppress(*UNSOLVED):
-            at, joint = whole.known_by(training, solve=True)
-            predictions.append(predicted(at, joint, *whole.stations(~training)))
-    shown = reconstruction(calibration.parameters().beams, recording)
-    return Validation(calibration, tuple(left_out), tuple(predictions), shown)
-
-
-class WholeSolution(NamedTuple):
-    """What stays as it was found from everything.
-
-    Attributes
-    ----------
-    recording : Recording
-        The readings that were used.
-    at : Parameters
-        The solution, at the most probable scales where scales were integrated over.
-    terms : int
-        Range-error terms of every beam.
-    variances : Variances
-        Of the readings, by beam and station of the recording.
-    prior : RangeErrorPrior or None
-    """
-
-    recording: Recording
-    at: Parameters
-    terms: int
-    variances: Variances
-    prior: RangeErrorPrior | None
-
-    @classmethod
-    def of(cls, calibration: Calibration) -> "WholeSolution":
-        """Return what stays of a calibration.
-
-        Raises
-        ------
-        SolverError
-            It did not converge, does not hold its recording, has a robust loss, or differs in its
-            range-error terms from beam to beam.
-        """
-        recording, fit = calibration.recording, calibration.fit
-        terms = {beam.terms for beam in calibration.beams.values()}
-        if calibration.status != "converged" or recording is None:
-            raise SolverError("no calibration that holds its recording")
-        if fit.loss != GAUSSIAN.name or len(terms) > 1:
-            raise SolverError(f"a {fit.loss} loss, or beams of different range errors")
-        used, variances = calibration.used_in(recording), calibration.variances
-        if used.beam_names != recording.beam_names:
-            raise SolverError("a beam that lost all its readings")
-        scaled = calibration.at_scales
-        at = calibration.parameters() if scaled is None else scaled.parameters
-        if variances is None:
-            variances = Variances(np.full(len(calibration.beams), fit.range_sigma))
-        return cls(used, at, terms.pop(), variances, calibration.range_error_prior)
-
-    def stations(self, chosen: BoolArray) -> tuple[Recording, Variances]:
-        """Return the `chosen` (M,) stations, with the beams that read anything there, and their noise.
-
-        Raises
-        ------
-        InputError
-            Nothing was read there.
-        """
-        rows = np.flatnonzero(chosen & ~np.isnan(self.recording.ranges).all(axis=1))
-        part, pose = self.recording.part(rows), self.variances.pose
-        beams = [self.recording.beam_names.index(name) for name in part.beam_names]
-        sigma = self.variances.range_sigma[beams]
-        pose = None if pose is None else pose[rows]
-        return part, replace(self.variances, range_sigma=sigma, pose=pose)
-
-    def known_by(
-        self, chosen: BoolArray, *, solve: bool = False
-    ) -> tuple[Parameters, JointCovariance]:
-        """Return beams and planes as the `chosen` (M,) stations alone know them, world frame.
-
-        They stay where they stand unless these stations are to `solve` for them.
-
-        Raises
-        ------
-        SolverError
-            They leave something undetermined, or no solution is near.
-        InputError
-            Nothing was read there.
-        GrazingBeamError
-        """
-        part, variances = self.stations(chosen)
-        beams = [self.recording.beam_names.index(name) for name in part.beam_names]
-        planes = [self.recording.plane_names.index(name) for name in part.plane_names]
-        readings, prior = part.readings(), self.prior
-        origins = readings.plane_means(readings.world_t_hand)
-        readings, at = readings.seen_from(origins), self.at.part(beams, planes).seen_from(origins)
-        if prior is not None:
-            mean = None if prior.mean is None else prior.mean[beams]
-            prior = RangeErrorPrior(prior.sigma[beams], mean)
-
-        def seen(at: Parameters) -> tuple[Observability, Readings, Whitening]:
-            corrected, how = weighed(readings, at, variances, self.terms)
-            found = observability(at, corrected, self.terms, how.sigma, whitening=how, prior=prior)
-            if not found.full:
-                lost = found.unknowns - found.rank
-                raise SolverError(f"{lost} of {found.unknowns} unknowns are undetermined")
-            return found, corrected, how
-
-        found, corrected, how = seen(at)
-        if solve:
-            for _ in range(MOST_ROUNDS):  # about five
-                at, length = newton_step(at, corrected, self.terms, how, prior)
-                if length < NEGLIGIBLE:  # in standard deviations
-                    break
-                corrected, how = weighed(readings, at, variances, self.terms)
-            else:
-                raise SolverError("no solution was found near the whole one")
-            found, _, how = seen(at)
-        joint = covariance_of_determined(found, at, how.sigma, origins)
-        named = joint.arranged(
-            [(name, i) for i, name in enumerate(part.beam_names)],
-            [(name, p) for p, name in enumerate(part.plane_names)],
+        kept = whole.used_in(recording)
+        # Errors that are unknowns are taken out of all readings as the whole recording has them.
+        keep = replace(options, outliers="keep", free=())
+        left_out = []
+        for number, plane in enumerate(planes):
+            tell("leave-out", 1 + number, total, f"without plane {plane}")
+            mine = np.array([label == plane for label in kept.plane_labels])
+            result, message = None, ""
+            try:
+                others = _ended(calibrate(*_part(kept, noise, ~mine), keep))
+                message = others.message
+                if others.status == "converged":
+                    held, seen = _part(kept, noise, mine)
+                    seen = others.noise(seen) if others.noise_estimate else seen
+                    result, message = hold_out(Mounts.of(others), held, seen), ""
+            except InputError as error:
+                message = str(error)
+            left_out.append(PlaneLeftOut(plane, result, message))
+        predictions = []
+        for number in range(splits):
+            tell("leave-out", 1 + len(planes) + number, total, f"split {number + 1}")
+            training = training_stations(kept, rng)
+            with suppress(InputError):  # without a calibration there is no prediction
+                calibration = calibrate(*_part(kept, noise, training), keep)
+                predictions.append(predict(calibration, *_part(kept, noise, ~training)))
+        tell("leave-out", total - 1, total, "without range error")
+        bare = _ended(
+            calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
         )
-        return at.seen_from(-origins), named
+        return Validation(
+            whole,
+            tuple(left_out),
+            tuple(predictions),
+            reconstruction(whole, kept),
+            reconstruction(bare, kept),
+        )
+
+
+def _ended(calibration: Calibration) -> Calibration:
+    """Return a calibration; Ctrl-C in it ends everything."""
+    if calibration.interrupted:
+        raise KeyboardInterrupt
+    return calibration
+
+
+def _part(recording: Recording, noise: Noise, stations: BoolArray) -> tuple[Recording, Noise]:
+    """Return some stations, with their beams that read anything, and their noise."""
+    rows = np.flatnonzero(stations & ~np.isnan(recording.ranges).all(axis=1))
+    S = noise.pose_covariance
+    seen = noise if S is None or S.ndim == 2 else replace(noise, pose_covariance=S[rows])
+    return recording.part(rows), seen
+
+
+def training_stations(recording: Recording, rng: np.random.Generator) -> BoolArray:
+    """Return which stations (M,) a split calibrates with: 70 % of the stations of every plane."""
+    training = np.zeros(len(recording.plane_labels), dtype=bool)
+    for plane in range(len(recording.plane_names)):
+        rows = np.flatnonzero(recording.plane_of_station == plane)
+        training[rng.permutation(rows)[: int(np.ceil((1.0 - PART_LEFT_OUT) * len(rows)))]] = True
+    return training
 
 
 def verdict_of_validation(validation: Validation, limits: Limits | None = None) -> Verdict:

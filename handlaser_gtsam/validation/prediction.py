@@ -11,13 +11,15 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray
-from ..data.parameters import Beams, Parameters
+from ..data.noise import Noise
+from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import InputError
 from ..model.families import BEAM, PLANE
 from ..model.joint import JointCovariance
 from ..model.weighting import Variances, reading_sigmas
+from ..results.calibration import Calibration
 from ..results.spot_error import plane_of
 
 
@@ -39,6 +41,30 @@ class Prediction(Value):
     rms: float
     max_residual: float
     standardized: float
+
+
+def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Prediction:
+    """Return the errors with which a calibration predicts another recording of its planes and beams.
+
+    Raises
+    ------
+    InputError
+        The calibration did not converge, or the recording has a plane or beam that it does not.
+    """
+    joint = calibration.covariance
+    if joint is None or calibration.status != "converged":
+        raise InputError(f"a calibration that is {calibration.status}", "a converged one")
+    _require_known(joint, recording)
+    ranges = np.full(len(recording.beam_names), calibration.fit.range_sigma)
+    if calibration.variances is not None:
+        beams = [list(calibration.beams).index(name) for name in recording.beam_names]
+        ranges = calibration.variances.range_sigma[beams]
+    pose = None
+    if calibration.fit.poses != "exact":
+        stations = len(recording.plane_labels)
+        pose = calibration.noise(noise).reordered(np.arange(stations)).pose_covariances(stations)
+    variances = Variances(ranges, noise.incidence_sigma, pose)
+    return predicted(calibration.parameters(), joint, recording, variances)
 
 
 def predicted(
@@ -79,12 +105,14 @@ def predicted(
     return _prediction(lin.residual, np.sqrt(variance + sigmas**2))
 
 
-def reconstruction(beams: Beams, recording: Recording) -> Prediction | None:
+def reconstruction(calibration: Calibration, recording: Recording) -> Prediction | None:
     """Predict all stations of a plane from the plane that the beams span at each one of them.
 
-    None where no three beams span a plane at any station. The beams are those of the recording.
+    None where no three beams span a plane at any station.
     """
-    errors, (r, v, k) = [], beams
+    beams = [list(calibration.beams).index(name) for name in recording.beam_names]
+    r, v, k = (array[beams] for array in calibration.parameters().beams)
+    errors = []
     for plane in range(len(recording.plane_names)):
         rows = np.flatnonzero(recording.plane_of_station == plane)
         R, t, d = recording.world_R_hand[rows], recording.world_t_hand[rows], recording.ranges[rows]

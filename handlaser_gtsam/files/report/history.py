@@ -15,7 +15,7 @@ from ...model.joint import JointCovariance
 from ...planning.goal import Forecast
 from ...results.calibration import Calibration
 from ...results.spot_error import freedom, radius, spot_at
-from ...validation.leave_out import WholeSolution
+from ...validation.held_out import WholeSolution
 
 
 def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecast] | None:

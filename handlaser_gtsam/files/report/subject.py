@@ -17,7 +17,7 @@ from ...progress import tell
 from ...results.calibration import Calibration
 from ...results.description.description import Description
 from ...results.verdict import verdict
-from ...validation.leave_out import Validation, validated
+from ...validation.held_out import HeldOut, held_out
 from .history import history
 from .options import ReportOptions
 
@@ -29,7 +29,7 @@ class Subject(Description):
     Attributes
     ----------
     options : ReportOptions
-    held_out : Validation
+    held_out : HeldOut
     history : (number of stations, Forecast) or None
     plan : Plan or None
         The next best stations.
@@ -39,7 +39,7 @@ class Subject(Description):
 
     calibration: Calibration
     options: ReportOptions
-    held_out: Validation
+    held_out: HeldOut
     history: tuple[IntArray, Forecast] | None
     plan: Plan | None
     rows: "ReadingRows | None"
@@ -103,7 +103,7 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
         plan = next_stations(calibration, rig.sensor, rig.workspace, rig.goal)
     if solved and math.isfinite(judged.reading):
         past = history(calibration, judged.reading)
-    held = validated(calibration)
+    held = held_out(calibration)
     rows = None if recording is None else _rows(calibration, recording)
     return Subject(calibration, judged, options, held, past, plan, rows)
 

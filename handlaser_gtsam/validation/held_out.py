@@ -1,0 +1,220 @@
+"""Planes and stations held out of a calibration and predicted, without another calibration.
+
+`leave_out.validate` calibrates from nothing for every part that it holds out. Here the calibration is
+the start: its choice of readings, its noise and its prior of range errors stay as they are, and a few
+Gauss-Newton steps lead to the solution without that part. That takes milliseconds a plane, and is the
+same solution where noise and prior are given. Where they were learned from everything, the part that is
+held out has contributed to them.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ..arrays import BoolArray, evenly
+from ..checks import require_kind
+from ..data.noise import Noise
+from ..data.parameters import Parameters, RangeErrorPrior
+from ..data.readings import Readings
+from ..data.recording import Recording
+from ..data.value import Value
+from ..errors import GrazingBeamError, InputError, SolverError
+from ..estimation.posterior import covariance_of_determined
+from ..model.errors_in_variables import weighed
+from ..model.joint import JointCovariance
+from ..model.losses import GAUSSIAN
+from ..model.weighting import Variances, Whitening
+from ..observability.rank import Observability, observability
+from ..quantities import MOST_ROUNDS, NEGLIGIBLE
+from ..results.calibration import Calibration
+from ..results.mounts import Mounts
+from ..solvers.beam_problem import newton_step
+from .hold_out import hold_out
+from .leave_out import USUAL_SPLITS, PlaneLeftOut, training_stations
+from .prediction import Prediction, predicted
+
+
+class WholeSolution(NamedTuple):
+    """What stays as it was found from everything.
+
+    Attributes
+    ----------
+    recording : Recording
+        The readings that were used.
+    at : Parameters
+        The solution, at the most probable scales where scales were integrated over.
+    terms : int
+        Range-error terms of every beam.
+    variances : Variances
+        Of the readings, by beam and station of the recording.
+    prior : RangeErrorPrior or None
+    """
+
+    recording: Recording
+    at: Parameters
+    terms: int
+    variances: Variances
+    prior: RangeErrorPrior | None
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> "WholeSolution":
+        """Return what stays of a calibration.
+
+        Raises
+        ------
+        SolverError
+            It did not converge, does not hold its recording, has a robust loss, or differs in its
+            range-error terms from beam to beam.
+        """
+        recording, fit = calibration.recording, calibration.fit
+        terms = {beam.terms for beam in calibration.beams.values()}
+        if calibration.status != "converged" or recording is None:
+            raise SolverError("no calibration that holds its recording")
+        if fit.loss != GAUSSIAN.name or len(terms) > 1:
+            raise SolverError(f"a {fit.loss} loss, or beams of different range errors")
+        used, variances = calibration.used_in(recording), calibration.variances
+        if used.beam_names != recording.beam_names:
+            raise SolverError("a beam that lost all its readings")
+        scaled = calibration.at_scales
+        at = calibration.parameters() if scaled is None else scaled.parameters
+        if variances is None:
+            variances = Variances(np.full(len(calibration.beams), fit.range_sigma))
+        return cls(used, at, terms.pop(), variances, calibration.range_error_prior)
+
+    def stations(self, chosen: BoolArray) -> tuple[Recording, Variances]:
+        """Return the `chosen` (M,) stations, with the beams that read anything there, and their noise.
+
+        Raises
+        ------
+        InputError
+            Nothing was read there.
+        """
+        rows = np.flatnonzero(chosen & ~np.isnan(self.recording.ranges).all(axis=1))
+        part, pose = self.recording.part(rows), self.variances.pose
+        beams = [self.recording.beam_names.index(name) for name in part.beam_names]
+        sigma = self.variances.range_sigma[beams]
+        pose = None if pose is None else pose[rows]
+        return part, replace(self.variances, range_sigma=sigma, pose=pose)
+
+    def known_by(
+        self, chosen: BoolArray, *, solve: bool = False
+    ) -> tuple[Parameters, JointCovariance]:
+        """Return beams and planes as the `chosen` (M,) stations alone know them, world frame.
+
+        They stay where they stand unless these stations are to `solve` for them.
+
+        Raises
+        ------
+        SolverError
+            They leave something undetermined, or no solution is near.
+        InputError
+            Nothing was read there.
+        GrazingBeamError
+        """
+        part, variances = self.stations(chosen)
+        beams = [self.recording.beam_names.index(name) for name in part.beam_names]
+        planes = [self.recording.plane_names.index(name) for name in part.plane_names]
+        readings, prior = part.readings(), self.prior
+        origins = readings.plane_means(readings.world_t_hand)
+        readings, at = readings.seen_from(origins), self.at.part(beams, planes).seen_from(origins)
+        if prior is not None:
+            mean = None if prior.mean is None else prior.mean[beams]
+            prior = RangeErrorPrior(prior.sigma[beams], mean)
+
+        def seen(at: Parameters) -> tuple[Observability, Readings, Whitening]:
+            corrected, how = weighed(readings, at, variances, self.terms)
+            found = observability(at, corrected, self.terms, how.sigma, whitening=how, prior=prior)
+            if not found.full:
+                lost = found.unknowns - found.rank
+                raise SolverError(f"{lost} of {found.unknowns} unknowns are undetermined")
+            return found, corrected, how
+
+        found, corrected, how = seen(at)
+        if solve:
+            for _ in range(MOST_ROUNDS):  # about five
+                at, length = newton_step(at, corrected, self.terms, how, prior)
+                if length < NEGLIGIBLE:  # in standard deviations
+                    break
+                corrected, how = weighed(readings, at, variances, self.terms)
+            else:
+                raise SolverError("no solution was found near the whole one")
+            found, _, how = seen(at)
+        joint = covariance_of_determined(found, at, how.sigma, origins)
+        named = joint.arranged(
+            [(name, i) for i, name in enumerate(part.beam_names)],
+            [(name, p) for p, name in enumerate(part.plane_names)],
+        )
+        return at.seen_from(-origins), named
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class HeldOut(Value):
+    """How a calibration predicts parts of its own recording when it does not see them.
+
+    Attributes
+    ----------
+    planes : tuple of PlaneLeftOut
+        Empty where there is one plane only; some of more than forty.
+    splits : tuple of Prediction
+        30 % of the stations of every plane, predicted from the others.
+    message : str
+        Why nothing was held out; empty where something was.
+    """
+
+    planes: tuple[PlaneLeftOut, ...]
+    splits: tuple[Prediction, ...]
+    message: str = ""
+
+
+def held_out(calibration: Calibration) -> HeldOut:
+    """Predict every plane, and 30 % of all stations several times, from the rest of the recording.
+
+    Of many planes only some are held out, evenly spread: as many as take a second or two. The splits
+    are the same each time.
+
+    Returns
+    -------
+    HeldOut
+        Empty, with the reason, where `WholeSolution.of` knows of nothing to hold out.
+
+    Raises
+    ------
+    InputError
+        What is no calibration.
+    """
+    require_kind("calibration", calibration, Calibration)
+    try:
+        whole = WholeSolution.of(calibration)
+    except SolverError as error:
+        return HeldOut((), (), str(error))
+    fit, planes = calibration.fit, whole.recording.plane_names
+    known = fit.range_sigma_given or bool(calibration.noise_estimate)
+    sigma = fit.range_sigma if known else None
+    # The cost of one plane that is held out is linear in the number of planes.
+    count = len(planes)
+    most = 0 if count < 2 else max(2000 // count, 10)
+    left_out, predictions = [], []
+    for p in evenly(count, most):
+        mine = whole.recording.plane_of_station == p
+        try:
+            at, joint = whole.known_by(~mine, solve=True)
+            held, variances = whole.stations(mine)
+            exact = 0.0 if variances.pose is None else None
+            noise = Noise(sigma, exact, exact, variances.incidence_sigma, variances.pose)
+            typical, S = float(np.median(variances.range_sigma)), joint.matrix(planes=[])
+            mounts = Mounts(joint.beam_names, *at.beams, joint.terms, S, typical)
+            result, message = hold_out(mounts, held, noise, each_beam=False), ""
+        except (InputError, SolverError, GrazingBeamError) as error:
+            result, message = None, str(error)
+        left_out.append(PlaneLeftOut(planes[p], result, message))
+    rng = np.random.default_rng(0)
+    for _ in range(USUAL_SPLITS):
+        training = training_stations(whole.recording, rng)
+        # Where the training stations do not suffice there is no prediction.
+        with suppress(InputError, SolverError, GrazingBeamError):
+            at, joint = whole.known_by(training, solve=True)
+            test, variances = whole.stations(~training)
+            predictions.append(predicted(at, joint, test, variances))
+    return HeldOut(tuple(left_out), tuple(predictions))
