@@ -618,7 +618,10 @@ def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
     for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
         values: Values = {"spare": float(spare[i]), "sigma": float(found.noise.sigma[i])}
-        yield warned(f"{FEW}:survey", values, source=names[i], usual=float(usual[i]))
+        # `aiming_sigma` of a survey is no field of rig files.
+        remedy = "add stations" if i == len(names) - 1 else "add stations, or state it"
+        words = {"source": names[i], "remedy": remedy}
+        yield warned(f"{FEW}:survey", values, usual=float(usual[i]), **words)
 
 
 def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

@@ -157,7 +157,8 @@ class Verdict:
     code : str
         `usable`; `usable-with-care`: there are warnings; `outside-limits`; `systematic-error`: one was
         found that moves a laser spot by more than its stated error; `contradicted`: a plane that was
-        left out contradicts the beams found without it; `undetermined`; `no-fit`: the readings
+        left out contradicts the beams found without it, or readings of a survey what is known;
+        `undetermined`; `no-fit`: the readings
         contradict each other, whatever the motion; `not-converged`.
     findings : tuple of str
         The parts of the sentence.
@@ -312,6 +313,10 @@ def _causes(judged: Verdict, calibration: CalibrationData) -> Iterator[Calibrati
             "p_value": error.p_value,
         }
         yield CalibrationWarning(error.code, error.message, values)
+    hidden = judged.hidden
+    if hidden is not None and judged.best.code == "hidden":
+        values = {"size": hidden.unnoticed, "shift": judged.hidden_error or 0.0}
+        yield CalibrationWarning(hidden.code, hidden.message, values)
     yield from (warning for warning in calibration.warnings if warning.code != CAUSE)
 
 

@@ -15,8 +15,7 @@ from pathlib import Path
 from ...data.survey import Survey
 from ...errors import HandlaserError, InputError
 from ...estimation.options import CalibrationOptions
-from ...pipeline import calibrate, calibrate_survey
-from ...results.survey import SurveyCalibration
+from ...pipeline import calibrate
 from ...results.survey_verdict import survey_verdict
 from ...text import printable
 from ..logs.report import LogReport
@@ -64,7 +63,6 @@ class Calibrator:
         self._watched = watched
         self._last: tuple[tuple[bytes, ...], bytes, tuple[bytes, ...]] | None = None
         self._answer = FileAnswer()
-        self._earlier: SurveyCalibration | None = None  # the search begins where the last one ended
 
     def answer(self, settled: bool) -> FileAnswer:
         """Calibrate.
@@ -165,7 +163,7 @@ class Calibrator:
         if (self._watched.options, self._watched.reading) != (plain, None):
             stated = "options of how beams before planes are calibrated, with a survey"
             raise InputError(stated, "none of them")
-        self._earlier = found = calibrate_survey(survey, rig.noise, self._earlier)
+        found = calibrate(survey, rig.noise)
         source, judged = self._watched.recording.name, survey_verdict(found, rig.limits)
         opening, sections, figures = survey_content(found, survey, source, verdict=judged)
         empty = dict.fromkeys(LIVE_SECTIONS, "")
