@@ -185,6 +185,17 @@ def test_undetermined_names_what_and_what_helps():
     assert "..." not in found.sentence
 
 
+def test_noise_is_not_judged_where_the_motion_leaves_something_open(recording):
+    """Priors of range errors whose scales are not learned count in chi2: it said 1.94 times."""
+    rig = hl.read_rig(GRIPPER / "rig.toml")
+    rows = np.flatnonzero(np.array(recording.plane_labels) == "D")[:8]
+    options = hl.CalibrationOptions(sensor=rig.sensor)
+    result = hl.calibrate(recording.part(rows), rig.noise, options)
+    assert result.status == "unobservable"
+    assert result.fit.sigma0 > 1.5
+    assert not result.warnings
+
+
 def test_what_did_not_converge_is_not_usable(calibration):
     failed = replace(calibration, status="not_converged", message="the solver gave up")
     found = verdict(failed)
