@@ -65,8 +65,9 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
         ),
         "observability": record(
             seen,
-            "rank unknowns condition undetermined advice weakest",
+            "rank unknowns condition undetermined advice weakest indices",
             weakest=seen.weakest or None,
+            indices=None if seen.indices is None else record(seen.indices, "O1 O2 O3 O4"),
         ),
         "correlations": [
             record(
