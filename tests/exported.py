@@ -115,7 +115,7 @@ def calibrated(
         "beam_covariance": covariance.tolist(),
         "planes": planes,
         "fit": fit,
-        "observability": seen | {"weakest": None},
+        "observability": seen | {"weakest": None, "indices": None},
         "correlations": [],
         "range_error_scales": None,
         "systematic": [],

@@ -102,6 +102,22 @@ def test_open_coordinates_have_no_sigma_and_the_others_do():
     assert np.isinf(plane.offset_sigma)
 
 
+def test_indices_do_not_depend_on_units_or_noise():
+    recording, _ = simulated("arm", range_sigma=1e-3)
+    scaled = replace(
+        recording, world_t_hand=0.1 * recording.world_t_hand, ranges=0.1 * recording.ranges
+    )
+    indices = [
+        hl.calibrate(r, hl.Noise(s, 0.0, 0.0), NONE).observability.indices
+        for r, s in ((recording, 1e-3), (scaled, 1e-4))
+    ]
+    for name in ("O1", "O2", "O3", "O4"):
+        mine, its = (getattr(i, name) for i in indices)
+        assert mine > 0.0
+        assert mine == pytest.approx(its, rel=1e-6)
+    assert pytest.approx(indices[0].O2 * indices[0].O3) == indices[0].O4
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("judge", "problems"), [(judge_solvable, 24), (judge_unsolvable, 12)])
 def test_random_problems_end_at_the_optimum_or_in_a_refusal(judge, problems):

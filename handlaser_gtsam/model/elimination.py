@@ -206,8 +206,8 @@ def solve_definite(A: FloatArray, rhs: FloatArray) -> FloatArray:
     return solved
 
 
-def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, FloatArray]:
-    """Return eigenvalues from below, the largest, and eigenvectors of the first.
+def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, float, FloatArray]:
+    """Return eigenvalues from below, the largest, their mean logarithm, and eigenvectors of the first.
 
     All of them, or of a large matrix those below `floor` and one beyond, if they are few.
     """
@@ -225,7 +225,9 @@ def spectrum(matrix: FloatArray, floor: float) -> tuple[FloatArray, float, Float
                 small, axes = eigsh(matrix, count, sigma=0.0, OPinv=solve, v0=start, tol=accuracy)
                 if small.max() >= floor:
                     top = eigsh(matrix, 1, v0=start, tol=accuracy, return_eigenvectors=False)
+                    mean_log = 2.0 * float(np.log(np.diagonal(root)).mean())
                     order = np.argsort(small)
-                    return small[order], float(top[0]), axes[:, order]
+                    return small[order], float(top[0]), mean_log, axes[:, order]
     values, axes = np.linalg.eigh(matrix)
-    return values, float(values[-1]), axes
+    mean_log = float(np.log(np.maximum(values, TINY)).mean())
+    return values, float(values[-1]), mean_log, axes

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .rank import Indices as Indices
     from .rank import ObservabilityOptions as ObservabilityOptions
     from .wording import OpenPart as OpenPart
 else:

@@ -55,6 +55,16 @@ basis) and offset.
 
 
 @dataclass(frozen=True, slots=True)
+class Indices:
+    """Observability indices of the calibration literature, without unit; larger is better."""
+
+    O1: float
+    O2: float
+    O3: float
+    O4: float
+
+
+@dataclass(frozen=True, slots=True)
 class Observability:
     """Rank and conditioning of a calibration.
 
@@ -68,6 +78,7 @@ class Observability:
     null_space : NullSpace
     length : float
         The typical range L [m] behind the natural units.
+    readings : int
     terms : tuple of int
         Range-error terms of each beam.
     information : ReducedInformation
@@ -81,8 +92,10 @@ class Observability:
         Which of W = 5 + T unknowns a beam there are; the others are range-error terms that it lacks.
     centres : (P, 3)
         Points at which the offsets of the planes are taken [m].
-    least : float
-        The smallest eigenvalue.
+    least, most : float
+        The extreme eigenvalues.
+    mean_log : float
+        The mean logarithm of the eigenvalues; meaningless where rank is short.
     weakest : (n,)
         The unit eigenvector of the least information.
     """
@@ -92,6 +105,7 @@ class Observability:
     condition: float
     null_space: NullSpace
     length: float
+    readings: int
     terms: tuple[int, ...]
     information: ReducedInformation
     open: FloatArray
@@ -100,6 +114,8 @@ class Observability:
     active: BoolArray
     centres: FloatArray
     least: float
+    most: float
+    mean_log: float
     weakest: FloatArray
 
     def covariance(self) -> FloatArray:
@@ -116,6 +132,20 @@ class Observability:
         whole = np.zeros(len(self.active))
         whole[self.active] = values
         return whole
+
+    def indices(self) -> Indices | None:
+        """Return the observability indices of the reduced, scaled Jacobian; None if rank is short.
+
+        From its singular values s_1 >= .. >= s_m, in natural units and for residuals in parts of the
+        typical range, so that they have no unit: O1 the geometric mean over the square root of the
+        number of readings (Borm and Menq), O2 = s_m / s_1 (Driels and Pathre), O3 = s_m and
+        O4 = s_m^2 / s_1 (Nahvi and others). Larger is better.
+        """
+        if not self.full:
+            return None
+        most, least = (np.sqrt(s) / self.length for s in (self.most, self.least))
+        mean = np.exp(0.5 * (self.mean_log - np.log(self.readings))) / self.length
+        return Indices(float(mean), float(least / most), float(least), float(least**2 / most))
 
     @property
     def full(self) -> bool:
@@ -174,10 +204,10 @@ def observability(
     information = normal.reduced(unit, plane_unit, active, known, least_of_planes)
     floors = _least_information(float((diagonal + known).max()), range_sigma, options)
     beam = np.repeat(np.arange(readings.beams), width)[active]
-    values, top, axes = spectrum(information.matrix, max(floors))
+    values, top, mean_log, axes = spectrum(information.matrix, max(floors))
     lost = open_axes(values, axes, beam, *floors)
     if lost.any() and len(values) < len(beam):
-        values, top, axes = spectrum(information.matrix, np.inf)
+        values, top, mean_log, axes = spectrum(information.matrix, np.inf)
         lost = open_axes(values, axes, beam, *floors)
     # Undetermined directions, one a column: of the beams, which planes follow, then of planes alone.
     which, column = np.nonzero(information.local_values < least_of_planes)
@@ -194,6 +224,7 @@ def observability(
         condition=float(np.sqrt(top / float(values[0]) if short == 0 else np.inf)),
         null_space=(null_beams.reshape(readings.beams, width, short), null_planes),
         length=length,
+        readings=len(readings),
         terms=counts,
         information=information,
         open=of_beams,
@@ -202,6 +233,8 @@ def observability(
         active=active,
         centres=at.centres,
         least=float(values[0]),
+        most=top,
+        mean_log=mean_log,
         weakest=axes[:, 0],
     )
 

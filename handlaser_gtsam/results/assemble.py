@@ -269,6 +269,7 @@ def _determined_by(
         words,
         help_,
         parts,
+        found.indices(),
         weakest(found, parameters, names),
     )
 

@@ -26,6 +26,7 @@ from ..model.joint import Correlation, JointCovariance
 from ..model.losses import LossName
 from ..model.sensor import BY_LIMITS, Rejected
 from ..model.weighting import Variances
+from ..observability.rank import Indices
 from ..observability.wording import OpenPart
 from ..quantities import IN_MM, IN_PERCENT
 from .lines import decimals
@@ -340,6 +341,8 @@ class Determined(Value):
         Which motion would determine it.
     open_parts : tuple of OpenPart
         The same as names and axes.
+    indices : Indices or None
+        Observability indices O1 to O4; None when rank is short.
     weakest : str
         Along what the solution is least certain, in words; empty when rank is short.
     """
@@ -350,6 +353,7 @@ class Determined(Value):
     undetermined: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     open_parts: tuple[OpenPart, ...] = ()
+    indices: Indices | None = None
     weakest: str = ""
 
 

@@ -99,6 +99,9 @@ def observability_sentences(described: "Description") -> Iterator[str]:
     if observed.weakest:
         yield f"The least certain is {observed.weakest}."
     yield from _shares(described)
+    if observed.indices is not None:
+        O1, O2, O3, O4 = (concise(getattr(observed.indices, f"O{i}"), 2) for i in range(1, 5))
+        yield said("indices", O1=O1, O2=O2, O3=O3, O4=O4)
 
 
 def _shares(described: "Description") -> Iterator[str]:
