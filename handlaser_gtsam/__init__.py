@@ -13,7 +13,7 @@ Results, in files and pictures
     read_calibration, write_calibration, read_mounts, Mounts, export_text, write_export, ExportOptions,
     write_report, ReportOptions, plot, write_pictures, spot, measured_plane.
 Check a calibration, and study calibrations by simulation
-    validate, hold_out, cross_check, run_study, read_study.
+    validate, hold_out, cross_check, run_study, read_study, write_study_picture.
 Plan stations before they are measured, and add planes or other targets one by one
     plan, Session, SurveySession.
 Graphs of one's own
@@ -89,6 +89,7 @@ if TYPE_CHECKING:
     from .files.report.pictures import plot as plot
     from .files.report.pictures import write_pictures as write_pictures
     from .files.rig_toml import read_rig as read_rig
+    from .files.study_results import write_study_picture as write_study_picture
     from .files.study_toml import read_study as read_study
     from .files.survey_json import write_survey as write_survey
     from .files.survey_reading import read_survey as read_survey

@@ -19,7 +19,7 @@ from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start
-from handlaser_gtsam.starts.blocks import sweep_starts
+from handlaser_gtsam.starts.blocks import lifted_starts, sweep_starts
 from handlaser_gtsam.starts.choice import mean_squares_at_a_glance
 from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
 from handlaser_gtsam.starts.growing import PartialStart, excerpt_of, grow
@@ -218,6 +218,20 @@ def test_planes_known_the_wrong_way_round_are_turned():
     start = PartialStart.of(readings)
     start.normals[0], start.offsets[0] = -truth.normals[0], -truth.offsets[0]
     assert_exact(grow(start, readings), truth)
+
+
+def test_the_lifted_form_is_exact_from_21_stations():
+    truth = bench(1, 1)
+    readings = recording_of(truth, *motion("free", 24), [0] * 24, 0.0).readings()
+    starts = lifted_starts(readings, 1)
+    assert len(starts) == 1
+    assert_exact(grow(starts[0], readings), truth)
+
+
+@pytest.mark.parametrize("kind", ["translations", "one axis"])
+def test_the_lifted_form_knows_when_the_motion_is_not_general(kind):
+    readings = recording_of(bench(1, 1), *motion(kind, 40), [0] * 40, 0.0).readings()
+    assert lifted_starts(readings, 1) == []
 
 
 def test_translations_determine_range_errors_in_closed_form():

@@ -23,6 +23,7 @@ def study(
     seed: Annotated[int | None, typer.Option(min=0)] = None,
     jobs: OneOrMore = None,
     scheduler: str | None = None,
+    picture: Path | None = None,
     json_: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -44,6 +45,8 @@ def study(
         Processes; default: one a processor.
     scheduler : str, optional
         Dask cluster to run on, tcp://ADDRESS:PORT.
+    picture : Path, optional
+        Draw the summary to this PNG, SVG or PDF file.
     json_, quiet
 
     Examples
@@ -52,7 +55,7 @@ def study(
     handlaser study study.toml --runs 4 \
         --out runs.parquet --jobs 2
     """
-    from ..files.study_results import read_runs, write_runs
+    from ..files.study_results import read_runs, write_runs, write_study_picture
     from ..files.study_toml import read_study
     from ..files.writing import require_outputs
     from ..validation.runs import count_warnings, summarize_runs
@@ -61,7 +64,7 @@ def study(
     declared = read_study(file)
     runs = declared.runs if runs is None else runs
     declared = replace(declared, runs=runs, seed=declared.seed if seed is None else seed)
-    require_outputs({"--out": out}, [file])
+    require_outputs({"--out": out, "--picture": picture}, [file])
     kept = None if out is None or not out.exists() else read_runs(out)
     keep = None if out is None else partial(write_runs, out)
     with Working(), workers(jobs, scheduler) as executor:
@@ -70,6 +73,8 @@ def study(
     content = {"summary": summary.to_dicts(), "warnings": warnings.to_dicts()}
     text = json.dumps(content, indent=2) + "\n"
     Answer(text, _lines(summary, warnings)).give(json=json_, quiet=quiet)
+    if picture is not None:
+        write_study_picture(picture, summary)
 
 
 def _lines(summary: "DataFrame", warnings: "DataFrame") -> Iterator[str]:

@@ -51,9 +51,6 @@ GROSS = 6.0
 """Shots farther than this many times the typical misfit are rejected before anything is learned."""
 MOST_LEFT_OUT = 0.4
 """Largest part of the shots, of all and of one target, that may be rejected."""
-FIRST_OUT = 0.5
-"""Of the shots of a target, those go first whose misfit is at least this part of its largest: least
-squares share the error of one among all that see the same target."""
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
 FINEST = 1e-9
@@ -480,7 +477,9 @@ def _leave_out_gross(state: SurveyState) -> None:
             kept = misfit <= np.quantile(misfit, TRIMMED)
         for own in target == np.arange(len(different))[:, None]:
             largest = misfit[own & state.used].max(initial=0.0)
-            kept |= own & state.used & (misfit < FIRST_OUT * largest)
+            # Of the shots of a target, those go first whose misfit is at least this part of its
+            # largest: least squares share the error of one among all that see the same target.
+            kept |= own & state.used & (misfit < 0.5 * largest)
             if kept[own].mean() < 1.0 - MOST_LEFT_OUT:
                 kept[own] = state.used[own]
         kept &= ~grazing(state.rows)

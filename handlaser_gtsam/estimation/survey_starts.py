@@ -31,7 +31,7 @@ from ..model.shots import shape_of
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..outliers.consensus import find_consensus
-from ..quantities import SINGULAR
+from ..quantities import NEGLIGIBLE, SINGULAR
 from ..starts import find_start
 from ..starts.directions import least_squares
 from ..starts.search import FINALISTS, FIRST_STEPS, LAST_STEPS
@@ -515,8 +515,8 @@ def _target_through(family: str, p: FloatArray, ahead: FloatArray) -> FloatArray
     if family == POINT.name:
         return np.asarray(centre)
     rows = np.column_stack((2.0 * (p - centre), np.ones(len(p))))
-    c = np.linalg.lstsq(rows, ((p - centre) ** 2).sum(axis=1), rcond=1e-6)[0]
-    return np.append(centre + c[:3], np.sqrt(max(c[3] + c[:3] @ c[:3], 1e-6)))
+    c = np.linalg.lstsq(rows, ((p - centre) ** 2).sum(axis=1), rcond=NEGLIGIBLE)[0]
+    return np.append(centre + c[:3], np.sqrt(max(c[3] + c[:3] @ c[:3], NEGLIGIBLE)))
 
 
 def _met_by_all(x: FloatArray, p: FloatArray, u: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from ..model.families import count_unknowns
 from ..quantities import MAJORITY, ROUNDING
 from ..solvers.refine import Refined, refine_many
 from .beam_minima import with_better_beams
-from .blocks import sweep_starts
+from .blocks import lifted_starts, sweep_starts
 from .directions import direction_starts, random_starts
 from .growing import PartialStart, excerpt_of, grow
 from .search import (
@@ -59,8 +59,8 @@ class Start:
     parameters : Parameters
         With range errors where there were enough readings to refine them.
     method : str
-        How it was found: `translations`, `translations with range error`, `sweep` (of normals),
-        `directions`, `random`, or `least norm` where nothing else applies.
+        How it was found: `translations`, `translations with range error`, `lifted`, `sweep` (of
+        normals), `directions`, `random`, or `least norm` where nothing else applies.
     tried : tuples (method, rms [m])
         Every method that applied, with the lowest rms residual it reached; the lowest first.
     fits : bool
@@ -174,6 +174,7 @@ def _first_rounds(readings: Readings, terms: int) -> Iterator[Round]:
     yield Round(
         [
             *_grown("translations with range error", [corrected] if corrected else [], readings),
+            *_grown("lifted", lifted_starts(readings, 2), readings),
             *_grown("sweep", sweep_starts(readings), readings),
             *_grown("directions", direction_starts(readings, 6), readings),
         ]

@@ -1,10 +1,10 @@
 """Monte-Carlo studies: many draws of scenes, solved in several ways, in one table with a row a run.
 
 The seed of a run is made of the seed of the study, the number of its scene and the number of the run.
-Its row is therefore the same to the last bit whatever the number of workers and their order; and all
-treatments of a scene get the same recordings.
+Its row is therefore the same to the last bit whatever the number of workers, their order, and how often
+one is lost; and all treatments of a scene get the same recordings.
 
-Work is done in blocks on processes or on a Dask cluster.
+Work is done in blocks on processes or on a Dask cluster; a block whose worker was lost is done again.
 """
 
 import hashlib
@@ -39,6 +39,9 @@ Solve = Callable[[Sequence[Recording]], Sequence[Estimated | HandlaserError]]
 Result = TypeVar("Result")
 CONNECTS_WITHIN = 10.0
 """Seconds after which there is no scheduler at an address."""
+ATTEMPTS = 4
+"""Losses of workers one after the other, without a result between them, after which work is given up:
+a single loss may be chance, and work that needs too much memory loses every worker."""
 LOST = ("BrokenProcessPool", "CancelledError", "CommClosedError", "KilledWorker")
 """Names of the errors by which executors, also executors of Dask, say that a worker was lost."""
 
@@ -127,7 +130,7 @@ def run_study(
     InputError
         A table of another study, or a case that cannot be pickled.
     SolverError
-        A worker was lost.
+        Workers were lost again and again.
     """
     digest = _digest(study)
     table = pl.DataFrame(schema=RUN_SCHEMA) if kept is None else kept
@@ -244,7 +247,7 @@ def run_blocks(
     blocks: Sequence[tuple[object, ...]],
     executor: Callable[[], Executor],
 ) -> Generator[Result]:
-    """Yield function(*block) of every block, in the order in which the results arrive.
+    """Yield function(*block) of every block once, in the order in which the results arrive.
 
     Parameters
     ----------
@@ -254,26 +257,41 @@ def run_blocks(
     blocks : sequence of tuples
         Arguments of the calls.
     executor : callable
-        Makes the executor.
+        Makes the executor, and another one when a worker was lost.
 
     Raises
     ------
     SolverError
-        A worker was lost.
+        Workers were lost again and again.
     """
-    pool, futures = executor(), list[Future[Result]]()
-    try:
-        futures += [pool.submit(function, *block) for block in blocks]
-        for future in as_completed(futures):
-            yield future.result()
-    except BaseException as error:
-        if type(error).__name__ not in LOST:
-            raise
-        raise SolverError(
-            f"a worker was lost ({type(error).__name__}); expected workers with enough memory: the "
-            "same command with fewer --jobs goes on from the table of --out"
-        ) from error
-    finally:
-        for future in futures:
-            future.cancel()
-        pool.shutdown(wait=False)
+    left, losses = dict(enumerate(blocks)), 0
+    while left:
+        pool = executor()
+        futures: dict[Future[Result], int] = {}
+        try:
+            for number, block in left.items():
+                futures[pool.submit(function, *block)] = number
+            for future in as_completed(futures):
+                error = future.exception()
+                # They arrive in no order: what others have finished is not lost with one that failed.
+                for one in [future] if error is None else futures:
+                    if not one.done() or one.cancelled() or one.exception() is not None:
+                        continue
+                    if left.pop(futures[one], None) is not None:
+                        losses = 0
+                        yield one.result()
+                if error is not None:
+                    raise error
+        except BaseException as error:
+            if type(error).__name__ not in LOST:
+                raise
+            losses += 1
+            if losses == ATTEMPTS:
+                raise SolverError(
+                    f"a worker lost {ATTEMPTS} times without a result ({type(error).__name__}); "
+                    "expected workers that live as long as the study, with enough memory"
+                ) from error
+        finally:
+            for future in futures:
+                future.cancel()
+            pool.shutdown(wait=False)

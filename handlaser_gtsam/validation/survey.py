@@ -19,7 +19,7 @@ from ..errors import CalibrationWarning, HandlaserError, SolverError
 from ..estimation.survey import estimate_survey
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf
 from ..model.families import POSE
-from ..quantities import SINGULAR
+from ..quantities import IN_PERCENT, SINGULAR
 from ..results.spot_error import spot_of
 from ..results.survey import SurveyCalibration, survey_calibration
 from ..results.verdict import Verdict
@@ -88,8 +88,9 @@ class SurveyValidation(Value):
                 f"{reference.parameter}"
             )
         elif reference.largest_sigma > LARGEST_DIFFERENCE:
+            percent = IN_PERCENT * reference.largest_sigma
             found = (
-                f"finds standard deviations that differ by {100.0 * reference.largest_sigma:.0f} % in "
+                f"finds standard deviations that differ by {percent:.0f} % in "
                 f"{reference.sigma_parameter}"
             )
         else:

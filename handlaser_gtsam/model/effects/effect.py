@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import FloatArray, IntArray
 from ...data.parameters import Parameters
 from ...data.readings import Readings
+from ...quantities import IN_MM, IN_PERCENT
 from ..equation import Linearization, Scene, linearize, residuals, scene
 from ..weighting import slopes
 
@@ -254,4 +255,4 @@ class Effect:
 
 def size_in_words(size: float, unit: str) -> str:
     """Return a size with two digits, in mm or percent."""
-    return f"{size * 1e3:.2g} mm" if unit == "m" else f"{size * 100.0:.2g} %"
+    return f"{size * IN_MM:.2g} mm" if unit == "m" else f"{size * IN_PERCENT:.2g} %"
