@@ -76,6 +76,16 @@ def test_systematic_errors_that_were_found_are_repeated(handlaser, tmp_path):
     assert err == f"{WARNED}WARNING: systematic error sag: a sag of 0.1 mm; use a flatter plate\n"
 
 
+def test_a_result_that_is_not_usable_says_so(handlaser, tmp_path):
+    record = json.loads(calibrated().model_dump_json())
+    words = "Not usable, outside the limits: rms 0.3 mm above 0.2 mm."
+    record["verdict"] = {"usable": False, "sentence": words}
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(record))
+    code, _, err = handlaser("export", path, "--to", "kuka")
+    assert (code, err) == (0, f"WARNING: {words}\n{WARNED}")
+
+
 def test_options_reach_the_frame(handlaser, file):
     beam = calibrated().beams[1]
     given = ("--beam", "2", "--axis", "x", "--at-reading-mm", "15")

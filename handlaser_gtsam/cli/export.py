@@ -118,10 +118,12 @@ def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
 
 
 def _warnings(file: "StationList | CalibrationFile | SurveyFile") -> list[str]:
-    """Repeat what the calibration was warned of: a program that uses it will not show that."""
+    """Repeat that it is not usable, and its warnings: a program that uses it will not show that."""
     from ..text import printable
 
-    lines = [one.message for one in getattr(file, "warnings", ())]
+    verdict = getattr(file, "verdict", None)
+    lines = [] if verdict is None or verdict.usable else [verdict.sentence]
+    lines += [one.message for one in getattr(file, "warnings", ())]
     lines += [
         f"systematic error {one.code}: {one.message}; {one.remedy}"
         for one in getattr(file, "systematic", ())

@@ -42,6 +42,13 @@ class WarningRecord(ObjectRecord):
     message: str
 
 
+class VerdictRecord(ObjectRecord):
+    """Whether a result can be used, and why."""
+
+    usable: bool
+    sentence: str
+
+
 class RangeErrorRecord(ObjectRecord):
     """k1 [1] and k2 [1/m]."""
 
@@ -115,7 +122,7 @@ class CalibrationFile(ObjectRecord):
     version: Version
     status: str
     message: str = ""
-    verdict: ObjectRecord | None = None
+    verdict: VerdictRecord | None = None
     warnings: Many[WarningRecord] = ()
     beams: Many[BeamRecord]
     beam_covariance: Many[Numbers] | None
@@ -162,6 +169,7 @@ class SurveyFile(ObjectRecord):
     version: Version
     status: str
     message: str
+    verdict: VerdictRecord | None = None
     sensors: Many[SensorRecord]
     beams: Many[SurveyBeamRecord]
     warnings: Many[WarningRecord]
