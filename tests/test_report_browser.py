@@ -23,7 +23,7 @@ QUIET = (
     *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
 )
 SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-FLAT = ("qq", "by-range", "by-incidence", "by-station", "by-plane", "by-count")
+FLAT = ("qq", "correlation", "by-range", "by-incidence", "by-station", "by-plane", "by-count")
 WIDTHS = (1280, 390)
 SLOW = 60_000  # milliseconds until a busy machine without a GPU has drawn something
 ROUNDING = 1.5  # pixels

@@ -362,7 +362,8 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
         yield f"within the limits ({nearest.comparison})"
     if found.code == "usable-with-care" and warnings:
         yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
-    yield found.best.clause
+    if found.best.code != CAUSE:  # which is said already
+        yield found.best.clause
 
 
 def _none(calibration: CalibrationData, reading: float) -> Verdict:
