@@ -150,8 +150,10 @@ class LevenbergOptions:
         """Return lambda (K,) after steps that saved the shares `gain` (K,) of what was promised."""
         higher = np.maximum(damping * self.damping_factor, self.first_damping)
         lower = damping / self.damping_factor
-        # Below a hundredth of the first damping there is none: a step that needs some is found sooner.
-        lower = np.where(lower >= 0.01 * self.first_damping, lower, 0.0)
+        # A step that needs some damping is found sooner if it falls little by little. Where a least one
+        # holds what is not determined, it falls at once: the search would wander along that.
+        last = self.first_damping if self.least_damping > 0.0 else 0.01 * self.first_damping
+        lower = np.where(lower >= last, lower, 0.0)
         lower = np.maximum(lower, self.least_damping)
         return np.where(gain < POOR_GAIN, higher, np.where(gain > 1.0 - POOR_GAIN, lower, damping))
 
