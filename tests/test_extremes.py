@@ -9,6 +9,7 @@ from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 
+PROFILER = GRIPPER.parent / "profiler"
 BEAM = hl.factors.BeamKeys(1, 2)
 EXTREMES = [1e308, -1e308, 1e160, np.inf, -np.inf, 10**400, "x", None]
 NAMES = [repr(value)[:8] for value in EXTREMES]
@@ -124,3 +125,38 @@ def test_arguments_of_other_types(recording, mounts):
     ):
         with pytest.raises(hl.InputError, match="of type"):
             run()
+
+
+# Errors of the hand that are 1e5 to 1e9 times those of a reading, which sums of them lose to rounding.
+STATED = [
+    (1e-9, 0.1, None),
+    (1e-6, 1e-4, None),
+    (1e-9, None, 1.0),
+    (None, 1.0, 0.0),
+    (1e-9, 1.0, 1.0),
+]
+
+
+@pytest.mark.parametrize(("reading", "translation", "rotation"), STATED)
+def test_noise_of_beams(recording, reading, translation, rotation):
+    noise = hl.Noise(
+        range_sigma=reading, pose_translation_sigma=translation, pose_rotation_sigma=rotation
+    )
+    try:
+        result = hl.calibrate(recording, noise)
+    except hl.HandlaserError:
+        return  # one line that says what is wrong is an answer
+    assert not result.verdict.usable
+
+
+@pytest.mark.parametrize(
+    ("reading", "translation", "rotation"), [(1e-9, 0.0, None), (1e-9, 0.1, 0.0)]
+)
+def test_noise_of_surveys(reading, translation, rotation):
+    survey = hl.read_survey(PROFILER / "poses.csv", PROFILER / "rig.toml")
+    shots = tuple(replace(shot, sigma=reading) for shot in survey.shots)
+    noise = hl.Noise(pose_translation_sigma=translation, pose_rotation_sigma=rotation)
+    result = hl.calibrate(replace(survey, shots=shots), noise)
+    # Readings scatter by 0.04 mm inside shots: a millionth of it cannot be confirmed.
+    assert not result.verdict.usable
+    assert "sigmas-too-small" in {cause.code for cause in result.verdict.causes}

@@ -133,7 +133,7 @@ def with_pose_errors(
         return list(blocks)
     root = covariance_roots(covariance)
     found: list[tuple[int, FloatArray, IntArray]] = []
-    sums = np.broadcast_to(np.eye(6), (len(covariance), 6, 6)).copy()
+    sums = np.zeros((len(covariance), 6, 6))
     for index, block in enumerate(blocks):
         slot = next((slot for slot in block.slots() if slot.family == POSE.name), None)
         if slot is None:
@@ -142,7 +142,9 @@ def with_pose_errors(
         A = np.einsum("cgs,gcd->gsd", columns, root[slot.member])
         np.add.at(sums, slot.member, np.swapaxes(A, 1, 2) @ A)
         found.append((index, A, slot.member))
-    inverse = np.linalg.inv(np.linalg.cholesky(sums))
+    # A root of inv(I + A'A), which rounding cannot make indefinite.
+    values, axes = np.linalg.eigh(sums)
+    inverse = np.swapaxes(axes / np.sqrt(1.0 + np.maximum(values, 0.0))[:, None], 1, 2)
     new = list(blocks)
     for index, A, member in found:
         U = np.einsum("gsd,gcd->cgs", A, inverse[member])[:, None]

@@ -164,7 +164,8 @@ class BeamPosterior:
 
 def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the inverses of information (J, n, n), and the logarithms (J,) of its determinants."""
-    scale = 1.0 / np.sqrt(np.einsum("jii->ji", matrix))
+    # Rounding may have made some negative, where errors of the hand are far above those of readings.
+    scale = 1.0 / np.sqrt(np.maximum(np.einsum("jii->ji", matrix), NEGLIGIBLE))
     each = scale[:, :, None] * scale[:, None, :]
     log_det = np.linalg.slogdet(matrix * each)[1] - 2.0 * np.log(scale).sum(axis=1)
     return np.linalg.inv(matrix * each) * each, log_det

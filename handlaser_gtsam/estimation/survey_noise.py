@@ -80,9 +80,12 @@ class _Likelihood:
         """Return it for factors on the variances of the rows, and for pose sigmas."""
         S = np.array([rotation**2] * 3 + [translation**2] * 3)
         V = (self.P * S) @ np.swapaxes(self.P, 1, 2)
+        # Rounding, at most so large (Higham 2002, theorem 10.7), must not make a factor impossible
+        # where errors of the hand are far above those of readings.
+        rounding = V.shape[1] * np.finfo(np.float64).eps * np.einsum("sii->s", V)
         # Rows without a sensor, as of relations, have unit variance; so have those that fill up.
         diagonal = np.where(self.source >= 0, np.append(factor, 1.0)[self.source], 1.0)
-        np.einsum("sii->si", V)[:] += diagonal
+        np.einsum("sii->si", V)[:] += diagonal + rounding[:, None]
         L = np.linalg.cholesky(V)
         white = np.linalg.solve(L, self.X)
         white = white.reshape(-1, white.shape[2])

@@ -235,10 +235,23 @@ def without_common(U: FloatArray) -> tuple[FloatArray, FloatArray]:
     V : (6, K, B, M)
     log_det : (K,)
     """
-    rows = U.transpose(1, 3, 0, 2)  # U' of every problem and station
-    L = np.linalg.cholesky(np.eye(len(U)) + rows @ rows.swapaxes(2, 3))
-    V = np.linalg.solve(L, rows).transpose(2, 0, 3, 1)
-    return V, 2.0 * np.log(np.einsum("kmii->kmi", L)).sum(axis=(1, 2))
+    # V is U over the transposed Cholesky factor of I + U'U, of all stations at once. Where errors of
+    # the hand are 1e8 times those of a reading, rounding makes it indefinite, which LAPACK refuses.
+    V, width = U.copy(), len(U)
+    A = np.empty((width, width, *U.shape[1:2], U.shape[3]))
+    for i in range(width):
+        np.einsum("jkbm,kbm->jkm", U[: i + 1], U[i], out=A[i, : i + 1])
+        A[i, i] += 1.0
+    log_det = np.zeros(U.shape[1])
+    for i in range(width):
+        np.maximum(A[i, i], 1.0, out=A[i, i])  # a pivot of I + U'U, but for rounding
+        log_det += np.log(A[i, i]).sum(axis=1)
+        A[i:, i] /= np.sqrt(A[i, i])
+        V[i] /= A[i, i][:, None]
+        for j in range(i + 1, width):
+            A[j, i + 1 : j + 1] -= A[j, i] * A[i + 1 : j + 1, i]
+            V[j] -= A[j, i][:, None] * V[i]
+    return V, log_det
 
 
 def covariance_roots(covariance: FloatArray) -> FloatArray:

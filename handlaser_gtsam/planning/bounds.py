@@ -96,9 +96,9 @@ class Placement:
         normals = [plate.normal]
         if self.largest_tilt > 0.0:
             # The largest tilts are the best ones for a workspace that reaches them, half of them for
-            # others; to eight sides, of which neighbours have a cosine of 0.7.
+            # others; to so many sides that neighbours have a cosine of 0.7.
             for share, side in product(
-                (0.5, 1.0), np.linspace(0.0, 2.0 * math.pi, 8, endpoint=False)
+                (0.5, 1.0), np.linspace(0.0, 2.0 * math.pi, SIDES, endpoint=False)
             ):
                 tilt = share * self.largest_tilt
                 toward = across @ np.array([math.cos(side), math.sin(side)])

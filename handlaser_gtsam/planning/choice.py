@@ -157,5 +157,5 @@ def _root(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> F
     values, axes = np.linalg.eigh(weight @ covariance @ weight.T)
     if criterion == "D":
         return np.asarray(axes / np.sqrt(values))
-    # p of the p-norm of all eigenvalues, of which the gradient is smooth where the largest changes.
-    return np.asarray(axes * (values / values[-1]) ** (0.5 * (8 - 1)))
+    # The gradient of the 8-norm of the eigenvalues, which is smooth where another becomes the largest.
+    return np.asarray(axes * (values / values[-1]) ** ((8 - 1) / 2.0))

@@ -66,8 +66,8 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     code, first = "usable", ""
     if contradicted:
         code, first = "contradicted", contradicted[0]
-    elif excess > 1.0:
-        code, first = "systematic-error", _warning(result, "range-error")
+    elif harmful is not None and excess > 1.0:
+        code, first = "systematic-error", _range_error_of(result, harmful[0])
     elif few:
         code, first = "undetermined", few[0]
     elif failed:
@@ -142,9 +142,10 @@ def _least_certain(result: "SurveyCalibration") -> int:
     return int(np.argmax([one.spot_error for one in result.mounts]))
 
 
-def _warning(result: "SurveyCalibration", code: str) -> str:
-    """Return the words of the first warning of a code."""
-    return next(one.message for one in result.warnings if one.code == code)
+def _range_error_of(result: "SurveyCalibration", sensor: str) -> str:
+    """Return the words of the warning that readings of a sensor show a range error."""
+    warnings = (one for one in result.warnings if one.code == "range-error")
+    return next(one.message for one in warnings if one.values["sensor"] == sensor)
 
 
 def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, float]:

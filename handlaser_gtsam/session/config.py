@@ -155,9 +155,8 @@ class SessionConfig:
         if self.learned is not None and before.learned is not None:
             same = self.learned.apart(before.learned) < SAME_OPTIMUM
             return () if same else (Change("scales", "scales learned again"),)
-        if (
-            abs(self.sigma / before.sigma - 1.0) < 0.5 * SAME_OPTIMUM
-        ):  # no standard deviation shows it
+        # Below half of it, no standard deviation shows the change.
+        if abs(self.sigma / before.sigma - 1.0) < 0.5 * SAME_OPTIMUM:
             return ()
         return (Change("range-sigma", f"range sigma {IN_MM * self.sigma:.3g} mm"),)
 

@@ -124,7 +124,7 @@ class Follower:
             code = worker.process.exitcode or 0
             how = f"signal {-code}" if code < 0 else f"exit code {code}"
             answer = FileAnswer(
-                error=f"the calibration ended with {how}; the next change begins again"
+                error=f"the calibration ended with {how}; the next change of a file starts it again"
             )
         seen, settled, _ = self._asked
         self._answered, self._asked = (seen, settled), None

@@ -18,9 +18,8 @@ class Hub:
     def __init__(self, page: str) -> None:
         self.clients = 0
         self._page = page
-        self._server = secrets.token_hex(
-            4
-        )  # another one after a restart, which begins to count again
+        # Another one after a restart, which begins to count again.
+        self._server = secrets.token_hex(4)
         self._number = 0
         # By topic: the number of the publication that changed its text, and the text.
         self._newest: dict[str, tuple[int, str]] = {}
@@ -51,9 +50,8 @@ class Hub:
     def unheard(self, known: int) -> bytes:
         """Return the events of what has changed since a publication."""
         found = []
-        for topic, (number, text) in sorted(
-            self._newest.items()
-        ):  # figures, sections, state, status
+        # In the order figures, sections, state, status.
+        for topic, (number, text) in sorted(self._newest.items()):
             if number > known:
                 mark = f"id: {self._server}.{number}\n" if topic == STATE else ""
                 found.append(f"event: {topic.partition(':')[0]}\n{mark}data: {text}\n\n")

@@ -36,6 +36,7 @@ def text_table(table: Table, width: int, most_rows: int | None = None) -> list[s
     ]
     sizes = [max(map(len, column)) for column in columns]
     room = width - sum(sizes[1:]) - len(GAPS[1]) * (len(sizes) - 1)
+    # A name of less than eight characters does not tell one from another.
     longest = room if room >= 8 else int(NAME * width)
     columns[0] = [shortened(cell, longest) for cell in columns[0]]
     sizes[0] = max(map(len, columns[0]))

@@ -2,7 +2,8 @@ r"""Systematic errors as unknowns of the SciPy reference, by formulas of its own
 
 An unknown of size a moves the hand poses, R exp(a omega) and t + a u in the world frame, or makes the
 readings longer, by a f. The steps (omega, u) follow from the recorded poses alone; f follows from
-ranges and angles of incidence at a solution:
+ranges and angles of incidence at a solution. The numbers 8, 2 and 32 are stated again here, for nothing
+is shared with the effects of the model:
 
     incidence      tan^2 of the angle of incidence
     cubic          (d / largest d)^3
