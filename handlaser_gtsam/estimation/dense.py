@@ -143,8 +143,8 @@ def with_pose_errors(
         np.add.at(sums, slot.member, np.swapaxes(A, 1, 2) @ A)
         found.append((index, A, slot.member))
     # A root of inv(I + A'A), which rounding cannot make indefinite.
-    values, axes = np.linalg.eigh(sums)
-    inverse = np.swapaxes(axes / np.sqrt(1.0 + np.maximum(values, 0.0))[:, None], 1, 2)
+    squares, axes = np.linalg.eigh(sums)
+    inverse = np.swapaxes(axes / np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None], 1, 2)
     new = list(blocks)
     for index, A, member in found:
         U = np.einsum("gsd,gcd->cgs", A, inverse[member])[:, None]

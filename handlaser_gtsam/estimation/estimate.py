@@ -24,7 +24,7 @@ from ..model.distributions import FAMILY_LEVEL, chi2_sf, gaussian_quantile, need
 from ..model.families import FAMILIES
 from ..model.ranges import Ranges
 from ..model.reduction import Reduction
-from ..model.search import LeastSquares, LevenbergOptions, search
+from ..model.search import LeastSquares, LevenbergOptions, Searched, search
 from ..observability.rank import ObservabilityOptions
 from ..quantities import NEGLIGIBLE, ROWS_AT_ONCE, SINGULAR
 from ..solvers.sums import eliminated_sums
@@ -316,10 +316,17 @@ def descended(
 
     Along what is undetermined a search may wander without end, while chi2 has settled long before.
     """
-    task = _least_squares(problem, blocks, 1, start)
-    options = LevenbergOptions(max_iterations=iterations, least_damping=SINGULAR)
-    ended = search(task, start, options)
-    return dict(ended.values) if np.isfinite(ended.cost[0]) else None
+    ends = search_from(problem, blocks, start, iterations)
+    return dict(ends.values) if np.isfinite(ends.cost[0]) else None
+
+
+def search_from(
+    problem: BlockProblem, blocks: Sequence[Block], start: Values, iterations: int
+) -> Searched:
+    """Return where searches of at most `iterations` from K starts end, at rest or not."""
+    K = max(len(x) for x in start.values())
+    task = _least_squares(problem, blocks, K, {name: x[:1] for name, x in start.items()})
+    return search(task, start, LevenbergOptions(iterations, least_damping=SINGULAR))
 
 
 def _least_squares(

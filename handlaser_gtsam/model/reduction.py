@@ -134,7 +134,8 @@ class _StationSums:
             products = U.transpose(1, 2, 0, 3) @ A.transpose(1, 2, 3, 0)
             return self.sums(products).transpose(0, 3, 2, 1)
         products = A.swapaxes(0, 1)[:, :, None] * U.swapaxes(0, 1)[:, None]
-        return self.sums(products.reshape(*products.shape[:3], -1), axis=3)
+        rows = products.shape[3] * products.shape[4]  # -1 cannot stand for it without columns
+        return self.sums(products.reshape(*products.shape[:3], rows), axis=3)
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,6 +47,7 @@ from .messages import Values, warned
 from .spot_error import radius, spot_of
 from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit, pulled
 from .survey_motion import open_words
+from .survey_rivals import rival_mounts
 from .survey_verdict import FALSE_RELATION, FEW, TOO_FEW, survey_verdict
 from .verdict import Verdict
 from .warnings import MANY_OUTLIERS
@@ -544,6 +545,7 @@ def _warnings(
     yield from _sigmas(found)
     yield from _too_few(found)
     yield from _few(found)
+    yield from rival_mounts(found)
     for sensor in sensors.values():
         found_errors = [error for error in sensor.errors if error.found]
         if found_errors:

@@ -29,6 +29,7 @@ from .verdict import (
     improvement_of,
     more_stations,
 )
+from .warnings import RIVAL, ambiguous
 
 if TYPE_CHECKING:
     from .survey import SurveyCalibration
@@ -62,14 +63,15 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(result)
     contradicted = [one.message for one in result.warnings if one.code == FALSE_RELATION]
-    few = [one.message for one in result.warnings if one.code == TOO_FEW]
+    unsure = [one.message for one in result.warnings if one.code == TOO_FEW]
+    unsure += ambiguous(result.warnings)
     code, first = "usable", ""
     if contradicted:
         code, first = "contradicted", contradicted[0]
     elif harmful is not None and excess > 1.0:
         code, first = "systematic-error", _range_error_of(result, harmful[0])
-    elif few:
-        code, first = "undetermined", few[0]
+    elif unsure:
+        code, first = "undetermined", unsure[0]
     elif failed:
         code, first = "outside-limits", failures(checks)
     elif result.warnings:
@@ -172,6 +174,8 @@ def _improvement(
         return improvement_of(FALSE_RELATION)
     if harmful is not None:
         return improvement_of("range-error", sensor=harmful[0], code=harmful[1])
+    if any(ambiguous(result.warnings)):
+        return improvement_of(RIVAL)
     if "many-rejected" in warnings:
         out = warnings["many-rejected"].values["shots"]
         total = warnings["many-rejected"].values["total"]

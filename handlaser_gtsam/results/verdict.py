@@ -25,7 +25,7 @@ from .messages import MESSAGES, said
 from .reports import CalibrationData
 from .spot_error import VarianceShares, freedom, spot_radii, variance_shares
 from .systematic import SystematicError
-from .warnings import MANY_OUTLIERS
+from .warnings import MANY_OUTLIERS, RIVAL, ambiguous
 
 OPENING = MESSAGES["openings"]
 """How a sentence begins, by the code of its verdict."""
@@ -46,9 +46,9 @@ class Improvement:
     Attributes
     ----------
     code : str
-        `systematic`, `effect-undetermined`, `hidden`, `outliers`, `sigmas`, `limit-rms`, `stops`,
-        `poses`, `range-span`, `motion`, `more-stations`, `more-motion` or `recording`; of surveys
-        codes of warnings that say what to do, and `file-mistake`, too.
+        `systematic`, `another-mount`, `effect-undetermined`, `hidden`, `outliers`, `sigmas`,
+        `limit-rms`, `stops`, `poses`, `range-span`, `motion`, `more-stations`, `more-motion` or
+        `recording`; of surveys codes of warnings that say what to do, and `file-mistake`, too.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -97,6 +97,8 @@ def improvement(
         return mistake
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
+    if any(ambiguous(calibration.warnings)):
+        return improvement_of(RIVAL)
     if fit.outliers > MANY_OUTLIERS * total:
         return improvement_of("outliers", fit.outliers, total=total)
     if codes & {"sigmas-too-small", "sigmas-too-large"}:
@@ -158,7 +160,7 @@ class Verdict:
         `usable`; `usable-with-care`: there are warnings; `outside-limits`; `systematic-error`: one was
         found that moves a laser spot by more than its stated error; `contradicted`: a plane that was
         left out contradicts the beams found without it, or readings of a survey what is known;
-        `undetermined`; `no-fit`: the readings
+        `undetermined`, or another mount is about as probable; `no-fit`: the readings
         contradict each other, whatever the motion; `not-converged`.
     findings : tuple of str
         The parts of the sentence.
@@ -275,6 +277,8 @@ def verdict(
         code = "outside-limits"
     elif excess > 1.0:
         code = "systematic-error"
+    elif any(ambiguous(calibration.warnings)):
+        code = "undetermined"
     asked = shares
     if limiting is not None:
         of: Literal["location", "direction"] = "location"
@@ -346,6 +350,8 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
         yield failures(found.limits)
     if found.code == "systematic-error" and found.harmful is not None:
         yield clause(found.harmful.message)
+    elif found.code == "undetermined":
+        yield from map(clause, ambiguous(calibration.warnings))
     elif found.spot_error is not None:
         spot, at = _mm(found.spot_error), _mm(found.reading)
         random = RANDOM_ONLY if calibration.sensor_kind is None else ""

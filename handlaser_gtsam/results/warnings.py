@@ -4,8 +4,9 @@ One of them is another mount of a beam that fits nearly as well, farther off tha
 deviations reach.
 """
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,14 @@ from ..errors import CalibrationWarning
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
 from ..estimation.task import NO_FIT
-from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_cdf, chi2_sf
+from ..model.distributions import (
+    CONFIDENCE,
+    FEW_DEGREES,
+    SINGLE_LEVEL,
+    UNLIKELY_EXCESS,
+    chi2_cdf,
+    chi2_sf,
+)
 from ..model.equation import cosines, plausible_range_errors, residuals, scene
 from ..model.families import MOUNT_DIM
 from ..model.joint import JointCovariance
@@ -51,11 +59,21 @@ NO_MOUNT = 10.0
 """A beam further away than this [m] is on no vehicle either: its millimetres were read as metres."""
 COARSE = "coarse-readings"
 """The code of readings whose rounding alone explains why they fit so badly."""
+RIVAL = "another-mount"
+"""The code of beams of which another mount fits nearly as well."""
 IMPLAUSIBLE = "implausible-range-error"
 """The code of readings that fit only with range errors that no sensor has."""
 WORTH_REFINING = 100.0
 """Another minimum of one beam, the planes fixed, is refined where its chi2 is larger by at most
 this."""
+
+
+def ambiguous(warnings: Iterable[CalibrationWarning]) -> Iterator[str]:
+    """Yield the words of mounts beside which another is so probable that no 95 % radius holds."""
+    likely = -2.0 * math.log(1.0 - CONFIDENCE)  # chi2 more than that of the best
+    for one in warnings:
+        if one.code == RIVAL and float(one.values["chi2"]) < likely:
+            yield one.message
 
 
 def misfit(
@@ -270,4 +288,4 @@ def rival_warnings(
         if chi2 > UNLIKELY_EXCESS or turn < FAR_SIGMAS * sigma[beam]:
             continue
         values: Values = {"beam": listed[beam], "turn_deg": float(np.degrees(turn)), "chi2": chi2}
-        yield warned("another-mount", values, more=max(chi2, 0.0))
+        yield warned(RIVAL, values, more=max(chi2, 0.0))
