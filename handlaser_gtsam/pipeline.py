@@ -57,7 +57,7 @@ def calibrate(
         options and no progress); or blocks of any sensors, targets and relations, whose weights state
         their noise (then there are no further arguments, and the result is an `Estimate`).
     noise : Noise, optional
-        What is not given of it is estimated, and integrated over.
+        What is not given of it is estimated, and integrated over where that counts (docs/method.md).
     options : CalibrationOptions, optional
         What is estimated, what is rejected, and the sensor's limits.
     progress : callable, optional
@@ -146,13 +146,14 @@ def _calibrated(
     # 2. An order that only the content decides, and every plane in a frame amid its stations.
     readings, order = sorted_readings(recording)
     origins = readings.plane_means(readings.world_t_hand)
-    # 3. Find a start without a guess, leave out what contradicts the rest, and solve jointly.
+    # 3. Find a start without a guess, leave out what contradicts the rest, and solve jointly: the
+    # search settles weights and scales, GTSAM minimises and eliminates, scales are integrated over.
     with told_to(progress):
         local, ordered = readings.seen_from(origins), noise.reordered(order.stations)
         if start is not None:
             start = start.part(order.beams, order.planes).seen_from(origins)
         selection = select(recording, local, ordered, options, start)
-        # 4. Covariances of what is determined, in the names and the order of the recording.
+        # 4. Warnings and tests, in the names and the order of the recording.
         problem = Problem(recording, readings, order, origins, noise, options.sensor)
         # Systematic errors that are unknowns are estimated beside it, and taken out of the readings.
         problem, selection, freed = with_freed(problem, selection, ordered, options)

@@ -1,4 +1,4 @@
-"""The command `handlaser`; one file a verb. Heavy imports happen inside the verbs."""
+"""The command `handlaser`: one file a verb, and what they share; heavy imports happen inside."""
 
 import io
 import os

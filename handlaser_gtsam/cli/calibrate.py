@@ -1,4 +1,4 @@
-"""handlaser calibrate: a recording becomes a calibrated rig."""
+"""handlaser calibrate: a recording becomes a calibration."""
 
 import shlex
 import sys

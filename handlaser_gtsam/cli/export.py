@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..files.exports.formats import BEAMS, STATIONS, TAKEN
+from ..files.exports.formats import BEAMS, FORMATS, STATIONS, TAKEN
 from ..quantities import MM
 from .answer import Answer, Working, wrote
 from .options import OutOption, QuietOption
@@ -15,11 +15,8 @@ if TYPE_CHECKING:
     from ..data.station_list import StationList
     from ..files.calibration_file import CalibrationFile, SurveyFile
 
-FormatChoice = StrEnum(
-    "FormatChoice",
-    "urdf xacro ros2-static ros2-yaml kuka abb fanuc ur c python st krl rapid tp urscript poses",
-)
-FORMATS = f"{', '.join(BEAMS)} (structured text); of stations {', '.join(STATIONS)}."
+FormatChoice = StrEnum("FormatChoice", FORMATS)  # type: ignore[misc]
+LISTED = f"{', '.join(BEAMS)} (structured text); of stations {', '.join(STATIONS)}."
 
 
 def _taken(field: str, **more: Any) -> Any:
@@ -29,7 +26,7 @@ def _taken(field: str, **more: Any) -> Any:
 
 def export(
     file: Path,
-    to: Annotated[FormatChoice, typer.Option(metavar="FORMAT", help=FORMATS, show_default=False)],
+    to: Annotated[FormatChoice, typer.Option(metavar="FORMAT", help=LISTED, show_default=False)],
     beam: Annotated[list[str] | None, typer.Option(metavar="NAME")] = None,
     link: Annotated[str | None, _taken("link")] = None,
     into: Annotated[Path | None, _taken("into")] = None,

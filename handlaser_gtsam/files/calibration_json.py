@@ -30,8 +30,8 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
 
     Where no verdict is given, it is `calibration.verdict`.
 
-    Where the recording does not determine the calibration (`status` "unobservable"), `sigma` and
-    `covariance` are null: the numbers beside them are one of many solutions.
+    Where the recording does not determine the calibration (`status` "unobservable"), numbers of
+    `sigma` and `covariance` are null for what is undetermined: its value is one of many solutions.
     """
     verdict = calibration.verdict if verdict is None else verdict
     reading, joint, fit = verdict.reading, calibration.covariance, calibration.fit

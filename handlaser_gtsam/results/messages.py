@@ -1,4 +1,4 @@
-"""Warnings by their codes, and other sentences: the words of all of them stand in `messages.toml`."""
+"""Warnings about results by their codes, and other sentences: their words stand in `messages.toml`."""
 
 import pkgutil
 import string

@@ -1,6 +1,7 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most.
 
-Of improvements, what makes the stated numbers wrong comes first: a systematic error, many outliers,
+Of improvements, what makes the stated numbers wrong comes first: a mistake of the file, a systematic
+error, another mount that is as probable, many outliers,
 given sigmas that the residuals contradict, a limit of the residuals, a freed error that the readings do
 not determine, a systematic error that may hide, noise that is correlated in time. Then what the error
 is made of that exceeds its limit most, or else that of the spot: its largest share, where that is more

@@ -1,1 +1,1 @@
-"""Calibrated beams as robots, ROS and programs take them."""
+"""Calibrated beams, and stations to drive to, as robots, ROS and programs take them."""

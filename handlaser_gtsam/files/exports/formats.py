@@ -5,8 +5,8 @@ LINKED = ("urdf", "xacro", "ros2-static", "ros2-yaml")
 TOOLS = ("kuka", "abb", "fanuc", "ur")
 BEAMS = (*LINKED, *TOOLS, "c", "python", "st")
 """Formats of the beams of a calibration."""
-PROGRAMS = ("krl", "rapid", "tp", "urscript")
-"""Languages of robot programs, of stations."""
+PROGRAMS = {"krl": "kuka", "rapid": "abb", "tp": "fanuc", "urscript": "ur"}
+"""Languages of robot programs, of stations, and the convention of the poses of each."""
 STATIONS = (*PROGRAMS, "poses")
 FORMATS = (*BEAMS, *STATIONS)
 TAKEN = {
@@ -16,8 +16,8 @@ TAKEN = {
     "at_reading": TOOLS,
     "tool": ("fanuc",),
     "into": ("urdf",),
-    "signal": PROGRAMS,
-    "pause": PROGRAMS,
+    "signal": tuple(PROGRAMS),
+    "pause": tuple(PROGRAMS),
     "pose_format": ("poses",),
 }
 """Formats in which an option means something."""

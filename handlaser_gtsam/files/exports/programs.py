@@ -15,10 +15,9 @@ from ...data.station_list import StationList
 from ...model.conventions import FORMATS, numbers_of, spelled_columns
 from ...planning.route import VIA
 from ...quantities import IN_DEG
+from .formats import PROGRAMS
 from .rendering import REMARK, comment_text, fixed, number, rendered
 
-CONVENTION = {"krl": "kuka", "rapid": "abb", "tp": "fanuc", "urscript": "ur"}
-"""Of the poses of each language."""
 IN_JOINTS = ("krl", "rapid", "urscript")
 
 
@@ -29,7 +28,7 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
     in the convention of the program; `joints` [rad] in URScript, else [deg], none where the program
     moves along lines; and `read`, whether the program stops there.
     """
-    x = numbers_of(stations.world_R_hand, stations.world_t_hand, FORMATS[CONVENTION[to]])
+    x = numbers_of(stations.world_R_hand, stations.world_t_hand, FORMATS[PROGRAMS[to]])
     joints = stations.joints
     # An arm of another number of joints than six has axes that programs count in other ways.
     if to not in IN_JOINTS or joints is None or joints.shape[1] != 6:

@@ -1,8 +1,8 @@
-"""Systematic errors that the model does not hold, one a file, and the table of them all.
+"""Systematic errors that the model does not hold, and the table of them all.
 
-What is added here, and to `effects.toml`, is counted with its plausible size in the verdict, and named
-in every view. What a recording can show is tested for; what none can, because unknowns of the
-calibration are the same, is only counted.
+What `effects.toml` states is named in every view, and counted in the verdict once `plausible.py` knows
+its plausible size. What a recording can show has its column in a file of its own, and is tested for;
+what none can, because unknowns of the calibration are the same, is only counted.
 """
 
 from collections.abc import Callable
