@@ -284,6 +284,27 @@ def test_help_loads_nothing_heavy():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
+def test_calibrating_beams_imports_nothing_for_plans_logs_and_surveys(tmp_path):
+    """Whoever follows the command with a debugger is not led through rooms that it does not use."""
+    program = (
+        "import sys\n"
+        "from handlaser_gtsam.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as end: assert not end.code\n"
+        "print(*(name for name in sys.modules if name.startswith('handlaser_gtsam.')))\n"
+    )
+    arguments = ["calibrate", str(GRIPPER / "recording.csv"), "--rig", str(GRIPPER / "rig.toml")]
+    arguments += ["--out", str(tmp_path / "out.json"), "--quiet"]
+    ended = subprocess.run(
+        [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True
+    )
+    imported = {name.partition(".")[2] for name in ended.stdout.split()}
+    assert "estimation.task" in imported
+    unused = ("planning.", "validation.", "session.")
+    unused += ("files.logs.reading", "estimation.survey")
+    assert not [name for name in imported if name.startswith(unused)]
+
+
 def test_the_recording_is_never_overwritten_by_its_result(refusal, tmp_path):
     path = tmp_path / "recording.csv"
     write_recording(path, simulated()[0])

@@ -13,7 +13,7 @@
 """
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -21,13 +21,13 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..errors import ArgumentError, InputError
-from ..planning.bounds import Bounds, Placement, Plate
-from ..planning.choice import Criterion
-from ..planning.goal import Goal
-from ..planning.robot import Robot
-from ..planning.workspace import Workspace
 from .checked_text import FileRecord, in_table, made, numbers
 from .recording_csv import QUATERNION_TOLERANCE
+
+if TYPE_CHECKING:  # what plans is imported where a file has a table for it
+    from ..planning.bounds import Bounds
+    from ..planning.robot import Robot
+    from ..planning.workspace import Workspace
 
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Rows = Annotated[list[Vector], Field(min_length=1)]
@@ -41,8 +41,10 @@ class WorkspaceTable(FileRecord):
     largest_turn_deg: float | None = None
     largest_step_mm: float | None = None
 
-    def to_si(self, robot: Robot | None) -> Workspace:
+    def to_si(self, robot: "Robot | None") -> "Workspace":
         """Return the workspace."""
+        from ..planning.workspace import Workspace
+
         given = self.in_si()
         low, high = given.pop("box")
         home = _rotation("workspace.home_quaternion", given.pop("home_quaternion"))
@@ -63,8 +65,10 @@ class RobotTable(FileRecord):
     plate_thickness_mm: float | None = None
     table_mm: float | None = None
 
-    def to_si(self, folder: Path) -> Robot:
+    def to_si(self, folder: Path) -> "Robot":
         """Return the robot; its URDF is looked for from a folder."""
+        from ..planning.robot import Robot
+
         given = self.in_si()
         given["urdf"] = str(folder / self.urdf)
         given["base_R"] = _rotation("robot.base_quaternion", given.pop("base_quaternion"))
@@ -86,8 +90,10 @@ class BlindTable(FileRecord):
     plate_within_mm: float | None = None
     plate_tilt_deg: float | None = None
 
-    def to_si(self) -> Bounds:
+    def to_si(self) -> "Bounds":
         """Return the bounds."""
+        from ..planning.bounds import Bounds, Plate
+
         if len(self.location_mm) != len(self.direction):
             rows = f"{len(self.location_mm)} rows and blind.direction of {len(self.direction)}"
             raise InputError(f"blind.location_mm of {rows}", "one of each for every beam")
@@ -110,7 +116,7 @@ class GoalTable(
 ):
     """What to plan for."""
 
-    criterion: Criterion = "A"
+    criterion: str = "A"
 
 
 class PlacementTable(numbers("largest_tilt_deg within_mm tilt_deg")):  # type: ignore[misc]
@@ -123,11 +129,11 @@ class PlanTables(FileRecord):
     workspace: WorkspaceTable | None = None
     robot: RobotTable | None = None
     blind: BlindTable | None = None
-    goal: GoalTable = GoalTable()
-    placement: PlacementTable = PlacementTable()
+    goal: GoalTable | None = None
+    placement: PlacementTable | None = None
 
     def in_plans(self, folder: Path) -> dict[str, Any]:
-        """Return the fields of a `Rig` that plans ask for, with files named from a folder on.
+        """Return the fields of a `Rig` that tables state for plans, with files named from a folder on.
 
         Raises
         ------
@@ -138,12 +144,20 @@ class PlanTables(FileRecord):
         if robot is not None and self.workspace is None:
             expected = "both: [workspace] says where the hand may go"
             raise InputError("a table [robot] without [workspace]", expected)
-        return {
-            "workspace": None if self.workspace is None else self.workspace.to_si(robot),
-            "bounds": None if self.blind is None else self.blind.to_si(),
-            "stated_goal": made("goal", self.goal, Goal),
-            "placement": made("placement", self.placement, Placement),
-        }
+        stated: dict[str, Any] = {}
+        if self.workspace is not None:
+            stated["workspace"] = self.workspace.to_si(robot)
+        if self.blind is not None:
+            stated["bounds"] = self.blind.to_si()
+        if self.goal is not None:
+            from ..planning.goal import Goal
+
+            stated["stated_goal"] = made("goal", self.goal, Goal)
+        if self.placement is not None:
+            from ..planning.bounds import Placement
+
+            stated["stated_placement"] = made("placement", self.placement, Placement)
+        return stated
 
 
 def _rotation(name: str, quaternion: list[float]) -> FloatArray:

@@ -45,10 +45,10 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     ------
     InputError
     """
-    from .survey_reading import read_survey, survey_of
-
     with naming_fields("" if rig.log.stated else WRITES_IT):
         if rig.survey is not None:
+            from .survey_reading import read_survey
+
             survey = read_survey(path, rig)
             return replace(survey, warnings=_warnings(rig, survey.warnings, survey.beam_names))
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
@@ -57,6 +57,8 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     recording = replace(recording, warnings=warnings)
     lines = tuple(map(as_fields, report.lines))
     if beyond_planes(recording.plane_names) or rig.half_angle:
+        from .survey_reading import survey_of
+
         return replace(survey_of(recording, rig), lines=lines)
     if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
         rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))

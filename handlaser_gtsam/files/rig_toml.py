@@ -26,7 +26,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 from pydantic import Field, Strict, create_model
 
@@ -35,9 +35,6 @@ from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import FIELDS, Plausible
 from ..model.sensor import Sensor
-from ..planning.bounds import Bounds, Placement
-from ..planning.goal import Goal
-from ..planning.workspace import Workspace
 from ..quantities import IN_DEG, IN_MM, WIDEST_CONE
 from ..results.limits import Limits
 from .checked_text import (
@@ -56,6 +53,11 @@ from .logs.format_checks import EXCLUSIVE
 from .rig_planning import PlanTables
 from .rig_survey import SurveyRig, SurveyTables
 from .writing import path_of, write_text
+
+if TYPE_CHECKING:  # calibrating needs none of it
+    from ..planning.bounds import Bounds, Placement
+    from ..planning.goal import Goal
+    from ..planning.workspace import Workspace
 
 RIG_FILE = "a rig file, TOML"
 OPTION = re.compile(r"--([a-z][a-z-]*)")
@@ -212,10 +214,10 @@ class Rig:
         Where the hand may go, and the robot that is to reach it.
     bounds : Bounds or None
         Where beams and plate roughly are, before any reading.
-    stated_goal : Goal
+    stated_goal : Goal or None
         What to plan for, as it is stated.
-    placement : Placement
-        How the plate can be placed again.
+    stated_placement : Placement or None
+        How the plate can be placed again, as it is stated.
     """
 
     noise: Noise = field(default_factory=Noise)
@@ -224,15 +226,24 @@ class Rig:
     log: LogFormat = field(default_factory=LogFormat)
     survey: SurveyTables | None = None
     half_angle: float = 0.0
-    workspace: Workspace | None = None
-    bounds: Bounds | None = None
-    stated_goal: Goal = field(default_factory=Goal)
-    placement: Placement = field(default_factory=Placement)
+    workspace: "Workspace | None" = None
+    bounds: "Bounds | None" = None
+    stated_goal: "Goal | None" = None
+    stated_placement: "Placement | None" = None
 
     @property
-    def goal(self) -> Goal:
+    def goal(self) -> "Goal":
         """What to plan for; the limits stand in it where it states nothing else."""
-        return self.stated_goal.within(self.limits)
+        from ..planning.goal import Goal
+
+        return (self.stated_goal or Goal()).within(self.limits)
+
+    @property
+    def placement(self) -> "Placement":
+        """How the plate can be placed again."""
+        from ..planning.bounds import Placement
+
+        return self.stated_placement or Placement()
 
 
 def read_rig(path: Path | str) -> Rig:
