@@ -5,9 +5,9 @@
 Surveys of a line profiler and two single beams before two planes and a ball, by both generators of
 `benchmarks.rigs`, with errors of the hand of 0.05 mm and 0.01 deg that are stated or not, and noise of
 all readings of 0.02, 0.1 and 0.5 mm that is not. Of the readings of a beam 7 to 12 are kept at random:
-it has seven unknowns. Each line is how many 95 % regions of the locations of beams hold the truth,
-their NEES a degree of freedom, how many coordinates are beyond 5 standard deviations in a result that
-is `usable`, and how many results are not usable.
+it has seven unknowns. Each line is how many 95 % regions of the locations of beams hold the truth in
+results that are usable, their NEES a degree of freedom, how many beams have a coordinate beyond 5
+standard deviations there, and how many results are not usable.
 """
 
 import argparse
@@ -37,9 +37,9 @@ class Coverage:
     Attributes
     ----------
     squares : list of float
-        Squared errors of the locations of beams, in their covariance.
+        Squared errors of the locations of beams in usable results, in their covariance.
     wrong, unusable, surveys : int
-        Locations that are wrong in a usable result; results that are not usable; all results.
+        Locations of these that are wrong; results that are not usable; all results.
     """
 
     squares: list[float]
@@ -85,15 +85,15 @@ def coverage(generator: Any, sigma: float, noise: hl.Noise, rigs: int) -> Covera
         except HandlaserError:
             found.unusable += 1
             continue
-        found.unusable += not result.usable
-        if result.status != "converged":
+        if not result.usable:
+            found.unusable += 1
             continue
         names = [*result.sensors, *result.beams]
         for name, (error, C) in zip(names, errors_of(rig, result), strict=True):
             if name in result.beams:
                 found.squares.append(float(error @ np.linalg.solve(C, error)))
                 far = bool((np.abs(error) > FAR * np.sqrt(np.diagonal(C))).any())
-                found.wrong += far and result.usable
+                found.wrong += far
     print("\r" + " " * 40 + "\r", end="", file=sys.stderr)
     return found
 
