@@ -82,7 +82,7 @@ def test_undoing_a_mistake_gives_the_right_file(right, words):
     "words", ["quaternion w x y z (abb) read as quaternion x y z w", "ranges look like millimetres"]
 )
 def test_the_mistake_is_named_first(right, words):
-    found = better_way(MISTAKES[words](right), 0)
+    found = better_way(MISTAKES[words](right), 0).message
     assert words in found
     assert "times better" in found
 
@@ -94,7 +94,9 @@ def test_beams_swapped_before_one_plane_are_named():
     rows = recording.plane_of_station == 1
     ranges[rows] = ranges[rows][:, ::-1]
     found = better_way(replace(recording, ranges=ranges), 0)
-    assert "the readings of beams 1 and 2 look swapped before plane B" in found
+    assert "the readings of beams 1 and 2 look swapped before plane B" in found.message
+    assert found.values["mistake"] in found.message
+    assert [found.values[one] for one in ("first", "second", "plane")] == ["1", "2", "B"]
 
 
 def changed_half_way(recording, column):
@@ -128,7 +130,7 @@ def test_a_unit_that_changes_half_way_is_named_once(column):
 def test_ranges_of_another_row_are_named(rows, words):
     recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
     spoilt = replace(recording, ranges=np.roll(recording.ranges, rows, axis=0))
-    assert f"the ranges look one row {words}" in better_way(spoilt, 0)
+    assert f"the ranges look one row {words}" in better_way(spoilt, 0).message
 
 
 @pytest.mark.slow
@@ -141,21 +143,21 @@ def test_labels_exchanged_where_a_plane_is_too_small_to_tell_are_named():
     labels = [other[label] if j >= 22 else label for j, label in enumerate(shuffled.plane_labels)]
     spoilt = replace(shuffled, plane_labels=tuple(labels))
     words = f"the labels B and A look exchanged from station {shuffled.station_names[22]} on"
-    assert words in better_way(spoilt, 0)
+    assert words in better_way(spoilt, 0).message
 
 
 @pytest.mark.slow
 def test_ways_that_cannot_be_told_apart_are_said_in_one_sentence(right):
     """y negated is x and z negated, seen by a mirrored hand."""
     mirrored = replace(right, world_t_hand=right.world_t_hand * [1.0, -1.0, 1.0])
-    found = better_way(mirrored, 0)
+    found = better_way(mirrored, 0).message
     assert "the y coordinates of the positions look negated" in found
     assert " or the x and z coordinates of the positions look negated" in found
 
 
 @pytest.mark.slow
 def test_a_right_file_suggests_nothing(right):
-    assert better_way(right, 0) == ""
+    assert better_way(right, 0) is None
     assert hl.calibrate(right, hl.Noise(1e-3, 0.0, 0.0)).warnings == ()
 
 
@@ -164,7 +166,7 @@ def test_nothing_is_said_of_a_recording_that_another_way_may_fit_by_chance(right
     keep = np.concatenate([np.flatnonzero(right.plane_of_station == p)[:4] for p in range(2)])
     few = right.part(np.sort(keep))
     shuffled = replace(few, ranges=np.random.default_rng(1).permutation(few.ranges))
-    assert better_way(shuffled, 0) == ""
+    assert better_way(shuffled, 0) is None
 
 
 @pytest.mark.slow

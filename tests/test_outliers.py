@@ -84,7 +84,8 @@ def test_a_wrong_plane_label_is_recognised_and_suggested():
     assert {r.station for r in found.fit.rejected} == {"4"}
     assert {r.reason for r in found.fit.rejected} == {"wrong plane label: fits plane A"}
     expected = "station 4 is labelled plane C but fits plane A: correct its label"
-    assert hl.CalibrationWarning("wrong-label", expected) in found.warnings
+    values = {"station": "4", "label": "C", "plane": "A"}
+    assert hl.CalibrationWarning("wrong-label", expected, values) in found.warnings
 
 
 def test_swapped_readings_of_a_station_are_recognised():

@@ -210,6 +210,8 @@ def test_a_target_of_the_other_kind_is_named(case, seed):
     for warnings in (found.warnings, check.warnings):
         assert warnings[0].code == "target-kind"
         assert warnings[0].message.startswith(message)
+        assert warnings[0].values["target"] == wrong
+        assert warnings[0].values["label"] == right
     assert not found.usable
     assert found.status == "contradicted"
     assert (found.verdict.code, found.verdict.findings) == ("no-fit", (found.message,))

@@ -232,7 +232,7 @@ def code_warning(what: str, beams: list[str], *, stated: bool = False) -> Calibr
     return CalibrationWarning(
         "reading-code",
         f"{readings} of {what} of {whose} counted as no reading: {why}",
-        {"readings": count},
+        {"readings": count, "beams": ", ".join(names), "value": what},
     )
 
 
@@ -395,6 +395,7 @@ def _warnings(
             other = int(np.flatnonzero(group == group[rows[0]])[0])
             first = f"the first: {names[rows[0]]}, like {names[other]}"
             words = f"{len(rows)} of {total} stations ({first}) repeat {what}"
-            counts = {"stations": total, "repeated": len(rows)}
-            warnings.append(CalibrationWarning(code, words, counts))
+            values: dict[str, float | str] = {"stations": total, "repeated": len(rows)}
+            values |= {"first": names[rows[0]], "like": names[other]}
+            warnings.append(CalibrationWarning(code, words, values))
     return tuple(warnings)

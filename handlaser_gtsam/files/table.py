@@ -203,7 +203,8 @@ def titles_warning(titles: Sequence[str], path: Path) -> tuple[CalibrationWarnin
         f"{path.name}: passed over {count(len(there), 'line')} above the header: {shown(there[0])}"
     )
     words += ", ..." if len(there) > 1 else ""
-    return (CalibrationWarning("title-lines", words, {"lines": len(there)}),)
+    values: dict[str, float | str] = {"file": path.name, "lines": len(there), "first": there[0]}
+    return (CalibrationWarning("title-lines", words, values),)
 
 
 def table_of(

@@ -193,6 +193,6 @@ def range_ends(
                 f"{'short' if far else 'long'} and were left out: its range seems to end there, and "
                 "readings shortly before may err, too; state a narrower range (--range-mm MIN MAX, or "
                 "range_mm in the rig file's [sensor]), or measure within it",
-                {"beam": name, "limit_m": limit, "rejected": len(out)},
+                {"beam": name, "limit_m": limit, "rejected": len(out), "of": extreme},
             )
             yield out, TOO_SHORT if far else TOO_LONG, warning

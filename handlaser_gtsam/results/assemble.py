@@ -139,7 +139,7 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
             *together.warnings,
             *(() if freed is None else freed.warnings(effects)),
             *(
-                CalibrationWarning(f"systematic-{s.code}", s.warning)
+                CalibrationWarning(f"systematic-{s.code}", s.warning, s.values)
                 for s in systematic
                 if s.warning
             ),
@@ -198,11 +198,11 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
         (int(problem.order.stations[station]), plane) for station, plane in why.other_plane.items()
     )
     names, labels = recording.station_names, recording.plane_labels
-    words = [said("labelled", station=names[j], label=labels[j], plane=planes[p]) for j, p in found]
+    wrong = [{"station": names[j], "label": labels[j], "plane": planes[p]} for j, p in found]
     # More wrong labels than a line names are no slips, but have one cause.
-    if len(words) >= NAMES_IN_LINE:
-        return (warned("file-mistake:labels", {"stations": len(words)}, first=words[0]),)
-    return tuple(warned("wrong-label", station=one) for one in words)
+    if len(wrong) >= NAMES_IN_LINE:
+        return (warned("file-mistake:labels", {"stations": len(wrong), **wrong[0]}),)
+    return tuple(warned("wrong-label", values) for values in wrong)
 
 
 def _way(
@@ -230,10 +230,10 @@ def _way(
     from .file_mistakes import better_way  # few recordings are wrong
 
     terms = solution.terms
-    words = better_way(recording, terms, rejected)
-    if not words and wrong is not None and rejected is not None:
-        words = better_way(recording, terms)
-    return CalibrationWarning("file-mistake", words) if words else None
+    way = better_way(recording, terms, rejected)
+    if way is None and wrong is not None and rejected is not None:
+        way = better_way(recording, terms)
+    return way
 
 
 def _determined_by(

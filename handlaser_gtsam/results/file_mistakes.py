@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
 from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MM, TINY
 from ..starts import Effort
-from .messages import MISTAKES, READ_AS
+from .messages import MISTAKES, READ_AS, Values, warned
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
 from .warnings import MANY_OUTLIERS
 
@@ -33,8 +33,10 @@ GROUPS = 4
 """Groups of planes that are omitted in turn to find the one before which beams look swapped."""
 
 
-def better_way(recording: Recording, terms: int, rejected: BoolArray | None = None) -> str:
-    """Say how else the file could be read so that it fits a hundredfold better; nothing if it cannot.
+def better_way(
+    recording: Recording, terms: int, rejected: BoolArray | None = None
+) -> CalibrationWarning | None:
+    """Say how else the file could be read so that it fits a hundredfold better; None if it cannot.
 
     Where several ways fit alike, as y negated and both x and z do, all of them are named. Nothing is
     said of a recording that is so small that another way may fit by chance.
@@ -49,7 +51,7 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
         that concern a part of the recording are tried.
     """
     if not tells(recording):
-        return ""
+        return None
 
     def measure(changed: Recording, effort: Effort) -> float:
         return misfit(changed, terms, effort)
@@ -67,14 +69,14 @@ def better_way(recording: Recording, terms: int, rejected: BoolArray | None = No
         without = misfits(recording, chain.from_iterable(mistakes), measure)
         if not without:
             continue
-        now, best = measure(recording, "normal"), min(without)[0]
+        now, (best, way) = measure(recording, "normal"), without[0]
         if now >= MUCH_BETTER * best:
             # Of several hypotheses those are named whose misfit is within this factor of the least.
             most = min(now / MUCH_BETTER, 4.0 * best)
-            words = " or ".join(words for value, words in without if value <= most)
-            times = min(np.sqrt(now / best), 1e6)
-            return f"{words}: read so, the readings fit {times:.0f} times better"
-    return ""
+            words = " or ".join(one.words for value, one in without if value <= most)
+            times = float(min(np.sqrt(now / best), 1e6))
+            return warned("file-mistake", {"mistake": words, **way.values}, times=times)
+    return None
 
 
 def _glance(recording: Recording) -> float:
@@ -116,7 +118,8 @@ def _swaps(recording: Recording) -> Iterator[Rereading]:
                 f"the readings of beams {beams[i]} and {beams[j]} look swapped before plane {name}"
             )
             rows = recording.plane_of_station == plane
-            yield Rereading(words, partial(_swapped, rows=rows, i=i, j=j), "quick")
+            values = {"first": beams[i], "second": beams[j], "plane": name}
+            yield Rereading(words, partial(_swapped, rows=rows, i=i, j=j), "quick", values)
 
 
 def _swapped(recording: Recording, rows: BoolArray, i: int, j: int) -> Recording:
@@ -157,7 +160,14 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]
                 f"the readings of beams {names[i]} and {names[j]} look swapped at {len(where)} "
                 f"stations, {stations[where[0]]} to {stations[where[-1]]}"
             )
-            yield Rereading(words, partial(_swapped, rows=rows, i=i, j=j), "quick")
+            values: Values = {
+                "first": names[i],
+                "second": names[j],
+                "stations": len(where),
+                "from": stations[where[0]],
+                "to": stations[where[-1]],
+            }
+            yield Rereading(words, partial(_swapped, rows=rows, i=i, j=j), "quick", values)
 
 
 def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]:
@@ -169,10 +179,12 @@ def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Reread
         name, own = names[plane], np.flatnonzero(labels == plane)
         out = own[lost[own]]
         first = out[0] if out[-1] == own[-1] else own[np.searchsorted(own, out[-1]) + 1]
+        station = recording.station_names[first]
         yield Rereading(
-            _of_another_plane(name, recording.station_names[first]),
+            _of_another_plane(name, station),
             partial(_relabelled, labels={name: f"{name}, later"}, split=int(first)),
             "quick",
+            {"plane": name, "station": station},
         )
 
 
@@ -189,16 +201,18 @@ def _unit_changes(recording: Recording) -> Iterator[Rereading]:
             for i, name in enumerate(recording.beam_names)
         ]
     for what, own in beams:
-        for words, factor in _changes_of(np.abs(recording.ranges[:, own]), what, recording):
+        for words, factor, values in _changes_of(np.abs(recording.ranges[:, own]), what, recording):
             whole = np.where(own, factor[:, None], 1.0)
-            yield Rereading(words, partial(_scaled, ranges=whole), "quick")
+            yield Rereading(words, partial(_scaled, ranges=whole), "quick", values)
     distance = np.linalg.norm(recording.world_t_hand, axis=1, keepdims=True)
-    for words, factor in _changes_of(distance, "the positions", recording):
-        yield Rereading(words, partial(_scaled, positions=factor[:, None]), "quick")
+    for words, factor, values in _changes_of(distance, "the positions", recording):
+        yield Rereading(words, partial(_scaled, positions=factor[:, None]), "quick", values)
 
 
-def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tuple[str, FloatArray]]:
-    """Yield in words from where on lengths d (M, k) have another unit, and factors (M,) to metres."""
+def _changes_of(
+    d: FloatArray, what: str, recording: Recording
+) -> Iterator[tuple[str, FloatArray, Values]]:
+    """Yield from where on lengths d (M, k) have another unit: words, factors (M,) to metres, values."""
     high, low = np.nanmax(d, axis=1, initial=0.0), np.nanmin(d, axis=1, initial=np.inf)
     before = np.maximum.accumulate(high)[:-1], np.minimum.accumulate(low)[:-1]
     after = np.maximum.accumulate(high[::-1])[::-1][1:], np.minimum.accumulate(low[::-1])[::-1][1:]
@@ -214,7 +228,8 @@ def _changes_of(d: FloatArray, what: str, recording: Recording) -> Iterator[tupl
         where = f"from station {station} on" if late else f"before station {station}"
         for unit, metres in (("millimetres", MM), ("inches", INCH), ("centimetres", 10.0 * MM)):
             words = f"{what} {where} look like {unit}, and the others like metres"
-            yield words, np.where(rows, metres, 1.0)
+            values = {"lengths": what, "station": station, "unit": unit}
+            yield words, np.where(rows, metres, 1.0), values
 
 
 def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
@@ -248,9 +263,10 @@ def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
             continue
         station, late = part.station_names[split], int(np.flatnonzero(rows)[split])
         words = f"the labels {first} and {other} look exchanged from station {station} on"
+        values = {"plane": first, "other": other, "station": station}
         if not second:
             words = _of_another_plane(first, station)
-        yield Rereading(words, partial(undone, split=late))
+        yield Rereading(words, partial(undone, split=late), values=values)
 
 
 def _on_the_way(recording: Recording) -> Iterator[Rereading]:
@@ -278,7 +294,7 @@ def _on_the_way(recording: Recording) -> Iterator[Rereading]:
     words = (
         f"readings look as if taken {where} station: the hand was not at rest, or they came late"
     )
-    yield Rereading(words, partial(_moved_on, share=best))
+    yield Rereading(words, partial(_moved_on, share=best), values={"share": best})
 
 
 def _moved_on(recording: Recording, share: float) -> Recording:

@@ -39,10 +39,13 @@ def said(sentence: str, **words: float | str) -> str:
 
 
 def warned(message: str, values: Values | None = None, **words: float | str) -> CalibrationWarning:
-    """Return one of the warnings; its words hold the values that it keeps, and more."""
-    values = {} if values is None else values
-    filled = _filled(MESSAGES["warnings"][message], {**values, **words})
-    return CalibrationWarning(message.partition(":")[0], filled, values)
+    """Return one of the warnings, which keeps `values` and the numbers of its other words."""
+    words = {**(values or {}), **words}
+    kept = {
+        name: x for name, x in words.items() if name in (values or {}) or not isinstance(x, str)
+    }
+    filled = _filled(MESSAGES["warnings"][message], words)
+    return CalibrationWarning(message.partition(":")[0], filled, kept)
 
 
 def _filled(message: str, words: Values) -> str:

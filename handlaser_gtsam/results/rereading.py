@@ -8,6 +8,7 @@ Logs try the conventions in which poses are written, calibrations that do not fi
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..model.families import BEAM, PLANE
 from ..quantities import TINY
 from ..starts import Effort, find_start
 from ..starts.choice import mean_squares_at_a_glance
+from .messages import Values
 
 MUCH_BETTER = 100.0
 """Another way is taken to be the right one where it lowers the mean squared residual by this factor."""
@@ -41,24 +43,27 @@ class Rereading(NamedTuple):
     change : callable
     effort : {"glance", "quick", "normal", "thorough"}
         Of the start that is looked for.
+    values : mapping of str to float or str
+        Names and numbers in the words.
     """
 
     words: str
     change: Change
     effort: Effort = "normal"
+    values: Values = MappingProxyType({})
 
 
 def misfits(
     recording: Recording, others: Iterable[Rereading], measure: Measure
-) -> list[tuple[float, str]]:
-    """Return the misfit in each other way, never zero, and the words of that way."""
+) -> list[tuple[float, Rereading]]:
+    """Return the misfit in each other way, never zero, and that way; the best first."""
     found = []
     for other in others:
         # Read another way, it may be no recording, or have no start.
         with suppress(HandlaserError):
             changed = measure(other.change(recording), other.effort)
-            found.append((max(changed, 1e-30), other.words))
-    return found
+            found.append((max(changed, 1e-30), other))
+    return sorted(found, key=lambda one: one[0])
 
 
 def glances(recording: Recording, changes: Sequence[Change]) -> FloatArray:

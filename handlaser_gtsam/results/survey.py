@@ -536,8 +536,8 @@ def _warnings(
 ) -> Iterator[CalibrationWarning]:
     for tested in relations:
         if tested.contradicted:
-            p, known = tested.p_value, tested.known.words
-            yield warned(FALSE_RELATION, {"p": p}, known=known, likely=p_words(p, 1))
+            values: Values = {"p": tested.p_value, "known": tested.known.words}
+            yield warned(FALSE_RELATION, values, likely=p_words(tested.p_value, 1))
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
@@ -553,16 +553,16 @@ def _warnings(
             first, *others = sorted(found_errors, key=lambda e: -abs(e.size) / e.sigma)
             p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
             alike = " or ".join(error.code for error in others)
-            alike = f"; an error {alike} would look much like it" if others else ""
-            values: Values = {"sensor": sensor.name, "size": first.size}
-            words = {"code": first.code, "likely": p_words(p, 1), "alike": alike}
-            yield warned("range-error", values, sigma=first.sigma, **words)
+            values = {"sensor": sensor.name, "code": first.code, "size": first.size}
+            values |= {"sigma": first.sigma, "p": p, "alike": alike}
+            also = f"; an error {alike} would look much like it" if others else ""
+            yield warned("range-error", values, likely=p_words(p, 1), also=also)
     beams = found.rows.survey.beam_names
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
         names = some([one.words(beams) for one in out], NAMES_IN_LINE)
         total = len(found.rows.items)
-        yield warned("many-rejected", {"shots": len(out), "total": total}, names=names)
+        yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
     yield from unread_stations(found.rows)
     yield from found.rows.survey.warnings
 
@@ -578,8 +578,8 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
     edgeless = rows.edgeless
     for label in edgeless:
         shots = sum(labels[at] == label for _, at in rows.lost)
-        values: Values = {"target": label, "shots": shots}
-        yield warned("no-edge", values, name=label.partition(":")[2])
+        plane = f"{PLANE.name}:{label.partition(':')[2]}"
+        yield warned("no-edge", {"target": label, "shots": shots, "label": plane})
     names = survey.stations.station_names
     lost = [
         f"sensor {survey.shots[member].name} at station {names[at]}"
@@ -590,9 +590,8 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         more = "".join(f"; {one}" for one in _counted_towards(rows))
         yield warned(
             "too-few-points",
-            {"shots": len(lost)},
+            {"shots": len(lost), "names": some(lost, NAMES_IN_LINE)},
             lost=count(len(lost), "shot"),
-            names=some(lost, NAMES_IN_LINE),
             more=more,
         )
 
@@ -667,10 +666,14 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > 1.5:
             how, stated = "large" if smaller else "small", shots.sigma
             times = inside / shots.sigma
-            values: Values = {"sigma_mm": inside * IN_MM, "times": times, "p": p}
-            yield warned(
-                f"sigmas-too-{how}:shots", values, sensor=shots.name, inside=inside, stated=stated
-            )
+            values: Values = {
+                "sensor": shots.name,
+                "sigma_mm": inside * IN_MM,
+                "stated_mm": stated * IN_MM,
+                "times": times,
+                "p": p,
+            }
+            yield warned(f"sigmas-too-{how}:shots", values)
             return
     chi2, dof = found.estimate.chi2, found.estimate.dof
     learned = np.isnan([*found.stated.sigma, *found.stated.pose]).any()

@@ -71,10 +71,11 @@ def misread(rows: Rows, noise: Noise) -> Iterator[CalibrationWarning]:
     for shots in rows.survey.shots:
         better = better_convention(shots, labels)
         if better is not None:
-            yield warned(CONVENTION, {"sensor": shots.name}, better=better)
+            yield warned(CONVENTION, {"sensor": shots.name, "better": better})
     for label, better in better_kinds(rows.survey, noise).items():
         kind, _, name = label.partition(":")
-        yield warned(KIND, {"target": label}, better=better, kind=kind, name=name)
+        values = {"target": label, "kind": kind, "better": better, "label": f"{better}:{name}"}
+        yield warned(KIND, values)
 
 
 def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

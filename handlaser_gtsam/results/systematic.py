@@ -27,7 +27,7 @@ from ..model.distributions import FAMILY_LEVEL
 from ..model.effects import EFFECTS, may_also_be
 from ..observability.wording import BeamAndPlaneNames
 from .dependence import INDEPENDENT, Dependence, dependence
-from .messages import said
+from .messages import Values, said
 from .projection import LinearRows
 from .score_tests import ScoreTests, alike
 
@@ -91,6 +91,11 @@ class SystematicError(Value):
     confounded: bool = False
     message: str
     remedy: str
+
+    @property
+    def values(self) -> Values:
+        """The names and numbers of its message."""
+        return {"subject": self.subject, "size": self.size, "p_value": self.p_value}
 
     @property
     def unnoticed(self) -> float:

@@ -312,12 +312,7 @@ def _causes(judged: Verdict, calibration: CalibrationData) -> Iterator[Calibrati
     yield from failures_of(judged.limits)
     error = judged.harmful
     if error is not None:
-        values: dict[str, float | str] = {
-            "subject": error.subject,
-            "size": error.size,
-            "p_value": error.p_value,
-        }
-        yield CalibrationWarning(error.code, error.message, values)
+        yield CalibrationWarning(error.code, error.message, error.values)
     hidden = judged.hidden
     if hidden is not None and judged.best.code == "hidden":
         values = {"size": hidden.unnoticed, "shift": judged.hidden_error or 0.0}

@@ -121,8 +121,8 @@ def implausible_mounts(
     labels, distance = names.sorted_beams(), np.linalg.norm(parameters.locations, axis=1)
     first, second = np.where(hits[:, from_both[0]], distance, -1.0).argmax(axis=1).tolist()
     culprit = labels[max(first, second, key=lambda i: distance[i])]
-    values = {"plane": name, "beam": culprit}
-    return warned("two-sides", values, first=labels[first], second=labels[second])
+    values = {"plane": name, "beam": culprit, "first": labels[first], "second": labels[second]}
+    return warned("two-sides", values)
 
 
 def lost_of_beams(fit: Fit, names: Sequence[str]) -> list[tuple[int, int]]:

@@ -240,7 +240,8 @@ class Session:
                 f"the scales of noise and range errors were learned from {now.learned_with} of "
                 f"{planes} planes: recalibrate() learns them again"
             )
-            warnings = (*warnings, CalibrationWarning("scales-of-fewer-planes", words))
+            values = {"learned": now.learned_with, "planes": planes}
+            warnings = (*warnings, CalibrationWarning("scales-of-fewer-planes", words, values))
         return replace(calibration, warnings=warnings)
 
     def estimate(self) -> tuple[Readings, Parameters]:

@@ -112,12 +112,17 @@ class SurveyValidation(Value):
         if not judged.usable:
             return judged
         if self.disagreement is not None:
-            why.append(CalibrationWarning("reference-disagrees", self.disagreement))
+            of = self.reference
+            values: dict[str, float | str] = {"parameter": of.parameter, "difference": of.largest}
+            if of.largest <= LARGEST_DIFFERENCE:
+                values = {"parameter": of.sigma_parameter, "difference": of.largest_sigma}
+            why.append(CalibrationWarning("reference-disagrees", self.disagreement, values))
         against = tuple(one.name for one in self.contradicted)
         if against:
             which = f"(p below {SINGLE_LEVEL:g}): {', '.join(against)}"
             words = f"what the rest of the survey does not predict {which}"
-            why.append(CalibrationWarning("not-predicted", words))
+            parts = {"parts": ", ".join(against)}
+            why.append(CalibrationWarning("not-predicted", words, parts))
         if not why:
             return judged
         return replace(

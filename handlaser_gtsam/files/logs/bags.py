@@ -179,7 +179,8 @@ def read_messages(
                 f"{count} publishers on topic {topic}, all of whose messages were read; if they are "
                 "not one node that was started again, record each on a topic of its own"
             )
-            warnings.append(CalibrationWarning("several-publishers", words, {"publishers": count}))
+            values: dict[str, float | str] = {"topic": topic, "publishers": count}
+            warnings.append(CalibrationWarning("several-publishers", words, values))
     return LogRows(
         lines_of(path, len(x)),
         (),

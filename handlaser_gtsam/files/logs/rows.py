@@ -123,7 +123,9 @@ def rows_of(
                 f"before (the first: line {table.lines[back[0]]}), and all were sorted by time; if the "
                 "clock was set back, poses and readings are mixed up"
             )
-            warnings += (CalibrationWarning("times-back", words, {"rows": int(back.size)}),)
+            values: dict[str, float | str] = {"rows": int(back.size), "total": len(clock)}
+            values |= {"file": table.path.name, "line": int(table.lines[back[0]])}
+            warnings += (CalibrationWarning("times-back", words, values),)
             order = np.argsort(clock, kind="stable")
             table = replace(table, frame=table.frame[order], lines=table.lines[order])
             clock = clock[order]
@@ -199,7 +201,8 @@ def _pose_numbers(
             insist = "; or --as-stated if it is right" if fault.doubt else ""
             table.refuse(fault.wrong, where, fault.expected + insist, fault.found)
         words = f"{fault.found}, as stated; expected {fault.expected}"
-        found.append(CalibrationWarning("pose-convention", words))
+        values = {"columns": ", ".join(columns[fault.numbers]), "found": fault.found}
+        found.append(CalibrationWarning("pose-convention", words, values))
     return x, tuple(found)
 
 

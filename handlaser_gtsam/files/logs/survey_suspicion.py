@@ -76,10 +76,10 @@ def refuse_wrong_poses(
     if now <= FITS:
         return ()
     others = list(alternatives(numbers, way, given))
-    best, words = min(misfits(carrier, others, measure), default=(np.inf, ""))
-    if best > min(now / BETTER, WELL):
-        return ()
-    return accused(now / best, words, given)
+    for best, other in misfits(carrier, others, measure)[:1]:
+        if best <= min(now / BETTER, WELL):
+            return accused(now / best, other.words, given)
+    return ()
 
 
 def _part(survey: Survey) -> Rows:

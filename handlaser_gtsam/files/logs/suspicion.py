@@ -90,7 +90,9 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
         f"more than {IN_PERCENT * MOVED:.0f} % (the first: {name}): poses that were not logged anew, "
         "or that are stamped late"
     )
-    return (CalibrationWarning("held-poses", words, {"stations": same, "total": count}),)
+    return (
+        CalibrationWarning("held-poses", words, {"stations": same, "total": count, "first": name}),
+    )
 
 
 def refuse_wrong_convention(
@@ -128,7 +130,7 @@ def refuse_wrong_convention(
 
 
 def accused(
-    ratio: float, words: str, given: LogFormat, more: str = ""
+    ratio: float, other: str, given: LogFormat, more: str = ""
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log whose readings fit much better in another way; warn where it is less.
 
@@ -136,8 +138,8 @@ def accused(
     ----------
     ratio : float
         How many times smaller squared residuals are.
-    words : str
-        The other way.
+    other : str
+        The other way, in words.
     given : LogFormat
         How it is read.
     more : str
@@ -151,12 +153,13 @@ def accused(
     convention = convention_of(given)
     times = float(min(np.sqrt(ratio), 1e6))
     stated = f"{convention.words}{', inverted' if given.inverted else ''}{more}"
-    message = f"the readings fit {times:.3g} times better if {words}"
+    message = f"the readings fit {times:.3g} times better if {other}"
     if ratio >= MUCH_BETTER and not given.as_stated:
         found_so = f"poses that do not fit as {stated}; {message}"
         raise InputError(found_so, "that, or --as-stated if it is right")
     words = f"{message}; stated: {stated}"
-    return (CalibrationWarning("pose-convention", words, {"times": times}),)
+    values: dict[str, float | str] = {"times": times, "better": other, "stated": stated}
+    return (CalibrationWarning("pose-convention", words, values),)
 
 
 def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] | None:
@@ -169,9 +172,9 @@ def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] |
         if now <= FITS:  # as it is; or, by the second measure, but for outliers
             return None
         near = partial(measure, reach=FAR_BEAM)
-        best, words = min(misfits(part, others, near), default=(np.inf, ""))
-        if best <= min(now / BETTER, WELL):
-            return now / best, words
+        for best, way in misfits(part, others, near)[:1]:
+            if best <= min(now / BETTER, WELL):
+                return now / best, way.words
     return None
 
 

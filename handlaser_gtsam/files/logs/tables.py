@@ -406,7 +406,9 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
             f"{path.name}: {count(len(places), 'cell')} of {shown(what)} ({some(places, 4)}) taken as "
             "empty; calculate the workbook again and save it, or mend them"
         )
-        warnings.append(CalibrationWarning("cells-without-value", words, {"cells": len(places)}))
+        values: dict[str, float | str] = {"file": path.name, "cells": len(places), "value": what}
+        values["places"] = some(places, 4)
+        warnings.append(CalibrationWarning("cells-without-value", words, values))
     return min(rows), tuple(warnings)
 
 
