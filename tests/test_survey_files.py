@@ -357,11 +357,30 @@ def test_of_a_false_relation_the_headline_says_nothing_else(folder, noise):
     given = {f"pose_{name}_sigma": sigma for name, sigma in noise.items()}
     result = hl.calibrate(survey, hl.Noise(**given))
     (words,) = (one.message for one in result.warnings if one.code == "relation-contradicted")
-    assert result.status == ("contradicted" if noise else "not_converged")
+    assert result.status == "contradicted"
     assert result.message == words
     assert result.verdict.findings == (words,)
     assert result.verdict.code == "contradicted"
     assert noise == {} or "range-error" in {one.code for one in result.warnings}
+
+
+def test_the_standard_deviation_of_aiming_stands_in_the_rig_file(handlaser, refusal, tmp_path):
+    made, rig = tmp_path / "made", tmp_path / "rig.toml"
+    rig.write_text('[[sensors]]\nname = "p"\nkind = "profiler"\npoints = "p.csv"\n')
+    words = ("simulate", made, "--rig", rig, "--targets", "plane:A,point:tip", "--beams", 2)
+    assert handlaser(*words, "--stations", 20, "--seed", 1)[0] == 0
+    stated = made / "rig.toml"
+    stated.write_text(stated.read_text().replace("[noise]", "[noise]\naiming_sigma_mm = 0.7"))
+    survey = hl.read_survey(made / "stations.csv", stated)
+    assert survey.aiming_sigma == pytest.approx(7e-4)
+    assert handlaser("check", made / "stations.csv", "--rig", stated)[0] == 0
+    rig.write_text("[noise]\naiming_sigma_mm = 0.7\n" + rig.read_text())
+    assert "aiming_sigma_mm, which is not simulated" in refusal(*words, "--force")
+    rig.write_text("[noise]\naiming_sigma_mm = 0.7\n")
+    words = "calibrate", ROOT / "examples" / "gripper" / "recording.csv", "--rig", rig
+    assert "aiming_sigma_mm in [noise], and no target that is a point" in refusal(*words)
+    rig.write_text("[noise]\naiming_sigma_mm = 0\n")
+    assert "aiming_sigma_mm" in refusal(*words)
 
 
 def test_relations_of_the_page_go_with_its_example(folder):

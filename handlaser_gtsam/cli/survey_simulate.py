@@ -60,6 +60,8 @@ def simulated_survey(
         found = "[[known]]"
     elif noise.pose_covariance is not None:
         found = "pose_covariance"
+    elif known.aiming_sigma is not None:
+        found = "aiming_sigma_mm"
     if found:
         raise InputError(f"{found}, which is not simulated", "a rig file without it", rig)
     names = ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma")

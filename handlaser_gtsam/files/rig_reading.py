@@ -1,11 +1,13 @@
 """Recordings and logs read as a rig file says: what every verb that takes one does."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..data.survey import Survey, beyond_planes
+from ..data.survey import Survey, beyond_planes, kind_of
 from ..errors import CalibrationWarning, InputError
 from ..model.sensor import Sensor
+from ..model.targets.point import POINT
 from ..text import shown
 from .logs.format import LogFormat
 from .logs.report import LogReport
@@ -50,9 +52,11 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
             from .survey_reading import read_survey
 
             survey = read_survey(path, rig)
+            _require_points(rig, survey.stations.plane_labels, path)
             return replace(survey, warnings=_warnings(rig, survey.warnings, survey.beam_names))
         report = read_any(path, rig.log, rig.sensor, rig.noise.range_sigma)
     recording = report.recording
+    _require_points(rig, recording.plane_names, path)
     warnings = _warnings(rig, recording.warnings, recording.beam_names)
     recording = replace(recording, warnings=warnings)
     lines = tuple(map(as_fields, report.lines))
@@ -63,6 +67,13 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     if rig.log.range_sigma_from_scatter and rig.noise.range_sigma is None:
         rig = replace(rig, noise=replace(rig.noise, range_sigma=report.scatter))
     return replace(report, recording=recording, lines=lines), rig
+
+
+def _require_points(rig: Rig, labels: Sequence[str], path: Path) -> None:
+    """Refuse a standard deviation of the aiming where no target is a point; raises InputError."""
+    if rig.aiming_sigma is not None and POINT.name not in map(kind_of, labels):
+        found = "aiming_sigma_mm in [noise], and no target that is a point"
+        raise InputError(found, "stations with the label point:NAME, or no aiming_sigma_mm", path)
 
 
 def _warnings(

@@ -1,7 +1,8 @@
 """Rig files: what is known about sensors and robot, in the units people use.
 
-    [noise]   range_sigma_mm, incidence_sigma_mm, pose_translation_sigma_mm, pose_rotation_sigma_deg,
-              or instead of the latter two pose_covariance: 6 x 6 over (rx, ry, rz, x, y, z), SI units;
+    [noise]   range_sigma_mm, aiming_sigma_mm (of beams that are aimed at points), incidence_sigma_mm,
+              pose_translation_sigma_mm, pose_rotation_sigma_deg, or instead of the latter two
+              pose_covariance: 6 x 6 over (rx, ry, rz, x, y, z), SI units;
               pose_translation_prior_mm, pose_rotation_prior_deg: what pose sigmas that are not given
               are expected to be
     [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent, kind: triangulation,
@@ -35,7 +36,7 @@ from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import FIELDS, Plausible
 from ..model.sensor import Sensor
-from ..quantities import IN_DEG, IN_MM, WIDEST_CONE
+from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH, WIDEST_CONE
 from ..results.limits import Limits
 from .checked_text import (
     FileRecord,
@@ -170,6 +171,10 @@ class NoiseTable(
     pose_covariance: list[list[float]] | None = None
 
 
+class _Noise(NoiseTable):
+    aiming_sigma_mm: float | None = None
+
+
 class _Sensor(FileRecord):
     range_mm: Annotated[tuple[float, ...], Strict(False)] | None = None
     max_incidence_deg: float | None = None
@@ -187,7 +192,7 @@ class _Limits(numbers("rms_mm location_sigma_mm direction_sigma_deg")):  # type:
 
 
 class _Rig(PlanTables, SurveyRig):
-    noise: NoiseTable = NoiseTable()
+    noise: _Noise = _Noise()
     sensor: Annotated[_Sensor, Field(description="which is of single beams")] = _Sensor()
     plausible: _Plausible = _Plausible()
     limits: _Limits = _Limits()
@@ -207,6 +212,8 @@ class Rig:
         How logs are written.
     survey : SurveyTables or None
         Sensors of many rays, and relations; None where there are none.
+    aiming_sigma : float, optional
+        Standard deviation of a spot across its ray where beams are aimed at points [m].
     half_angle : float
         Half the opening angle of the cone in which each single sensor reads what is nearest [rad], as
         ultrasonic ones do; zero of beams. Recordings of cones are surveys.
@@ -225,6 +232,7 @@ class Rig:
     limits: Limits = field(default_factory=Limits)
     log: LogFormat = field(default_factory=LogFormat)
     survey: SurveyTables | None = None
+    aiming_sigma: float | None = None
     half_angle: float = 0.0
     workspace: "Workspace | None" = None
     bounds: "Bounds | None" = None
@@ -303,9 +311,14 @@ def _to_si(rig: _Rig, folder: Path) -> Rig:
         least, most = map(float, span)
         sensor = Sensor(least, most, plausible=plausible, **given)
         require_number("half_angle", half_angle, 0.0, WIDEST_CONE, unit="rad")
+    aiming = rig.noise.in_si().get("aiming_sigma")
+    if aiming is not None:
+        with in_table("noise", rig.noise):
+            require_number("aiming_sigma", aiming, 0.0, LARGEST_LENGTH, above=True, unit="m")
     log, survey = rig.log.to_format(folder), rig.survey(folder)
-    noise, plans = noise_of(rig.noise), rig.in_plans(folder)
-    return Rig(noise, sensor, limits, log, survey, half_angle, **plans)
+    noise = noise_of(rig.noise.model_copy(update={"aiming_sigma_mm": None}))
+    plans = rig.in_plans(folder)
+    return Rig(noise, sensor, limits, log, survey, aiming, half_angle, **plans)
 
 
 def noise_of(table: NoiseTable, name: str = "noise") -> Noise:

@@ -104,6 +104,7 @@ def _survey(
     if ranges is not None:  # without those that the sensor cannot give
         ranges = np.where(rig.sensor.can_read(ranges), ranges, np.nan)
     more |= {"half_angle": rig.half_angle, "linearity": rig.sensor.linearity}
+    more["aiming_sigma"] = rig.aiming_sigma
     return Survey(stations, ranges=ranges, beam_names=beams, **more)
 
 
