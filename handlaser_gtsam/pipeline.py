@@ -96,11 +96,16 @@ def calibrate_survey(
     What relations do that are contradicted is shown by a calibration without them.
     """
     from .estimation.survey import estimate_survey
+    from .estimation.survey_rows import rows_of
     from .results.survey import survey_calibration
+    from .results.survey_misfit import misread, with_causes
 
     require_kind("noise", noise, Noise)
     _refuse_unused(survey, noise)
-    found = estimate_survey(survey, noise, None if earlier is None else earlier._found)
+    try:
+        found = estimate_survey(survey, noise, None if earlier is None else earlier._found)
+    except InputError as error:
+        raise with_causes(error, misread(rows_of(survey), noise)) from error
     result = survey_calibration(found)
     known = tuple(one.known for one in result.relations if not one.contradicted)
     if len(known) == len(result.relations):

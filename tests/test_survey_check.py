@@ -302,3 +302,36 @@ def test_degrees_of_freedom_are_said_in_the_counts_of_a_check(handlaser):
     dof, numbers, more, unknowns = map(int, fit.groups())
     assert (numbers, unknowns) == tuple(map(int, counted.groups()))
     assert dof == numbers + more - unknowns
+
+
+def test_relations_count_in_a_check_and_false_ones_are_refused(handlaser, tmp_path):
+    """As `calibrate` does: a beam before one plane is determined by what is known of its mount."""
+    shutil.copytree(FOLDER, tmp_path / "folder")
+    rig = tmp_path / "folder" / "rig.toml"
+    plain = rig.read_text()
+    few = (FOLDER / "poses.csv").read_text().splitlines()[:5]  # four stations before the plate
+    (tmp_path / "folder" / "few.csv").write_text("\n".join(few) + "\n")
+    points = (FOLDER / "profiles.csv").read_text().splitlines()
+    kept = [
+        line for line in points if line.partition(",")[0] in ("station", "P1", "P2", "P3", "P4")
+    ]
+    (tmp_path / "folder" / "profiles_few.csv").write_text("\n".join(kept) + "\n")
+    T = np.array(json.loads((FOLDER / "truth.json").read_text())["hand_T_sensor"])
+    angles = Rotation.from_matrix(T[:3, :3]).as_euler("ZYX", degrees=True)
+
+    def ends(poses, text, place):
+        pose = [*(1e3 * place).tolist(), *angles.tolist()]
+        known = '[[known]]\nrelation = "mount"\nof = ["sensor:scanner"]\nsigma_mm = 0.1\n'
+        rig.write_text(f"{text}\n{known}sigma_deg = 0.01\npose_mm_deg = {pose}\n")
+        words = tmp_path / "folder" / poses, "--rig", rig
+        return [handlaser(verb, *words) for verb in ("check", "calibrate")]
+
+    rig.write_text(plain.replace("profiles.csv", "profiles_few.csv"))
+    assert handlaser("check", tmp_path / "folder" / "few.csv", "--rig", rig)[0] == 3
+    for code, _, err in ends(
+        "few.csv", plain.replace("profiles.csv", "profiles_few.csv"), T[:3, 3]
+    ):
+        assert code == 0, err
+    for code, _, err in ends("poses.csv", plain, T[:3, 3] + 0.01):
+        assert code in (3, 4)
+        assert "the readings contradict what is said to be known: mount of sensor:scanner" in err

@@ -45,10 +45,20 @@ from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, warned
 from .spot_error import radius, spot_of
-from .survey_misfit import MISREAD, NO_FIT, misheard, misread, no_fit, pulled
+from .survey_misfit import (
+    FALSE_RELATION,
+    MISREAD,
+    NO_FIT,
+    contradictions,
+    misheard,
+    misread,
+    no_fit,
+    pulled,
+    unconfirmed,
+)
 from .survey_motion import open_words
 from .survey_rivals import rival_mounts
-from .survey_verdict import FALSE_RELATION, FEW, TOO_FEW, survey_verdict
+from .survey_verdict import FEW, TOO_FEW, survey_verdict
 from .verdict import Verdict
 from .warnings import MANY_OUTLIERS
 
@@ -343,16 +353,17 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     undetermined, advice = tuple[str, ...](), tuple[str, ...]()
     if wrong is not None:
         # What is undetermined means nothing where shots are read as what they are not.
-        status, message = "not_converged" if status == "not_converged" else "contradicted", wrong
+        status, message = "contradicted", wrong
+    elif status != "converged" and any(one.contradicted for one in relations):
+        # Labels and noise may be right, and rows do not fit because of the relation.
+        status = "contradicted"
+        message = next(one.message for one in warnings if one.code == FALSE_RELATION)
     elif estimate.undetermined or found.images:
         information, axes, _ = _information(found)
         null = axes[:, information < least_information(information)]
         moving, advice = open_words(rows, estimate, null, found.images)
         undetermined = (open_sentence(moving, advice),)
         message = undetermined[0]
-    elif status != "converged" and any(one.contradicted for one in relations):
-        # Labels and noise may be right, and rows do not fit because of the relation.
-        message = next(one.message for one in warnings if one.code == FALSE_RELATION)
     return SurveyCalibration(
         status,
         message,
@@ -534,13 +545,13 @@ def _warnings(
     relations: tuple[RelationTest, ...],
     rejected: tuple[RejectedShot, ...],
 ) -> Iterator[CalibrationWarning]:
-    for tested in relations:
-        if tested.contradicted:
-            values: Values = {"p": tested.p_value, "known": tested.known.words}
-            yield warned(FALSE_RELATION, values, likely=p_words(tested.p_value, 1))
+    yield from contradictions(relations)
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
+    unread = tuple(unread_stations(found.rows))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
+    elif not causes:
+        yield from unconfirmed(found.rows, unread)
     yield from causes
     yield from _sigmas(found)
     yield from _too_few(found)
@@ -563,7 +574,7 @@ def _warnings(
         names = some([one.words(beams) for one in out], NAMES_IN_LINE)
         total = len(found.rows.items)
         yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
-    yield from unread_stations(found.rows)
+    yield from unread
     yield from found.rows.survey.warnings
 
 
@@ -618,11 +629,8 @@ def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     names += [f"{BEAM.name} {some(survey.beam_names, NAMES_IN_LINE)}", "the aiming at points"]
     spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
     for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
-        values: Values = {"spare": float(spare[i]), "sigma": float(found.noise.sigma[i])}
-        # `aiming_sigma` of a survey is no field of rig files.
-        remedy = "add stations" if i == len(names) - 1 else "add stations, or state it"
-        words = {"source": names[i], "remedy": remedy}
-        yield warned(f"{FEW}:survey", values, usual=float(usual[i]), **words)
+        sigma = {"sigma": float(found.noise.sigma[i]), "usual": float(usual[i])}
+        yield warned(f"{FEW}:survey", {"source": names[i]}, spare=float(spare[i]), **sigma)
 
 
 def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

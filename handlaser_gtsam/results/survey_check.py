@@ -6,6 +6,7 @@ show it inside, and with errors of the hand as are usual.
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from ..data.survey import RAY_ERRORS, Known, Survey, normal_label
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
-from ..estimation.survey import first_fit, first_image, first_state
+from ..estimation.survey import estimate_survey, first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import Rows, rows_of
 from ..model.families import BEAM, RANGE_ERROR, pose_of
@@ -24,9 +25,21 @@ from ..observability.motion import PlaneMotion, motion_before
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
 from .survey import unread_stations
-from .survey_misfit import MISREAD, NO_FIT, first_noise, misread, no_fit
+from .survey_misfit import (
+    FALSE_RELATION,
+    MISREAD,
+    NO_FIT,
+    contradictions,
+    first_noise,
+    misread,
+    no_fit,
+    unconfirmed,
+    with_causes,
+)
 from .survey_motion import CURE_OF_A_CIRCLE, open_words
 
+DOUBTS = (NO_FIT, *MISREAD, FALSE_RELATION)
+"""Codes of warnings with which the motion is not judged: the gravest first."""
 NOT_OF_MOTION = frozenset((*RAY_ERRORS, *BEAM.coordinates[RANGE_ERROR]))
 """Coordinates that do not count among the unknowns that a motion has to determine."""
 
@@ -82,7 +95,8 @@ class SurveyCheck(Value):
         Typical misfit of a shot in standard deviations; NaN where no start was found.
     warnings : tuple of CalibrationWarning
         Of shots that do not fit each other, of arrays that read in the other convention and targets of
-        another kind, of stations without a reading, of lost shots, and of how files were read.
+        another kind, of relations that the readings contradict, of stations without a reading, of lost
+        shots, and of how files were read.
     """
 
     sensors: tuple[SensorHeld, ...]
@@ -99,7 +113,7 @@ class SurveyCheck(Value):
     @property
     def doubt(self) -> str | None:
         """What is wrong where shots do not fit each other, or not what is stated; None elsewhere."""
-        for code in (NO_FIT, *MISREAD):
+        for code in DOUBTS:
             for one in self.warnings:
                 if one.code == code:
                     return one.message
@@ -116,7 +130,9 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     """
     rows, noise = rows_of(survey), noise or Noise()
     causes = tuple(misread(rows, noise))
-    warnings = (*causes, *unread_stations(rows), *survey.warnings)
+    unread = tuple(unread_stations(rows))
+    lost = () if causes else tuple(unconfirmed(rows, unread))
+    warnings = (*lost, *causes, *unread, *survey.warnings)
     targets = tuple(_targets(rows))
     numbers = sum(item.numbers for item in rows.items)
     names = rows.places().names
@@ -131,7 +147,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         state = first_state(replace(rows, known=(*rows.known, *holds)), noise)
     except InputError as error:
         if not rows.items:
-            raise
+            raise with_causes(error, causes) from error
         said = ((error.found,), True, (error.expected,), (), np.nan, warnings)
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
     others = first_image(state)
@@ -146,11 +162,16 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     found = judged(problem, problem.blocks, dict(state.values))
     found, images = with_images(found, others)
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
-    if numbers < unknowns:
+    if numbers < unknowns and undetermined:
         advice = (*advice, "measure at more stations")
     if not first.fits:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
-    doubtful = any(one.code in (NO_FIT, *MISREAD) for one in warnings)
+    elif (
+        rows.known
+    ):  # whether relations hold depends on the noise, which is learned with everything
+        with suppress(InputError):
+            warnings = (*warnings, *contradictions(estimate_survey(survey, noise).tests))
+    doubtful = any(one.code in DOUBTS for one in warnings)
     if doubtful:  # what a motion leaves undetermined means nothing then
         undetermined, advice = (), ()
     return SurveyCheck(

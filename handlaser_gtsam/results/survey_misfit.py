@@ -9,7 +9,8 @@ show more than their target, neither way says anything. The other kind of a targ
 survey, too. Cones are tried with other angles once all is solved.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -19,10 +20,12 @@ from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
+from ..estimation.estimate import MOST_REJECTED
 from ..estimation.survey import (
     GROSS,
     MOST_LEFT_OUT,
     FirstFit,
+    RelationTest,
     SurveyEstimate,
     estimate_survey,
     first_state,
@@ -30,8 +33,8 @@ from ..estimation.survey import (
 )
 from ..estimation.survey_rows import Rows, rows_of
 from ..estimation.survey_sorting import OF_OTHERS, misses_of
-from ..model.distributions import FAMILY_LEVEL, f_sf
-from ..model.families import PLANE
+from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
+from ..model.families import FAMILIES, PLANE
 from ..model.sensors.kinds import KINDS
 from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
 from ..model.targets.sphere import SPHERE
@@ -50,6 +53,8 @@ HALF_ANGLE = "half-angle"
 """Code of the warning that cones are wider, or narrower, than is stated."""
 BEHIND_ECHO = "behind-echo"
 """Code of the warning that what an array reads behind a near echo does not fit what else it reads."""
+FALSE_RELATION = "relation-contradicted"
+"""Code of the warning that readings contradict what is said to be known."""
 MISREAD = (CONVENTION, KIND, HALF_ANGLE, BEHIND_ECHO)
 """Codes of mistakes with which no result is usable, and no advice on the motion means anything."""
 PULLED = 2.0
@@ -185,6 +190,44 @@ def no_fit(
     noise = some(first_noise(rows, fit, given), NAMES_IN_LINE)
     values = {"misfit": fit.misfit, "distance_m": fit.distance}
     return warned(f"{NO_FIT}:shots", values, noise=noise, what=what)
+
+
+def with_causes(error: InputError, causes: Iterable[CalibrationWarning]) -> InputError:
+    """Return why nothing leads to a start, with the mistakes that are known in place of what to do."""
+    known = "; ".join(one.message for one in causes)
+    return InputError(error.found, known or error.expected)
+
+
+def unconfirmed(rows: Rows, causes: Sequence[CalibrationWarning]) -> Iterator[CalibrationWarning]:
+    """Warn of sensors that lose more shots than may be rejected, where the rest does not confirm them.
+
+    It confirms them where the shots of every target that count say more than the unknowns of that
+    target. `causes` say of the shots why they are lost.
+    """
+    labels = [normal_label(label) for label in rows.survey.stations.plane_labels]
+    numbers = Counter[str]()
+    for item in rows.items:
+        numbers[labels[item.station]] += item.numbers
+    for member, shots in enumerate(rows.survey.shots):
+        lost = [labels[at] for own, at in rows.lost if own == member]
+        total = len(np.unique(shots.station))
+        open_ = [
+            label
+            for label in dict.fromkeys(lost)
+            if numbers[label] <= FAMILIES.get(kind_of(label), PLANE).dim
+        ]
+        if len(lost) > MOST_REJECTED * total and open_:
+            targets, what = some(open_, NAMES_IN_LINE), "; ".join(one.message for one in causes)
+            values: Values = {"sensor": shots.name, "lost": len(lost), "targets": targets}
+            yield warned(f"{NO_FIT}:lost", values, total=total, what=what)
+
+
+def contradictions(tests: Sequence[RelationTest]) -> Iterator[CalibrationWarning]:
+    """Warn of the relations that the readings contradict."""
+    for tested in tests:
+        if tested.contradicted:
+            values: Values = {"p": tested.p_value, "known": tested.known.words}
+            yield warned(FALSE_RELATION, values, likely=p_words(tested.p_value, 1))
 
 
 def first_noise(rows: Rows, fit: FirstFit, given: Noise) -> tuple[str, ...]:

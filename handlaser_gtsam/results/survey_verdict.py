@@ -19,7 +19,7 @@ from ..text import some
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .messages import said
-from .survey_misfit import MISREAD, NO_FIT
+from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
 from .verdict import (
     Improvement,
     Verdict,
@@ -38,8 +38,6 @@ FEW = "few-readings"
 """Code of the warning that hardly more readings than unknowns tell the noise."""
 TOO_FEW = "too-few-readings"
 """Code of the warning that a beam has fewer readings than unknowns: another mount may fit as well."""
-FALSE_RELATION = "relation-contradicted"
-"""Code of the warning that readings contradict what is said to be known."""
 CAUSES = (*MISREAD, FALSE_RELATION, "sigmas-too-small", "range-error")
 """Codes of warnings that say why shots do not fit each other.
 
@@ -105,16 +103,11 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
     why = result.undetermined[:2] or (result.message,)
     if NO_FIT not in codes:  # which names its causes
         why = (*(one.message for one in causes), *why)
-    if result.status == "undetermined":
-        code = "undetermined"
-    elif FALSE_RELATION in codes and not codes & {NO_FIT, *MISREAD}:
+    code = {"undetermined": "undetermined", "not_converged": "not-converged"}.get(
+        result.status, "no-fit"
+    )
+    if FALSE_RELATION in codes and not codes & {NO_FIT, *MISREAD}:
         code = "contradicted"
-    else:
-        code = (
-            "not-converged"
-            if result.status == "not_converged" and NO_FIT not in codes
-            else "no-fit"
-        )
     best = improvement_of("recording")
     if result.advice:
         best = Improvement("more-motion", "; ".join(result.advice))
