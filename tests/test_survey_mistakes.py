@@ -5,6 +5,7 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
+import polars as pl
 import pytest
 from helpers import ROOT, first_and_slow
 from scipy.spatial.transform import Rotation
@@ -351,3 +352,36 @@ def test_a_wrong_unit_of_points_is_named(tmp_path, refusal, units, words):
     rig = (example / "rig.toml").read_text().replace('units = "mm"', f'units = "{units}"')
     (tmp_path / "rig.toml").write_text(rig)
     assert words in refusal("calibrate", tmp_path / "poses.csv", "--rig", tmp_path / "rig.toml")
+
+
+NEAR = (
+    '[sensor]\nrange_mm = [30, 70]\n[[sensors]]\nname = "p"\nkind = "profiler"\npoints = "p.csv"\n'
+)
+FAR = '[sensor]\nrange_mm = [1000, 6000]\n[[sensors]]\nname = "p"\nkind = "scanner"\npoints = "p.csv"\n'
+BOTH = "looks like millimetres taken for metres, or the other way round"
+UNITS = {
+    "points in mm, as m": (NEAR, "p.csv", ("x", "z"), 1e3, 'are in millimetres: units = "mm"'),
+    "points in m, as mm": (FAR, "p.csv", ("reading",), 1e-3, 'are in metres: units = "m"'),
+    "poses in mm, as m": (NEAR, "stations.csv", ("x", "y", "z"), 1e3, "the poses are mm"),
+    "beams in mm, as m": (NEAR, "stations.csv", ("range_1",), 1e3, BOTH),
+    "range of the sensor in m": (NEAR, "rig.toml", ("[30.0, 70.0]", "[0.03, 0.07]"), 1.0, BOTH),
+}
+
+
+@pytest.mark.parametrize("case", UNITS)
+def test_a_wrong_unit_that_no_sensor_refutes_is_named(tmp_path, handlaser, refusal, case):
+    """Some sensor may have such lengths: only what fits, or the stated range, tells the unit."""
+    text, name, what, factor, words = UNITS[case]
+    (tmp_path / "rig.toml").write_text(text)
+    made = tmp_path / "made"
+    options = ("--targets", "plane:A,plane:B", "--stations", 8, "--beams", 1, "--seed", 1)
+    assert handlaser("simulate", made, "--rig", tmp_path / "rig.toml", *options)[0] == 0
+    if name == "rig.toml":
+        stated = (made / name).read_text()
+        assert what[0] in stated
+        (made / name).write_text(stated.replace(*what))
+    else:
+        table = pl.read_csv(made / name)
+        table.with_columns(pl.col(column) * factor for column in what).write_csv(made / name)
+    for verb in ("check", "calibrate"):
+        assert words in refusal(verb, made / "stations.csv", "--rig", made / "rig.toml")

@@ -17,6 +17,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import SequenceMatcher
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,9 @@ from ..data.recording import Recording, first_repeated
 from ..data.screen import BY_CHANCE, code_warning, coded_numbers
 from ..data.station_list import StationList
 from ..errors import CalibrationWarning, InputError
+from ..model.conventions import LENGTHS, UNIT_WORDS
 from ..model.sensor import Sensor
-from ..quantities import LARGEST_LENGTH, MM
+from ..quantities import IN_MM, LARGEST_LENGTH, MAJORITY, MM
 from ..text import A_NAME, name_fault
 from .table import Table, column_numbers, labels, read_table
 from .writing import path_of, write_text
@@ -267,6 +269,8 @@ def range_numbers(
     with np.errstate(invalid="ignore"):
         impossible = ~sensor.can_read(d) & ~np.isnan(d) if sensor.range_stated else d <= 0.0
         impossible = (impossible & (d <= 0.0)) | (np.abs(d) > LARGEST_LENGTH)
+    for i, name in enumerate(columns):
+        _refuse_other_unit(table, name, d[:, i], sensor)
     coded = impossible & sensor.range_stated
     coded |= coded_numbers(d, impossible)
     least = "a range" if sensor.range_min < 0.0 else "a positive range"
@@ -280,6 +284,29 @@ def range_numbers(
         table.refuse((impossible & ~coded)[:, i], name, expected)
     d[coded] = np.nan
     return d, np.asarray(coded | words)
+
+
+def _refuse_other_unit(table: Table, name: str, d: FloatArray, sensor: Sensor) -> None:
+    """Refuse readings (M,) [m] that are all beyond the stated range, and mostly within in another unit.
+
+    Raises
+    ------
+    InputError
+    """
+    d = d[d > 0.0]
+    if not len(d) or not sensor.range_stated or sensor.can_read(d).any():
+        return
+    for one, other in permutations(LENGTHS, 2):
+        if sensor.can_read(d * LENGTHS[other] / LENGTHS[one]).mean() > MAJORITY:
+            ends = f"{sensor.range_min * IN_MM:g} to {sensor.range_max * IN_MM:g} mm"
+            found = (
+                f"readings of some {np.median(d) * IN_MM:.3g} mm, and a sensor's range of {ends}"
+            )
+            expected = (
+                f"both in the units that are stated: one of them looks like {UNIT_WORDS[other]} "
+                f"taken for {UNIT_WORDS[one]}, or the other way round"
+            )
+            raise table.fault(found, expected, name)
 
 
 def known_numbers(table: Table, name: str) -> tuple[FloatArray, BoolArray]:

@@ -11,16 +11,18 @@ from ..data.recording import Recording
 from ..data.station_list import StationList
 from ..data.survey import Survey
 from ..errors import InputError
+from ..model.conventions import numbers_of
 from ..model.sensor import Sensor
 from .checked_text import in_file
 from .logs.bags import is_bag
 from .logs.columns import columns_of
 from .logs.format import LogFormat
+from .logs.format_checks import convention_of
 from .logs.motion import Way
 from .logs.poses import hand_poses
 from .logs.reading import OF_READINGS, is_log, refuse_of_a_bag
 from .logs.rows import LogRows, rows_of
-from .logs.survey_suspicion import refuse_wrong_poses
+from .logs.survey_suspicion import refuse_wrong_reading
 from .logs.tables import read_log_table
 from .recording_csv import POSE, PREFIX, range_numbers, read_recording, stations_of
 from .rig_toml import Rig, read_rig
@@ -78,10 +80,11 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         raise InputError(found, expected, path)
     survey = _survey(stations, ranges, beams, rig, shots=shots, known=tables.known, lines=lines)
     warnings = () if rows is None else rows.warnings
-    if rows is not None and shots:
+    if shots and not is_bag(path):
         with in_file(path):
-            way = Way.of_rows(len(stations))
-            warnings += refuse_wrong_poses(survey, rows.posed, way, log)
+            at = stations.world_R_hand, stations.world_t_hand
+            numbers = numbers_of(*at, convention_of(log)) if rows is None else rows.posed
+            warnings += refuse_wrong_reading(survey, numbers, Way.of_rows(len(stations)), log)
     return replace(survey, warnings=warnings)
 
 

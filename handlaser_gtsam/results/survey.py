@@ -564,10 +564,10 @@ def _warnings(
             first, *others = sorted(found_errors, key=lambda e: -abs(e.size) / e.sigma)
             p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
             alike = " or ".join(error.code for error in others)
-            values = {"sensor": sensor.name, "code": first.code, "size": first.size}
-            values |= {"sigma": first.sigma, "p": p, "alike": alike}
             also = f"; an error {alike} would look much like it" if others else ""
-            yield warned("range-error", values, likely=p_words(p, 1), also=also)
+            which = {"sensor": sensor.name, "code": first.code, "alike": alike}
+            sizes = {"size": first.size, "sigma": first.sigma, "p": p}
+            yield warned("range-error", {**which, **sizes}, likely=p_words(p, 1), also=also)
     beams = found.rows.survey.beam_names
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):

@@ -123,7 +123,8 @@ def refuse_wrong_convention(
     numbers = numbers[rows]
     R, t = way.poses(numbers, convention_of(given), inverse=given.inverted)
     part = replace(part, world_R_hand=R, world_t_hand=t, warnings=())
-    found = _better(part, list(alternatives(numbers, way, given)))
+    lengths = other_lengths(given.range_units, "the ranges are in {name}: --range-units {unit}")
+    found = _better(part, [*lengths, *alternatives(numbers, way, given)])
     if found is None:
         return ()
     return accused(*found, given, f", ranges in {given.range_units}")
@@ -205,8 +206,21 @@ def good_square(residuals: FloatArray) -> float:
     return most**2
 
 
+def other_lengths(stated: str, words: str) -> Iterator[Rereading]:
+    """Yield other units of the ranges than the one stated, in `words` with {name} and {unit}."""
+
+    def scaled(factor: float, recording: Recording) -> Recording:
+        return replace(recording, ranges=factor * recording.ranges)
+
+    for unit in LENGTHS:
+        if unit != stated:
+            factor = LENGTHS[unit] / LENGTHS[stated]
+            called_so = words.format(name=UNIT_WORDS[unit], unit=unit)
+            yield Rereading(called_so, partial(scaled, factor), "glance")
+
+
 def alternatives(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Rereading]:
-    """Yield other meanings of the same numbers, with the options that state them."""
+    """Yield other meanings of the same numbers of poses, with the options that state them."""
 
     def under(other: Convention, inverse: bool, recording: Recording) -> Recording:
         R, t = way.poses(numbers, other, inverse=inverse)
@@ -218,15 +232,6 @@ def alternatives(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Re
         words = "the poses are not inverted: without --inverted"
     yield Rereading(words, partial(under, convention, not given.inverted), "glance")
 
-    def scaled(factor: float, recording: Recording) -> Recording:
-        return replace(recording, ranges=factor * recording.ranges)
-
-    for unit in LENGTHS:
-        if unit == given.range_units:
-            continue
-        factor = LENGTHS[unit] / LENGTHS[given.range_units]
-        words = f"the ranges are in {UNIT_WORDS[unit]}: --range-units {unit}"
-        yield Rereading(words, partial(scaled, factor), "glance")
     seen = {convention.meaning}
     for rotation in dict.fromkeys(one.rotation for one in FORMATS.values()):
         for units, angles in product(LENGTHS, ANGLES):
