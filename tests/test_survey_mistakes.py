@@ -385,3 +385,19 @@ def test_a_wrong_unit_that_no_sensor_refutes_is_named(tmp_path, handlaser, refus
         table.with_columns(pl.col(column) * factor for column in what).write_csv(made / name)
     for verb in ("check", "calibrate"):
         assert words in refusal(verb, made / "stations.csv", "--rig", made / "rig.toml")
+
+
+def test_beams_in_millimetres_are_named_where_no_range_is_stated(tmp_path, handlaser):
+    """Of a survey a k1 of -99.9 % undoes the unit; no sensor has it."""
+    (tmp_path / "rig.toml").write_text(NEAR)
+    made = tmp_path / "made"
+    options = ("--targets", "plane:A,sphere:B", "--stations", 8, "--beams", 1, "--seed", 1)
+    assert handlaser("simulate", made, "--rig", tmp_path / "rig.toml", *options)[0] == 0
+    rig = made / "rig.toml"
+    rig.write_text(rig.read_text().replace("range_mm = [30.0, 70.0]", ""))
+    table = pl.read_csv(made / "stations.csv")
+    table.with_columns(pl.col("range_1") * 1e3).write_csv(made / "stations.csv")
+    for verb in ("check", "calibrate"):
+        code, _, err = handlaser(verb, made / "stations.csv", "--rig", rig)
+        assert code == 3
+        assert "look for another unit of this column" in err

@@ -116,8 +116,12 @@ def plausible_range_errors(parameters: Parameters, readings: Readings) -> bool:
 
 def plausible_corrections(parameters: Parameters, readings: Readings) -> BoolArray:
     """Tell of every reading (N,) whether the true range is of its order."""
-    k = parameters.range_errors[readings.beam]
-    factor = 1.0 + k[:, 0] + k[:, 1] * readings.distance
+    return plausible_factors(parameters.range_errors[readings.beam].T, readings.distance)
+
+
+def plausible_factors(k: FloatArray, distance: FloatArray) -> BoolArray:
+    """Tell of readings (N,) [m] with range errors k1 and k2 whether true ranges are of their order."""
+    factor = 1.0 + k[0] + k[1] * distance
     return np.asarray((factor >= LEAST_FACTOR) & (factor <= MOST_FACTOR))
 
 

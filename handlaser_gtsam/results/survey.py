@@ -50,6 +50,7 @@ from .survey_misfit import (
     MISREAD,
     NO_FIT,
     contradictions,
+    implausible,
     misheard,
     misread,
     no_fit,
@@ -547,6 +548,7 @@ def _warnings(
 ) -> Iterator[CalibrationWarning]:
     yield from contradictions(relations)
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
+    causes += tuple(implausible(found.rows, found.estimate.values))
     unread = tuple(unread_stations(found.rows))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)

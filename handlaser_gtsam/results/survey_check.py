@@ -31,6 +31,7 @@ from .survey_misfit import (
     NO_FIT,
     contradictions,
     first_noise,
+    implausible,
     misread,
     no_fit,
     unconfirmed,
@@ -152,6 +153,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
     others = first_image(state)
     first = first_fit(state)
+    warnings = (*implausible(rows, state.values), *warnings)
     if not first.fits:  # in the words of `calibrate`, which holds nothing near the hand
         first = first_fit(first_state(rows, noise))
     state = replace(state, relations=[one for one in state.relations if one[0] not in holds])

@@ -34,7 +34,8 @@ from ..estimation.survey import (
 from ..estimation.survey_rows import Rows, rows_of
 from ..estimation.survey_sorting import OF_OTHERS, misses_of
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
-from ..model.families import FAMILIES, PLANE
+from ..model.equation import plausible_factors
+from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE
 from ..model.sensors.kinds import KINDS
 from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
 from ..model.targets.sphere import SPHERE
@@ -42,6 +43,7 @@ from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
 from ..text import some
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
+from .warnings import IMPLAUSIBLE
 
 CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
@@ -55,7 +57,7 @@ BEHIND_ECHO = "behind-echo"
 """Code of the warning that what an array reads behind a near echo does not fit what else it reads."""
 FALSE_RELATION = "relation-contradicted"
 """Code of the warning that readings contradict what is said to be known."""
-MISREAD = (CONVENTION, KIND, HALF_ANGLE, BEHIND_ECHO)
+MISREAD = (CONVENTION, KIND, HALF_ANGLE, BEHIND_ECHO, IMPLAUSIBLE)
 """Codes of mistakes with which no result is usable, and no advice on the motion means anything."""
 PULLED = 2.0
 """Readings are pulled if their median is off by more standard deviations of one. Less is lost in the
@@ -220,6 +222,16 @@ def unconfirmed(rows: Rows, causes: Sequence[CalibrationWarning]) -> Iterator[Ca
             targets, what = some(open_, NAMES_IN_LINE), "; ".join(one.message for one in causes)
             values: Values = {"sensor": shots.name, "lost": len(lost), "targets": targets}
             yield warned(f"{NO_FIT}:lost", values, total=total, what=what)
+
+
+def implausible(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[CalibrationWarning]:
+    """Warn of single beams that fit only with range errors that no sensor has."""
+    ranges = rows.survey.ranges
+    for member, name in enumerate(rows.survey.beam_names):
+        assert ranges is not None
+        d, k = ranges[:, member], values[BEAM.name].reshape(-1, BEAM.size)[member, OF_RANGE_ERROR]
+        if not plausible_factors(k, d[~np.isnan(d)]).all():
+            yield warned(f"{IMPLAUSIBLE}:beam", {"beam": name})
 
 
 def contradictions(tests: Sequence[RelationTest]) -> Iterator[CalibrationWarning]:
