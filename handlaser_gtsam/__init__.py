@@ -8,7 +8,7 @@ Recordings, and logs of robots and loggers
     Recording, join, read_recording, write_recording, read_log, describe_log, LogFormat, read_rig,
     StationList, read_stations, write_stations.
 Sensors of many rays, spheres, points, and what is known of them
-    Survey, Shots, Known, read_survey, write_survey; the result is a `results.SurveyCalibration`.
+    Survey, Shots, Known, read_survey; the result is a `results.SurveyCalibration`.
 Results, in files and pictures
     read_calibration, write_calibration, read_mounts, Mounts, export_text, write_export, ExportOptions,
     write_report, ReportOptions, plot, write_pictures, spot, measured_plane.
@@ -85,13 +85,12 @@ if TYPE_CHECKING:
     from .files.recording_csv import write_recording as write_recording
     from .files.recording_csv import write_stations as write_stations
     from .files.report.options import ReportOptions as ReportOptions
-    from .files.report.page import write_report as write_report
     from .files.report.pictures import plot as plot
     from .files.report.pictures import write_pictures as write_pictures
+    from .files.report.report import write_report as write_report
     from .files.rig_toml import read_rig as read_rig
     from .files.study_results import write_study_picture as write_study_picture
     from .files.study_toml import read_study as read_study
-    from .files.survey_json import write_survey as write_survey
     from .files.survey_reading import read_survey as read_survey
     from .model.effects.plausible import Plausible as Plausible
     from .model.sensor import Sensor as Sensor

@@ -9,7 +9,7 @@ from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.report.options import ReportOptions
-from handlaser_gtsam.files.report.page import report_text
+from handlaser_gtsam.files.report.report import report_text
 from handlaser_gtsam.results.description.tables import NAME_IN_TABLE
 from handlaser_gtsam.text import shortened
 

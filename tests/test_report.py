@@ -16,7 +16,8 @@ from scipy.stats import binom, norm
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.calibration_json import calibration_text
-from handlaser_gtsam.files.report.page import report_text, safe_json
+from handlaser_gtsam.files.report.page import safe_json
+from handlaser_gtsam.files.report.report import report_text
 from handlaser_gtsam.model.joint import correlation_matrix
 from handlaser_gtsam.validation.scenes import Layout
 

@@ -49,6 +49,25 @@ def test_the_example_is_calibrated_within_its_sigmas():
     assert abs(ball.values["radius"] - radius) < 4.0 * ball.sigma["radius"]
 
 
+def test_results_of_surveys_are_written_as_those_of_beams(handlaser, folder):
+    """From Python as by the command, to the byte; a working distance is refused."""
+    given = ("calibrate", folder / "poses.csv", "--rig", folder / "rig.toml", "--quiet")
+    assert handlaser(*given, "--out", folder / "a.json", "--report", folder / "a.html")[0] == 0
+    result = hl.calibrate(hl.read_survey(folder / "poses.csv", folder / "rig.toml"))
+    hl.write_calibration(folder / "b.json", result, limits=hl.Limits())
+    assert (folder / "b.json").read_text() == (folder / "a.json").read_text()
+    options = hl.ReportOptions(recording_file=folder / "poses.csv")
+    hl.write_report(folder / "b.html", result, options)
+    assert (folder / "b.html").read_text() == (folder / "a.html").read_text()
+    for write in (
+        lambda: hl.write_calibration(folder / "c.json", result, reading=0.2),
+        lambda: hl.write_report(folder / "c.html", result, replace(options, reading=0.2)),
+    ):
+        with pytest.raises(hl.InputError, match="a working distance"):
+            write()
+    assert not list(folder.glob("c.*"))
+
+
 def test_from_log_to_urdf_and_report(handlaser, refusal, folder):
     result, report = folder / "result.json", folder / "report.html"
     words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]

@@ -10,6 +10,7 @@ from helpers import ROOT
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
+from handlaser_gtsam.files.report.options import ReportOptions
 from handlaser_gtsam.files.report.scene import in_hand
 from handlaser_gtsam.files.report.survey import survey_report
 from handlaser_gtsam.files.report.survey_figures import (
@@ -70,7 +71,7 @@ def test_other_figures_are_without_the_rejected_shot(result, survey):
     assert len(profiles(survey, seen).data) == 23
     (first, plate), (second, ball) = on_targets(result, survey, seen)
     assert (first.label, second.label) == ("plane:plate", "sphere:ball")
-    page = survey_report(result, survey, "stations.csv")
+    page = survey_report(result, ReportOptions())
     assert "<figcaption>plane:plate seen from before it: how far points" in page
     assert "<figcaption>sphere:ball seen from where sensors looked: how far points" in page
     radius = result.targets["sphere:ball"].values["radius"] * 1e3
@@ -105,7 +106,7 @@ def test_points_are_in_the_frame_of_the_target(result, survey):
 def test_the_page_names_sensors_and_beams_and_has_all_figures():
     survey = survey_of(rigs_by_rays.mixed(101))
     result = hl.calibrate(survey)
-    page = survey_report(result, survey, "stations.csv")
+    page = survey_report(result, ReportOptions())
     text = re.search(r'<script[^>]*id="figures"[^>]*>(.*?)</script>', page, re.DOTALL).group(1)
     figures = json.loads(text)
     names = {"space-world", "space-hand", "by-station", "by-target", "along", "on-target-1"}

@@ -9,7 +9,7 @@ import pytest
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
-from handlaser_gtsam.files.survey_json import survey_text
+from handlaser_gtsam.files.calibration_json import calibration_text
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.survey_verdict import survey_verdict
 
@@ -20,7 +20,7 @@ EXACT = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 
 def record_of(result, limits=None):
     """The verdict as its JSON has it, which must be that of calibrations of beams before planes."""
-    content = json.loads(survey_text(result, survey_verdict(result, limits)))
+    content = json.loads(calibration_text(result, survey_verdict(result, limits)))
     assert list(content["verdict"]) == FIELDS
     return content["verdict"]
 

@@ -9,7 +9,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,6 +90,13 @@ def wrote(*paths: Path | None) -> list[str]:
     from ..text import printable
 
     return [f"wrote {printable(str(path))}" for path in paths if path is not None]
+
+
+def lines_read(called: str, lines: Sequence[str]) -> list[str]:
+    """Return how files were read, in one line; none where there is nothing to say."""
+    from ..text import printable
+
+    return [f"{called}: {printable('; '.join(lines))}"] if lines else []
 
 
 def columns() -> int:

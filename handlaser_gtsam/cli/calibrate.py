@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .answer import Answer, Working, text_width, wrote
+from .answer import Answer, Working, lines_read, text_width, wrote
 from .options import (
     AtRangeOption,
     Given,
@@ -24,11 +24,14 @@ from .options import (
 from .stopping import failure_of
 
 if TYPE_CHECKING:
+    from ..data.recording import Recording
+    from ..data.survey import Survey
     from ..files.logs.report import LogReport
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
     from ..results.description.tables import Table
+    from ..results.survey import SurveyCalibration
     from ..results.verdict import Verdict
     from ..validation.cross_check import CrossCheck
 
@@ -101,125 +104,160 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
     from ..data.survey import Survey
     from ..files.rig_reading import read_any_kind
     from ..files.writing import require_outputs
-    from .survey import refuse_of_beams, survey_answer
+    from .survey import refuse_of_beams, require_outputs_of
 
     with Working():
         rig = given.read()
         outputs = {"--out": output.out, "--report": output.report}
         require_outputs(outputs, (recording, given.rig, *rig.log.files))
+        require_outputs_of(outputs, rig)
         read = read_any_kind(rig, recording)
         if isinstance(read, Survey):
             stated = [] if output.at_range_mm is None else ["--at-range-mm"]
             stated += replace(manner, incremental=False).stated()
             refuse_of_beams(rig, stated, recording)
-            answer = survey_answer(recording, rig, read, output, incremental=manner.incremental)
+            answer = _answer(recording, rig, read, manner, output, given.rig)
         else:
             log, rig = read
-            answer = _of_beams(recording, rig, log, manner, output, given.rig)
+            answer = _answer(recording, rig, log, manner, output, given.rig)
     answer.give(json=output.json_, quiet=output.quiet)
 
 
-def _of_beams(
+def _answer(
     path: Path,
     rig: "Rig",
-    log: "LogReport",
+    read: "LogReport | Survey",
     manner: Manner,
     output: Output,
     rig_file: Path | None,
 ) -> Answer:
     """Calibrate, write the result where it is asked for, and return what is said."""
+    from ..data.survey import Survey
     from ..files.calibration_json import calibration_text
     from ..files.writing import write_text
-    from ..pipeline import calibrate as run
     from ..quantities import SAME_OPTIMUM
-    from ..results.verdict import verdict
+    from ..results.calibration import Calibration
 
-    recording, reading = log.recording, metres(output.at_range_mm)
-    taught, check, advice = None, None, None
-    before, disagreement = list[str](), ""
-    if manner.incremental:
-        from .incremental import comparison_line, disagreement_of, plane_by_plane
-
-        result, recording, taught, comparison = plane_by_plane(
-            recording, rig.noise, manner.options(rig)
-        )
-        if comparison is not None:
-            before.append(comparison_line(comparison))
-            disagreement = disagreement_of(comparison)
-    else:
-        result = run(recording, rig.noise, manner.options(rig))
-    if result.recording is None:
-        result = replace(result, recording=recording)
-    judged = verdict(result, rig.limits, reading)
+    reading, plan, checked = metres(output.at_range_mm), None, list[str]()
+    result, recording, taught, above, disagreement = _solved(read, rig, manner)
+    judged = result.judged(rig.limits, reading)
     text = calibration_text(result, judged)
     if output.out is not None:
         write_text(output.out, text)
-    if manner.cross_check and result.status == "converged":
-        from ..validation.cross_check import cross_check
-
-        check = cross_check(result, recording)
-        if check.largest > SAME_OPTIMUM:
-            differs = f"{check.largest:.2g} standard deviations in {check.parameter}"
-            disagreement = f"SciPy disagrees by {differs}"
     aloud = output.json_ or output.quiet
-    if output.report is not None or not aloud:
-        from .check import advised
+    if recording is not None and isinstance(result, Calibration):
+        if manner.cross_check and result.success:
+            from ..validation.cross_check import cross_check
 
-        advice = advised(recording, rig, result)
+            check = cross_check(result, recording)
+            checked = [cross_check_line(check)]
+            if check.largest > SAME_OPTIMUM:
+                differs = f"{check.largest:.2g} standard deviations in {check.parameter}"
+                disagreement = f"SciPy disagrees by {differs}"
+        if output.report is not None or not aloud:
+            from .check import advised
+
+            plan = advised(recording, rig, result)
     if output.report is not None:
         from ..files.report.options import ReportOptions
-        from ..files.report.page import write_report
+        from ..files.report.report import write_report
 
         words = shlex.join(("handlaser", *sys.argv[1:]))
-        options = ReportOptions(rig, reading, path, rig_file, log.beside, words, advice)
+        beside = () if isinstance(read, Survey) else read.beside
+        options = ReportOptions(rig, reading, path, rig_file, beside, words, plan)
         write_report(output.report, result, options)
-    compared = [] if check is None else [cross_check_line(check)]
-    before += compared
     warnings = [one for one in result.warnings if one.message != result.message]
-    files = wrote(output.out, output.report)
+    above += checked
+    after = lines_read("read" if isinstance(read, Survey) else "log", read.lines)
+    after += wrote(output.out, output.report)
     return Answer(
         text,
-        _lines(result, judged, advice, taught, log.lines, before, files, verbose=output.verbose),
-        [*compared, *warnings] if aloud else (),
+        _lines(result, judged, taught, above, plan, after, verbose=output.verbose),
+        [*checked, *warnings] if aloud else (),
         failure_of(result, judged, disagreement),
     )
 
 
+def _solved(
+    read: "LogReport | Survey", rig: "Rig", manner: Manner
+) -> "tuple[Calibration | SurveyCalibration, Recording | None, Table | None, list[str], str]":
+    """Calibrate all at once, or one by one.
+
+    Returns
+    -------
+    result : Calibration or SurveyCalibration
+    recording : Recording or None
+        Stations in the order of the result; None of a survey.
+    taught : Table or None
+        What each plane or target taught, one by one.
+    compared : lines
+        How far one by one is from all at once.
+    disagreement : str
+        That they are not the same optimum; empty where they are.
+    """
+    from ..data.survey import Survey
+    from ..pipeline import calibrate as run
+
+    if not manner.incremental:
+        if isinstance(read, Survey):
+            return run(read, rig.noise), None, None, [], ""
+        return run(read.recording, rig.noise, manner.options(rig)), read.recording, None, [], ""
+    from .incremental import comparison_line, disagreement_of, plane_by_plane, target_by_target
+
+    if isinstance(read, Survey):
+        found, taught, apart = target_by_target(read, rig.noise)
+        return (
+            found,
+            None,
+            taught,
+            [comparison_line(apart, "target")],
+            disagreement_of(apart, "target"),
+        )
+    result, recording, taught, comparison = plane_by_plane(
+        read.recording, rig.noise, manner.options(rig)
+    )
+    if comparison is None:
+        return result, recording, taught, [], ""
+    return result, recording, taught, [comparison_line(comparison)], disagreement_of(comparison)
+
+
 def _lines(
-    result: "Calibration",
+    result: "Calibration | SurveyCalibration",
     judged: "Verdict",
-    advice: "Plan | None",
     taught: "Table | None",
-    read: Sequence[str],
-    before: Sequence[str],
-    files: Sequence[str],
+    above: Sequence[str],
+    plan: "Plan | None",
+    after: Sequence[str],
     *,
     verbose: bool,
 ) -> Iterator[str]:
-    """Yield the tables, what stands `before` the next best stations, these, and how it was read."""
+    """Yield the result, what stands `above` the next best stations, these, and what is `after` them."""
     from ..planning.advice import advice_lines, advice_within
+    from ..results.calibration import Calibration
     from ..results.description.description import Description
     from ..results.description.rendering import full_table
     from ..results.description.screen import LINES, full_lines, screen_lines
+    from ..results.description.survey import survey_lines
     from ..results.lines import as_many, wrapped
-    from ..text import printable
 
-    width, described = text_width(), Description(result, judged)
-    above = [line for text in before for line in wrapped(text, None, width)]
-    after = wrapped(f"log: {printable('; '.join(read))}", None, width) if read else []
-    around, next_best = len(above) + len(after) + len(files), list[str]()
-    if verbose:
-        lines, next_best = full_lines(described, width), advice_lines(advice) if advice else []
-    elif advice is None:
-        lines = screen_lines(described, closing=around, width=width)
+    width, next_best = text_width(), list[str]()
+    first = [line for words in above for line in wrapped(words, None, width)]
+    last = [line for words in after for line in wrapped(words, None, width)]
+    around = len(first) + len(last)
+    if not isinstance(result, Calibration):
+        lines = survey_lines(result, judged, width)
+    elif verbose:
+        lines = full_lines(Description(result, judged), width)
+        next_best = [] if plan is None else advice_lines(plan)
     else:
-        kept = as_many(5, width)  # lines of the next best stations; warnings come before more
-        lines = screen_lines(described, closing=around + kept, width=width)
+        # Lines of the next best stations; warnings come before more.
+        kept = 0 if plan is None else as_many(5, width)
+        lines = screen_lines(Description(result, judged), closing=around + kept, width=width)
         room = max(as_many(LINES, width) - around - len(lines), kept)
-        next_best = advice_within(advice, room, width)
+        next_best = [] if plan is None else advice_within(plan, room, width)
     yield from lines
-    yield from () if taught is None else full_table("plane by plane", taught, width)
-    yield from (*above, *next_best, *after, *files)
+    yield from () if taught is None else full_table(taught.name, taught, width)
+    yield from (*first, *next_best, *last)
 
 
 def cross_check_line(check: "CrossCheck") -> str:

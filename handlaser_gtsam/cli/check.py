@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .answer import Answer, Working
+from .answer import Answer, Working, lines_read
 from .options import JsonOption, RecordingArgument
-from .stopping import left_open
+from .stopping import UNDETERMINED, left_open
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
+    from ..data.survey import Survey
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
@@ -37,19 +38,34 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     from ..data.survey import Survey
     from ..files.rig_reading import read_any_kind
     from ..files.rig_toml import known_rig
-    from .survey import refuse_of_beams, survey_check
+    from .survey import refuse_of_beams
 
     with Working():
         known = known_rig(rig, {})
-        any_kind = read_any_kind(known, recording)
-        if isinstance(any_kind, Survey):
+        read = read_any_kind(known, recording)
+        if isinstance(read, Survey):
             refuse_of_beams(known, [], recording)
-            answer = survey_check(any_kind, known)
+            answer = _of_survey(read, known)
         else:
-            answer = _of_beams(
-                any_kind[0].recording, any_kind[1], advise=rig is not None and not json_
-            )
+            log, known = read
+            answer = _of_beams(log.recording, known, advise=rig is not None and not json_)
     answer.give(json=json_)
+
+
+def _of_survey(survey: "Survey", rig: "Rig") -> Answer:
+    """Check a survey: what it holds, and what its motion leaves undetermined."""
+    from ..files.calibration_json import check_text
+    from ..results.survey_check import check_lines, check_survey
+
+    found = check_survey(survey, rig.noise)
+    failure = left_open(found.undetermined, found.advice)
+    if failure is not None and not found.exactly:
+        failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
+    if found.doubt is not None:
+        failure = UNDETERMINED, found.doubt
+    warnings = [one for one in found.warnings if one.message not in (found.doubt or "")]
+    lines = [*check_lines(found), *lines_read("read", survey.lines)]
+    return Answer(check_text(found, survey.lines), lines, warnings, failure)
 
 
 def _of_beams(read: "Recording", rig: "Rig", *, advise: bool) -> Answer:

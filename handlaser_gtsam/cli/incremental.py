@@ -69,14 +69,16 @@ def plane_by_plane(
     comparison = session.recalibrate()
     if comparison.changes:  # what had moved may have been noise that is known better now
         moved = session.moved()
-    result = session.calibration()
+    recording, result = session.recording(), session.calibration()
+    if result.recording is None:
+        result = replace(result, recording=recording)
     if moved is not None:
         result = replace(result, warnings=(_warning(moved), *result.warnings))
     sigmas = [beam.sigma for beam in result.beams.values() if beam.sigma is not None]
     if len(sigmas) == len(result.beams):
         rejected = len(result.fit.rejected)
         rows.append(_row("result", None, np.array(sigmas), rejected, comparison.message))
-    return result, session.recording(), _table(rows), comparison
+    return result, recording, _table(rows), comparison
 
 
 def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, Table, Comparison]:
@@ -147,7 +149,7 @@ def _sigmas_of(found: SurveyCalibration) -> FloatArray:
 def _table(rows: Sequence[tuple[Cell, ...]], what: str = "plane") -> Table:
     titles = ("learnt [nats]", "sigma r [mm]", "sigma v [deg]", "rejected")
     columns = Column(what, number=False), *map(Column, titles), Column("notes", number=False)
-    return Table("updates", "", columns, tuple(rows))
+    return Table(f"{what} by {what}", "", columns, tuple(rows))
 
 
 def _warning(moved: Moved) -> CalibrationWarning:

@@ -1,24 +1,20 @@
 """What verbs do with a survey: other sensors, targets, and relations."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..text import count
-from .answer import Answer, text_width, wrote
-from .stopping import NOT_USABLE, UNDETERMINED, failure_of, left_open
+from .answer import Answer
+from .stopping import NOT_USABLE, UNDETERMINED, failure_of
 
 if TYPE_CHECKING:
     from ..data.survey import Survey
     from ..errors import CalibrationWarning
     from ..files.rig_toml import Rig
     from ..planning.survey import SurveyPlan
-    from ..results.description.tables import Table
-    from ..results.survey import SurveyCalibration
-    from ..results.verdict import Verdict
-    from .calibrate import Output
 
 
 def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
@@ -57,83 +53,6 @@ def require_outputs_of(outputs: Mapping[str, Path | None], rig: "Rig") -> None:
         if path is not None and rig.survey.reads(path):
             found = f"{option} with a name that points in [[sensors]] takes for a table of points"
             raise InputError(found, "another name, or another folder", path)
-
-
-def survey_answer(
-    path: Path,
-    rig: "Rig",
-    survey: "Survey",
-    output: "Output",
-    *,
-    incremental: bool = False,
-) -> Answer:
-    """Calibrate a survey, write the result where it is asked for, and return what is said.
-
-    Parameters
-    ----------
-    path : Path
-        Of the stations.
-    rig : Rig
-    survey : Survey
-    output : Output
-    incremental : bool
-        Whether to add target by target first, and to show what each taught.
-
-    Raises
-    ------
-    InputError
-    """
-    from ..files.survey_json import survey_text
-    from ..files.writing import write_text
-    from ..pipeline import calibrate
-    from ..results.survey_verdict import survey_verdict
-
-    require_outputs_of({"--out": output.out, "--report": output.report}, rig)
-    taught, compared, disagreement = None, list[str](), ""
-    if incremental:
-        from .incremental import comparison_line, disagreement_of, target_by_target
-
-        result, taught, comparison = target_by_target(survey, rig.noise)
-        compared = [comparison_line(comparison, "target")]
-        disagreement = disagreement_of(comparison, "target")
-    else:
-        result = calibrate(survey, rig.noise)
-    judged = survey_verdict(result, rig.limits)
-    text = survey_text(result, judged)
-    if output.out is not None:
-        write_text(output.out, text)
-    if output.report is not None:
-        from ..files.report.options import changed_on
-        from ..files.report.survey import survey_report
-
-        day = f"{changed_on(path).isoformat()} (of the recording's file)"
-        page = survey_report(result, survey, path.name, day, judged)
-        write_text(output.report, page)
-    after = [*compared, *_read_lines(survey), *wrote(output.out, output.report)]
-    lines = _lines(result, judged, taught, after)
-    warnings = result.warnings if output.json_ or output.quiet else ()
-    return Answer(text, lines, warnings, failure_of(result, judged, disagreement))
-
-
-def survey_check(survey: "Survey", rig: "Rig") -> Answer:
-    """Say what a survey holds, and what its motion leaves undetermined.
-
-    Raises
-    ------
-    InputError
-    """
-    from ..files.survey_json import survey_check_text
-    from ..results.survey_check import check_lines, check_survey
-
-    found = check_survey(survey, rig.noise)
-    failure = left_open(found.undetermined, found.advice)
-    if failure is not None and not found.exactly:
-        failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
-    if found.doubt is not None:
-        failure = UNDETERMINED, found.doubt
-    warnings = [one for one in found.warnings if one.message not in (found.doubt or "")]
-    lines = [*check_lines(found), *_read_lines(survey)]
-    return Answer(survey_check_text(found, survey.lines), lines, warnings, failure)
 
 
 def converted_survey(
@@ -177,7 +96,7 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
     """
     import numpy as np
 
-    from ..files.survey_json import survey_validation_text
+    from ..files.validation_json import survey_validation_text
     from ..validation.survey import validate_survey
     from .words import lines_of
 
@@ -209,34 +128,3 @@ def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] 
         f"{stations} would still leave something open: ask for more with --stations, or allow more "
         "room and larger turns in the table [workspace] of the rig file",
     )
-
-
-def _read_lines(survey: "Survey") -> list[str]:
-    """Return how the files of a survey were read, in a line; none where there is nothing to say."""
-    from ..text import printable
-
-    return [f"read: {printable('; '.join(survey.lines))}"] if survey.lines else []
-
-
-def _lines(
-    result: "SurveyCalibration",
-    judged: "Verdict",
-    taught: "Table | None",
-    after: Sequence[str],
-) -> Iterator[str]:
-    """Yield the verdict, tables and facts of a result, its warnings, and what stands `after` them."""
-    from ..results.description.rendering import full_table, text_lines
-    from ..results.description.survey import beams_table, facts, sensors_table, targets_table
-
-    width = text_width()
-    yield from text_lines([judged.sentence], width)
-    for title, table in (
-        ("sensors", sensors_table(result)),
-        ("beams", beams_table(result)),
-        ("targets", targets_table(result)),
-        ("target by target", taught),
-    ):
-        yield from () if table is None else full_table(title, table, width)
-    lines = [f"{name}: {words}" for name, words in facts(result, judged)]
-    lines += [*result.undetermined[1:], *(f"WARNING: {one.message}" for one in result.warnings)]
-    yield from text_lines([*lines, *after], width)

@@ -187,7 +187,7 @@ def read_calibration(path: Path | str) -> CalibrationFile:
 
 
 def read_survey_result(path: Path | str) -> SurveyFile:
-    """Read what `write_survey` or `handlaser calibrate --out` wrote of a survey.
+    """Read what `write_calibration` or `handlaser calibrate --out` wrote of a survey.
 
     Raises
     ------

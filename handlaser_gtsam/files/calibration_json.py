@@ -1,46 +1,65 @@
-"""Calibrations, and the truth of a simulation, as JSON; SI units, finite numbers only."""
+"""Calibrations and checks of both kinds, and the truth of a simulation, as JSON.
+
+SI units, finite numbers only; null is what is undetermined. What only surveys need is imported where
+there is one.
+"""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
 from ..data.recording import Recording
+from ..observability.motion import MotionCheck
 from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.limits import Limits
 from ..results.reports import Beam
 from ..results.spot_error import spot
 from ..results.verdict import Verdict
-from ..results.verdict import verdict as verdict_on
 from .checked_text import WARNING, Record, json_text, record, records
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:
-    from ..observability.motion import MotionCheck
+    from ..results.survey import SurveyCalibration
+    from ..results.survey_check import SurveyCheck
 
 RANGE_ERROR = "k1 k2_per_m"
 MOTION = "name stations orientations translations translating axes readings"
 """What is said of the stations before a plane, or another target."""
 
 
-def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -> str:
-    """Return the calibration as JSON text, with a verdict and the laser spots at its working distance.
+def calibration_text(
+    calibration: "Calibration | SurveyCalibration", verdict: Verdict | None = None
+) -> str:
+    """Return a calibration, of beams before planes or of a survey, as JSON text with a verdict on it.
 
-    Where no verdict is given, it is `calibration.verdict`.
+    Where no verdict is given, it is `calibration.verdict`. Laser spots of beams before planes are those
+    at its working distance.
 
-    Where the recording does not determine the calibration (`status` "unobservable"), numbers of
-    `sigma` and `covariance` are null for what is undetermined: its value is one of many solutions.
+    Where the recording does not determine the calibration (`status` "unobservable" or "undetermined"),
+    numbers of standard deviations and covariances are null for what is undetermined: its value is one
+    of many solutions.
     """
     verdict = calibration.verdict if verdict is None else verdict
-    reading, joint, fit = verdict.reading, calibration.covariance, calibration.fit
-    seen, scales = calibration.observability, calibration.range_error_scales
     whole: Record = {
         "status": calibration.status,
         "message": calibration.message,
         "verdict": verdict_record(verdict),
         "warnings": records(calibration.warnings, WARNING),
+    }
+    if isinstance(calibration, Calibration):
+        return json_text("calibration", whole | _of_beams(calibration, verdict.reading))
+    return json_text("survey", whole | _of_survey(calibration))
+
+
+def _of_beams(calibration: Calibration, reading: float) -> Record:
+    """Return what is said of beams before planes, with the laser spots at a reading [m]."""
+    joint, fit = calibration.covariance, calibration.fit
+    seen, scales = calibration.observability, calibration.range_error_scales
+    return {
         "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         "beam_covariance": None if joint is None else joint.matrix(planes=[]),
         "planes": [
@@ -96,12 +115,60 @@ def calibration_text(calibration: Calibration, verdict: Verdict | None = None) -
             calibration.effects, "code subject unit size sigma prior_sigma determined"
         ),
     }
-    return json_text("calibration", whole)
+
+
+def _of_survey(result: "SurveyCalibration") -> Record:
+    """Return what is said of sensors, beams, targets and relations of a survey."""
+    tested = "code size sigma detectable found spot_shift"
+    sensor = (
+        "name kind location_sigma_m rotation_sigma_rad covariance reading_sigma_m spot_error_m shots "
+        "rejected rotation location_m range_error working_distance_m range_errors_tested"
+    )
+    beam = (
+        "name direction location_sigma_m reading_sigma_m spot_error_m readings rejected covariance "
+        "location_m direction_sigma_rad range_error"
+    )
+    rotation, translation = result.pose_sigma
+    return {
+        "read": result.read,
+        "sensors": [
+            record(
+                one,
+                sensor,
+                working_distance_m=one.reading,
+                range_errors_tested=records(one.errors, tested),
+            )
+            for one in result.sensors.values()
+        ],
+        "beams": records(result.beams.values(), beam),
+        "targets": records(result.targets.values(), "label kind values sigma"),
+        "pose_sigma": {
+            "rotation_rad": rotation,
+            "translation_m": translation,
+            "estimated": result.pose_sigma_estimated,
+        },
+        "known": [
+            record(one.known, "relation of") | record(one, "p_value contradicted")
+            for one in result.relations
+        ],
+        "without_contradicted": None if result.without is None else _mounts(result.without),
+        "rejected": records(result.rejected, "sensor station target reason"),
+        **record(result, "undetermined advice chi2 dof"),
+    }
+
+
+def _mounts(result: "SurveyCalibration") -> Record:
+    """Return where sensors and beams sit by a result that is not to be read by itself."""
+    return {
+        "status": result.status,
+        "sensors": records(result.sensors.values(), "name rotation location_m"),
+        "beams": records(result.beams.values(), "name direction location_m"),
+    }
 
 
 def write_calibration(
     path: Path | str,
-    calibration: Calibration,
+    calibration: "Calibration | SurveyCalibration",
     reading: float | None = None,
     limits: Limits | None = None,
 ) -> None:
@@ -110,30 +177,54 @@ def write_calibration(
     Parameters
     ----------
     path : Path or str
-    calibration : Calibration
+    calibration : Calibration or SurveyCalibration
     reading : float, optional
         Working distance at which laser spots are judged [m]; the median where not given. A graph that
-        does not tell its readings has none.
+        does not tell its readings has none; each sensor and beam of a survey has its own.
     limits : Limits, optional
         What its user demands: the verdict says whether it holds.
 
     Raises
     ------
     InputError
-        What is no calibration, or a file that cannot be written.
+        What is no calibration, a reading beside a survey, or a file that cannot be written.
     """
-    require_kind("calibration", calibration, Calibration)
+    require_result(calibration)
     if reading is not None:
         require_number("a reading of", reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
-    judged = verdict_on(calibration, limits, reading)
+    judged = calibration.judged(limits, reading)
     write_text(path_of(path), calibration_text(calibration, judged))
 
 
-def check_text(check: "MotionCheck") -> str:
-    """Return the check of a motion as JSON text."""
-    planes = records(check.planes, MOTION)
-    fields = "readings unknowns planes undetermined advice"
-    return json_text("check", record(check, fields, planes=planes))
+def require_result(calibration: object) -> None:
+    """Refuse what is a calibration neither of beams before planes nor of a survey.
+
+    Raises
+    ------
+    InputError
+    """
+    if not isinstance(calibration, Calibration):
+        from ..results.survey import SurveyCalibration
+
+        expected = "handlaser_gtsam.Calibration(...)"
+        require_kind("calibration", calibration, SurveyCalibration, expected)
+
+
+def check_text(check: "MotionCheck | SurveyCheck", read: Sequence[str] = ()) -> str:
+    """Return a check as JSON text; of a survey with lines of how its files were read."""
+    if isinstance(check, MotionCheck):
+        planes = records(check.planes, MOTION)
+        fields = "readings unknowns planes undetermined advice"
+        return json_text("check", record(check, fields, planes=planes))
+    of_sensor = "name kind shots points on_target lost location_sigma_m rotation_sigma_rad"
+    whole: Record = {
+        "sensors": records(check.sensors, of_sensor),
+        "targets": records(check.targets, MOTION),
+        **record(check, "numbers unknowns undetermined exactly advice misfit"),
+        "warnings": records(check.warnings, WARNING),
+        "read": read,
+    }
+    return json_text("survey-check", whole)
 
 
 def write_truth(path: Path | str, truth: Parameters, recording: Recording) -> None:

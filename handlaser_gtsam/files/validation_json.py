@@ -1,11 +1,16 @@
 """Validations and hold-out tests as JSON; SI units, finite numbers only."""
 
+from typing import TYPE_CHECKING
+
 from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
 from ..validation.leave_out import Validation
 from ..validation.prediction import Prediction
 from .calibration_json import verdict_record
 from .checked_text import Record, json_text, record, records
+
+if TYPE_CHECKING:
+    from ..validation.survey import SurveyValidation
 
 
 def validation_text(validation: Validation, verdict: Verdict) -> str:
@@ -23,6 +28,20 @@ def validation_text(validation: Validation, verdict: Verdict) -> str:
             "reconstruction_without_range_error": _prediction(validation.without_range_error),
         },
     )
+
+
+def survey_validation_text(result: "SurveyValidation") -> str:
+    """Return a validation of a survey as JSON text."""
+    left_out = "name shots chi2 dof p_value shift_m message"
+    whole: Record = {
+        "verdict": verdict_record(result.verdict),
+        "reference": record(result.reference, "largest parameter largest_sigma sigma_parameter"),
+        "targets_left_out": records(result.targets, left_out),
+        "splits": records(result.splits, left_out),
+        "contradicted": [one.name for one in result.contradicted],
+        "read": result.calibration.read,
+    }
+    return json_text("survey-validation", whole)
 
 
 def hold_out_text(found: HoldOut) -> str:

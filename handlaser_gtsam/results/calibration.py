@@ -143,15 +143,22 @@ class Calibration(CalibrationData):
         from .description.description import Description
         from .description.screen import screen_lines
 
-        return "\n".join(screen_lines(Description(self, verdict_on(self, limits, reading))))
+        return "\n".join(screen_lines(Description(self, self.judged(limits, reading))))
 
     @property
     def verdict(self) -> Verdict:
         """Whether to use it, what it is good for, what may hide, and what would improve it most.
 
-        Without limits of a user, and at the median reading; `Rig` files and commands state others.
+        Without limits of a user, and at the median reading; `judged` takes others.
         """
-        return verdict_on(self)
+        return self.judged()
+
+    def judged(self, limits: Limits | None = None, reading: float | None = None) -> Verdict:
+        """Return the verdict by what a user demands, at a working distance [m].
+
+        That is the median reading where not given.
+        """
+        return verdict_on(self, limits, reading)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, and a row a beam."""

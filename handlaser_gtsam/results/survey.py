@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.survey import RAY_ERRORS, kind_of
+from ..data.survey import RAY_ERRORS, Survey, kind_of
 from ..data.value import Value
-from ..errors import CalibrationWarning
+from ..errors import CalibrationWarning, InputError
 from ..estimation.dense import dense_rows, unknowns_of
 from ..estimation.estimate import (
     covariance_along,
@@ -42,6 +42,7 @@ from ..model.targets.sphere import SPHERE
 from ..observability.wording import open_sentence
 from ..quantities import IN_MM
 from ..text import count, some
+from .limits import Limits
 from .lines import NAMES_IN_LINE
 from .messages import Values, warned
 from .spot_error import radius, spot_of
@@ -309,7 +310,12 @@ class SurveyCalibration(Value):
     @property
     def read(self) -> tuple[str, ...]:
         """How the files of the survey were read: formats and units, stated or assumed."""
-        return self._found.rows.survey.lines
+        return self.survey.lines
+
+    @property
+    def survey(self) -> Survey:
+        """What was calibrated."""
+        return self._found.rows.survey
 
     @property
     def mounts(self) -> tuple[SensorMount | BeamMount, ...]:
@@ -320,9 +326,22 @@ class SurveyCalibration(Value):
     def verdict(self) -> Verdict:
         """Whether to use it, what it is good for, and what would improve it most.
 
-        Without limits of a user, as of a `Calibration`.
+        Without limits of a user, as of a `Calibration`; `judged` takes them.
         """
-        return survey_verdict(self)
+        return self.judged()
+
+    def judged(self, limits: Limits | None = None, reading: float | None = None) -> Verdict:
+        """Return the verdict by what a user demands.
+
+        Raises
+        ------
+        InputError
+            A reading [m]: each sensor and beam is judged at its own working distance.
+        """
+        if reading is not None:
+            found = "a working distance with the calibration of a survey"
+            raise InputError(found, "none: each sensor and beam has its own, the median reading")
+        return survey_verdict(self, limits)
 
     @property
     def usable(self) -> bool:

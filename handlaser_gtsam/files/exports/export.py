@@ -16,7 +16,6 @@ from ...results.survey import SurveyCalibration
 from ...text import A_NAME, name_fault, shown
 from ..calibration_file import CalibrationFile, SurveyFile, mounts_of
 from ..calibration_json import calibration_text
-from ..survey_json import survey_text
 from ..writing import path_of, write_bytes
 from .beams import Axis, exported_beams
 from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, STATIONS, TAKEN, TOOLS
@@ -136,7 +135,7 @@ def export_text(
     require_kind("options", options, ExportOptions)
     options.check(to)
     if isinstance(what, SurveyCalibration):
-        what = SurveyFile.model_validate_json(survey_text(what))
+        what = SurveyFile.model_validate_json(calibration_text(what))
     if to in STATIONS and not isinstance(what, SurveyFile):
         require_kind("what", what, StationList)
         assert isinstance(what, StationList)

@@ -24,12 +24,16 @@ def title_of(options: ReportOptions) -> str:
     return "Calibration" if file is None else f"Calibration of {printable(Path(file).name)}"
 
 
+def date_of(options: ReportOptions) -> str:
+    """Return the date of the recording behind a report; empty where it has no file."""
+    if options.recording_file is None:
+        return ""
+    return f"{changed_on(options.recording_file).isoformat()} (of the recording's file)"
+
+
 def head_of(subject: Subject) -> Mapping[str, object]:
     """Return what the sections on what was calibrated, and how it was made, are filled with."""
     options, recording = subject.options, subject.calibration.recording
-    date = "not stated"
-    if options.recording_file is not None:
-        date = f"{changed_on(options.recording_file).isoformat()} (of the recording's file)"
     sensor = options.rig.sensor
     parts = [] if sensor.kind is None else [sensor.kind]
     if sensor.range_stated:
@@ -43,7 +47,7 @@ def head_of(subject: Subject) -> Mapping[str, object]:
     ranges = np.empty((0, 1)) if recording is None else recording.ranges
     return {
         "warnings": tuple(map(sentence, (*subject.warnings, *contradicting))),
-        "date": date,
+        "date": date_of(options) or "not stated",
         "version": __version__,
         "python": ".".join(map(str, sys.version_info[:3])),
         "libraries": [f"{name} {version(name)}" for name in LIBRARIES],

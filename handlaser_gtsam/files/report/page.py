@@ -21,11 +21,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...checks import require_kind
 from ...model.distributions import FAMILY_LEVEL, chance
 from ...model.joint import STRONG
 from ...quantities import FAR_SIGMAS, IN_MM
-from ...results.calibration import Calibration
 from ...results.description.evidence import rejected_words
 from ...results.description.tables import (
     NONE,
@@ -44,13 +42,11 @@ from ...text import count, printable, some
 from ...validation.hold_out import HoldOut
 from ...validation.prediction import pooled
 from ..calibration_json import calibration_text
-from ..writing import path_of, require_writable, write_text
 from .figure import STYLE, Figure
 from .figures import flat_figures
 from .head import head_of, title_of
-from .options import ReportOptions
 from .scene import Geometry, scene_figure, spaces_of, still_picture
-from .subject import ReadingRows, Subject, subject_of
+from .subject import ReadingRows, Subject
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -61,45 +57,6 @@ SECTIONS: dict[str, str] = STYLE["sections"]
 LIVE_SECTIONS = {name: SECTIONS[name] for name in ("verdict", "next", "mounts")}
 LIVE_SECTIONS |= STYLE["sections of a survey"] | SECTIONS
 """The sections of a live page, which shows surveys, too: what a report does not have stays empty."""
-
-
-def write_report(
-    path: Path | str, calibration: Calibration, options: ReportOptions | None = None
-) -> None:
-    """Write the report of a calibration: one HTML file that opens without network.
-
-    Parameters
-    ----------
-    path : Path or str
-    calibration : Calibration
-    options : ReportOptions, optional
-        Limits, working distance, and where all came from.
-
-    Raises
-    ------
-    InputError
-        What is no calibration, a file that cannot be written or read, or a working distance that the
-        sensor cannot read.
-    """
-    require_kind("calibration", calibration, Calibration)
-    target = path_of(path)
-    require_writable(target)
-    write_text(target, report_text(calibration, options or ReportOptions()))
-
-
-def report_text(calibration: Calibration, options: ReportOptions) -> str:
-    """Return the page; the same calibration and options make the same page.
-
-    Raises
-    ------
-    InputError
-        As `write_report`.
-    """
-    require_kind("options", options, ReportOptions)
-    subject = subject_of(calibration, options)
-    sections, figures, result = content_of(subject)
-    title = f"{subject.opening} · {title_of(options)}"
-    return page_of(title, sections, figures, result=result, script=script_of("page.js"))
 
 
 def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str]:

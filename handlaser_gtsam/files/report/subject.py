@@ -16,7 +16,6 @@ from ...planning.route import Plan
 from ...progress import tell
 from ...results.calibration import Calibration
 from ...results.description.description import Description
-from ...results.verdict import verdict
 from ...validation.held_out import HeldOut, held_out
 from .history import history
 from .options import ReportOptions
@@ -96,7 +95,7 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
     """
     tell("report")
     recording, rig = calibration.recording, options.rig
-    judged = verdict(calibration, rig.limits, options.reading)
+    judged = calibration.judged(rig.limits, options.reading)
     solved = calibration.status == "converged"
     plan, past = options.plan, None
     if solved and plan is None:

@@ -1,12 +1,15 @@
 """The report of a survey: one page, as beams before planes have one, with profiles drawn."""
 
+from pathlib import Path
+
 from ... import __version__
-from ...data.survey import Survey
 from ...results.description.survey import beams_table, facts, sensors_table, targets_table
 from ...results.description.tables import listed, name_cell, sentence, text
 from ...results.survey import SurveyCalibration
 from ...results.verdict import Verdict
 from .figure import STYLE, Figure
+from .head import date_of
+from .options import ReportOptions
 from .page import page_of, script_of, sections_of
 from .scene import in_hand, scene_figure
 from .survey_figures import (
@@ -23,40 +26,38 @@ SECTIONS: dict[str, str] = STYLE["sections of a survey"]
 """The sections of the page in their order, each with its name in the list of links."""
 
 
-def survey_report(
-    result: SurveyCalibration,
-    survey: Survey,
-    source: str,
-    day: str = "",
-    verdict: Verdict | None = None,
-) -> str:
-    """Return the page; the same result makes the same page.
+def survey_report(result: SurveyCalibration, options: ReportOptions) -> str:
+    """Return the page; the same result and options make the same page.
 
-    Parameters
-    ----------
-    result : SurveyCalibration
-    survey : Survey
-        What was calibrated.
-    source : str
-        Name of the file of stations.
-    day : str
-        Date of the report; none where not given.
-    verdict : Verdict, optional
-        With its user's limits; `result.verdict` where not given.
+    Raises
+    ------
+    InputError
+        As `write_report`.
     """
-    opening, sections, figures = survey_content(result, survey, source, day, verdict)
+    judged = result.judged(options.rig.limits, options.reading)
+    file = options.recording_file
+    source = "stations" if file is None else Path(file).name
+    opening, sections, figures = survey_content(result, judged, source, date_of(options))
     script = script_of("page.js")
     return page_of(f"{opening} · {source}", sections, figures, script=script, labels=SECTIONS)
 
 
 def survey_content(
-    result: SurveyCalibration,
-    survey: Survey,
-    source: str,
-    day: str = "",
-    verdict: Verdict | None = None,
+    result: SurveyCalibration, verdict: Verdict, source: str, day: str = ""
 ) -> tuple[str, dict[str, str], dict[str, Figure]]:
-    """Return the opening of the verdict, sections as HTML and figures by name; as `survey_report`."""
+    """Return the opening of the verdict, sections as HTML and figures by name.
+
+    Parameters
+    ----------
+    result : SurveyCalibration
+    verdict : Verdict
+        With its user's limits.
+    source : str
+        Name of the file of stations.
+    day : str
+        Date of the report; none where not given.
+    """
+    survey = result.survey
     seen = list(seen_by_all(result, survey))
     on = on_targets(result, survey, seen)
     drawn = [world_figure(result, survey, seen)]
@@ -68,7 +69,6 @@ def survey_content(
     made = [("program", f"handlaser {__version__}"), ("stations", source)]
     made += [("read", "; ".join(survey.lines))] if survey.lines else []
     made += [("date", day)] if day else []
-    verdict = result.verdict if verdict is None else verdict
     values = {
         "title": source,
         "shown": {

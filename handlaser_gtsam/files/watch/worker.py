@@ -16,8 +16,8 @@ from ...data.survey import Survey
 from ...errors import HandlaserError, InputError
 from ...estimation.options import CalibrationOptions
 from ...pipeline import calibrate
-from ...results.survey_verdict import survey_verdict
 from ...text import printable
+from ..calibration_json import calibration_text
 from ..logs.report import LogReport
 from ..points_table import AWAITED
 from ..report.figure import Figure
@@ -26,7 +26,6 @@ from ..report.page import LIVE_SECTIONS, content_of, safe_json
 from ..report.subject import subject_of
 from ..report.survey import survey_content
 from ..rig_toml import Rig, known_rig
-from ..survey_json import survey_text
 from .watched import FileContent, Watched, content, file_content, read_contents
 
 
@@ -164,10 +163,10 @@ class Calibrator:
             stated = "options of how beams before planes are calibrated, with a survey"
             raise InputError(stated, "none of them")
         found = calibrate(survey, rig.noise)
-        source, judged = self._watched.recording.name, survey_verdict(found, rig.limits)
-        opening, sections, figures = survey_content(found, survey, source, verdict=judged)
+        source, judged = self._watched.recording.name, found.judged(rig.limits)
+        opening, sections, figures = survey_content(found, judged, source)
         empty = dict.fromkeys(LIVE_SECTIONS, "")
-        result = safe_json(json.loads(survey_text(found, judged)))
+        result = safe_json(json.loads(calibration_text(found, judged)))
         return messages_of(opening, empty | sections, figures, result)
 
 

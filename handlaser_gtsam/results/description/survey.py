@@ -17,6 +17,7 @@ from ..lines import NAMES_IN_LINE, UNDETERMINED, decimals
 from ..messages import said
 from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
 from ..verdict import Verdict
+from .rendering import full_table, text_lines
 from .tables import (
     NONE,
     Cell,
@@ -37,6 +38,20 @@ UNITS = {
     if name in RAY_ERRORS
 }
 """The same by range error."""
+
+
+def survey_lines(result: SurveyCalibration, verdict: Verdict, width: int) -> list[str]:
+    """Return what a person sees of a result: the verdict, tables, facts and warnings."""
+    lines = text_lines([verdict.sentence], width)
+    for title, table in (
+        ("sensors", sensors_table(result)),
+        ("beams", beams_table(result)),
+        ("targets", targets_table(result)),
+    ):
+        lines += [] if table is None else full_table(title, table, width)
+    rest = [f"{name}: {words}" for name, words in facts(result, verdict)]
+    rest += [*result.undetermined[1:], *(f"WARNING: {one.message}" for one in result.warnings)]
+    return lines + text_lines(rest, width)
 
 
 def sensors_table(result: SurveyCalibration) -> Table | None:
