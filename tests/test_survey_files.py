@@ -56,6 +56,10 @@ def test_results_of_surveys_are_written_as_those_of_beams(handlaser, folder):
     result = hl.calibrate(hl.read_survey(folder / "poses.csv", folder / "rig.toml"))
     hl.write_calibration(folder / "b.json", result, limits=hl.Limits())
     assert (folder / "b.json").read_text() == (folder / "a.json").read_text()
+    read = hl.read_calibration(folder / "b.json")
+    assert isinstance(read, hl.files.SurveyFile)
+    assert read.success
+    assert read.sensors[0].location_m == tuple(result.sensors["scanner"].location)
     options = hl.ReportOptions(recording_file=folder / "poses.csv")
     hl.write_report(folder / "b.html", result, options)
     assert (folder / "b.html").read_text() == (folder / "a.html").read_text()

@@ -106,12 +106,10 @@ def export(
 
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     """Return what a format takes of a file: stations, a calibration or the result of a survey."""
-    from ..files.calibration_file import is_survey_result, read_calibration, read_survey_result
+    from ..files.calibration_file import read_calibration
     from ..files.recording_csv import read_stations
 
-    if to in STATIONS:
-        return read_stations(file)
-    return read_survey_result(file) if is_survey_result(file) else read_calibration(file)
+    return read_stations(file) if to in STATIONS else read_calibration(file)
 
 
 def _warnings(file: "StationList | CalibrationFile | SurveyFile") -> list[str]:

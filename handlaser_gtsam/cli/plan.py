@@ -164,9 +164,9 @@ def _planned(
 
 def _uncounted(path: Path) -> list[str]:
     """Say which freed errors of a result a plan does not count at the stations to come."""
-    from ..files.calibration_file import read_calibration
+    from ..files.calibration_file import read_of_beams
 
-    codes = dict.fromkeys(effect.code for effect in read_calibration(path).effects)
+    codes = dict.fromkeys(effect.code for effect in read_of_beams(path).effects)
     if not codes:
         return []
     words = ", ".join(codes)
@@ -179,14 +179,14 @@ def _uncounted(path: Path) -> list[str]:
 def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
     """Return the mounts of a result, and its planes as plates that are known as well as it says."""
     from ..errors import InputError
-    from ..files.calibration_file import read_calibration, read_mounts
+    from ..files.calibration_file import read_mounts, read_of_beams
     from ..planning.bounds import plate_of
 
     mounts = read_mounts(path)
     if rig.workspace is None:
         raise InputError("a result without a workspace", "the table [workspace] of the rig file")
     middle, plates = 0.5 * (rig.workspace.low + rig.workspace.high), {}
-    for plane in read_calibration(path).planes:
+    for plane in read_of_beams(path).planes:
         sigma = plane.sigma
         known = (None, None) if sigma is None else (sigma.offset_m, sigma.normal_rad)
         plates[plane.name] = plate_of(plane.normal, plane.offset_m, middle, known)

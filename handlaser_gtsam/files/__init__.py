@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .calibration_file import CalibrationFile as CalibrationFile
     from .calibration_file import SurveyFile as SurveyFile
-    from .calibration_file import read_survey_result as read_survey_result
     from .logs.report import LogReport as LogReport
     from .rig_survey import SensorTable as SensorTable
     from .rig_survey import SurveyTables as SurveyTables

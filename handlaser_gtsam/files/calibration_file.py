@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..model.families import BEAM
 from ..results.mounts import Mounts
 from ..text import shown
-from .checked_text import FileRecord, in_file, json_value, read_checked, square_matrix
+from .checked_text import FileRecord, checked, in_file, json_value, read_value, square_matrix
 from .writing import path_of
 
 Item = TypeVar("Item")
@@ -111,19 +111,30 @@ class EffectRecord(ObjectRecord):
     code: str
 
 
-class CalibrationFile(ObjectRecord):
-    """What the JSON file of a calibration holds; see docs/files.md for its fields.
+class ResultFile(ObjectRecord):
+    """What the files of all results hold.
 
     It can be compared, copied and pickled. Matrices are rows of numbers:
     `numpy.array(file.beam_covariance)`.
     """
 
-    format: Literal["handlaser-calibration"]
+    format: str
     version: Version
     status: str
     message: str = ""
     verdict: VerdictRecord | None = None
     warnings: Many[WarningRecord] = ()
+
+    @property
+    def success(self) -> bool:
+        """Whether the calibration converged."""
+        return self.status == "converged"
+
+
+class CalibrationFile(ResultFile):
+    """What the JSON file of a calibration holds; see docs/files.md for its fields."""
+
+    format: Literal["handlaser-calibration"]
     beams: Many[BeamRecord]
     beam_covariance: Many[Numbers] | None
     planes: Many[PlaneRecord] = ()
@@ -134,11 +145,6 @@ class CalibrationFile(ObjectRecord):
     systematic: Many[SystematicRecord] = ()
     start: ObjectRecord | None = None
     effects: Many[EffectRecord] = ()
-
-    @property
-    def success(self) -> bool:
-        """Whether the calibration converged."""
-        return self.status == "converged"
 
 
 class SensorRecord(ObjectRecord):
@@ -162,48 +168,41 @@ class SurveyBeamRecord(ObjectRecord):
     location_sigma_m: Known
 
 
-class SurveyFile(ObjectRecord):
+class SurveyFile(ResultFile):
     """What the JSON file of a survey's result holds; see docs/files.md for its fields."""
 
     format: Literal["handlaser-survey"]
-    version: Version
-    status: str
-    message: str
-    verdict: VerdictRecord | None = None
     sensors: Many[SensorRecord]
     beams: Many[SurveyBeamRecord]
-    warnings: Many[WarningRecord]
 
 
-def read_calibration(path: Path | str) -> CalibrationFile:
-    """Read what `write_calibration` or `handlaser calibrate --out` wrote.
+def read_calibration(path: Path | str) -> CalibrationFile | SurveyFile:
+    """Read what `write_calibration` or `handlaser calibrate --out` wrote, of beams or of a survey.
 
     Raises
     ------
     InputError
         No such file, or one that is no calibration of this version.
     """
-    return read_checked(path, CalibrationFile, json_value, "a calibration of handlaser, JSON")
+    path, expected = path_of(path), "a calibration of handlaser, JSON"
+    data = read_value(path, json_value, expected)
+    if isinstance(data, dict) and data.get("format") == "handlaser-survey":
+        return checked(data, SurveyFile, expected, path)
+    return checked(data, CalibrationFile, expected, path)
 
 
-def read_survey_result(path: Path | str) -> SurveyFile:
-    """Read what `write_calibration` or `handlaser calibrate --out` wrote of a survey.
+def read_of_beams(path: Path | str) -> CalibrationFile:
+    """Do as `read_calibration` with beams before planes, and refuse the result of a survey.
 
     Raises
     ------
     InputError
-        No such file, or one that is no result of this version.
     """
-    return read_checked(path, SurveyFile, json_value, "a result of handlaser, JSON")
-
-
-def is_survey_result(path: Path) -> bool:
-    """Tell whether a file holds the result of a survey."""
-    try:
-        with path.open("rb") as file:
-            return b'"handlaser-survey"' in file.read(200)  # the format stands first
-    except OSError:
-        return False
+    file = read_calibration(path)
+    if isinstance(file, SurveyFile):
+        found = "the result of a survey: sensors of many rays, other targets or relations"
+        raise InputError(found, "a calibration of beams before planes", path_of(path))
+    return file
 
 
 def read_mounts(path: Path | str) -> Mounts:
@@ -214,7 +213,7 @@ def read_mounts(path: Path | str) -> Mounts:
     InputError
         No such file, no calibration that converged, or numbers that cannot be.
     """
-    file = read_calibration(path)
+    file = read_of_beams(path)
     with in_file(path_of(path)):
         return mounts_of(file)
 

@@ -100,14 +100,35 @@ def read_checked(
     InputError
         No such file, no UTF-8, what `parse` refuses, or what `schema` does not take.
     """
-    path = path_of(path)
-    text = read_text(path, expected)
-    data: object = None
+    return checked(read_value(path, parse, expected), schema, expected, path_of(path))
+
+
+def checked(data: object, schema: type[Schema], expected: str, path: Path) -> Schema:
+    """Return what a file holds as `schema` has it; otherwise as `read_checked`.
+
+    Raises
+    ------
+    InputError
+        What `schema` does not take.
+    """
     try:
-        data = parse(text)
         return schema.model_validate(data)
     except ValidationError as error:
         raise _first_fault(error, data, schema, expected, path) from error
+
+
+def read_value(path: Path | str, parse: Callable[[str], object], expected: str) -> object:
+    """Return what `parse` makes of a file; otherwise as `read_checked`.
+
+    Raises
+    ------
+    InputError
+        No such file, no UTF-8, or what `parse` refuses.
+    """
+    path = path_of(path)
+    text = read_text(path, expected)
+    try:
+        return parse(text)
     except (InputError, ValueError, RecursionError) as error:  # ValueError: endless integers, too
         what = str(error).split(";")[0].splitlines()[0][:120]
         found = f"no {expected.split()[-1]} ({what})"
