@@ -138,12 +138,7 @@ def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, T
 
 def _sigmas_of(found: SurveyCalibration) -> FloatArray:
     """Return standard deviations of locations and directions as rows of six, one a mount."""
-    mounts = [np.append(one.location_sigma, one.rotation_sigma) for one in found.sensors.values()]
-    mounts += [
-        np.append(one.location_sigma, np.full(3, one.direction_sigma))
-        for one in found.beams.values()
-    ]
-    return np.array(mounts)
+    return np.array([one.sigma for one in found.mounts])
 
 
 def _table(rows: Sequence[tuple[Cell, ...]], what: str = "plane") -> Table:

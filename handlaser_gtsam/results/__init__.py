@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .spot_error import Spot as Spot
     from .spot_error import VarianceShares as VarianceShares
     from .survey import BeamMount as BeamMount
+    from .survey import Mount as Mount
     from .survey import RejectedShot as RejectedShot
     from .survey import SensorError as SensorError
     from .survey import SensorMount as SensorMount

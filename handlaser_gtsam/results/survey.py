@@ -1,8 +1,9 @@
 """The result of a survey: where sensors sit, what they looked at, and how far to trust it."""
 
 import math
+from abc import abstractmethod
 from collections.abc import Container, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -92,62 +93,106 @@ class SensorError(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SensorMount(Value):
-    """A sensor of many rays in the hand.
+class Mount(Value):
+    """Where a sensor of many rays, or a single beam, sits in the hand.
 
     Attributes
     ----------
-    name, kind : str
-    rotation : (3, 3)
-        hand_R_sensor.
+    name : str
     location : (3,)
-        Origin of the sensor in the hand [m].
-    range_error : mapping
-        Range errors that were estimated: k0 [m], k1, k2 [1/m], scale.
-    covariance : (6 + free, 6 + free)
-        Of a turn and a shift in the sensor's own frame [rad], [m], in the order of `gtsam.Pose3`, then
-        of the range errors; NaN where undetermined.
+        Origin of the sensor in the hand, or where the range of the beam is zero [m].
+    covariance : (n, n)
+        Of the coordinates of its kind, which says what they are; NaN where undetermined.
     location_sigma : (3,)
         Along the axes of the hand [m]; NaN along those that an undetermined direction moves.
-    rotation_sigma : (3,)
-        About the axes of the sensor [rad].
     reading_sigma : float
-        Standard deviation of a reading [m].
+        Standard deviation of a reading [m], which all single beams share.
     reading : float
         Working distance: the median reading [m].
-    spot : (3,)
-        Of the ray in the middle at that distance, in the sensor's frame [m].
-    spot_error : float
-        Radius around a spot at that distance that holds it with 95 % [m].
-    shots, rejected : int
-    errors : tuple of SensorError
+    rejected : int
+        Shots, or readings of a beam, that do not count.
     """
 
     name: str
-    kind: str
-    rotation: FloatArray
     location: FloatArray
-    range_error: Mapping[str, float]
     covariance: FloatArray
     location_sigma: FloatArray
-    rotation_sigma: FloatArray
     reading_sigma: float
     reading: float
-    spot: FloatArray
-    spot_error: float
-    shots: int
     rejected: int
-    errors: tuple[SensorError, ...]
+
+    noun = ""  # without an annotation it is no field of the dataclass
 
     @property
     def subject(self) -> str:
         """Whom limits and findings concern."""
-        return f"{SENSOR.name} {self.name}"
+        return f"{self.noun} {self.name}"
+
+    @property
+    @abstractmethod
+    def turn_sigmas(self) -> FloatArray:
+        """Standard deviations of turns about three axes (3,) [rad]."""
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Standard deviations (6,) of the location [m], then of turns [rad]."""
+        return np.append(self.location_sigma, self.turn_sigmas)
 
     @property
     def largest_sigmas(self) -> tuple[float, float]:
         """Largest standard deviations of a coordinate of the location [m] and of a turn [rad]."""
-        return float(self.location_sigma.max()), float(self.rotation_sigma.max())
+        return float(self.location_sigma.max()), float(self.turn_sigmas.max())
+
+    @abstractmethod
+    def spot_by(self) -> FloatArray:
+        """Return how its spot at the working distance moves with its first coordinates (3, k)."""
+
+    @property
+    def spot_error(self) -> float:
+        """Radius around a spot at the working distance that holds it with 95 % [m].
+
+        Infinite where something of the mount is undetermined.
+        """
+        J = self.spot_by()
+        C = self.covariance[: J.shape[1], : J.shape[1]]
+        return radius(J @ C @ J.T) if np.isfinite(C).all() else math.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SensorMount(Mount):
+    """A sensor of many rays in the hand.
+
+    Its `covariance` (6 + free, 6 + free) is of a turn and a shift in the sensor's own frame [rad], [m],
+    in the order of `gtsam.Pose3`, then of the range errors that were estimated.
+
+    Attributes
+    ----------
+    kind : str
+    rotation : (3, 3)
+        hand_R_sensor.
+    range_error : mapping
+        Range errors that were estimated: k0 [m], k1, k2 [1/m], scale.
+    spot : (3,)
+        Of the ray in the middle at the working distance, in the sensor's frame [m].
+    shots : int
+    errors : tuple of SensorError
+    """
+
+    kind: str
+    rotation: FloatArray
+    range_error: Mapping[str, float]
+    spot: FloatArray
+    shots: int
+    errors: tuple[SensorError, ...]
+
+    noun = SENSOR.name
+
+    @property
+    def rotation_sigma(self) -> FloatArray:
+        """About the axes of the sensor (3,) [rad]."""
+        return np.sqrt(np.diagonal(self.covariance)[:3])
+
+    turn_sigmas = rotation_sigma
 
     def matrix(self) -> FloatArray:
         """Return hand_T_sensor (4, 4)."""
@@ -161,58 +206,46 @@ class SensorMount(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class BeamMount(Value):
+class BeamMount(Mount):
     """A single beam in the hand.
+
+    Its `covariance` (7, 7) is of location, direction (two tangents), k1 and k2.
 
     Attributes
     ----------
-    name : str
-    location, direction : (3,)
-        [m], unit vector.
+    direction : (3,)
+        Unit vector.
     range_error : (k1, k2)
-    covariance : (7, 7)
-        Of location, direction (two tangents), k1 and k2.
-    location_sigma : (3,)
-    direction_sigma : float
-        The larger one [rad].
-    reading_sigma : float
-        Standard deviation of a reading [m], which all single beams share.
-    reading : float
-        Working distance: the median reading [m].
-    spot_error : float
-        Radius around its spot at that distance that holds it with 95 % [m]; infinite where something of
-        it is undetermined.
-    readings, rejected : int
+    readings : int
     """
 
-    name: str
-    location: FloatArray
     direction: FloatArray
     range_error: tuple[float, float]
-    covariance: FloatArray
-    location_sigma: FloatArray
-    direction_sigma: float
-    reading_sigma: float
-    reading: float
-    spot_error: float
     readings: int
-    rejected: int
+
+    noun = BEAM.name
 
     @property
-    def subject(self) -> str:
-        """Whom limits and findings concern."""
-        return f"{BEAM.name} {self.name}"
+    def direction_sigma(self) -> float:
+        """The larger one over the tangent plane [rad]; infinite where undetermined."""
+        turn = self.covariance[DIRECTION, DIRECTION]
+        known = bool(np.isfinite(turn).all())
+        return math.sqrt(float(np.linalg.eigvalsh(turn)[-1])) if known else math.inf
 
     @property
-    def largest_sigmas(self) -> tuple[float, float]:
-        """Largest standard deviations of a coordinate of the location [m] and of a turn [rad]."""
-        return float(self.location_sigma.max()), self.direction_sigma
+    def turn_sigmas(self) -> FloatArray:
+        """The standard deviation of the direction (3,) [rad], the same about each axis of the hand."""
+        return np.full(3, self.direction_sigma)
 
     def spot_by(self) -> FloatArray:
-        """Return how its spot moves with its coordinates (3, 7), in the hand."""
-        return _spot_by(
+        """Return how the spot moves with the tangent coordinates of the beam (3, 7), in the hand."""
+        _, J = spot_of(
             np.concatenate((self.location, self.direction, self.range_error)), self.reading
         )
+        lift = np.zeros((BEAM.size, BEAM.dim))
+        lift[OF_LOCATION, LOCATION], lift[OF_RANGE_ERROR, RANGE_ERROR] = np.eye(3), np.eye(2)
+        lift[OF_DIRECTION, DIRECTION] = bases(self.direction)
+        return np.asarray(J @ lift)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -413,7 +446,6 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
     kept = [i for i, name in enumerate(names) if name not in RAY_ERRORS or name in shots.free]
     C = own[np.ix_(kept, kept)]
     reading = float(np.median(shots.reading))
-    spot = _spot_of(shots.kind, shots.across, reading)
     located = R @ C[3:6, 3:6] @ R.T
     if found.estimate.status == "undetermined" and np.isnan(located).any():
         # An undetermined direction of the hand has a part along each axis of the sensor.
@@ -422,23 +454,22 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
         functionals = np.zeros((3, len(unit)))
         functionals[:, shift] = R * unit[shift]
         located = covariance_along(information, axes, functionals)
-    mount = SensorMount(
+    used, rejected = _taken(found, SENSOR.name, member)
+    return SensorMount(
         shots.name,
-        shots.kind,
-        R,
         location,
-        {name: float(x[12 + RAY_ERRORS.index(name)]) for name in shots.free},
         C,
         np.sqrt(np.diagonal(located)),
-        np.sqrt(np.diagonal(C)[:3]),
         float(found.noise.sigma[member]),
         reading,
-        spot,
-        math.inf,
-        *_taken(found, SENSOR.name, member),
+        rejected,
+        shots.kind,
+        R,
+        {name: float(x[12 + RAY_ERRORS.index(name)]) for name in shots.free},
+        _spot_of(shots.kind, shots.across, reading),
+        used,
         errors,
     )
-    return replace(mount, spot_error=_spot_error(mount.spot_by(), C[:6, :6]))
 
 
 def _information(found: SurveyEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -458,38 +489,20 @@ def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
 def _beam(found: SurveyEstimate, member: int) -> BeamMount:
     x, C = found.estimate.values[BEAM.name][member], found.estimate.marginal(BEAM.name, member)
     rows = found.rows
-    turn = C[DIRECTION, DIRECTION]
-    known = bool(np.isfinite(turn).all())
     own = [i.reading for i in rows.items if (i.family, i.member) == (BEAM.name, member)]
-    mount = BeamMount(
+    read, rejected = _taken(found, BEAM.name, member)
+    return BeamMount(
         rows.survey.beam_names[member],
         x[:3],
-        x[3:6],
-        (float(x[6]), float(x[7])),
         C,
         np.sqrt(np.diagonal(C)[LOCATION]),
-        math.sqrt(float(np.linalg.eigvalsh(turn)[-1])) if known else math.inf,
         float(found.noise.sigma[-2]),
         float(np.median(own)) if own else math.nan,
-        math.inf,
-        *_taken(found, BEAM.name, member),
+        rejected,
+        x[3:6],
+        (float(x[6]), float(x[7])),
+        read,
     )
-    return replace(mount, spot_error=_spot_error(mount.spot_by(), C))
-
-
-def _spot_by(beam: FloatArray, reading: float) -> FloatArray:
-    """Return how the spot of a reading moves with the tangent coordinates of a beam (3, 7)."""
-    _, J = spot_of(beam, reading)
-    lift = np.zeros((BEAM.size, BEAM.dim))
-    lift[OF_LOCATION, LOCATION], lift[OF_RANGE_ERROR, RANGE_ERROR] = np.eye(3), np.eye(2)
-    lift[OF_DIRECTION, DIRECTION] = bases(beam[OF_DIRECTION])
-    return np.asarray(J @ lift)
-
-
-def _spot_error(J: FloatArray, covariance: FloatArray) -> float:
-    """Return the 95 % radius of a spot [m]; infinite where something of its mount is undetermined."""
-    known = bool(np.isfinite(covariance).all())
-    return radius(J @ covariance @ J.T) if known else math.inf
 
 
 def _taken(found: SurveyEstimate, family: str, member: int) -> tuple[int, int]:
