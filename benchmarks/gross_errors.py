@@ -149,7 +149,7 @@ def _sigmas(result: hl.Calibration, truth: Truth) -> float:
 def _lost(result: hl.Calibration, recording: hl.Recording, bad: BoolArray) -> str:
     """Say how many good readings were rejected, where those are many."""
     lost = sum(
-        not bad[recording.station_names.index(r.station), recording.beam_names.index(r.beam)]
+        not bad[recording.station_names.index(r.station), recording.beam_names.index(r.sensor)]
         for r in result.fit.rejected
     )
     good = int((~bad).sum())

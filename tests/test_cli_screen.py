@@ -107,7 +107,7 @@ def test_the_worst_case_of_everything_fits(calibration):
         name: replace(beam, name=name)
         for name, beam in zip(names, [*calibration.beams.values()] * 2, strict=True)
     }
-    rejected = tuple(Rejected(f"station {i}", names[0], "off", 1e-3) for i in range(40))
+    rejected = tuple(Rejected(f"station {i}", names[0], "A", "off", 1e-3) for i in range(40))
     fit = replace(calibration.fit, rejected=rejected, max_residual_at=("a far station", names[1]))
     wide = replace(
         calibration,

@@ -125,7 +125,7 @@ def test_a_warning_carries_the_numbers_of_its_message(recording, request, code, 
         assert f"{found.fit.sigma0:.2f} times" in warning.message
     else:
         assert warning.values["beam"] == "2"
-        rejected = [one for one in found.fit.rejected if one.beam == "2"]
+        rejected = [one for one in found.fit.rejected if one.sensor == "2"]
         assert warning.values["rejected"] == len(rejected)
     file = json.loads(calibration_text(found))
     assert warning.values == next(one for one in file["warnings"] if one["code"] == code)["values"]

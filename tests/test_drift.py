@@ -190,19 +190,19 @@ def test_new_garbage_is_left_out_and_a_plane_of_nothing_else_is_doubted():
     ranges[rows[4], 2] -= 0.005
     bad = replace(recording, ranges=ranges)
     update = session.add(plane(bad, 8))
-    assert {(one.station, one.beam) for one in update.rejected} == {
+    assert {(one.station, one.sensor) for one in update.rejected} == {
         (recording.station_names[rows[1]], "1"),
         (recording.station_names[rows[4]], "3"),
     }
     assert update.moved is None
     assert session.compare().largest < 0.01
-    listed = {(one.station, one.beam) for one in session.calibration().fit.rejected}
-    assert listed == {(one.station, one.beam) for one in session.rejected}
+    listed = {(one.station, one.sensor) for one in session.calibration().fit.rejected}
+    assert listed == {(one.station, one.sensor) for one in session.rejected}
     rows = np.flatnonzero(recording.plane_of_station == 9)
     ranges[rows] += 0.01 * np.random.default_rng(1).normal(size=(len(rows), 3))
     update = session.add(plane(replace(recording, ranges=ranges), 9))
     assert update.inconsistent == update.waiting == ("J",)
-    assert update.planes == ()
+    assert update.targets == ()
     assert update.moved is None
     assert session.compare().largest < 0.01
 

@@ -276,7 +276,7 @@ def test_readings_that_the_error_had_spoiled_are_taken_back_and_wrong_ones_are_n
     ranges = recording.ranges.copy()
     ranges[7, 1] += 0.02
     found = freed(replace(recording, ranges=ranges), "incidence", range_error="none")
-    assert [(one.station, one.beam) for one in found.fit.rejected] == [("8", "b1")]
+    assert [(one.station, one.sensor) for one in found.fit.rejected] == [("8", "b1")]
     without = freed(replace(recording, ranges=ranges), range_error="none")
     assert len(without.fit.rejected) > 1
     (one,) = found.effects

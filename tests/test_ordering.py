@@ -46,9 +46,9 @@ def test_the_order_changes_nothing(scene, sigma, garbage):
     for name, plane in first.planes.items():
         assert np.array_equal(plane.normal, again.planes[name].normal)
         assert plane.offset == again.planes[name].offset
-    key = [(r.station, r.beam, r.reason, r.residual) for r in first.fit.rejected]
+    key = [(r.station, r.sensor, r.reason, r.residual) for r in first.fit.rejected]
     assert sorted(key) == sorted(
-        (r.station, r.beam, r.reason, r.residual) for r in again.fit.rejected
+        (r.station, r.sensor, r.reason, r.residual) for r in again.fit.rejected
     )
 
 

@@ -66,7 +66,7 @@ def test_single_outliers_are_listed_with_their_residual():
     ranges[5, 1] += 0.02
     ranges[20, 3] -= 0.03
     found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA["arm"]), NONE)
-    listed = [(r.station, r.beam, r.reason) for r in found.fit.rejected]
+    listed = [(r.station, r.sensor, r.reason) for r in found.fit.rejected]
     assert listed == [("6", "2", "outlier"), ("21", "4", "outlier")]
     # The residual is predicted minus read, so it has the other sign; 4 sigma of the prediction.
     assert found.fit.rejected[0].residual == pytest.approx(-0.02, abs=4e-3)
@@ -94,7 +94,7 @@ def test_swapped_readings_of_a_station_are_recognised():
     ranges[7, [0, 2]] = ranges[7, [2, 0]]
     assert abs(ranges[7, 0] - ranges[7, 2]) > 0.01
     found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA["arm"]), NONE)
-    listed = {(r.beam, r.reason) for r in found.fit.rejected}
+    listed = {(r.sensor, r.reason) for r in found.fit.rejected}
     assert listed == {
         ("1", "swapped with the reading of beam 3"),
         ("3", "swapped with the reading of beam 1"),
@@ -200,5 +200,5 @@ def test_a_reading_far_beyond_the_others_is_left_out(told):
         replace(recording, ranges=ranges), hl.Noise(SIGMA["paper"] if told else None)
     )
     assert found.status == "converged"
-    assert [(r.station, r.beam) for r in found.fit.rejected] == [("1", "4")]
+    assert [(r.station, r.sensor) for r in found.fit.rejected] == [("1", "4")]
     assert found.fit.rms < 2 * SIGMA["paper"]

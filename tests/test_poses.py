@@ -185,7 +185,7 @@ def test_outliers_are_found_beside_robot_errors():
     for station, beam in bad:
         ranges[station, beam] += 1e-3
     found = hl.calibrate(replace(recording, ranges=ranges), NOISE, NONE)
-    rejected = {(int(r.station) - 1, int(r.beam) - 1) for r in found.fit.rejected}
+    rejected = {(int(r.station) - 1, int(r.sensor) - 1) for r in found.fit.rejected}
     assert set(bad) <= rejected
     assert len(rejected) <= len(bad) + 2
     clean = hl.calibrate(recording, NOISE, NONE)

@@ -146,7 +146,7 @@ def test_a_rejected_reading_is_not_in_the_graph(gripper):
     ranges[3, 1] += 0.01
     spoilt = dataclasses.replace(gripper, ranges=ranges)
     found = hl.calibrate(spoilt, hl.Noise(3e-5, **EXACT), hl.CalibrationOptions(range_error="k1"))
-    assert [(r.station, r.beam) for r in found.fit.rejected] == [
+    assert [(r.station, r.sensor) for r in found.fit.rejected] == [
         (gripper.station_names[3], gripper.beam_names[1])
     ]
     rows = sum(len(block.distance) for block in found.problem().blocks)

@@ -35,7 +35,7 @@ def test_the_end_of_a_range_is_named(far, seed):
     assert warning.values["beam"] == recording.beam_names[1]
     # The nearest readings beyond the limit are off by less than anyone can see.
     assert warning.values["limit_m"] == pytest.approx(limit, abs=8.0 * SIGMA)
-    reasons = {r.reason for r in found.fit.rejected if r.beam == recording.beam_names[1]}
+    reasons = {r.reason for r in found.fit.rejected if r.sensor == recording.beam_names[1]}
     assert any("end of the range" in one or "near end" in one for one in reasons)
 
 

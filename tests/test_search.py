@@ -61,7 +61,7 @@ def test_two_spoilt_readings_need_neither_sweeps_nor_a_robust_search(counts, siz
     # solution. Sweeps and a robust search took as many steps, of a dozen candidates at a time.
     assert counts["steps"] < 200
     assert found.status == "converged"
-    rejected = {(r.station, r.beam) for r in found.fit.rejected}
+    rejected = {(r.station, r.sensor) for r in found.fit.rejected}
     assert rejected == {(str(j + 1), str(i + 1)) for j, i in rows}
 
 
@@ -73,7 +73,7 @@ def test_without_a_range_sigma_several_starts_must_agree_before_the_screening_co
     found = hl.calibrate(replace(recording, ranges=ranges))
     assert counts["robust"] == 0
     assert counts["plain"] == 2
-    assert {(r.station, r.beam) for r in found.fit.rejected} == {("6", "2"), ("21", "4")}
+    assert {(r.station, r.sensor) for r in found.fit.rejected} == {("6", "2"), ("21", "4")}
 
 
 @pytest.mark.slow

@@ -77,7 +77,7 @@ def test_every_step_is_the_batch_solution(poses, noise, range_error, k):
             assert update.message
             assert update.waiting == recording.plane_names[: index + 1]
             continue
-        assert name in update.planes
+        assert name in update.targets
         assert_batch(session)
         learned_anew = update.comparison is not None and update.comparison.message
         if update.before is not None and not learned_anew:
@@ -108,11 +108,11 @@ def test_an_undetermined_plane_waits_for_its_stations():
     session = filled(recording.part(np.flatnonzero(recording.plane_of_station < 4)))
     before = session.beams()
     update = session.add(plane(recording, 4, slice(0, 2)))
-    assert update.planes == ()
+    assert update.targets == ()
     assert update.waiting == ("E",)
     assert np.array_equal(session.beams().covariance, before.covariance)
     update = session.add(plane(recording, 4, slice(2, None)))
-    assert update.planes == ("E",)
+    assert update.targets == ("E",)
     assert session.waiting == ()
     assert_batch(session)
 
@@ -123,7 +123,7 @@ def test_stations_of_a_known_plane_join_it():
     for index in range(4):
         session.add(plane(recording, index, slice(0, 7)))
     update = session.add(recording.part([7, 8, 9, 10, 18, 19]))
-    assert update.planes == ("A", "B")
+    assert update.targets == ("A", "B")
     assert session.recording().ranges.shape == (4 * 7 + 6, 4)
     assert_batch(session)
 
@@ -137,7 +137,7 @@ def test_a_new_beam_joins_once_it_is_determined():
     assert session.beams().names == ("1", "2", "3")
     update = session.add(plane(recording, 4))
     assert session.beams().names == ("1", "2", "3", "4")
-    assert update.planes == recording.plane_names
+    assert update.targets == recording.plane_names
     assert_batch(session)
 
 
@@ -372,7 +372,7 @@ def test_readings_beyond_the_limits_of_the_sensor_are_left_out():
     ranges[far, 0] = 3.0
     options = replace(NONE, sensor=hl.Sensor(range_max=1.0))
     session = filled(replace(recording, ranges=ranges), EXACT, options)
-    assert {(one.station, one.beam) for one in session.rejected} == {
+    assert {(one.station, one.sensor) for one in session.rejected} == {
         (recording.station_names[row], "1") for row in far
     }
     assert_batch(session)
@@ -452,8 +452,8 @@ def test_readings_that_meet_their_plane_too_flat_are_left_out():
     recording = recorded(10)
     options = replace(NONE, sensor=hl.Sensor(max_incidence=math.radians(30.0)))
     session, batch = filled(recording, EXACT, options), hl.calibrate(recording, EXACT, options)
-    flat = {(one.station, one.beam) for one in batch.fit.rejected}
-    own = {(one.station, one.beam) for one in session.rejected}
+    flat = {(one.station, one.sensor) for one in batch.fit.rejected}
+    own = {(one.station, one.sensor) for one in session.rejected}
     assert len(flat) > 20
     assert len(flat ^ own) <= 0.1 * len(flat)  # those nearly at the limit may differ
     assert session.recalibrate().largest < 0.01

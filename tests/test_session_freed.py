@@ -32,8 +32,8 @@ def assert_batch(session):
     inside = np.isin(recording.plane_labels, session.planes)
     batch = hl.calibrate(recording.part(inside), session.noise, session.options)
     assert found.status == batch.status == "converged"
-    assert {(one.station, one.beam) for one in session.rejected} == {
-        (one.station, one.beam) for one in batch.fit.rejected
+    assert {(one.station, one.sensor) for one in session.rejected} == {
+        (one.station, one.sensor) for one in batch.fit.rejected
     }
     for own, other in zip(found.beams.values(), batch.beams.values(), strict=True):
         seen = other.sigma > 0.0
@@ -52,7 +52,7 @@ def test_every_error_is_found_plane_by_plane_as_at_once(code):
     session, rest = begun(code, SIZES[code], code, range_error="none")
     for part in rest:
         update = session.add(part)
-        assert update.planes == part.plane_names
+        assert update.targets == part.plane_names
         assert update.information > 0.0
         assert_batch(session)
     assert update.moved is None
@@ -117,7 +117,7 @@ def test_a_plane_that_is_not_determined_or_does_not_fit_waits():
     one = np.arange(third.ranges.size).reshape(third.ranges.shape) == 0
     update = session.add(third.without(~one).part([0]))  # one reading determines no plane
     assert update.waiting == third.plane_names
-    assert update.planes == ()
+    assert update.targets == ()
     assert_batch(session)
     scene, rng = Scene(3), np.random.default_rng(0)
     ranges, names = rng.uniform(0.2, 0.6, (len(scene.R), 3)), [f"w{j}" for j in range(len(scene.R))]

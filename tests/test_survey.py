@@ -22,6 +22,7 @@ from handlaser_gtsam.model import known
 from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.ranges import PoseVariables, Ranges
 from handlaser_gtsam.model.relations import Relation
+from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
 from handlaser_gtsam.model.shots import condensed_shots
@@ -29,7 +30,7 @@ from handlaser_gtsam.model.targets.plane import Plane
 from handlaser_gtsam.model.targets.point import POINT
 from handlaser_gtsam.model.targets.sphere import SPHERE
 from handlaser_gtsam.results.description.survey import facts
-from handlaser_gtsam.results.survey import RejectedShot
+from handlaser_gtsam.results.survey import rejected_words
 
 EXACT = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 GENERATORS = {"rays": rigs_by_rays, "distance": rigs_by_distance}
@@ -139,8 +140,8 @@ def test_what_is_left_out_is_named_with_its_kind():
         f"beam {beam} at station {station} (contradicted)"
         in dict(facts(result, result.verdict))["left out"]
     )
-    lost = RejectedShot("s", "2", "plane:A", "too-few-points")
-    assert lost.words(result.beams) == "sensor s at station 2"
+    lost = Rejected("2", "s", "plane:A", "too-few-points")
+    assert rejected_words(lost, result.beams) == "sensor s at station 2"
 
 
 def test_a_cone_is_refused_with_what_is_undetermined():

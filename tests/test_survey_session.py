@@ -26,6 +26,12 @@ def targets_of(survey):
     return list(dict.fromkeys(labels.tolist())), labels
 
 
+def added(session, part):
+    """The calibration after a part is added."""
+    session.add(part)
+    return session.calibration
+
+
 def assert_alike(one, other):
     """The same mounts and standard deviations, to a hundredth of a standard deviation."""
     assert one.status == other.status
@@ -49,11 +55,14 @@ def test_every_step_is_the_calibration_of_all_stations_so_far(generator, kind, o
         update = session.add(survey.part(labels == name))
         assert update.targets == (name,)
         gains.append(update.information)
-        assert_alike(update.calibration, hl.calibrate(session.survey))
+        assert_alike(session.calibration, hl.calibrate(session.survey))
     assert len(session.survey.stations) == len(survey.stations)
     assert np.isnan(gains[0])
     assert min(gains[1:]) > 0.0
-    left = session.remove(names[-1]).calibration
+    update = session.remove(names[-1])
+    assert (update.targets, update.waiting) == ((), ())
+    assert update.information < 0.0
+    left = session.calibration
     assert_alike(left, hl.calibrate(survey.part(labels != names[-1])))
 
 
@@ -82,9 +91,17 @@ def test_a_target_that_tells_too_little_waits_for_more():
     few[0] = True
     session = hl.SurveySession()
     update = session.add(survey.part(few))
-    assert update.calibration is None or update.calibration.status != "converged"
+    assert session.calibration is None or session.calibration.status != "converged"
     assert update.message
-    assert session.add(survey.part(~few)).calibration.status == "converged"
+    assert (update.targets, update.waiting) == ((), (targets_of(survey)[0][0],))
+    assert update.sigma is None
+    update = session.add(survey.part(~few))
+    result = session.calibration
+    assert result.status == "converged"
+    assert (set(update.targets), update.waiting) == (set(targets_of(survey)[0]), ())
+    assert update.before is None
+    assert np.array_equal(update.sigma, [one.sigma for one in result.mounts])
+    assert update.rejected == result.rejected
 
 
 def test_what_contradicts_what_is_there_changes_nothing():
@@ -140,12 +157,11 @@ def test_relations_between_targets_count_as_soon_as_all_are_there():
     angle = float(np.arccos(normals[0] @ normals[1]))
     known = hl.Known("angle", tuple(names[:2]), angle, 0.0, 1e-4)
     session = hl.SurveySession(known=[known])
-    counted = [
-        len(session.add(survey.part(labels == name)).calibration.relations) for name in names
-    ]
+    counted = [len(added(session, survey.part(labels == name)).relations) for name in names]
     assert counted == [0] + [1] * (len(names) - 1)
-    assert session.remove(names[0]).calibration.relations == ()
-    assert len(session.add(survey.part(labels == names[0])).calibration.relations) == 1
+    session.remove(names[0])
+    assert session.calibration.relations == ()
+    assert len(added(session, survey.part(labels == names[0])).relations) == 1
     whole = hl.calibrate(hl.Survey(survey.stations, survey.shots, known=(known,)))
     assert_alike(session.calibration, whole)
 
@@ -192,7 +208,7 @@ def test_a_wrong_label_beside_a_ball_is_found_by_sessions_and_at_once(seed, zone
     session = hl.SurveySession()
     session.add(survey.part(~last))
     together = hl.calibrate(survey)
-    assert together.status == session.add(survey.part(last)).calibration.status == "converged"
+    assert together.status == added(session, survey.part(last)).status == "converged"
     assert at.station_names[out] in {one.station for one in together.rejected}
     assert_alike(session.calibration, together)
 
@@ -209,7 +225,7 @@ def test_a_start_beside_whose_search_fails_is_none(monkeypatch):
     monkeypatch.setattr(
         estimation, "start_of", lambda *given: sought.append(given) or start_of(*given)
     )
-    assert session.add(survey.part(labels == names[0])).calibration.status == "converged"
+    assert added(session, survey.part(labels == names[0])).status == "converged"
     assert len(sought) == 1
 
 

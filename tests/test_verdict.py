@@ -251,7 +251,7 @@ def test_a_systematic_error_of_unknown_effect_asks_for_care(calibration):
 
 def test_many_outliers_come_first(calibration):
     fit = calibration.fit
-    rejected = tuple(Rejected(str(i), "1", "contradicts the others", 1e-3) for i in range(25))
+    rejected = tuple(Rejected(str(i), "1", "A", "contradicts the others", 1e-3) for i in range(25))
     many = replace(calibration, fit=replace(fit, rejected=rejected))
     few = replace(calibration, fit=replace(fit, rejected=rejected[:15]))
     assert improvement(many, NONE, None, ()).code == "outliers"

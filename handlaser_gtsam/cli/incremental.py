@@ -108,18 +108,14 @@ def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, T
             rows.append(_row(name, None, None, 0, "no reading"))
             continue
         update = session.add(survey.part(part))
-        found = update.calibration
-        waits = found is None or found.status != "converged"
-        sigma = None if found is None or waits else _sigmas_of(found)
-        rejected = 0 if found is None else len(found.rejected)
-        rows.append(
-            _row(name, update.information, sigma, rejected, update.message if waits else "")
-        )
+        rejected = 0 if session.calibration is None else len(session.calibration.rejected)
+        rows.append(_row(name, update.information, update.sigma, rejected, update.message))
     tell("planes", len(names), len(names), "all at once")
     result, last = calibrate(survey, noise), session.calibration
     if last is None or not last.status == result.status == "converged":
         return result, _table(rows, "target"), Comparison(np.nan, np.nan)
-    rows.append(_row("result", None, _sigmas_of(result), len(result.rejected), ""))
+    sigmas = np.array([one.sigma for one in result.mounts])
+    rows.append(_row("result", None, sigmas, len(result.rejected), ""))
     off = []
     for name, sensor in result.sensors.items():
         mine = last.sensors[name]
@@ -130,15 +126,10 @@ def target_by_target(survey: Survey, noise: Noise) -> tuple[SurveyCalibration, T
         mine_beam = last.beams[name]
         off += [*(mine_beam.location - beam.location) / beam.location_sigma]
         off += [*(mine_beam.direction - beam.direction) / beam.direction_sigma]
-    order = {name: i for i, name in enumerate((*last.sensors, *last.beams))}
-    sigmas = _sigmas_of(last)[[order[name] for name in (*result.sensors, *result.beams)]]
-    apart = float(np.abs(sigmas / _sigmas_of(result) - 1.0).max())
-    return result, _table(rows, "target"), Comparison(float(np.abs(off).max()), apart)
-
-
-def _sigmas_of(found: SurveyCalibration) -> FloatArray:
-    """Return standard deviations of locations and directions as rows of six, one a mount."""
-    return np.array([one.sigma for one in found.mounts])
+    own = {one.subject: one.sigma for one in last.mounts}
+    ratios = np.array([own[one.subject] for one in result.mounts]) / sigmas
+    largest = float(np.abs(off).max()), float(np.abs(ratios - 1.0).max())
+    return result, _table(rows, "target"), Comparison(*largest)
 
 
 def _table(rows: Sequence[tuple[Cell, ...]], what: str = "plane") -> Table:

@@ -80,7 +80,10 @@ def _of_beams(calibration: Calibration, reading: float) -> Record:
             max_at=record(fit.max_residual_at, "station beam"),
             pose_covariance=calibration.pose_covariance,
             noise_estimate=records(calibration.noise_estimate, "name sigma error prior_carries"),
-            rejected=records(fit.rejected, "station beam reason residual_m"),
+            rejected=[
+                record(one, "station beam target reason residual_m", beam=one.sensor)
+                for one in fit.rejected
+            ],
         ),
         "observability": record(
             seen,

@@ -89,12 +89,24 @@ BY_LIMITS = (OUTSIDE, FLAT)
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """A rejected reading: names, the reason, and its residual [m] where there is one."""
+    """A rejected reading of a beam, or shot of a sensor of many rays.
+
+    Attributes
+    ----------
+    station, sensor, target : str
+        Names; `sensor` is the beam where a beam read it, and `target` the plane or other target.
+    reason : str
+        In words; of a survey `contradicted` by the others, `grazing` its sphere, `too-few-points`, or
+        `no-edge` of a groove of which no profile shows one.
+    residual : float or None
+        [m]; None of shots, and where there is none.
+    """
 
     station: str
-    beam: str
+    sensor: str
+    target: str
     reason: str
-    residual: float | None
+    residual: float | None = None
 
 
 def within(recording: Recording, sensor: Sensor) -> Recording:

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from .spot_error import VarianceShares as VarianceShares
     from .survey import BeamMount as BeamMount
     from .survey import Mount as Mount
-    from .survey import RejectedShot as RejectedShot
     from .survey import SensorError as SensorError
     from .survey import SensorMount as SensorMount
     from .survey import SurveyCalibration as SurveyCalibration

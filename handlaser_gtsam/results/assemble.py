@@ -226,7 +226,7 @@ def _way(
         column = {name: i for i, name in enumerate(recording.beam_names)}
         rejected = np.zeros(recording.ranges.shape, dtype=bool)
         for one in out:
-            rejected[row[one.station], column[one.beam]] = True
+            rejected[row[one.station], column[one.sensor]] = True
     from .file_mistakes import better_way  # few recordings are wrong
 
     terms = solution.terms

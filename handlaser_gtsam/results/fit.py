@@ -174,6 +174,7 @@ def _rejected(problem: Problem, selection: Selection, why: Reasons) -> tuple[Rej
         Rejected(
             recording.station_names[station[row]],
             recording.beam_names[beam[row]],
+            recording.plane_labels[station[row]],
             str(words[row]),
             None if selection.outside[row] else why.residual_of(int(row)),
         )

@@ -37,6 +37,7 @@ from ..model.families import (
     pose_of,
 )
 from ..model.geometry import skew
+from ..model.sensor import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
@@ -269,29 +270,6 @@ class SurveyTarget(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class RejectedShot(Value):
-    """A rejected shot, or reading of a beam.
-
-    Attributes
-    ----------
-    sensor, station, target : str
-    reason : str
-        `contradicted` by the others, `grazing` its sphere, `too-few-points`, or `no-edge` of a groove
-        of which no profile shows one.
-    """
-
-    sensor: str
-    station: str
-    target: str
-    reason: str
-
-    def words(self, beams: Container[str]) -> str:
-        """Return which it is, as "beam 1 at station 2", given the names of the beams."""
-        kind = BEAM.name if self.sensor in beams else SENSOR.name
-        return f"{kind} {self.sensor} at station {self.station}"
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class SurveyCalibration(Value):
     """Sensors, beams and targets of a survey, with their uncertainty.
 
@@ -315,7 +293,7 @@ class SurveyCalibration(Value):
     advice : tuple of str
         What determines it, by itself.
     relations : tuple of RelationTest
-    rejected : tuple of RejectedShot
+    rejected : tuple of Rejected
     warnings : tuple of CalibrationWarning
     chi2, dof : float, int
     without : SurveyCalibration, optional
@@ -333,7 +311,7 @@ class SurveyCalibration(Value):
     undetermined: tuple[str, ...]
     advice: tuple[str, ...]
     relations: tuple[RelationTest, ...]
-    rejected: tuple[RejectedShot, ...]
+    rejected: tuple[Rejected, ...]
     warnings: tuple[CalibrationWarning, ...]
     chi2: float
     dof: int
@@ -524,7 +502,7 @@ def _target(found: SurveyEstimate, family: str, member: int, label: str) -> Surv
     return SurveyTarget(label, family, values, {"tilt": tilt, "offset": float(sigma[2])})
 
 
-def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
+def _rejected(found: SurveyEstimate) -> Iterator[Rejected]:
     rows, stations = found.rows, found.rows.survey.stations
     sensors, edgeless = [shots.name for shots in rows.survey.shots], rows.edgeless
     for item, used in zip(rows.items, found.used, strict=True):
@@ -532,11 +510,11 @@ def _rejected(found: SurveyEstimate) -> Iterator[RejectedShot]:
             names = sensors if item.family == SENSOR.name else rows.survey.beam_names
             station, target = stations.station_names[item.station], rows.label(item.target)
             reason = "grazing" if item.grazing else "contradicted"
-            yield RejectedShot(names[item.member], station, target, reason)
+            yield Rejected(station, names[item.member], target, reason)
     for member, at in rows.lost:
         label = stations.plane_labels[at]
         reason = "no-edge" if label in edgeless else "too-few-points"
-        yield RejectedShot(sensors[member], stations.station_names[at], label, reason)
+        yield Rejected(stations.station_names[at], sensors[member], label, reason)
 
 
 def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
@@ -576,7 +554,7 @@ def _warnings(
     found: SurveyEstimate,
     sensors: Mapping[str, SensorMount],
     relations: tuple[RelationTest, ...],
-    rejected: tuple[RejectedShot, ...],
+    rejected: tuple[Rejected, ...],
 ) -> Iterator[CalibrationWarning]:
     yield from contradictions(relations)
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
@@ -605,11 +583,17 @@ def _warnings(
     beams = found.rows.survey.beam_names
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
-        names = some([one.words(beams) for one in out], NAMES_IN_LINE)
+        names = some([rejected_words(one, beams) for one in out], NAMES_IN_LINE)
         total = len(found.rows.items)
         yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
     yield from unread
     yield from found.rows.survey.warnings
+
+
+def rejected_words(one: Rejected, beams: Container[str]) -> str:
+    """Return which it is, as "beam 1 at station 2", given the names of the beams."""
+    kind = BEAM.name if one.sensor in beams else SENSOR.name
+    return f"{kind} {one.sensor} at station {one.station}"
 
 
 def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:

@@ -127,7 +127,7 @@ def implausible_mounts(
 
 def lost_of_beams(fit: Fit, names: Sequence[str]) -> list[tuple[int, int]]:
     """Return how many readings of every beam contradict the rest, and how many it has in all."""
-    out = Counter(one.beam for one in fit.rejected if one.reason not in BY_LIMITS)
+    out = Counter(one.sensor for one in fit.rejected if one.reason not in BY_LIMITS)
     kept = (~np.isnan(fit.residuals)).sum(axis=0).tolist()
     return [(out[name], out[name] + left) for name, left in zip(names, kept, strict=True)]
 

@@ -7,7 +7,6 @@ if TYPE_CHECKING:
     from .reports import Comparison as Comparison
     from .reports import Moved as Moved
     from .reports import Update as Update
-    from .survey import SurveyUpdate as SurveyUpdate
 else:
     from ..lazy import lazy_names
 

@@ -120,6 +120,6 @@ class BatchProblem:
     def rejected(self, reason: str | None = None) -> BoolArray:
         """Return which readings (N,) are rejected, for any reason or for one."""
         names, beams = self.recording.station_names, self.config.names
-        out = {(r.station, r.beam) for r in self.contents.rejected if reason in (None, r.reason)}
+        out = {(r.station, r.sensor) for r in self.contents.rejected if reason in (None, r.reason)}
         pairs = zip(self.readings.station.tolist(), self.readings.beam.tolist(), strict=True)
         return np.array([(names[j], beams[i]) in out for j, i in pairs], dtype=bool)

@@ -42,7 +42,7 @@ class PlaneContents:
         """Return all stations with the readings that are used."""
         if not self.rejected:
             return self.recording
-        recording, out = self.recording, {(one.station, one.beam) for one in self.rejected}
+        recording, out = self.recording, {(one.station, one.sensor) for one in self.rejected}
         names = recording.station_names, recording.beam_names
         return recording.without(
             [[(station, beam) in out for beam in names[1]] for station in names[0]]
@@ -265,6 +265,8 @@ def _named(recording: Recording, which: BoolArray, reason: str) -> tuple[Rejecte
     """Return the readings (M, B) of a recording that are rejected for a reason."""
     station, beam = np.nonzero(which & ~np.isnan(recording.ranges))
     return tuple(
-        Rejected(recording.station_names[j], recording.beam_names[i], reason, None)
+        Rejected(
+            recording.station_names[j], recording.beam_names[i], recording.plane_labels[j], reason
+        )
         for j, i in zip(station.tolist(), beam.tolist(), strict=True)
     )

@@ -86,35 +86,37 @@ class Moved(Value):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Update(Value):
-    """What adding a recording did.
+    """What a change of a session did: stations that came or left.
 
     Attributes
     ----------
-    planes : tuple of str
-        Planes that joined, or got further stations.
+    targets : tuple of str
+        Planes or other targets that joined, or got further stations.
     waiting : tuple of str
-        Planes whose readings do not determine them yet; everything, until the beams are determined.
+        Targets whose readings do not determine them yet; everything, until the mounts are determined.
     information : float
-        Gain of information on the beams [nats]: half the growth of the logarithm of the determinant of
-        their information; NaN for the first calibration, and where a comparison with the batch solution
+        Gain of information on the mounts [nats]: half the growth of the logarithm of the determinant of
+        their information, below zero where a target leaves. NaN for the first calibration, where
+        mounts came, left or are not determined, and where a comparison with the batch solution
         changed weights or terms.
-    sigma, before : (B, 8) or None
-        Standard deviations of the beams (x, y, z, vx, vy, vz, k1, k2) now, and before; None where there
-        is no calibration.
+    sigma, before : (n, 8) or (n, 6), or None
+        Standard deviations of the mounts now, and before: of beams before planes (x, y, z, vx, vy, vz,
+        k1, k2), of a survey those in `Mount.sigma`, sensors before beams. None where there is no
+        calibration.
     message : str
         Why there is no calibration yet, or that it was restarted; empty otherwise.
     rejected : tuple of Rejected
-        New readings that the others contradict; they are kept, and not used.
+        New readings or shots that do not count; they are kept, and not used.
     moved : Moved or None
-        The beam that the planes so far show to have moved, and since when.
+        The beam that the planes so far show to have moved, and since when; surveys are not searched.
     inconsistent : tuple of str
         Planes that do not fit, whichever beam has moved a little. They wait, and take no part, unless
         outliers are to be kept; `moved` names the beam without which they would fit, if there is one.
     comparison : Comparison or None
-        With the batch solution, where it was due.
+        With the batch solution, where it was due; never where every change is a batch calibration.
     """
 
-    planes: tuple[str, ...]
+    targets: tuple[str, ...]
     waiting: tuple[str, ...]
     information: float
     sigma: FloatArray | None

@@ -7,43 +7,20 @@ result equals a calibration of all stations at once, and takes less time, becaus
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.survey import Known, Survey, normal_label
-from ..data.value import Value
 from ..errors import InputError
 from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
 from ..pipeline import calibrate_survey
 from ..results.survey import SurveyCalibration
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SurveyUpdate(Value):
-    """What a change of a survey did.
-
-    Attributes
-    ----------
-    targets : tuple of str
-        Labels whose stations came, or left.
-    information : float
-        Gain of information on all mounts [nats]: half the growth of the logarithm of the determinant
-        of their information, below zero where a target leaves. NaN for the first calibration, where
-        another sensor came or left, and where mounts were or are not determined.
-    calibration : SurveyCalibration or None
-        Of all stations so far; None where nothing leads to a start yet.
-    message : str
-        Why there is none, or what the calibration says of itself.
-    """
-
-    targets: tuple[str, ...]
-    information: float
-    calibration: SurveyCalibration | None
-    message: str
+from .reports import Update
 
 
 class SurveySession:
@@ -98,7 +75,7 @@ class SurveySession:
         """The calibration of all stations so far; None where nothing leads to a start yet."""
         return self._calibration
 
-    def add(self, survey: Survey) -> SurveyUpdate:
+    def add(self, survey: Survey) -> Update:
         """Add the stations of a survey; its sensors and beams go by their names.
 
         Raises
@@ -115,7 +92,7 @@ class SurveySession:
         labels = dict.fromkeys(map(normal_label, survey.stations.plane_labels))
         return self._changed(whole, tuple(labels), (*self._known, *new))
 
-    def remove(self, label: str) -> SurveyUpdate:
+    def remove(self, label: str) -> Update:
         """Remove the stations of a target; what is known of it counts again when it comes back.
 
         Raises
@@ -130,11 +107,11 @@ class SurveySession:
             raise InputError(f"no station of {label!r}", f"one of {', '.join(sorted(set(labels)))}")
         if gone.all():
             raise InputError(f"{label!r}, before which all stations stand", "one target of several")
-        return self._changed(self.survey.part(~gone), (normal_label(label),), self._known)
+        return self._changed(self.survey.part(~gone), (), self._known)
 
     def _changed(
         self, survey: Survey, targets: tuple[str, ...], known: tuple[Known, ...]
-    ) -> SurveyUpdate:
+    ) -> Update:
         there = survey.variables()
         now = [one.among(there) for one in known]
         survey = replace(survey, known=tuple(one for one in now if one is not None))
@@ -146,7 +123,26 @@ class SurveySession:
         except InputError as error:
             message = str(error)
         self._survey, self._calibration, self._known = survey, calibration, known
-        return SurveyUpdate(targets, _gain(before, calibration), calibration, message)
+        sigma = _sigmas(calibration)
+        labels = dict.fromkeys(map(normal_label, survey.stations.plane_labels))
+        old = () if before is None else before.rejected
+        rejected = () if calibration is None else calibration.rejected
+        return Update(
+            () if sigma is None else targets,
+            tuple(labels) if sigma is None else (),
+            _gain(before, calibration),
+            sigma,
+            _sigmas(before),
+            message if sigma is None else "",
+            tuple(one for one in rejected if one not in old),
+        )
+
+
+def _sigmas(calibration: SurveyCalibration | None) -> FloatArray | None:
+    """Return the standard deviations of all mounts (n, 6); None unless it has converged."""
+    if calibration is None or calibration.status != "converged":
+        return None
+    return np.array([one.sigma for one in calibration.mounts])
 
 
 def _gain(before: SurveyCalibration | None, after: SurveyCalibration | None) -> float:

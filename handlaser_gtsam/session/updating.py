@@ -131,7 +131,7 @@ def recalibrate(now: AnyState) -> tuple[AnyState, Comparison]:
         return now, replace(now.compare(), changes=(Change("not-converged", words),))
     changes = config.changes(now.config)
     contents = now.contents.restarted(batch.fit.rejected)
-    out = [{(r.station, r.beam) for r in each.rejected} for each in (contents, now.contents)]
+    out = [{(r.station, r.sensor) for r in each.rejected} for each in (contents, now.contents)]
     if out[0] != out[1]:
         changes = (*changes, Change("outliers", "outliers chosen again"))
     if now.contents.excluded:

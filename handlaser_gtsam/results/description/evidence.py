@@ -209,7 +209,7 @@ def rejected_table(described: "Description") -> Table | None:
         rejected,
         lambda reading: (
             name_cell(reading.station),
-            name_cell(reading.beam),
+            name_cell(reading.sensor),
             text(reading.reason),
             significant(None if reading.residual is None else reading.residual * IN_MM),
         ),

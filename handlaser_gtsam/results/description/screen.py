@@ -69,7 +69,7 @@ def _above_warnings(described: Description, evidence: int, width: int) -> list[s
             evidence,
         )
     if calibration.fit.rejected:
-        names = [f"station {it.station} beam {it.beam}" for it in calibration.fit.rejected]
+        names = [f"station {it.station} beam {it.sensor}" for it in calibration.fit.rejected]
         listed = some(names, NAMES_IN_LINE - 1)  # a station and its beam take the room of two names
         add("rejected", f"{count(len(names), 'reading')}: {listed} (--verbose)")
     return lines
