@@ -245,7 +245,7 @@ def _lines(
     last = [line for words in after for line in wrapped(words, None, width)]
     around = len(first) + len(last)
     if not isinstance(result, Calibration):
-        lines = survey_lines(result, judged, width)
+        lines, taught = survey_lines(result, judged, width, taught), None
     elif verbose:
         lines = full_lines(Description(result, judged), width)
         next_best = [] if plan is None else advice_lines(plan)

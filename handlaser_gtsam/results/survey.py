@@ -14,6 +14,7 @@ from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.dense import dense_rows, unknowns_of
 from ..estimation.estimate import (
+    TestedEffect,
     covariance_along,
     information_axes,
     kept_blocks,
@@ -70,26 +71,17 @@ Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SensorError(Value):
+class SensorError(TestedEffect):
     """A range error of all rays of a sensor that the model leaves out.
 
     Attributes
     ----------
     code : "k0", "k1", "k2" or "scale"
-    size, sigma : float
-        Most probable size, with its standard deviation.
-    detectable : float
-        The smallest size that would be found with a probability of `POWER`.
-    found : bool
     spot_shift : float
         How far it moves a spot of this sensor if it is of size 1 [m].
     """
 
     code: str
-    size: float
-    sigma: float
-    detectable: float
-    found: bool
     spot_shift: float
 
 
@@ -546,7 +538,7 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
         turn = follows[own.place[SENSOR.name][member] + np.arange(6)]
         shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
         parts = tested.size, tested.sigma, tested.detectable, tested.found
-        effects.setdefault(member, []).append(SensorError(code, *parts, shift))
+        effects.setdefault(member, []).append(SensorError(*parts, code, shift))
     return {member: tuple(errors) for member, errors in effects.items()}
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ... import __version__
-from ...results.description.survey import beams_table, facts, sensors_table, targets_table
+from ...results.description.survey import facts, mounts_tables, targets_table
 from ...results.description.tables import listed, name_cell, sentence, text
 from ...results.survey import SurveyCalibration
 from ...results.verdict import Verdict
@@ -84,7 +84,7 @@ def survey_content(
             ),
         },
         "warnings": [one.message for one in result.warnings],
-        "mounts": [t for t in (sensors_table(result), beams_table(result)) if t],
+        "mounts": mounts_tables(result),
         "targets": targets_table(result),
         "rows": facts(result, verdict),
         "rejected": listed(

@@ -20,6 +20,7 @@ from .tables import (
     Cell,
     Table,
     concise,
+    coordinates,
     determined,
     digits_of,
     listed,
@@ -65,12 +66,14 @@ def beams_table(described: "Description") -> Table | None:
 def _beam_row(beam: Beam, radius: float | None) -> tuple[Cell, ...]:
     sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
     turn = math.inf if beam.direction_sigma is None else beam.direction_sigma
-    parts = []
-    for at, _, scale, most in (PARTS["location"], PARTS["direction"]):
-        x, s = ((values[list(at)] * scale).tolist() for values in (beam.coordinates, sigma))
-        digits = digits_of(s, most)
-        parts.append([determined(*one, digits, NONE) for one in zip(x, s, strict=True)])
-    location, direction = parts
+    location, direction = (
+        coordinates(
+            beam.coordinates[list(at)] * scale,
+            sigma[list(at)],
+            digits_of((sigma[list(at)] * scale).tolist(), most),
+        )
+        for at, _, scale, most in (PARTS["location"], PARTS["direction"])
+    )
     k, known = beam.range_error.tolist(), sigma[6:].tolist()
     errors = [
         _concise(k[term], known[term], most) if term < beam.terms else Cell("0", 0.0)
@@ -110,10 +113,10 @@ def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ..
     sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
     interval = calibration.intervals(beam.name)
     interval = np.full((8, 2), np.nan) if interval is None else interval
-    for part, (coordinates, unit_name, scale, most) in PARTS.items():
-        digits = digits_of((sigma[list(coordinates)] * scale).tolist(), most)
+    for part, (numbers, unit_name, scale, most) in PARTS.items():
+        digits = digits_of((sigma[list(numbers)] * scale).tolist(), most)
         unit = text(unit_name)
-        for i in coordinates[: max(6 + beam.terms - coordinates.start, 0)]:
+        for i in numbers[: max(6 + beam.terms - numbers.start, 0)]:
             name = text(BEAM.labels[i])
             if not math.isfinite(sigma[i]):
                 blank = (Cell(UNDETERMINED, None, "care"), *[Cell(NONE)] * 3)
@@ -164,10 +167,7 @@ def _plane_row(plane: Plane) -> tuple[Cell, ...]:
     turn, shift = plane.normal_sigma, float(sigma[3])
     turn = math.inf if turn is None else turn
     digits = digits_of([turn], 7)
-    n = [
-        determined(x, s, digits)
-        for x, s in zip(plane.normal.tolist(), sigma[:3].tolist(), strict=True)
-    ]
+    n = coordinates(plane.normal, sigma[:3], digits, UNDETERMINED)
     offset = determined(plane.offset * IN_MM, shift, digits_of([shift * IN_MM], 4))
     row = (*n, significant(turn * IN_DEG, 2), offset)
     return name_cell(plane.name), *row, significant(shift * IN_MM, 2)

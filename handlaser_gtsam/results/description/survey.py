@@ -19,11 +19,10 @@ from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget, re
 from ..verdict import Verdict
 from .rendering import full_table, text_lines
 from .tables import (
-    NONE,
     Cell,
     Facts,
     Table,
-    determined,
+    coordinates,
     listed,
     name_cell,
     significant,
@@ -40,40 +39,46 @@ UNITS = {
 """The same by range error."""
 
 
-def survey_lines(result: SurveyCalibration, verdict: Verdict, width: int) -> list[str]:
-    """Return what a person sees of a result: the verdict, tables, facts and warnings."""
+def survey_lines(
+    result: SurveyCalibration, verdict: Verdict, width: int, taught: Table | None = None
+) -> list[str]:
+    """Return what a person sees of a result: the verdict, tables, facts and warnings.
+
+    Among the tables is what each target `taught`, where they were added one by one.
+    """
     lines = text_lines([verdict.sentence], width)
-    for title, table in (
-        ("sensors", sensors_table(result)),
-        ("beams", beams_table(result)),
-        ("targets", targets_table(result)),
-    ):
-        lines += [] if table is None else full_table(title, table, width)
+    for table in (*mounts_tables(result), targets_table(result), taught):
+        lines += [] if table is None else full_table(table.name, table, width)
     rest = [f"{name}: {words}" for name, words in facts(result, verdict)]
     rest += [*result.undetermined[1:], *(f"WARNING: {one.message}" for one in result.warnings)]
     return lines + text_lines(rest, width)
 
 
-def sensors_table(result: SurveyCalibration) -> Table | None:
-    """Return where sensors of many rays sit: location, Euler angles, and sigmas of both."""
-    if not result.sensors:
-        return None
-    return listed("sensors", list(result.sensors.values()), _sensor_row, "sensor")
+def mounts_tables(result: SurveyCalibration) -> list[Table]:
+    """Return where sensors of many rays sit, and where single beams do; no table of none."""
+    sensors, beams = list(result.sensors.values()), list(result.beams.values())
+    tables = [listed("sensors", sensors, _mount_row, "sensor")] if sensors else []
+    return tables + ([listed("beams:survey", beams, _mount_row, "beam")] if beams else [])
 
 
-def _sensor_row(sensor: SensorMount) -> tuple[Cell, ...]:
-    turn = float(sensor.rotation_sigma.max())
-    turns = _digits(turn * IN_DEG)
-    angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
+def _mount_row(mount: SensorMount | BeamMount) -> tuple[Cell, ...]:
+    """Return location, Euler angles of a sensor or the direction of a beam, and sigmas of both."""
+    turn = mount.largest_sigmas[1]
+    if isinstance(mount, SensorMount):
+        turned = Rotation.from_matrix(mount.rotation).as_euler("ZYX", degrees=True)
+        digits, read = _digits(turn * IN_DEG), mount.shots
+        care = "care" if mount.rejected else ""
+        rejected = [Cell(str(mount.rejected), mount.rejected, care)]
+    else:
+        turned, digits, read, rejected = mount.direction, 5, mount.readings, []
     return (
-        name_cell(sensor.name),
-        *_located(sensor.location, sensor.location_sigma),
-        # Each of them moves with any turn.
-        *(determined(a, turn, turns, NONE) for a in angles),
+        name_cell(mount.name),
+        *_located(mount.location, mount.location_sigma),
+        *coordinates(turned, np.full(3, turn), digits),  # each of them moves with any turn
         significant(turn * IN_DEG, 2),
-        significant(sensor.spot_error * IN_MM, 2),
-        Cell(str(sensor.shots), sensor.shots),
-        Cell(str(sensor.rejected), sensor.rejected, "care" if sensor.rejected else ""),
+        significant(mount.spot_error * IN_MM, 2),
+        Cell(str(read), read),
+        *rejected,
     )
 
 
@@ -82,31 +87,13 @@ def _located(location: FloatArray, sigma: FloatArray) -> tuple[Cell, ...]:
     known = np.isfinite(sigma)
     largest = float(sigma[known].max()) if known.any() else math.nan
     digits = _digits(largest * IN_MM)
-    place = zip((location * IN_MM).tolist(), sigma.tolist(), strict=True)
-    return *(determined(x, s, digits, NONE) for x, s in place), significant(largest * IN_MM, 2)
+    place = coordinates(location * IN_MM, sigma, digits)
+    return *place, significant(largest * IN_MM, 2)
 
 
 def _digits(sigma: float) -> int:
     """Return the decimals of a number [mm] or [deg]: few where it is undetermined."""
     return decimals(sigma, 4) if math.isfinite(sigma) else 1
-
-
-def beams_table(result: SurveyCalibration) -> Table | None:
-    """Return where single beams sit."""
-    if not result.beams:
-        return None
-    return listed("beams:survey", list(result.beams.values()), _beam_row, "beam")
-
-
-def _beam_row(beam: BeamMount) -> tuple[Cell, ...]:
-    return (
-        name_cell(beam.name),
-        *_located(beam.location, beam.location_sigma),
-        *(determined(x, beam.direction_sigma, 5, NONE) for x in beam.direction.tolist()),
-        significant(beam.direction_sigma * IN_DEG, 2),
-        significant(beam.spot_error * IN_MM, 2),
-        Cell(str(beam.readings), beam.readings),
-    )
 
 
 def targets_table(result: SurveyCalibration) -> Table:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, TypeVar
 
+from ...arrays import FloatArray
 from ...text import count, shortened
 from ..lines import UNDETERMINED, decimals
 from ..messages import MESSAGES, TITLES, said
@@ -69,6 +70,14 @@ def _cell(
 def determined(value: float, sigma: float, digits: int, unknown: str = UNDETERMINED) -> Cell:
     """Return a cell with this number of decimals; `unknown` where its sigma is not finite."""
     return number(value, digits) if math.isfinite(sigma) else Cell(unknown, None, "care")
+
+
+def coordinates(
+    values: FloatArray, sigmas: FloatArray, digits: int, unknown: str = NONE
+) -> tuple[Cell, ...]:
+    """Return a cell for each of the values (n,), by their sigmas (n,), as `determined` has one."""
+    pairs = zip(values.tolist(), sigmas.tolist(), strict=True)
+    return tuple(determined(value, sigma, digits, unknown) for value, sigma in pairs)
 
 
 def table_of(name: str, rows: Iterable[tuple[Cell, ...]], note: str = "", **words: str) -> Table:
