@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from ..results.description.tables import Table
     from ..results.survey import SurveyCalibration
     from ..results.verdict import Verdict
+    from ..session.reports import Comparison
     from ..validation.cross_check import CrossCheck
 
 
@@ -138,8 +139,15 @@ def _answer(
     from ..quantities import SAME_OPTIMUM
     from ..results.calibration import Calibration
 
-    reading, plan, checked = metres(output.at_range_mm), None, list[str]()
-    result, recording, taught, above, disagreement = _solved(read, rig, manner)
+    reading, plan = metres(output.at_range_mm), None
+    above, checked, disagreement = list[str](), list[str](), ""
+    result, recording, taught, comparison = _solved(read, rig, manner)
+    if comparison is not None:
+        from .incremental import comparison_line, disagreement_of
+
+        what = "target" if isinstance(read, Survey) else "plane"
+        above.append(comparison_line(comparison, what))
+        disagreement = disagreement_of(comparison, what)
     judged = result.judged(rig.limits, reading)
     text = calibration_text(result, judged)
     if output.out is not None:
@@ -180,7 +188,7 @@ def _answer(
 
 def _solved(
     read: "LogReport | Survey", rig: "Rig", manner: Manner
-) -> "tuple[Calibration | SurveyCalibration, Recording | None, Table | None, list[str], str]":
+) -> "tuple[Calibration | SurveyCalibration, Recording | None, Table | None, Comparison | None]":
     """Calibrate all at once, or one by one.
 
     Returns
@@ -190,35 +198,25 @@ def _solved(
         Stations in the order of the result; None of a survey.
     taught : Table or None
         What each plane or target taught, one by one.
-    compared : lines
+    comparison : Comparison or None
         How far one by one is from all at once.
-    disagreement : str
-        That they are not the same optimum; empty where they are.
     """
     from ..data.survey import Survey
     from ..pipeline import calibrate as run
 
-    if not manner.incremental:
-        if isinstance(read, Survey):
-            return run(read, rig.noise), None, None, [], ""
-        return run(read.recording, rig.noise, manner.options(rig)), read.recording, None, [], ""
-    from .incremental import comparison_line, disagreement_of, plane_by_plane, target_by_target
-
     if isinstance(read, Survey):
-        found, taught, apart = target_by_target(read, rig.noise)
-        return (
-            found,
-            None,
-            taught,
-            [comparison_line(apart, "target")],
-            disagreement_of(apart, "target"),
-        )
-    result, recording, taught, comparison = plane_by_plane(
-        read.recording, rig.noise, manner.options(rig)
-    )
-    if comparison is None:
-        return result, recording, taught, [], ""
-    return result, recording, taught, [comparison_line(comparison)], disagreement_of(comparison)
+        if not manner.incremental:
+            return run(read, rig.noise), None, None, None
+        from .incremental import target_by_target
+
+        result, taught, comparison = target_by_target(read, rig.noise)
+        return result, None, taught, comparison
+    options = manner.options(rig)
+    if not manner.incremental:
+        return run(read.recording, rig.noise, options), read.recording, None, None
+    from .incremental import plane_by_plane
+
+    return plane_by_plane(read.recording, rig.noise, options)
 
 
 def _lines(
@@ -237,7 +235,6 @@ def _lines(
     from ..results.description.description import Description
     from ..results.description.rendering import full_table
     from ..results.description.screen import LINES, full_lines, screen_lines
-    from ..results.description.survey import survey_lines
     from ..results.lines import as_many, wrapped
 
     width, next_best = text_width(), list[str]()
@@ -245,6 +242,8 @@ def _lines(
     last = [line for words in after for line in wrapped(words, None, width)]
     around = len(first) + len(last)
     if not isinstance(result, Calibration):
+        from ..results.description.survey import survey_lines
+
         lines, taught = survey_lines(result, judged, width, taught), None
     elif verbose:
         lines = full_lines(Description(result, judged), width)

@@ -160,7 +160,7 @@ def _row(
     return text(name), *sizes, text(str(rejected or "")), text(remark)
 
 
-def comparison_line(comparison: Comparison, what: str = "plane") -> str:
+def comparison_line(comparison: Comparison, what: str) -> str:
     """Say how far plane by plane, or target by target, and all at once are apart."""
     if np.isnan(comparison.largest):
         return f"{what} by {what} and all at once cannot be compared: one has not converged"
@@ -170,7 +170,7 @@ def comparison_line(comparison: Comparison, what: str = "plane") -> str:
     )
 
 
-def disagreement_of(comparison: Comparison, what: str = "plane") -> str:
+def disagreement_of(comparison: Comparison, what: str) -> str:
     """Say that one by one and all at once are not the same optimum; nothing where they are."""
     if not comparison.largest > SAME_OPTIMUM:
         return ""
