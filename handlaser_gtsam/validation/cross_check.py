@@ -273,6 +273,7 @@ def _problem(found: SurveyEstimate) -> Problem:
         float(found.noise.sigma[-1]),
         known,
         beside=0.005,
+        stops=rows.stops,
     )
 
 
