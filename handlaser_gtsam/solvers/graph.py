@@ -54,7 +54,7 @@ class PosePriors:
             recorded = gtsam.Pose3(gtsam.Rot3(self.world_R_hand[j]), self.world_t_hand[j])
             model = gtsam.noiseModel.Gaussian.Covariance(self.covariance[j])
             graph.push_back(gtsam.PriorFactorPose3(key, recorded, model))
-            values.insert(key, recorded if self.start is None else self.start.atPose3(key))
+            values.insert(key, pose3=recorded if self.start is None else self.start.atPose3(key))
 
 
 def pose_priors(
@@ -227,16 +227,20 @@ def _noise_model(range_sigma: float, loss: Loss, rows: int) -> gtsam.noiseModel.
 def start_values(
     start: Parameters, beams: tuple[BeamKeys, ...], planes: tuple[int, ...], terms: Terms
 ) -> gtsam.Values:
-    """Return `start` as GTSAM values under the given keys."""
+    """Return `start` as GTSAM values under the given keys.
+
+    The name of the kind of value spares GTSAM the trial of one kind after the other.
+    """
     counts = per_beam(terms, len(beams))
     values = gtsam.Values()
     for i, beam in enumerate(beams):
         values.insert(beam.location, start.locations[i])
-        values.insert(beam.direction, gtsam.Unit3(start.directions[i]))
+        values.insert(beam.direction, unit3=gtsam.Unit3(start.directions[i]))
         if beam.range_error is not None:
             values.insert(beam.range_error, start.range_errors[i, : counts[i]])
     for p, key in enumerate(planes):
-        values.insert(key, gtsam.OrientedPlane3(gtsam.Unit3(start.normals[p]), start.offsets[p]))
+        plane = gtsam.OrientedPlane3(gtsam.Unit3(start.normals[p]), start.offsets[p])
+        values.insert(key, plane=plane)
     return values
 
 
