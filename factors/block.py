@@ -51,6 +51,9 @@ class RangeBlock:
         Where readings differ in weight or are correlated. Needed for several beams.
     regressors : Regressors, optional
         What residuals take of the readings, where that is not the readings themselves.
+    rows : (N,), optional
+        Which rows of the whitening and the regressors are of this block; all where not given. They are
+        picked once the block needs them for itself.
 
     Attributes
     ----------
@@ -63,16 +66,17 @@ class RangeBlock:
     """
 
     __slots__ = (
+        "_regressors",
+        "_rows",
+        "_whitening",
         "alone",
         "beam_of",
         "beams",
         "distance",
         "gathering",
-        "measured",
         "plane",
         "pose",
         "prepared",
-        "whitening",
         "world_R_hand",
         "world_t_hand",
     )
@@ -88,15 +92,36 @@ class RangeBlock:
         beam_of: IntArray | None = None,
         whitening: Whitening | None = None,
         regressors: Regressors | None = None,
+        rows: IntArray | None = None,
     ) -> None:
         self.beams = (beams,) if isinstance(beams, BeamKeys) else tuple(beams)
-        self.plane, self.pose, self.whitening = plane, pose, whitening
+        self.plane, self.pose = plane, pose
         self.distance, self.world_R_hand, self.world_t_hand = distance, world_R_hand, world_t_hand
-        self.measured = distance if regressors is None else regressors
+        self._whitening, self._regressors, self._rows = whitening, regressors, rows
         self.beam_of = np.zeros(len(distance), np.intp) if beam_of is None else beam_of
         self.prepared: Share | None = None
         self.gathering: Gathering | None = None
         self.alone: SharedEvaluation | None = None
+
+    @property
+    def whitening(self) -> Whitening | None:
+        """How its readings are whitened; None where they all weigh the same."""
+        self._pick()
+        return self._whitening
+
+    @property
+    def measured(self) -> FloatArray | Regressors:
+        """What residuals take of its readings."""
+        self._pick()
+        return self.distance if self._regressors is None else self._regressors
+
+    def _pick(self) -> None:
+        """Keep its own rows of the whitening and the regressors."""
+        rows, self._rows = self._rows, None
+        if rows is not None and self._whitening is not None:
+            self._whitening = self._whitening.of_rows(rows)
+        if rows is not None and self._regressors is not None:
+            self._regressors = self._regressors[rows]
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""

@@ -136,16 +136,23 @@ class SharedEvaluation:
         The error functions of the graph's range factors; their keys may be shared in any way.
     whitening : Whitening, optional
         Of all their rows together, where the blocks have one.
+    measured : (N,) or Regressors, optional
+        What residuals take of all their readings; asked of the blocks where not given.
     """
 
-    def __init__(self, blocks: Sequence["RangeBlock"], whitening: Whitening | None = None) -> None:
+    def __init__(
+        self,
+        blocks: Sequence["RangeBlock"],
+        whitening: Whitening | None = None,
+        measured: FloatArray | Regressors | None = None,
+    ) -> None:
         self.blocks, self.whitening = tuple(blocks), whitening
         sizes = np.array([len(block.distance) for block in blocks])
         ends = np.cumsum(sizes)
         self.first = ends - sizes
         self.distance = np.concatenate([block.distance for block in blocks])
-        self.measured: FloatArray | Regressors = self.distance
-        if any(isinstance(block.measured, Regressors) for block in blocks):
+        self.measured: FloatArray | Regressors = self.distance if measured is None else measured
+        if measured is None and any(isinstance(block.measured, Regressors) for block in blocks):
             self.measured = Regressors.joined([block.measured for block in blocks])
         self._R = np.asfortranarray(np.concatenate([block.world_R_hand for block in blocks]))
         self._t = np.asfortranarray(np.concatenate([block.world_t_hand for block in blocks]))
@@ -164,7 +171,7 @@ class SharedEvaluation:
         self.poses, pose_of = _unique([none if b.pose is None else b.pose for b in blocks])
         self.plane_of, self.pose_of = np.repeat(plane_of, sizes), np.repeat(pose_of, sizes)
         self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
-        self._terms: dict[int, int] = {none: 0}
+        self._terms: dict[int, int] = {}
         self._shares: list[Share] = []
         self._alike: list[Alike] = []
 
@@ -284,10 +291,12 @@ class SharedEvaluation:
         return total
 
     def _range_errors(self, values: gtsam.Values) -> FloatArray:
-        k = np.zeros((len(self.range_errors), 2))
+        k, terms = np.zeros((len(self.range_errors), 2)), {-1: 0}
         for i, key in enumerate(self.range_errors):
             if key >= 0:
-                self._terms[key], k[i] = range_error(values, key)
+                terms[key], k[i] = range_error(values, key)
+        if terms != self._terms:  # what blocks hand out has another shape
+            self._terms, self._shares, self._alike = terms, [], []
         return k
 
     def _hand_poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from ..arrays import FloatArray, IntArray
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
-from ..factors import RangeBlock, range_error_prior, range_factor, require_rows
+from ..factors import RangeBlock, SharedEvaluation, range_error_prior, range_factor, require_rows
 from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.families import POSE
 from ..model.losses import GAUSSIAN, Loss
@@ -101,8 +101,8 @@ class CalibrationGraph:
         Of every whitened residual.
     rows : (N,)
         Row of the readings for each row of the blocks.
-    whitening : Whitening or None
-        In the order of the blocks' rows.
+    shared : SharedEvaluation
+        Of the blocks, with the whitening of their rows.
     readings : Readings
     """
 
@@ -117,7 +117,7 @@ class CalibrationGraph:
     terms: tuple[int, ...]
     loss: Loss
     rows: IntArray
-    whitening: Whitening | None
+    shared: SharedEvaluation
     readings: Readings
     prior_rows: int = 0
     """Rows of the priors."""
@@ -173,6 +173,7 @@ def build_graph(
         priors.join(graph, values, poses)
         prior_rows += 6 * len(poses)
     whitening = None if whitening is None else whitening.of_rows(rows)
+    shared = SharedEvaluation(blocks, whitening, readings.measured[rows])
     of_beams = [key for beam in beams for key in beam.variables]
     # Uncoupled beams are independent given the planes: they go first where there are far more.
     order = [*poses, *planes, *of_beams]
@@ -190,7 +191,7 @@ def build_graph(
         counts,
         loss,
         rows,
-        whitening,
+        shared,
         readings,
         prior_rows=prior_rows,
     )
@@ -296,7 +297,7 @@ def grouped_blocks(
     blocks, ends = [], [*starts[1:].tolist(), len(rows)]
     plane, station = (one[rows[starts]].tolist() for one in (readings.plane, readings.station))
     for g, (begin, end) in enumerate(zip(starts.tolist(), ends, strict=True)):
-        own, some = slice(begin, end), rows[begin:end]
+        own = slice(begin, end)
         blocks.append(
             RangeBlock(
                 seen[first[g] : first[g + 1]],
@@ -306,8 +307,9 @@ def grouped_blocks(
                 t[own],
                 None if priors is None else pose_key(station[g]),
                 beam_of[own],
-                None if whitening is None else whitening.of_rows(some),
-                None if readings.regressors is None else readings.regressors[some],
+                whitening,
+                readings.regressors,
+                rows[own],
             )
         )
     return tuple(blocks)

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
 from ..errors import GrazingBeamError, InputError
-from ..factors import SharedEvaluation
 from ..model.search import LevenbergOptions, StoppingRule
 from ..progress import Trial
 from ..quantities import LARGEST_NUMBER, ROUNDING, SINGULAR
@@ -84,7 +83,7 @@ def of_calibration(problem: CalibrationGraph) -> Objective:
     others = gtsam.NonlinearFactorGraph()
     for index in range(len(problem.blocks), problem.graph.size()):
         others.push_back(problem.graph.at(index))
-    shared, sigma = SharedEvaluation(problem.blocks, problem.whitening), problem.range_sigma
+    shared, sigma = problem.shared, problem.range_sigma
 
     def evaluate(values: gtsam.Values) -> Point:
         point = shared.evaluate(values)
@@ -287,7 +286,7 @@ def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
 
 def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
     """Return the linear graph at `values`, all readings evaluated together."""
-    shared = SharedEvaluation(problem.blocks, problem.whitening)
+    shared = problem.shared
     with shared.handed_out(shared.evaluate(values)):
         return problem.graph.linearize(values)
 
