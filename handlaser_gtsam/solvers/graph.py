@@ -259,15 +259,15 @@ def parameters_of(
         if beam.range_error is not None:
             range_error = values.atVector(beam.range_error)
             k[i, : range_error.size] = range_error
-    variables = [values.atOrientedPlane3(key) for key in planes]
     directions = [values.atUnit3(beam.direction).point3() for beam in beams]
-    normals = [plane.normal().point3() for plane in variables]
+    found = [values.atOrientedPlane3(key).planeCoefficients() for key in planes]
+    n, b = np.hsplit(np.array(found).reshape(-1, 4), [3])
     return Parameters.unchecked(
         np.array([values.atPoint3(beam.location) for beam in beams]),
         np.array(directions).reshape(-1, 3),
         k,
-        np.array(normals).reshape(-1, 3),
-        np.array([plane.distance() for plane in variables]),
+        np.ascontiguousarray(n),
+        b.ravel(),
     )
 
 
