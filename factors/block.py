@@ -128,6 +128,10 @@ class RangeBlock:
         of_beams = [key for beam in self.beams for key in beam.variables]
         return [*of_beams, self.plane, *([] if self.pose is None else [self.pose])]
 
+    def factor(self, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
+        """Return the factor of the block; `range_factor` checks keys and noise before."""
+        return gtsam.CustomFactor(noise, self.keys(), self)
+
     def __call__(
         self,
         _factor: gtsam.CustomFactor,
@@ -233,7 +237,7 @@ def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:
     if len(set(keys)) < len(keys):
         names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in keys)
         raise InputError(f"variables {names}", "a key of its own for each variable of a factor")
-    return gtsam.CustomFactor(_noise_model(noise, len(block.distance)), keys, block)
+    return block.factor(_noise_model(noise, len(block.distance)))
 
 
 def _noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:

@@ -87,7 +87,7 @@ class Evaluation:
         return how.apply_rows(rows)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen: that would take three times as long, and there are thousands
 class Share:
     """What one factor hands out of a shared evaluation.
 

@@ -10,11 +10,11 @@ from functools import cache, partial
 import gtsam
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, renumbered
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
-from ..factors import RangeBlock, SharedEvaluation, range_error_prior, range_factor, require_rows
+from ..factors import RangeBlock, SharedEvaluation, range_error_prior, require_rows
 from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.families import POSE
 from ..model.losses import GAUSSIAN, Loss
@@ -162,7 +162,7 @@ def build_graph(
     blocks = grouped_blocks(readings, whitening, rows, group, (beams, planes, priors))
     graph, noise_model = gtsam.NonlinearFactorGraph(), cache(partial(_noise_model, sigma, loss))
     for block in blocks:
-        graph.add(range_factor(block, noise_model(len(block.distance))))
+        graph.add(block.factor(noise_model(len(block.distance))))
     for factor in range_error_priors(beams, counts, range_errors):
         graph.add(factor)
     prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
@@ -286,9 +286,11 @@ def grouped_blocks(
     starts = np.flatnonzero(np.diff(group[rows], prepend=-1))
     run = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(rows)))
     # The beams of each run, in their order, and which of them each row is of.
-    pairs, pair = np.unique(run * len(beams) + readings.beam[rows], return_inverse=True)
+    pair = run * len(beams) + readings.beam[rows]
+    pairs = np.flatnonzero(np.bincount(pair))
     first = np.searchsorted(pairs, len(beams) * np.arange(len(starts) + 1))
-    beam_of, seen = pair - first[run], [beams[i] for i in (pairs % len(beams)).tolist()]
+    beam_of = renumbered(pair) - first[run]
+    seen, first = [beams[i] for i in (pairs % len(beams)).tolist()], first.tolist()
     d, R, t = (
         one[rows] for one in (readings.distance, readings.world_R_hand, readings.world_t_hand)
     )
