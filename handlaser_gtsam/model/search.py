@@ -400,8 +400,9 @@ class _Search:
             normal = problem.reduction.normal(white)
             cost = 0.5 * normal.squares / variance
             for r, block in zip(rows, problem.blocks, strict=True):
-                cost[impossible(r, block)] = np.inf
-            cost = np.where(np.isfinite(cost), cost, np.inf)
+                if r.impossible is not None:
+                    cost[impossible(r, block)] = np.inf
+            cost[np.isnan(cost)] = np.inf
             none = np.empty((len(cost), 0))
             return _Point(dict(values), cost, normal, [], none, problem.unit)
         residual = robust.residual(white[0], rows[0].impossible)
@@ -438,7 +439,9 @@ class _Search:
         stopping = self.stopping
         arrived = stopping.little_left(decrement, self.damping, self.at.cost)
         # A step too short to show in the cost is the last, and is not evaluated again.
-        last = arrived & (decrement >= 0.0) & (decrement <= stopping.resolution(self.at.cost))
+        last = arrived & (decrement >= 0.0)
+        if last.any():
+            last &= decrement <= stopping.resolution(self.at.cost)
         if last.any():
             self.at.values = _chosen(last, values, self.at.values)
             self.at.cost = np.where(
@@ -497,11 +500,12 @@ class _Search:
         found.cost[of], found.scale[of] = at.cost[gone], at.scale[gone]
         found.converged[of] = ~failed[gone] & np.isfinite(at.cost[gone])
         found.iterations[of] = self.iterations[gone]
+        self.index = self.index[rest]
         if rest.size:
             self.at, self.problem = at.picked(rest), self.problem.picked(rest)
-        self.stopping = self.stopping.picked(rest)
-        for name in ("index", "iterations", "tightening", "damping"):
-            setattr(self, name, getattr(self, name)[rest])
+            self.stopping = self.stopping.picked(rest)
+            for name in ("iterations", "tightening", "damping"):
+                setattr(self, name, getattr(self, name)[rest])
         return rest
 
 
