@@ -49,11 +49,11 @@ class RangeBlock:
         Which of the `beams` each reading is of; the first where not given.
     whitening : Whitening, optional
         Where readings differ in weight or are correlated. Needed for several beams.
-    regressors : Regressors, optional
+    measured : (N,) or Regressors, optional
         What residuals take of the readings, where that is not the readings themselves.
     rows : (N,), optional
-        Which rows of the whitening and the regressors are of this block; all where not given. They are
-        picked once the block needs them for itself.
+        Which rows of the whitening and of what is measured are of this block; all where not given. They
+        are picked once the block needs them for itself.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class RangeBlock:
     """
 
     __slots__ = (
-        "_regressors",
+        "_measured",
         "_rows",
         "_whitening",
         "alone",
@@ -91,13 +91,14 @@ class RangeBlock:
         pose: int | None = None,
         beam_of: IntArray | None = None,
         whitening: Whitening | None = None,
-        regressors: Regressors | None = None,
+        measured: FloatArray | Regressors | None = None,
         rows: IntArray | None = None,
     ) -> None:
         self.beams = (beams,) if isinstance(beams, BeamKeys) else tuple(beams)
         self.plane, self.pose = plane, pose
         self.distance, self.world_R_hand, self.world_t_hand = distance, world_R_hand, world_t_hand
-        self._whitening, self._regressors, self._rows = whitening, regressors, rows
+        self._measured = distance if measured is None else measured
+        self._whitening, self._rows = whitening, rows
         self.beam_of = np.zeros(len(distance), np.intp) if beam_of is None else beam_of
         self.prepared: Share | None = None
         self.gathering: Gathering | None = None
@@ -113,15 +114,14 @@ class RangeBlock:
     def measured(self) -> FloatArray | Regressors:
         """What residuals take of its readings."""
         self._pick()
-        return self.distance if self._regressors is None else self._regressors
+        return self._measured
 
     def _pick(self) -> None:
-        """Keep its own rows of the whitening and the regressors."""
+        """Keep its own rows of the whitening and of what is measured."""
         rows, self._rows = self._rows, None
-        if rows is not None and self._whitening is not None:
-            self._whitening = self._whitening.of_rows(rows)
-        if rows is not None and self._regressors is not None:
-            self._regressors = self._regressors[rows]
+        if rows is not None:
+            self._measured = self._measured[rows]
+            self._whitening = self._whitening and self._whitening.of_rows(rows)
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""

@@ -400,8 +400,7 @@ class _Search:
             normal = problem.reduction.normal(white)
             cost = 0.5 * normal.squares / variance
             for r, block in zip(rows, problem.blocks, strict=True):
-                if r.impossible is not None:
-                    cost[impossible(r, block)] = np.inf
+                cost[impossible(r, block)] = np.inf
             cost[np.isnan(cost)] = np.inf
             none = np.empty((len(cost), 0))
             return _Point(dict(values), cost, normal, [], none, problem.unit)
@@ -439,9 +438,7 @@ class _Search:
         stopping = self.stopping
         arrived = stopping.little_left(decrement, self.damping, self.at.cost)
         # A step too short to show in the cost is the last, and is not evaluated again.
-        last = arrived & (decrement >= 0.0)
-        if last.any():
-            last &= decrement <= stopping.resolution(self.at.cost)
+        last = arrived & (decrement >= 0.0) & (decrement <= stopping.resolution(self.at.cost))
         if last.any():
             self.at.values = _chosen(last, values, self.at.values)
             self.at.cost = np.where(

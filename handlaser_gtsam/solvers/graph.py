@@ -239,9 +239,8 @@ def start_values(
         values.insert(beam.direction, unit3=gtsam.Unit3(start.directions[i]))
         if beam.range_error is not None:
             values.insert(beam.range_error, start.range_errors[i, : counts[i]])
-    for p, key in enumerate(planes):
-        plane = gtsam.OrientedPlane3(gtsam.Unit3(start.normals[p]), start.offsets[p])
-        values.insert(key, plane=plane)
+    for key, normal, offset in zip(planes, start.normals, start.offsets, strict=True):
+        values.insert(key, plane=gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
     return values
 
 
@@ -310,7 +309,7 @@ def grouped_blocks(
                 None if priors is None else pose_key(station[g]),
                 beam_of[own],
                 whitening,
-                readings.regressors,
+                readings.measured,
                 rows[own],
             )
         )

@@ -276,18 +276,9 @@ def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
     require_values(values)
 
 
-def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
-    """Return the start of `problem`, which somebody else has solved, as a result."""
-    point = of_calibration(problem).evaluate(problem.values)
-    return LevenbergResult(
-        point.values, "converged", message, point.cost, 0, (), *point.residuals()
-    )
-
-
 def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
     """Return the linear graph at `values`, all readings evaluated together."""
-    shared = problem.shared
-    with shared.handed_out(shared.evaluate(values)):
+    with problem.shared.handed_out(problem.shared.evaluate(values)):
         return problem.graph.linearize(values)
 
 
