@@ -160,18 +160,17 @@ class SharedEvaluation:
         counts = np.array([len(block.beams) for block in blocks])
         self.slot = np.concatenate([block.beam_of for block in blocks])
         beam_of = np.repeat(np.cumsum(counts) - counts, sizes) + self.slot
-        none = -1
-        errors = [none if beam.range_error is None else beam.range_error for beam in beams]
         self.locations, location = _unique([beam.location for beam in beams])
         self.directions, direction = _unique([beam.direction for beam in beams])
-        self.range_errors, error = _unique(errors)
+        self.range_errors, error = _unique([beam.range_error for beam in beams])
         self.location_of, self.direction_of = location[beam_of], direction[beam_of]
         self.range_error_of = error[beam_of]
         self.planes, plane_of = _unique([block.plane for block in blocks])
-        self.poses, pose_of = _unique([none if b.pose is None else b.pose for b in blocks])
+        self.poses, pose_of = _unique([block.pose for block in blocks])
         self.plane_of, self.pose_of = np.repeat(plane_of, sizes), np.repeat(pose_of, sizes)
-        self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
-        self._terms: dict[int, int] = {}
+        known = np.array([key is None for key in self.poses])
+        self._posed = np.flatnonzero(~known[self.pose_of])
+        self._terms: dict[int | None, int] = {}
         self._shares: list[Share] = []
         self._alike: list[Alike] = []
 
@@ -269,8 +268,7 @@ class SharedEvaluation:
 
     def _terms_of(self, block: "RangeBlock") -> tuple[int, ...]:
         """Return the number of range-error terms of each beam of a block."""
-        keys = [-1 if beam.range_error is None else beam.range_error for beam in block.beams]
-        return tuple([self._terms[key] for key in keys])
+        return tuple([self._terms[beam.range_error] for beam in block.beams])
 
     def squared_columns(self, evaluation: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""
@@ -286,15 +284,16 @@ class SharedEvaluation:
             sums = np.zeros((len(keys), block.shape[1]))
             np.add.at(sums, index, block**2)
             total |= {
-                key: sums[i, : self._terms.get(key)] for i, key in enumerate(keys) if key >= 0
+                key: sums[i, : self._terms.get(key)]
+                for i, key in enumerate(keys)
+                if key is not None
             }
         return total
 
     def _range_errors(self, values: gtsam.Values) -> FloatArray:
-        k, terms = np.zeros((len(self.range_errors), 2)), {-1: 0}
+        k, terms = np.zeros((len(self.range_errors), 2)), {}
         for i, key in enumerate(self.range_errors):
-            if key >= 0:
-                terms[key], k[i] = range_error(values, key)
+            terms[key], k[i] = range_error(values, key)
         if terms != self._terms:  # what blocks hand out has another shape
             self._terms, self._shares, self._alike = terms, [], []
         return k
@@ -303,7 +302,7 @@ class SharedEvaluation:
         if not self._posed.size:
             return self._R, self._t
         R, t, known = self._R.copy(), self._t.copy(), gtsam.Pose3()
-        poses = [values.atPose3(key) if key >= 0 else known for key in self.poses]
+        poses = [known if key is None else values.atPose3(key) for key in self.poses]
         index = self.pose_of[self._posed]
         R[self._posed] = np.array([pose.rotation().matrix() for pose in poses])[index]
         t[self._posed] = np.array([pose.translation() for pose in poses])[index]
