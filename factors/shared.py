@@ -171,7 +171,7 @@ class SharedEvaluation:
         known = np.array([key is None for key in self.poses])
         self._posed = np.flatnonzero(~known[self.pose_of])
         self._terms: dict[int | None, int] = {}
-        self._shares: list[Share] = []
+        self._shares: dict[int, Share] = {}
         self._alike: list[Alike] = []
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
@@ -234,8 +234,8 @@ class SharedEvaluation:
             # Modes other than "raise" write to the output at once.
             np.take(evaluation.white, alike.index, out=alike.white, mode="clip")
             np.take(rows.T, alike.index, axis=1, out=alike.rows, mode="clip")
-        for block, share in zip(self.blocks, self._shares, strict=True):
-            block.prepared = share
+        for i, share in self._shares.items():
+            self.blocks[i].prepared = share
 
     def _prepare(self, width: int) -> None:
         """Make what the blocks hand out, of rows with `width` derivatives.
@@ -247,7 +247,6 @@ class SharedEvaluation:
         for i, block in enumerate(self.blocks):
             shape = len(block.distance), self._terms_of(block), block.pose is not None
             members.setdefault(shape, []).append(i)
-        shares: dict[int, Share] = {}
         for (size, _, _), blocks in members.items():
             columns = self.columns(self.blocks[blocks[0]])
             index = self.first[blocks][:, None] + np.arange(size)
@@ -258,8 +257,7 @@ class SharedEvaluation:
             matrices = [derivatives[i] for i in range(len(columns))]
             parts = zip(*[alike.rows[of].transpose(1, 2, 0) for of in columns], strict=True)
             for i, white, of_block in zip(blocks, alike.white, parts, strict=True):
-                shares[i] = Share(white, of_block, matrices, derivatives)
-        self._shares = [shares[i] for i in range(len(self.blocks))]
+                self._shares[i] = Share(white, of_block, matrices, derivatives)
 
     def columns(self, block: "RangeBlock") -> tuple[slice, ...]:
         """Return the columns of each key of a block, once the number of its range errors is known."""
@@ -295,7 +293,7 @@ class SharedEvaluation:
         for i, key in enumerate(self.range_errors):
             terms[key], k[i] = range_error(values, key)
         if terms != self._terms:  # what blocks hand out has another shape
-            self._terms, self._shares, self._alike = terms, [], []
+            self._terms, self._shares, self._alike = terms, {}, []
         return k
 
     def _hand_poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
