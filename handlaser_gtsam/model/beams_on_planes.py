@@ -85,7 +85,7 @@ class BeamsOnPlanes:
         row[place], held[place] = rows, 1.0
         self.poses = np.empty((len(problems), 3, 4, self.cells))
         for k, problem in enumerate(problems):
-            np.moveaxis(problem.world_R_hand, 0, -1).take(row, axis=-1, out=self.poses[k, :, :3])
+            problem.world_R_hand.transpose(1, 2, 0).take(row, axis=-1, out=self.poses[k, :, :3])
             problem.world_t_hand.T.take(row, axis=-1, out=self.poses[k, :, 3])
         if len(rows) < self.cells:
             self.poses *= held
