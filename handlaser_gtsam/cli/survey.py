@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from ..data.survey import Survey
     from ..errors import CalibrationWarning
     from ..files.rig_toml import Rig
-    from ..planning.survey import SurveyPlan
     from ..results.description.tables import Table
     from ..results.survey import SurveyCalibration
     from ..results.verdict import Verdict
@@ -188,27 +187,6 @@ def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> A
         failure = code, result.verdict.sentence
     lines = lines_of("survey_validation", result=result)
     return Answer(survey_validation_text(result), lines, failure=failure)
-
-
-def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] | None]:
-    """Return a warning of what the survey leaves undetermined, and the failure of a plan that keeps it.
-
-    The failure is an exit code and words; None where everything is determined after the stations.
-    """
-    if not planned.undetermined:
-        return [], None
-    words = (
-        f"WARNING: the recording leaves open: {'; '.join(planned.undetermined)}. "
-        "Stations are chosen at an estimate that may be far off"
-    )
-    if planned.determined:
-        return [words], None
-    stations = count(len(planned.forecast), "station")
-    return [words], (
-        UNDETERMINED,
-        f"{stations} would still leave something open: ask for more with --stations, or allow more "
-        "room and larger turns in the table [workspace] of the rig file",
-    )
 
 
 def _read_lines(survey: "Survey") -> list[str]:

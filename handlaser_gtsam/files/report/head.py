@@ -72,6 +72,6 @@ def _plan_table(subject: Subject) -> Table | None:
             *(number(x, 4) for x in quaternions[j].tolist()),
         )
         for j in range(len(stations.plane_labels))
-        if not np.isnan(plan.ranges[j]).all()
+        if plan.read[j]
     )
     return table_of("next", rows)
