@@ -414,7 +414,7 @@ def test_validation_takes_the_error_out_as_the_whole_recording_has_it():
     found = hl.validate(recording, NOISE, options, splits=1)
     assert found.calibration.effects[0].determined
     # With a lag of five hundredths of the way in the readings they would be 5 mm.
-    assert max(one.result.rms for one in found.planes) < 5.0 * SIGMA
+    assert max(one.result.rms for one in found.targets) < 5.0 * SIGMA
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..errors import InputError
 from ..text import count
 from .answer import Answer, text_width, wrote
-from .stopping import NOT_USABLE, UNDETERMINED, failure_of, left_open
+from .stopping import UNDETERMINED, failure_of, left_open
 
 if TYPE_CHECKING:
     from ..data.survey import Survey
@@ -165,28 +165,6 @@ def converted_survey(
     words = f"{count(len(survey.stations), 'station')}, {count(sensors, 'sensor')}, "
     words += f"{count(len(set(survey.stations.plane_labels)), 'target')}, {count(points, 'point')}"
     return [words, *survey.lines], survey.warnings
-
-
-def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:
-    """Validate a survey, and return what is said.
-
-    Raises
-    ------
-    InputError
-    """
-    import numpy as np
-
-    from ..files.survey_json import survey_validation_text
-    from ..validation.survey import validate_survey
-    from .words import lines_of
-
-    result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
-    failure = failure_of(result.calibration, result.calibration.verdict)
-    if failure is None and not result.usable:
-        code = NOT_USABLE if result.disagreement is None else UNDETERMINED
-        failure = code, result.verdict.sentence
-    lines = lines_of("survey_validation", result=result)
-    return Answer(survey_validation_text(result), lines, failure=failure)
 
 
 def _read_lines(survey: "Survey") -> list[str]:

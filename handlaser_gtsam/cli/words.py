@@ -5,7 +5,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from ..files.exports.rendering import environment
-from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted, p_words
+from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, p_words
 from ..quantities import IN_DEG, IN_MM
 from ..text import count
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ..planning.route import Plan
     from ..results.verdict import Verdict
     from ..validation.hold_out import HoldOut
-    from ..validation.leave_out import Validation
+    from ..validation.validation import Validation
 
 SHOWN_ROWS = 10
 """Rows of the forecast, evenly over the stations, and stations whose poses are shown at most: they fit
@@ -91,22 +91,23 @@ def station_lines(stations: "StationList") -> list[str]:
 
 def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> list[str]:
     """Return the lines of a validation, the verdict first."""
+    from ..results.calibration import Calibration
     from ..results.description.description import Description
     from ..results.description.rendering import full_table
     from ..validation.prediction import pooled
 
-    p_values = {one.plane: one.result.p_value for one in result.planes if one.result is not None}
+    calibration = result.calibration
     lines = lines_of(
         "validation",
         result=result,
         verdict=verdict,
-        against=contradicted(p_values),
         family_level=FAMILY_LEVEL,
-        every=pooled(result.splits) if result.splits else None,
+        every=pooled(result.predictions),
     )
-    table = Description(result.calibration, verdict).systematic
-    lines += [] if table is None else full_table("systematic errors", table, width)
-    return lines + [f"WARNING: {warning}" for warning in result.calibration.warnings]
+    if isinstance(calibration, Calibration):
+        table = Description(calibration, verdict).systematic
+        lines += [] if table is None else full_table("systematic errors", table, width)
+    return lines + [f"WARNING: {warning}" for warning in calibration.warnings]
 
 
 def hold_out_lines(found: "HoldOut") -> list[str]:

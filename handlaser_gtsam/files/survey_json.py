@@ -6,7 +6,6 @@ from ..checks import require_kind
 from ..results.survey import SurveyCalibration
 from ..results.survey_check import SurveyCheck
 from ..results.verdict import Verdict
-from ..validation.survey import SurveyValidation
 from .calibration_json import MOTION, verdict_record
 from .checked_text import WARNING, Record, json_text, record, records
 from .writing import path_of, write_text
@@ -64,20 +63,6 @@ def _mounts(result: SurveyCalibration) -> Record:
         "sensors": records(result.sensors.values(), "name rotation location_m"),
         "beams": records(result.beams.values(), "name direction location_m"),
     }
-
-
-def survey_validation_text(result: SurveyValidation) -> str:
-    """Return a validation of a survey as JSON text."""
-    left_out = "name shots chi2 dof p_value shift_m message"
-    whole: Record = {
-        "verdict": verdict_record(result.verdict),
-        "reference": record(result.reference, "largest parameter largest_sigma sigma_parameter"),
-        "targets_left_out": records(result.targets, left_out),
-        "splits": records(result.splits, left_out),
-        "contradicted": [one.name for one in result.contradicted],
-        "read": result.calibration.read,
-    }
-    return json_text("survey-validation", whole)
 
 
 def survey_check_text(check: SurveyCheck, read: tuple[str, ...] = ()) -> str:
