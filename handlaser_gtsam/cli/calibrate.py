@@ -159,8 +159,7 @@ def _of_beams(
 
         check = cross_check(result, recording)
         if check.largest > SAME_OPTIMUM:
-            differs = f"{check.largest:.2g} standard deviations in {check.parameter}"
-            disagreement = f"SciPy disagrees by {differs}"
+            disagreement = f"SciPy disagrees by {check.difference}"
     aloud = output.json_ or output.quiet
     if output.report is not None or not aloud:
         from .check import advised

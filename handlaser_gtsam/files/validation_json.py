@@ -20,7 +20,7 @@ FIELDS: dict[type[Predicted], str] = {
 
 def validation_text(validation: Validation, verdict: Verdict) -> str:
     """Return a validation, and the verdict after it, as JSON text."""
-    calibration, targets, splits = validation.calibration, validation.targets, validation.splits
+    calibration = validation.calibration
     content: Record = {
         "verdict": verdict_record(verdict),
         "contradicted": [one.name for one in validation.contradicted],
@@ -29,16 +29,16 @@ def validation_text(validation: Validation, verdict: Verdict) -> str:
         compared = "largest parameter largest_sigma sigma_parameter"
         content |= {
             "reference": record(validation.reference, compared),
-            "targets_left_out": _left_out(targets, SurveyPrediction),
-            "splits": _left_out(splits, SurveyPrediction),
+            "targets_left_out": _left_out(validation.targets, SurveyPrediction),
+            "splits": _left_out(validation.splits, SurveyPrediction),
             "read": calibration.read,
         }
         return json_text("survey-validation", content)
     reconstructed = [_predicted(one) for one in validation.reconstructions]
     chosen, bare = reconstructed or (None, None)
     content |= {
-        "planes_left_out": _left_out(targets, HoldOut, "plane"),
-        "splits": _left_out(splits, Prediction),
+        "planes_left_out": _left_out(validation.targets, HoldOut, "plane"),
+        "splits": _left_out(validation.splits, Prediction),
         "reconstruction": chosen,
         "reconstruction_without_range_error": bare,
     }

@@ -133,10 +133,7 @@ class Validation(Value):
         if reference is None:
             return ""
         if reference.largest > LARGEST_DIFFERENCE:
-            found = (
-                f"finds another solution, by {reference.largest:.2g} standard deviations in "
-                f"{reference.parameter}"
-            )
+            found = f"finds another solution, by {reference.difference}"
         elif reference.largest_sigma > LARGEST_DIFFERENCE:
             percent = IN_PERCENT * reference.largest_sigma
             found = (
