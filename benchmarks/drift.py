@@ -85,8 +85,8 @@ def run_once(case: Case, turn: float, scene: str, seed: int) -> tuple[bool, bool
             first, when = moved, number
     truth = (recording.beam_names[beam], recording.plane_names[BEFORE])
     last = session.moved()
-    right = first is not None and (first.beam, first.since) == truth
-    still = last is not None and (last.beam, last.since) == truth
+    right = first is not None and (first.name, first.since) == truth
+    still = last is not None and (last.name, last.since) == truth
     return right, right and when == BEFORE, still, first is not None or last is not None
 
 

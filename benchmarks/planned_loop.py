@@ -9,7 +9,6 @@ import numpy as np
 import handlaser_gtsam as hl
 from benchmarks.planned_cell import SENSOR, cell
 from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.route import planned
 from handlaser_gtsam.planning.task import Task
 from handlaser_gtsam.planning.workspace import joined
 from handlaser_gtsam.validation.simulate import Errors
@@ -84,4 +83,4 @@ def random_plan(
     pool = joined([task.candidates(p, 40, rng) for p in planes])
     every = len(pool.plane)
     chosen = rng.choice(every, count, replace=False)
-    return planned(task, pool[chosen], plates=plates)
+    return task.planned(pool[chosen], plates=plates)

@@ -35,9 +35,9 @@ for number, name in enumerate(before.plane_names):
     if update.moved is not None:
         moved = update.moved
         turn = np.degrees(moved.turn)
-        print(f"       beam {moved.beam} has moved before plane {moved.since}, by {turn:.2f} deg")
-        assert (moved.beam, moved.since) == ("2", before.plane_names[DISPLACED])
-        session.split_beam(moved.beam, since=moved.since)
+        print(f"       beam {moved.name} has moved before plane {moved.since}, by {turn:.2f} deg")
+        assert (moved.name, moved.since) == ("2", before.plane_names[DISPLACED])
+        session.split_beam(moved.name, since=moved.since)
 
 largest = session.compare().largest
 print(f"from the batch solution: {largest:.4f} standard deviations at most")

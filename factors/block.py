@@ -49,8 +49,11 @@ class RangeBlock:
         Which of the `beams` each reading is of; the first where not given.
     whitening : Whitening, optional
         Where readings differ in weight or are correlated. Needed for several beams.
-    regressors : Regressors, optional
+    measured : (N,) or Regressors, optional
         What residuals take of the readings, where that is not the readings themselves.
+    rows : (N,), optional
+        Which rows of the whitening and of what is measured are of this block; all where not given. They
+        are picked once the block needs them for itself.
 
     Attributes
     ----------
@@ -63,16 +66,17 @@ class RangeBlock:
     """
 
     __slots__ = (
+        "_measured",
+        "_rows",
+        "_whitening",
         "alone",
         "beam_of",
         "beams",
         "distance",
         "gathering",
-        "measured",
         "plane",
         "pose",
         "prepared",
-        "whitening",
         "world_R_hand",
         "world_t_hand",
     )
@@ -87,21 +91,46 @@ class RangeBlock:
         pose: int | None = None,
         beam_of: IntArray | None = None,
         whitening: Whitening | None = None,
-        regressors: Regressors | None = None,
+        measured: FloatArray | Regressors | None = None,
+        rows: IntArray | None = None,
     ) -> None:
         self.beams = (beams,) if isinstance(beams, BeamKeys) else tuple(beams)
-        self.plane, self.pose, self.whitening = plane, pose, whitening
+        self.plane, self.pose = plane, pose
         self.distance, self.world_R_hand, self.world_t_hand = distance, world_R_hand, world_t_hand
-        self.measured = distance if regressors is None else regressors
+        self._measured = distance if measured is None else measured
+        self._whitening, self._rows = whitening, rows
         self.beam_of = np.zeros(len(distance), np.intp) if beam_of is None else beam_of
         self.prepared: Share | None = None
         self.gathering: Gathering | None = None
         self.alone: SharedEvaluation | None = None
 
+    @property
+    def whitening(self) -> Whitening | None:
+        """How its readings are whitened; None where they all weigh the same."""
+        self._pick()
+        return self._whitening
+
+    @property
+    def measured(self) -> FloatArray | Regressors:
+        """What residuals take of its readings."""
+        self._pick()
+        return self._measured
+
+    def _pick(self) -> None:
+        """Keep its own rows of the whitening and of what is measured."""
+        rows, self._rows = self._rows, None
+        if rows is not None:
+            self._measured = self._measured[rows]
+            self._whitening = self._whitening and self._whitening.of_rows(rows)
+
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""
         of_beams = [key for beam in self.beams for key in beam.variables]
         return [*of_beams, self.plane, *([] if self.pose is None else [self.pose])]
+
+    def factor(self, noise: gtsam.noiseModel.Base) -> gtsam.CustomFactor:
+        """Return the factor of the block; `range_factor` checks keys and noise before."""
+        return gtsam.CustomFactor(noise, self.keys(), self)
 
     def __call__(
         self,
@@ -208,7 +237,7 @@ def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:
     if len(set(keys)) < len(keys):
         names = ", ".join(gtsam.DefaultKeyFormatter(key) for key in keys)
         raise InputError(f"variables {names}", "a key of its own for each variable of a factor")
-    return gtsam.CustomFactor(_noise_model(noise, len(block.distance)), keys, block)
+    return block.factor(_noise_model(noise, len(block.distance)))
 
 
 def _noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:

@@ -87,7 +87,7 @@ class Evaluation:
         return how.apply_rows(rows)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen: that would take three times as long, and there are thousands
 class Share:
     """What one factor hands out of a shared evaluation.
 
@@ -136,16 +136,23 @@ class SharedEvaluation:
         The error functions of the graph's range factors; their keys may be shared in any way.
     whitening : Whitening, optional
         Of all their rows together, where the blocks have one.
+    measured : (N,) or Regressors, optional
+        What residuals take of all their readings; asked of the blocks where not given.
     """
 
-    def __init__(self, blocks: Sequence["RangeBlock"], whitening: Whitening | None = None) -> None:
+    def __init__(
+        self,
+        blocks: Sequence["RangeBlock"],
+        whitening: Whitening | None = None,
+        measured: FloatArray | Regressors | None = None,
+    ) -> None:
         self.blocks, self.whitening = tuple(blocks), whitening
         sizes = np.array([len(block.distance) for block in blocks])
         ends = np.cumsum(sizes)
         self.first = ends - sizes
         self.distance = np.concatenate([block.distance for block in blocks])
-        self.measured: FloatArray | Regressors = self.distance
-        if any(isinstance(block.measured, Regressors) for block in blocks):
+        self.measured: FloatArray | Regressors = self.distance if measured is None else measured
+        if measured is None and any(isinstance(block.measured, Regressors) for block in blocks):
             self.measured = Regressors.joined([block.measured for block in blocks])
         self._R = np.asfortranarray(np.concatenate([block.world_R_hand for block in blocks]))
         self._t = np.asfortranarray(np.concatenate([block.world_t_hand for block in blocks]))
@@ -153,19 +160,18 @@ class SharedEvaluation:
         counts = np.array([len(block.beams) for block in blocks])
         self.slot = np.concatenate([block.beam_of for block in blocks])
         beam_of = np.repeat(np.cumsum(counts) - counts, sizes) + self.slot
-        none = -1
-        errors = [none if beam.range_error is None else beam.range_error for beam in beams]
         self.locations, location = _unique([beam.location for beam in beams])
         self.directions, direction = _unique([beam.direction for beam in beams])
-        self.range_errors, error = _unique(errors)
+        self.range_errors, error = _unique([beam.range_error for beam in beams])
         self.location_of, self.direction_of = location[beam_of], direction[beam_of]
         self.range_error_of = error[beam_of]
         self.planes, plane_of = _unique([block.plane for block in blocks])
-        self.poses, pose_of = _unique([none if b.pose is None else b.pose for b in blocks])
+        self.poses, pose_of = _unique([block.pose for block in blocks])
         self.plane_of, self.pose_of = np.repeat(plane_of, sizes), np.repeat(pose_of, sizes)
-        self._posed = np.flatnonzero(np.array(self.poses)[self.pose_of] != none)
-        self._terms: dict[int, int] = {none: 0}
-        self._shares: list[Share] = []
+        known = np.array([key is None for key in self.poses])
+        self._posed = np.flatnonzero(~known[self.pose_of])
+        self._terms: dict[int | None, int] = {}
+        self._shares: dict[int, Share] = {}
         self._alike: list[Alike] = []
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
@@ -228,8 +234,8 @@ class SharedEvaluation:
             # Modes other than "raise" write to the output at once.
             np.take(evaluation.white, alike.index, out=alike.white, mode="clip")
             np.take(rows.T, alike.index, axis=1, out=alike.rows, mode="clip")
-        for block, share in zip(self.blocks, self._shares, strict=True):
-            block.prepared = share
+        for i, share in self._shares.items():
+            self.blocks[i].prepared = share
 
     def _prepare(self, width: int) -> None:
         """Make what the blocks hand out, of rows with `width` derivatives.
@@ -241,7 +247,6 @@ class SharedEvaluation:
         for i, block in enumerate(self.blocks):
             shape = len(block.distance), self._terms_of(block), block.pose is not None
             members.setdefault(shape, []).append(i)
-        shares: dict[int, Share] = {}
         for (size, _, _), blocks in members.items():
             columns = self.columns(self.blocks[blocks[0]])
             index = self.first[blocks][:, None] + np.arange(size)
@@ -252,8 +257,7 @@ class SharedEvaluation:
             matrices = [derivatives[i] for i in range(len(columns))]
             parts = zip(*[alike.rows[of].transpose(1, 2, 0) for of in columns], strict=True)
             for i, white, of_block in zip(blocks, alike.white, parts, strict=True):
-                shares[i] = Share(white, of_block, matrices, derivatives)
-        self._shares = [shares[i] for i in range(len(self.blocks))]
+                self._shares[i] = Share(white, of_block, matrices, derivatives)
 
     def columns(self, block: "RangeBlock") -> tuple[slice, ...]:
         """Return the columns of each key of a block, once the number of its range errors is known."""
@@ -262,8 +266,7 @@ class SharedEvaluation:
 
     def _terms_of(self, block: "RangeBlock") -> tuple[int, ...]:
         """Return the number of range-error terms of each beam of a block."""
-        keys = [-1 if beam.range_error is None else beam.range_error for beam in block.beams]
-        return tuple([self._terms[key] for key in keys])
+        return tuple([self._terms[beam.range_error] for beam in block.beams])
 
     def squared_columns(self, evaluation: Evaluation) -> dict[int, FloatArray]:
         """Return, for every key, the squared lengths of its Jacobian columns."""
@@ -279,22 +282,25 @@ class SharedEvaluation:
             sums = np.zeros((len(keys), block.shape[1]))
             np.add.at(sums, index, block**2)
             total |= {
-                key: sums[i, : self._terms.get(key)] for i, key in enumerate(keys) if key >= 0
+                key: sums[i, : self._terms.get(key)]
+                for i, key in enumerate(keys)
+                if key is not None
             }
         return total
 
     def _range_errors(self, values: gtsam.Values) -> FloatArray:
-        k = np.zeros((len(self.range_errors), 2))
+        k, terms = np.zeros((len(self.range_errors), 2)), {}
         for i, key in enumerate(self.range_errors):
-            if key >= 0:
-                self._terms[key], k[i] = range_error(values, key)
+            terms[key], k[i] = range_error(values, key)
+        if terms != self._terms:  # what blocks hand out has another shape
+            self._terms, self._shares, self._alike = terms, {}, []
         return k
 
     def _hand_poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
         if not self._posed.size:
             return self._R, self._t
         R, t, known = self._R.copy(), self._t.copy(), gtsam.Pose3()
-        poses = [values.atPose3(key) if key >= 0 else known for key in self.poses]
+        poses = [known if key is None else values.atPose3(key) for key in self.poses]
         index = self.pose_of[self._posed]
         R[self._posed] = np.array([pose.rotation().matrix() for pose in poses])[index]
         t[self._posed] = np.array([pose.translation() for pose in poses])[index]

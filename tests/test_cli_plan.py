@@ -68,6 +68,7 @@ def test_json_alone_on_stdout(handlaser, tmp_path, rig):
     assert len(found["stations"]) == 4
     assert len(found["forecast"]) == 5
     assert found["reached"] is None
+    assert (found["undetermined"], found["determined"], found["skipped"]) == ([], True, 0)
     sigmas = [one["direction_sigma_rad"] for one in found["forecast"]]
     assert sigmas == sorted(sigmas, reverse=True)
     assert set(found["stations"][0]) == {

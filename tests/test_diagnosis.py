@@ -146,8 +146,9 @@ def small(stopping, decrement, damping=0.0, cost=50.0):
     return bool(stopping.little_left(np.array(decrement), np.array(damping), np.array(cost)))
 
 
-def level(stopping, decrement, better=True, cost=50.0):
-    return bool(stopping.is_level(np.array(decrement), np.array(cost), better))
+def level(stopping, decrement, saved=0.0, cost=50.0):
+    stopping.gain(np.array(decrement), np.array(cost), np.array(cost - saved))
+    return bool(stopping.is_level())
 
 
 def test_fast_steps_stop_by_what_is_left():
@@ -178,7 +179,7 @@ def test_failed_steps_restart_the_count():
     stopping = StoppingRule(1e-12, 0.0, 0.0, 100)
     for _ in range(LEVEL_STEPS - 1):
         level(stopping, 1e-9)
-    assert not level(stopping, -1.0, better=False)
+    assert not level(stopping, -1.0, saved=-np.inf)
     assert not level(stopping, 1e-9)
 
 
@@ -202,7 +203,8 @@ def test_several_searches_are_judged_as_each_is_alone():
         mine = [small(rule, *one) for rule, one in zip(alone, zip(e, at, strict=True), strict=True)]
         assert together.little_left(e, at, cost).tolist() == mine
         still = [level(rule, one) for rule, one in zip(alone, e, strict=True)]
-        assert together.is_level(e, cost, True).tolist() == still
+        together.gain(e, cost, cost)
+        assert together.is_level().tolist() == still
         ended.append((*mine, *still))
     both = np.array(ended).any(axis=0) & ~np.array(ended).all(axis=0)
     assert both[1]

@@ -50,7 +50,7 @@ def test_a_turned_beam_is_named_at_once_and_ever_after(beam):
     session, updates = fed(recording)
     assert all(update.moved is None for update in updates[:6])
     for update in updates[6:]:
-        assert (update.moved.beam, update.moved.since) == (str(beam + 1), "G")
+        assert (update.moved.name, update.moved.since) == (str(beam + 1), "G")
         assert update.rejected == ()
     moved = session.moved()
     assert moved.p_value < 1e-20
@@ -103,7 +103,7 @@ def _scores(pieces, epoch):
 def test_forgetting_recalibrates_the_beam_and_keeps_the_planes():
     recording, truth = displaced(planes=12)
     session, _ = fed(recording, stop=7)
-    assert session.moved().beam == "2"
+    assert session.moved().name == "2"
     session.split_beam("2", since="G")
     assert session.planes == tuple("ABCDEFG")
     assert session.moved() is None
@@ -232,7 +232,7 @@ def test_a_large_displacement_is_named_too(degrees):
     recording, truth = displaced(turn=math.radians(degrees))
     session, updates = fed(recording)
     for update in updates[6:]:
-        assert (update.moved.beam, update.moved.since) == ("2", "G")
+        assert (update.moved.name, update.moved.since) == ("2", "G")
     session.split_beam("2", "G")
     session.recalibrate()
     beams = session.beams()
@@ -247,7 +247,7 @@ def test_a_large_displacement_of_one_beam_of_five_is_no_gross_error(degrees):
     turn = math.radians(degrees)
     _, updates = fed(displaced(beams=5, planes=8, before=5, turn=turn)[0])
     for update in updates[5:]:
-        assert (update.moved.beam, update.moved.since) == ("2", "F")
+        assert (update.moved.name, update.moved.since) == ("2", "F")
 
 
 @pytest.mark.parametrize("seed", [2, 10])

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from handlaser_gtsam import factors
+from handlaser_gtsam.data.readings import Regressors
 from handlaser_gtsam.errors import GrazingBeamError, InputError, SolverError
 from handlaser_gtsam.factors import BeamKeys, RangeBlock, SharedEvaluation, range_factor
+from handlaser_gtsam.model.weighting import Whitening
 
 BEAM, BARE, PLANE, POSE = BeamKeys(11, 12, 13), BeamKeys(11, 12), 21, 31
 
@@ -36,6 +38,11 @@ def scene(seed, terms, count=5):
     values.insert(PLANE, gtsam.OrientedPlane3(gtsam.Unit3(n), rng.uniform(-2.0, 2.0)))
     values.insert(POSE, poses[0])
     return values, poses, rng.uniform(0.05, 1.0, count)
+
+
+def matrices(poses):
+    R = np.array([pose.rotation().matrix() for pose in poses])
+    return R, np.array([pose.translation() for pose in poses])
 
 
 def grazing(values, pose):
@@ -118,6 +125,33 @@ def test_blocks_of_several_shapes_share_in_any_order():
     for _ in range(2):  # the second time it writes where it wrote before
         with shared.handed_out(shared.evaluate(values)):
             assert graph.linearize(values).equals(alone, 1e-12)
+
+
+def test_sharing_follows_values_of_another_number_of_range_errors():
+    values, poses, d = scene(9, 2)
+    block = RangeBlock(BEAM, PLANE, d, *matrices(poses))
+    graph, shared = gtsam.NonlinearFactorGraph(), SharedEvaluation([block])
+    graph.push_back(range_factor(block, 0.5))
+    for terms in (2, 1, 2):
+        values.update(13, np.linspace(0.01, 0.02, terms))
+        alone = graph.linearize(values)
+        with shared.handed_out(shared.evaluate(values)):
+            assert graph.linearize(values).equals(alone, 1e-12)
+
+
+def test_a_block_picks_its_rows_of_the_weights():
+    values, poses, d = scene(9, 2, 6)
+    R, t = matrices(poses)
+    common = 0.1 * np.random.default_rng(0).standard_normal((6, 6))
+    how = Whitening(np.linspace(1.0, 2.0, 6), 0.5, np.array([0, 1, 2, 0, 1, 2]), common)
+    rows = np.array([1, 4, 2])
+    level = Regressors(d, 0.9 * d)
+    picked = RangeBlock(BEAM, PLANE, d[rows], R[rows], t[rows], None, None, how, level, rows)
+    mine = how.of_rows(rows), level[rows]
+    given = RangeBlock(BEAM, PLANE, d[rows], R[rows], t[rows], None, None, *mine)
+    assert picked.whitening == given.whitening
+    white = [range_factor(block, 0.5).unwhitenedError(values) for block in (picked, given)]
+    assert np.array_equal(*white)
 
 
 def test_sharing_ends_when_the_solve_is_interrupted():

@@ -13,7 +13,8 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.model.effects import EFFECTS, OF_STATIONS
 from handlaser_gtsam.planning.advice import advice_lines
 from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.information import station_rows, updated
+from handlaser_gtsam.planning.choice import updated
+from handlaser_gtsam.planning.information import station_rows
 from handlaser_gtsam.results.description.description import Description
 from handlaser_gtsam.results.description.screen import LINES, screen_lines
 from handlaser_gtsam.results.freed import MOST_FREED
@@ -413,7 +414,7 @@ def test_validation_takes_the_error_out_as_the_whole_recording_has_it():
     found = hl.validate(recording, NOISE, options, splits=1)
     assert found.calibration.effects[0].determined
     # With a lag of five hundredths of the way in the readings they would be 5 mm.
-    assert max(one.result.rms for one in found.planes) < 5.0 * SIGMA
+    assert max(one.result.rms for one in found.targets) < 5.0 * SIGMA
 
 
 @pytest.mark.slow

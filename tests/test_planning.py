@@ -18,9 +18,9 @@ from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.planning.advice import missing_stations
 from handlaser_gtsam.planning.belief import belief_of, transported
 from handlaser_gtsam.planning.blind import completing_motion
-from handlaser_gtsam.planning.choice import choose, value
+from handlaser_gtsam.planning.choice import choose, updated, value
 from handlaser_gtsam.planning.goal import goal_rows
-from handlaser_gtsam.planning.information import outlook, station_rows, updated
+from handlaser_gtsam.planning.information import outlook, station_rows
 from handlaser_gtsam.planning.task import Task
 from handlaser_gtsam.planning.way import divided, shortest
 from handlaser_gtsam.planning.workspace import inside, joined
@@ -305,7 +305,13 @@ def test_a_calibration_without_a_covariance_is_no_guide(recorded):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("a file", 5, SENSOR), (None, 5, SENSOR), (None, 0, SENSOR), (None, 5, "sensor")],
+    [
+        ("a file", 5, SENSOR),
+        (None, 5, SENSOR),
+        (None, 0, SENSOR),
+        (None, 5, "sensor"),
+        (None, 5, None),
+    ],
 )
 def test_what_is_no_basis_is_refused_in_one_line(recorded, arguments):
     calibration = recorded[2] if arguments[1:] != (5, SENSOR) else arguments[0]

@@ -528,9 +528,9 @@ def test_beside_a_robust_loss_scales_are_estimated_but_not_integrated_over():
 def test_predictions_carry_the_noise_that_was_estimated():
     recording, _, _ = robot(Layout(4, 5, 16))
     found = hl.validate(recording, options=hl.CalibrationOptions("none"), splits=4)
-    mean = np.mean([one.standardized**2 for one in found.splits])
+    mean = np.mean([one.standardized**2 for one in found.predictions])
     assert 0.6 < mean < 1.5
-    assert all(one.result.p_value > 1e-3 for one in found.planes)
+    assert all(one.result.p_value > 1e-3 for one in found.targets)
 
 
 def test_a_prior_far_narrower_than_the_widest_loses_no_digit():

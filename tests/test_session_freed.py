@@ -146,8 +146,8 @@ def test_a_beam_that_was_displaced_is_named_beside_the_error():
     session.add(hl.join([recording.plane(name) for name in names[:3]]))
     update = session.add(replace(recording, ranges=ranges).plane(names[3]))
     assert update.moved is not None
-    assert (update.moved.beam, update.moved.since) == ("b1", names[3])
-    assert session.moved().beam == "b1"
+    assert (update.moved.name, update.moved.since) == ("b1", names[3])
+    assert session.moved().name == "b1"
     session.split_beam("b1", names[3])
     assert session.moved() is None
     assert list(session.calibration().beams) == ["b0", "b1", "b2", f"b1 until {names[3]}"]

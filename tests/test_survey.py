@@ -95,7 +95,7 @@ def test_results_are_equal_and_pickled_as_others_are():
     assert "_found" not in repr(one)
     kept = pickle.loads(pickle.dumps(one))
     assert kept == one
-    assert (hl.planning.plan_survey(kept, 2).spot_errors > 0.0).all()
+    assert (hl.plan(kept, 2).forecast.spot > 0.0).all()
 
 
 @pytest.mark.slow

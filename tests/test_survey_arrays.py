@@ -163,14 +163,14 @@ def test_the_growth_counts_in_plans_and_at_few_stations():
     survey, _, _ = cluttered(3, others=0.3)
     found = hl.calibrate(survey, EXACT)
     assert found._found.spread.max() > 1.0
-    planned = hl.planning.plan_survey(found, 1)
+    planned = hl.plan(found, 1)
     # As the calibration has it, to first order at the same values; without the growth it is 12 % less.
-    assert planned.spot_errors[0] == pytest.approx(found.sensors["tof"].spot_error, rel=1e-3)
+    assert planned.forecast.spot[0] == pytest.approx(found.sensors["tof"].spot_error, rel=1e-3)
     grown = [
         replace(found, _found=replace(found._found, spread=np.full(len(found._found.spread), by)))
         for by in (1.0, 2.0)
     ]
-    one, two = (hl.planning.plan_survey(some, 2).spot_errors for some in grown)
+    one, two = (hl.plan(some, 2).forecast.spot for some in grown)
     assert two == pytest.approx(2.0 * one, rel=1e-9)  # rounding of products in another order
     (shots,) = survey.shots
     few = replace(survey, shots=(shots.part(shots.station < 9),))  # as many stations as unknowns

@@ -14,7 +14,6 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.results.survey_check import check_survey
 from handlaser_gtsam.results.survey_misfit import better_kinds
-from handlaser_gtsam.validation.survey import validate_survey
 
 FAN = np.linspace(-0.2, 0.2, 400)
 SIGMA = 2e-5
@@ -137,7 +136,7 @@ def test_a_search_that_does_not_come_to_rest_states_no_sigma(monkeypatch):
     assert not found.usable
     assert np.isnan(found.sensors["profiler"].location_sigma).all()
     with pytest.raises(SolverError, match="Not usable"):
-        validate_survey(survey)
+        hl.validate(survey)
 
 
 @pytest.mark.slow
@@ -185,7 +184,8 @@ def test_a_rest_that_leaves_something_open_is_named_as_the_user_names_it():
     few = hl.Shots.profiler(
         "profiler", shots.station[some], shots.across[some], shots.reading[some], sigma=SIGMA
     )
-    found = validate_survey(hl.Survey(stations, (few,)), hl.Noise(1e-5, 1e-5, 1e-5), splits=0)
+    noise = hl.Noise(None, 1e-5, 1e-5)
+    found = hl.validate(hl.Survey(stations, (few,)), noise, splits=0)
     (plate,) = (one for one in found.targets if one.name == "plane:plate")
     assert plate.message.startswith("the motion leaves open ")
     assert "sensor profiler: " in plate.message

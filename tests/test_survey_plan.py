@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,6 @@ import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import EXACT, survey_of
 from handlaser_gtsam.files.recording_csv import write_stations
-from handlaser_gtsam.planning.survey import plan_survey
 from handlaser_gtsam.planning.workspace import Workspace
 
 needs_pinocchio = pytest.mark.skipif(not HAS_PINOCCHIO, reason="needs pinocchio")
@@ -64,15 +64,15 @@ def test_what_a_plan_promises_is_what_its_stations_bring():
     first = hl.calibrate(measured(poses, rng), EXACT)
     assert first.status == "converged"
     home = Rotation.from_matrix([R for R, _ in poses]).mean().as_matrix()
-    plan = plan_survey(first, 5, Workspace(-np.ones(3), np.full(3, 2.0), home, 0.7))
+    plan = hl.plan(first, 5, workspace=Workspace(-np.ones(3), np.full(3, 2.0), home, 0.7))
     before = first.sensors["profiler"].spot_error
-    assert plan.spot_errors[0] == pytest.approx(before, rel=1e-3)
-    assert (np.diff(plan.spot_errors) < 0.0).all()
+    assert plan.forecast.spot[0] == pytest.approx(before, rel=1e-3)
+    assert (np.diff(plan.forecast.spot) < 0.0).all()
     added = zip(plan.stations.world_R_hand, plan.stations.world_t_hand, strict=True)
     after = hl.calibrate(measured([*poses, *added], rng), EXACT)
     brought = after.sensors["profiler"].spot_error
     assert brought < 0.5 * before
-    assert plan.spot_errors[-1] == pytest.approx(brought, rel=0.2)
+    assert plan.forecast.spot[-1] == pytest.approx(brought, rel=0.2)
     # Five stations at random, turned as far, bring less.
     random = looking(rng.uniform(-0.5, 0.5, (5, 2)), rng)
     other = hl.calibrate(measured([*poses, *random], rng), EXACT)
@@ -85,9 +85,9 @@ def test_a_plan_determines_what_a_poor_motion_left_open():
     poses = list(looking(about_one_axis, rng))
     first = hl.calibrate(measured(poses, rng), EXACT)
     assert first.status == "undetermined"
-    plan = plan_survey(first, 4)
+    plan = hl.plan(first, 4)
     assert plan.undetermined == first.undetermined
-    assert np.isnan(plan.spot_errors[0])
+    assert np.isnan(plan.forecast.spot[0])
     assert plan.determined
     added = zip(plan.stations.world_R_hand, plan.stations.world_t_hand, strict=True)
     after = hl.calibrate(measured([*poses, *added], rng), EXACT)
@@ -98,13 +98,12 @@ def test_a_plan_determines_what_a_poor_motion_left_open():
 def test_a_plan_ends_where_its_goal_is_reached():
     rng = np.random.default_rng(2)
     first = hl.calibrate(measured(list(looking(rng.uniform(-0.5, 0.5, (6, 2)), rng)), rng), EXACT)
-    whole = plan_survey(first, 6)
-    enough = hl.planning.Goal(spot=float(whole.spot_errors[3]) * 1.001)
-    plan = plan_survey(first, 6, goal=enough)
-    assert plan.reached
-    assert len(plan.sensors) == 3
+    whole = hl.plan(first, 6)
+    enough = hl.planning.Goal(spot=float(whole.forecast.spot[3]) * 1.001)
+    plan = hl.plan(first, 6, goal=enough)
+    assert plan.reached == len(plan) == len(plan.sensors) == 3
     for hard in (hl.planning.Goal(location_sigma=1e-9), hl.planning.Goal(direction_sigma=1e-9)):
-        assert plan_survey(first, 6, goal=hard).reached is False
+        assert hl.plan(first, 6, goal=hard).reached is None
     assert whole.reached is None
 
 
@@ -132,7 +131,7 @@ def test_single_beams_are_planned_before_planes_and_spheres():
     """What the stations bring is what is promised, with readings by formulas of this file."""
     survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))
     found = hl.calibrate(survey, EXACT)
-    plan = plan_survey(found, 8)
+    plan = hl.plan(found, 8)
     known = plan.forecast
     for step, result in ((0, found), (-1, None)):
         if result is None:
@@ -179,7 +178,7 @@ def test_an_arm_reaches_the_stations_of_a_survey(tmp_path):
     )
     low, high = t.min(axis=0) - 0.05, t.max(axis=0) + 0.05
     here = Workspace(low, high, home, 0.5, robot=robot)
-    plan = plan_survey(first, 3, here)
+    plan = hl.plan(first, 3, workspace=here)
     at = plan.stations
     assert sum(map(bool, plan.sensors)) == len(plan.forecast) == 3 - plan.skipped >= 1
     reached_R, reached_t = robot.poses(at.joints)
@@ -188,7 +187,7 @@ def test_an_arm_reaches_the_stations_of_a_survey(tmp_path):
     assert robot.free(at.joints).all()
     far = replace(here, robot=replace(robot, base_t=base + 3.0))
     with pytest.raises(hl.InputError, match="no place from which a sensor sees its target"):
-        plan_survey(first, 3, far)
+        hl.plan(first, 3, workspace=far)
 
 
 @needs_pinocchio
@@ -204,7 +203,7 @@ def test_an_arm_before_several_targets_is_refused(tmp_path):
     robot = hl.planning.Robot(small_arm(tmp_path), "hand", np.eye(3), np.zeros(3))
     here = Workspace(low, high, np.eye(3), robot=robot)
     with pytest.raises(hl.InputError, match=r"an arm before 2 targets .* one target"):
-        plan_survey(several, 3, here)
+        hl.plan(several, 3, workspace=here)
 
 
 @pytest.mark.parametrize("more", [{"criterion": "D"}, {"working_distance": 0.5}])
@@ -212,7 +211,17 @@ def test_what_a_goal_cannot_say_of_a_survey_is_refused(more):
     rng = np.random.default_rng(2)
     first = hl.calibrate(measured(list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng)), rng), EXACT)
     with pytest.raises(hl.InputError, match=r"criterion D or E, or working_distance_mm"):
-        plan_survey(first, 3, goal=hl.planning.Goal(spot=1e-4, **more))
+        hl.plan(first, 3, goal=hl.planning.Goal(spot=1e-4, **more))
+
+
+def test_what_is_of_beams_before_planes_is_refused():
+    rng = np.random.default_rng(2)
+    first = hl.calibrate(measured(list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng)), rng), EXACT)
+    plate = hl.planning.Plate(np.zeros(3), NORMAL)
+    given = ({"sensor": hl.Sensor()}, {"plates": {"B": plate}})
+    for more in (*given, {"placement": hl.planning.Placement()}):
+        with pytest.raises(hl.InputError, match="a sensor, plates or a placement for a survey"):
+            hl.plan(first, 3, **more)
 
 
 @pytest.mark.slow
@@ -226,9 +235,9 @@ def test_a_cone_beside_a_profiler_does_not_hide_what_is_planned(handlaser, tmp_p
     survey = hl.read_survey(tmp_path / "out" / "stations.csv", tmp_path / "out" / "rig.toml")
     result = hl.calibrate(survey, hl.read_rig(tmp_path / "out" / "rig.toml").noise)
     assert result.status == "converged"
-    plan = plan_survey(result, 3)
-    assert plan.spot_errors[0] == pytest.approx(result.sensors["p"].spot_error, rel=1e-5)
-    assert plan.spot_errors[-1] < 0.95 * plan.spot_errors[0]
+    plan = hl.plan(result, 3)
+    assert plan.forecast.spot[0] == pytest.approx(result.sensors["p"].spot_error, rel=1e-5)
+    assert plan.forecast.spot[-1] < 0.95 * plan.forecast.spot[0]
 
 
 @pytest.mark.slow
@@ -263,7 +272,7 @@ def test_the_command_says_what_is_open_and_whether_the_stations_mend_it(
     assert err.startswith("WARNING: the recording leaves open: ")
     assert "an estimate that may be far off" in err
     assert ("would still leave something open" in err) == (code == 3)
-    assert said.splitlines()[0].endswith("undetermined before")
+    assert re.search(r"^ +0 +unknown +unknown +unknown$", said, re.MULTILINE)
     assert len(hl.read_stations(out).station_names) == 8
     answer = json.loads(handlaser(*words, "--json")[1])
     assert answer["spot_error_m"] is None
@@ -278,7 +287,8 @@ def test_the_command(handlaser, refusal, tmp_path):
     out = tmp_path / "next.csv"
     code, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3", "--out", out)
     assert code == 0
-    assert said.startswith("3 stations: spots of all sensors and beams within")
+    assert said.startswith("3 stations: 3 of scanner before sphere:ball")
+    assert "\n3. scanner before sphere:ball\n" in said
     assert len(hl.read_stations(out).station_names) == 3
     assert "qx qy qz qw" not in said
     _, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3")
@@ -290,6 +300,12 @@ def test_the_command(handlaser, refusal, tmp_path):
     errors = [answer["spot_error_m"], *(one["spot_error_m"] for one in answer["stations"])]
     assert errors == sorted(errors, reverse=True)
     assert all(one["location_sigma_m"] > 0.0 for one in answer["stations"])
+    assert [one["spot_m"] for one in answer["forecast"]] == errors
+    assert (answer["format"], answer["reached"], answer["skipped"]) == (
+        "handlaser-survey-plan",
+        None,
+        0,
+    )
     assert "found --planes, with sensors of many rays" in refusal(
         "plan", poses, "--rig", rig, "--planes", "2"
     )

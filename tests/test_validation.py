@@ -1,5 +1,6 @@
 """Predictions of readings that a calibration has not seen."""
 
+import json
 import math
 import runpy
 
@@ -8,8 +9,12 @@ import pytest
 from helpers import ROOT, first_and_slow, simulated
 
 import handlaser_gtsam as hl
+from benchmarks import rigs_by_rays
+from benchmarks.rigs import STATED, survey_of
+from handlaser_gtsam.files.validation_json import validation_text
 from handlaser_gtsam.validation.prediction import predict, reconstruction
 from handlaser_gtsam.validation.scenes import Layout
+from handlaser_gtsam.validation.validation import verdict_of_validation
 
 NOISE = hl.Noise(3e-5)
 
@@ -21,8 +26,8 @@ def validation(gripper):
 
 @pytest.mark.slow
 def test_every_plane_is_left_out_in_turn(validation):
-    assert [one.plane for one in validation.planes] == ["A", "B", "C", "D"]
-    for one in validation.planes:
+    assert [one.name for one in validation.targets] == ["A", "B", "C", "D"]
+    for one in validation.targets:
         assert one.result.p_value > 1e-3
         assert one.result.noise_p_value > 1e-3
         assert one.result.rms < 2 * 3e-5
@@ -31,16 +36,17 @@ def test_every_plane_is_left_out_in_turn(validation):
 @pytest.mark.slow
 def test_splits_err_as_their_own_sigmas_say(validation):
     assert len(validation.splits) == 4
-    mean = np.mean([one.standardized**2 for one in validation.splits])
+    mean = np.mean([one.standardized**2 for one in validation.predictions])
     # Four times 48 predictions, some of them twice: a mean square to 15 % or so.
     assert 0.6 < mean < 1.5
-    assert all(one.tests == 48 for one in validation.splits)
+    assert all(one.tests == 48 for one in validation.predictions)
 
 
 def test_a_reconstructed_plane_predicts_better_with_range_errors(validation):
-    assert validation.reconstruction.tests == 4 * 11 * 10 * 4
-    assert validation.reconstruction.rms < 0.3 * validation.without_range_error.rms
-    assert np.isnan(validation.reconstruction.standardized)
+    chosen, without = validation.reconstructions
+    assert chosen.tests == 4 * 11 * 10 * 4
+    assert chosen.rms < 0.3 * without.rms
+    assert np.isnan(chosen.standardized)
 
 
 def test_reconstruction_is_what_the_paper_describes(gripper):
@@ -82,9 +88,9 @@ def test_predictions_of_the_readings_themselves_are_the_residuals(gripper):
 def test_one_plane_and_one_beam_leave_less_to_validate():
     recording, _ = simulated("unplanned", Layout(1, 1, 32))
     found = hl.validate(recording, NOISE, hl.CalibrationOptions("none"), splits=2)
-    assert found.planes == ()
-    assert len(found.splits) == 2
-    assert found.reconstruction is None
+    assert found.targets == ()
+    assert len(found.predictions) == 2
+    assert found.reconstructions == ()
 
 
 def test_what_is_no_calibration_is_not_validated():
@@ -106,3 +112,46 @@ def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas, count):
     one = 1.0 / math.sqrt(2.0 * count)
     assert np.abs(ratio - 1.0).max() < 4.0 * one
     assert ratio.mean() == pytest.approx(1.0, abs=one)
+
+
+def test_a_part_that_is_not_predicted_has_a_reason_and_null_for_its_numbers():
+    """The second plane alone, and three of its stations, determine no beam."""
+    recording, _ = simulated(layout=Layout(planes=2))
+    rows = np.arange(len(recording.plane_labels))
+    few = recording.part(rows[(recording.plane_of_station == 0) | (rows % 11 < 2)])
+    options = hl.CalibrationOptions("none", poses="exact")
+    found = hl.validate(few, NOISE, options, splits=1)
+    first, last = found.targets
+    assert first.result is None
+    assert "determine" in first.message
+    assert np.isnan(first.p_value)
+    assert last.p_value == last.result.p_value
+    text = json.loads(validation_text(found, found.verdict))
+    missing, known = text["planes_left_out"]
+    assert list(missing) == list(known)
+    assert (missing["plane"], missing["message"]) == (first.name, first.message)
+    assert {missing[name] for name in list(missing)[2:]} == {None}
+    assert known["rms_m"] == last.result.rms
+    (split,) = text["splits"]
+    assert found.predictions == ()
+    assert (split["name"], split["tests"]) == ("1", None)
+    assert "determine" in split["message"]
+
+
+def test_a_survey_takes_no_options_and_counts_its_parts():
+    survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))
+    with pytest.raises(hl.InputError, match="options with a survey"):
+        hl.validate(survey, options=hl.CalibrationOptions())
+    told = []
+    found = hl.validate(survey, STATED, splits=1, progress=told.append)
+    parts = [one for one in told if one.phase == "leave-out"]
+    assert [(one.done, one.total) for one in parts] == [(i, 5) for i in range(5)]
+    assert [one.name for one in found.targets] == ["plane:A", "plane:B", "sphere:S1"]
+    assert parts[1].name == "without plane:A"
+    assert found.verdict.confirmed_by == 0
+    strict = verdict_of_validation(found, hl.Limits(location_sigma=1e-9))
+    assert (strict.code, strict.usable) == ("outside-limits", False)
+    text = json.loads(validation_text(found, found.verdict))
+    assert text["format"] == "handlaser-survey-validation"
+    assert text["targets_left_out"][0]["shift_m"] == found.targets[0].result.shift
+    assert text["contradicted"] == []

@@ -17,8 +17,8 @@ from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, spot, variance_shares
 from handlaser_gtsam.results.verdict import improvement, verdict
-from handlaser_gtsam.validation.leave_out import verdict_of_validation
 from handlaser_gtsam.validation.scenes import Layout
+from handlaser_gtsam.validation.validation import verdict_of_validation
 
 NOISE = hl.Noise(3e-5, 0.0, 0.0)
 LOOSE = Limits(1e-3, 1e-3, 0.1)
@@ -356,11 +356,11 @@ def test_a_p_value_in_words(p, words):
 
 
 def with_p(validation, *p_values):
-    planes = tuple(
+    targets = tuple(
         replace(one, result=replace(one.result, p_value=p))
-        for one, p in zip(validation.planes, p_values, strict=True)
+        for one, p in zip(validation.targets, p_values, strict=True)
     )
-    return replace(validation, planes=planes)
+    return replace(validation, targets=targets)
 
 
 def test_planes_that_agree_confirm(validation):
@@ -373,18 +373,20 @@ def test_a_plane_that_contradicts_is_named(validation):
     found = verdict_of_validation(with_p(validation, 0.0014, 0.3, 0.5, 0.9))
     assert (found.usable, found.code) == (False, "contradicted")
     assert "plane A contradicts" in found.sentence
+    assert [cause.code for cause in found.causes] == ["not-predicted"]
     assert "1 of 700" in found.sentence
     assert verdict_of_validation(with_p(validation, 0.0026, 0.3, 0.5, 0.9)).usable
 
 
 def test_the_rms_limit_holds_for_planes_left_out(validation):
     calm = with_p(validation, 0.9, 0.9, 0.9, 0.9)
-    largest = max(one.result.rms for one in validation.planes)
+    largest = max(one.result.rms for one in validation.targets)
     assert largest > validation.calibration.fit.rms
     assert verdict_of_validation(calm, Limits(rms=1.01 * largest)).usable
     found = verdict_of_validation(calm, Limits(rms=0.99 * largest))
     assert found.code == "outside-limits"
     assert [one.subject for one in found.limits if not one.held] == ["without plane D"]
+    assert [cause.values["subject"] for cause in found.causes] == ["without plane D"]
 
 
 def test_what_is_not_usable_stays_so_when_validated(validation):
@@ -393,7 +395,7 @@ def test_what_is_not_usable_stays_so_when_validated(validation):
 
 
 def test_one_plane_confirms_nothing(validation):
-    found = verdict_of_validation(replace(validation, planes=()))
+    found = verdict_of_validation(replace(validation, targets=()))
     assert found == verdict(validation.calibration)
 
 

@@ -160,8 +160,7 @@ def _answer(
             check = cross_check(result, recording)
             checked = [cross_check_line(check)]
             if check.largest > SAME_OPTIMUM:
-                differs = f"{check.largest:.2g} standard deviations in {check.parameter}"
-                disagreement = f"SciPy disagrees by {differs}"
+                disagreement = f"SciPy disagrees by {check.difference}"
         if output.report is not None or not aloud:
             from .check import advised
 

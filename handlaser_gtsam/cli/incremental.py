@@ -20,9 +20,10 @@ from ..quantities import IN_MM, IN_PERCENT, SAME_OPTIMUM
 from ..results.calibration import Calibration
 from ..results.description.tables import Cell, Column, Table, number, text
 from ..results.survey import SurveyCalibration
-from ..session.reports import Comparison, Moved, Update
+from ..session.reports import Comparison, Update
 from ..session.session import Session
 from ..session.survey import SurveySession
+from ..validation.hold_out import BeamDrift
 
 
 def plane_by_plane(
@@ -138,14 +139,14 @@ def _table(rows: Sequence[tuple[Cell, ...]], what: str = "plane") -> Table:
     return Table(f"{what} by {what}", "", columns, tuple(rows))
 
 
-def _warning(moved: Moved) -> CalibrationWarning:
+def _warning(moved: BeamDrift) -> CalibrationWarning:
     shift, far = float(np.linalg.norm(moved.shift)), bool(np.isnan(moved.turn))
     by = f"by {np.degrees(moved.turn):.2g} deg and {IN_MM * shift:.2g} mm"
     words = (
-        f"beam {moved.beam} seems to have moved before plane {moved.since}, {'far' if far else by}: "
+        f"beam {moved.name} seems to have moved before plane {moved.since}, {'far' if far else by}: "
         "calibrate the planes before and after it by themselves, or split the beam in a Session"
     )
-    values: dict[str, float | str] = {"beam": moved.beam, "since": moved.since}
+    values: dict[str, float | str] = {"beam": moved.name, "since": moved.since}
     values |= {} if far else {"shift_m": shift, "turn_rad": moved.turn}
     return CalibrationWarning("beam-moved", words, values)
 
@@ -181,7 +182,7 @@ def _remark(name: str, update: Update) -> str:
     moved, comparison = update.moved, update.comparison
     words = ["waits for more" if name in update.waiting else ""]
     if moved is not None:
-        words.append(f"beam {moved.beam} has moved before plane {moved.since}")
+        words.append(f"beam {moved.name} has moved before plane {moved.since}")
     words.append("does not fit, and waits" if update.inconsistent else "")
     words.append("" if comparison is None else comparison.message)
     return "; ".join(filter(None, words))

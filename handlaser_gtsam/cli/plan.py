@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..text import count
 from .answer import Answer, Working, wrote
 from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
+from .stopping import UNDETERMINED
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -15,7 +17,6 @@ if TYPE_CHECKING:
     from ..files.rig_toml import Rig
     from ..planning.bounds import Plate
     from ..planning.route import Plan
-    from ..planning.survey import SurveyPlan
     from ..results.calibration import Calibration
     from ..results.mounts import Mounts
 
@@ -71,12 +72,11 @@ def plan(
         --stations 5 --picture forecast.svg
     """
     from ..files.exports.picture import forecast_svg
-    from ..files.plan_json import plan_text, survey_plan_text
+    from ..files.plan_json import plan_text
     from ..files.recording_csv import write_stations
     from ..files.writing import require_outputs, write_text
-    from ..planning.survey import SurveyPlan
-    from .survey import require_outputs_of, survey_plan_gaps
-    from .words import plan_lines, station_lines, survey_plan_lines
+    from .survey import require_outputs_of
+    from .words import plan_lines, station_lines
 
     with Working():
         rig = given.read()
@@ -84,14 +84,11 @@ def plan(
         require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
         require_outputs_of(outputs, rig)
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
-        warnings: list[str] = []
-        failure, robot = None, None if rig.workspace is None else rig.workspace.robot
-        if isinstance(planned, SurveyPlan):
-            lines, text = survey_plan_lines(planned, rig.goal, robot), survey_plan_text(planned)
-            warnings, failure = survey_plan_gaps(planned)
-        else:
-            warnings = [] if calibration is None else _uncounted(calibration)
-            lines, text = plan_lines(planned, rig.goal, robot), plan_text(planned)
+        warnings, failure = _gaps(planned)
+        if calibration is not None:
+            warnings += _uncounted(calibration)
+        robot = None if rig.workspace is None else rig.workspace.robot
+        lines = plan_lines(planned, rig.goal, robot)
         if out is not None:
             write_stations(out, planned.stations)
         else:
@@ -99,7 +96,7 @@ def plan(
         if picture is not None:
             write_text(picture, forecast_svg(planned.forecast, rig.goal))
         lines += wrote(out, picture)
-        answer = Answer(text, lines, warnings, failure)
+        answer = Answer(plan_text(planned), lines, warnings, failure)
     answer.give(json=json_, quiet=quiet)
 
 
@@ -111,7 +108,7 @@ def _planned(
     planes: int | None,
     stations: int | None,
     seed: int,
-) -> "Plan | SurveyPlan":
+) -> "Plan":
     """Return a first motion, or the next stations of a recording or a result."""
     import numpy as np
 
@@ -121,7 +118,6 @@ def _planned(
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
-    from ..planning.survey import plan_survey
     from ..planning.workspace import require_range
     from .survey import refuse_of_beams
 
@@ -140,13 +136,13 @@ def _planned(
         known = rig.bounds, rig.sensor, rig.workspace, rig.noise, each
         return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
     # Without a goal as many as an hour's work; with one, the plan ends where it is reached.
-    count = stations or (100 if rig.goal.stated else 20)
+    most = stations or (100 if rig.goal.stated else 20)
     read = None if recording is None else read_any_kind(rig, recording)
     if isinstance(read, Survey):
         stated = model.stated() + ([] if planes is None else ["--planes"])
         refuse_of_beams(rig, stated, recording or Path())
         found = calibrate(read, rig.noise)
-        return plan_survey(found, count, rig.workspace, rig.goal, rng)
+        return planning.plan(found, most, workspace=rig.workspace, goal=rig.goal, rng=rng)
     require_range(rig.sensor)
     calibration: Calibration | Mounts
     if read is None:
@@ -158,8 +154,29 @@ def _planned(
         if calibration.status != "converged":
             raise SolverError(calibration.message)
     placement = None if planes is None else replace(rig.placement, count=planes)
-    asked = calibration, count, rig.sensor, rig.workspace, rig.goal
+    asked = calibration, most, rig.sensor, rig.workspace, rig.goal
     return planning.plan(*asked, plates=plates, placement=placement, rng=rng)
+
+
+def _gaps(planned: "Plan") -> tuple[list[str], tuple[int, str] | None]:
+    """Return a warning of what a survey leaves undetermined, and the failure of a plan that keeps it.
+
+    The failure is an exit code and words; None where everything is determined after the stations.
+    """
+    if not planned.undetermined:
+        return [], None
+    words = (
+        f"WARNING: the recording leaves open: {'; '.join(planned.undetermined)}. "
+        "Stations are chosen at an estimate that may be far off"
+    )
+    if planned.determined:
+        return [words], None
+    stations = count(len(planned.forecast), "station")
+    return [words], (
+        UNDETERMINED,
+        f"{stations} would still leave something open: ask for more with --stations, or allow more "
+        "room and larger turns in the table [workspace] of the rig file",
+    )
 
 
 def _uncounted(path: Path) -> list[str]:

@@ -7,14 +7,10 @@ from typing import TYPE_CHECKING
 
 from ..errors import InputError
 from ..text import count
-from .answer import Answer
-from .stopping import NOT_USABLE, UNDETERMINED, failure_of
 
 if TYPE_CHECKING:
-    from ..data.survey import Survey
     from ..errors import CalibrationWarning
     from ..files.rig_toml import Rig
-    from ..planning.survey import SurveyPlan
 
 
 def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
@@ -85,46 +81,3 @@ def converted_survey(
     words = f"{count(len(survey.stations), 'station')}, {count(sensors, 'sensor')}, "
     words += f"{count(len(set(survey.stations.plane_labels)), 'target')}, {count(points, 'point')}"
     return [words, *survey.lines], survey.warnings
-
-
-def survey_validation(survey: "Survey", rig: "Rig", splits: int, seed: int) -> Answer:
-    """Validate a survey, and return what is said.
-
-    Raises
-    ------
-    InputError
-    """
-    import numpy as np
-
-    from ..files.validation_json import survey_validation_text
-    from ..validation.survey import validate_survey
-    from .words import lines_of
-
-    result = validate_survey(survey, rig.noise, splits, np.random.default_rng(seed))
-    failure = failure_of(result.calibration, result.calibration.verdict)
-    if failure is None and not result.usable:
-        code = NOT_USABLE if result.disagreement is None else UNDETERMINED
-        failure = code, result.verdict.sentence
-    lines = lines_of("survey_validation", result=result)
-    return Answer(survey_validation_text(result), lines, failure=failure)
-
-
-def survey_plan_gaps(planned: "SurveyPlan") -> tuple[list[str], tuple[int, str] | None]:
-    """Return a warning of what the survey leaves undetermined, and the failure of a plan that keeps it.
-
-    The failure is an exit code and words; None where everything is determined after the stations.
-    """
-    if not planned.undetermined:
-        return [], None
-    words = (
-        f"WARNING: the recording leaves open: {'; '.join(planned.undetermined)}. "
-        "Stations are chosen at an estimate that may be far off"
-    )
-    if planned.determined:
-        return [words], None
-    stations = count(len(planned.forecast), "station")
-    return [words], (
-        UNDETERMINED,
-        f"{stations} would still leave something open: ask for more with --stations, or allow more "
-        "room and larger turns in the table [workspace] of the rig file",
-    )

@@ -8,10 +8,11 @@ import typer
 
 from .answer import Answer, Working
 from .options import Given, JsonOption, Model, RecordingArgument, Seed
-from .stopping import NOT_USABLE
+from .stopping import NOT_USABLE, UNDETERMINED
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
+    from ..data.survey import Survey
     from ..estimation.options import CalibrationOptions
     from ..files.rig_toml import Rig
 
@@ -57,7 +58,7 @@ def validate(
     from ..data.survey import Survey
     from ..errors import InputError
     from ..files.rig_reading import read_any_kind
-    from .survey import refuse_of_beams, survey_validation
+    from .survey import refuse_of_beams
 
     with Working():
         rig = given.read()
@@ -68,33 +69,42 @@ def validate(
             against = calibration is not None or hold_out is not None
             stated = ["--calibration or --hold-out"] if against else []
             refuse_of_beams(rig, [*stated, *model.stated()], recording)
-            answer = survey_validation(read, rig, splits, seed)
+            answer = validated(read, rig, None, splits, seed)
         else:
             report, rig = read
             options = model.options(rig)
             if calibration is None and hold_out is None:
-                answer = _validated(report.recording, rig, options, splits, seed)
+                answer = validated(report.recording, rig, options, splits, seed)
             else:
                 answer = _tested(report.recording, rig, options, calibration, hold_out)
     answer.give(json=json_)
 
 
-def _validated(
-    recording: "Recording", rig: "Rig", options: "CalibrationOptions", splits: int, seed: int
+def validated(
+    recording: "Recording | Survey",
+    rig: "Rig",
+    options: "CalibrationOptions | None",
+    splits: int,
+    seed: int,
 ) -> Answer:
-    """Validate by leaving planes and stations out."""
+    """Validate by leaving planes, or other targets, and stations out; a survey has no options."""
     import numpy as np
 
     from ..files.validation_json import validation_text
     from ..validation import leave_out
+    from ..validation.validation import DISAGREES, verdict_of_validation
     from .answer import text_width
     from .words import validation_lines
 
     rng = np.random.default_rng(seed)
     result = leave_out.validate(recording, rig.noise, options, splits=splits, rng=rng)
-    judged = leave_out.verdict_of_validation(result, rig.limits)
+    judged = verdict_of_validation(result, rig.limits)
+    failure = None
+    if not judged.usable:
+        unsolved = result.calibration.status != "converged"
+        unsolved |= any(one.code == DISAGREES for one in judged.causes)
+        failure = UNDETERMINED if unsolved else NOT_USABLE, judged.sentence
     lines = validation_lines(result, judged, text_width())
-    failure = None if judged.usable else (NOT_USABLE, judged.sentence)
     return Answer(validation_text(result, judged), lines, failure=failure)
 
 

@@ -5,7 +5,7 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 from ..files.exports.rendering import environment
-from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted, p_words
+from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, p_words
 from ..quantities import IN_DEG, IN_MM
 from ..text import count
 
@@ -14,10 +14,9 @@ if TYPE_CHECKING:
     from ..planning.goal import Goal
     from ..planning.robot import Robot
     from ..planning.route import Plan
-    from ..planning.survey import SurveyPlan
     from ..results.verdict import Verdict
     from ..validation.hold_out import HoldOut
-    from ..validation.leave_out import Validation
+    from ..validation.validation import Validation
 
 SHOWN_ROWS = 10
 """Rows of the forecast, evenly over the stations, and stations whose poses are shown at most: they fit
@@ -51,15 +50,22 @@ def plan_lines(plan: "Plan", goal: "Goal", robot: "Robot | None") -> list[str]:
     """Return where to go, what will be known, whether that is enough, and what ways were checked."""
     from ..planning.route import VIA
 
-    stations, forecast, last = plan.stations, plan.forecast, len(plan.forecast)
-    pairs = zip(stations.plane_labels, stations.station_names, strict=True)
-    where = Counter(plane for plane, name in pairs if not name.startswith(VIA))
+    labels, forecast, last = plan.stations.plane_labels, plan.forecast, len(plan.forecast)
+    looks = [
+        f"{sensor} before {_target(label)}".lstrip()
+        for sensor, label, read in zip(
+            plan.sensors or [""] * len(labels), labels, plan.read, strict=True
+        )
+        if read
+    ]
+    of = "of " if plan.sensors else ""
     shown = {round(last * index / (SHOWN_ROWS - 1)) for index in range(SHOWN_ROWS)}
     return lines_of(
         "plan",
         plan=plan,
-        where=", ".join(f"{number} before plane {plane}" for plane, number in where.items()),
-        passed=len(stations) - len(plan),
+        where=", ".join(f"{number} {of}{look}" for look, number in Counter(looks).items()),
+        looks=looks,
+        passed=len(labels) - len(plan),
         via=VIA,
         forecast=forecast,
         rows=sorted(shown | {last}),
@@ -69,55 +75,39 @@ def plan_lines(plan: "Plan", goal: "Goal", robot: "Robot | None") -> list[str]:
     )
 
 
+def _target(label: str) -> str:
+    """Return what a label stands for, in words: a plane where it names no kind."""
+    return label if ":" in label else f"plane {label}"
+
+
 def station_lines(stations: "StationList") -> list[str]:
     """Return where the stations of a plan are that is not written; of many, that --out writes them."""
     from ..planning.advice import pose_words
 
-    named = zip(stations.station_names, stations.plane_labels, pose_words(stations), strict=True)
+    before = map(_target, stations.plane_labels)
+    named = zip(stations.station_names, before, pose_words(stations), strict=True)
     return lines_of("stations", stations=stations, named=named, most=SHOWN_ROWS)
-
-
-def survey_plan_lines(plan: "SurveyPlan", goal: "Goal", robot: "Robot | None") -> list[str]:
-    """Return how well spots are known before and after each station, and what ways were checked."""
-    from ..planning.route import VIA
-
-    within = [
-        f"{_in(IN_MM, error, 2)} mm" if math.isfinite(error) else "undetermined"
-        for error in plan.spot_errors.tolist()
-    ]
-    labels = zip(plan.sensors, plan.stations.plane_labels, strict=True)
-    looks = [(sensor, target) for sensor, target in labels if sensor]
-    passed = len(plan.stations) - len(looks)
-    return lines_of(
-        "survey_plan",
-        plan=plan,
-        looks=looks,
-        within=within,
-        needless=plan.reached is not None and plan.forecast.reaches(goal) == 0,
-        passed=passed,
-        via=VIA,
-        robot=robot,
-    )
 
 
 def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> list[str]:
     """Return the lines of a validation, the verdict first."""
+    from ..results.calibration import Calibration
     from ..results.description.description import Description
     from ..results.description.rendering import full_table
     from ..validation.prediction import pooled
 
-    p_values = {one.plane: one.result.p_value for one in result.planes if one.result is not None}
+    calibration = result.calibration
     lines = lines_of(
         "validation",
         result=result,
         verdict=verdict,
-        against=contradicted(p_values),
         family_level=FAMILY_LEVEL,
-        every=pooled(result.splits) if result.splits else None,
+        every=pooled(result.predictions),
     )
-    table = Description(result.calibration, verdict).systematic
-    lines += [] if table is None else full_table("systematic errors", table, width)
-    return lines + [f"WARNING: {warning}" for warning in result.calibration.warnings]
+    if isinstance(calibration, Calibration):
+        table = Description(calibration, verdict).systematic
+        lines += [] if table is None else full_table("systematic errors", table, width)
+    return lines + [f"WARNING: {warning}" for warning in calibration.warnings]
 
 
 def hold_out_lines(found: "HoldOut") -> list[str]:

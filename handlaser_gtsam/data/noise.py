@@ -84,6 +84,21 @@ class Noise(Value):
             return not self.pose_covariance.any()
         return self.pose_translation_sigma == 0.0 and self.pose_rotation_sigma == 0.0
 
+    @property
+    def standstill(self) -> tuple[float, float]:
+        """The shift [m] and turn [rad] below which recorded poses are of one stop: errors of the hand.
+
+        Errors of the hand are the same again where it has hardly moved. They are those stated, or as is
+        usual.
+        """
+        if self.pose_covariance is not None:
+            variances = np.einsum("...ii->...i", self.pose_covariance).reshape(-1, 2, 3)
+            turn, shift = np.sqrt(variances.mean(axis=(0, 2))).tolist()
+            return shift, turn
+        shift, turn = self.pose_translation_sigma, self.pose_rotation_sigma
+        shift = self.pose_translation_prior if shift is None else shift
+        return shift, self.pose_rotation_prior if turn is None else turn
+
     def pose_covariances(self, stations: int) -> FloatArray:
         """Return the covariance (M, 6, 6) of every station's pose, (rx, ry, rz, x, y, z).
 

@@ -385,7 +385,8 @@ def _warnings(
 ) -> tuple[CalibrationWarning, ...]:
     """Say which stations lost their readings to another: those that repeat it, and the rest."""
     gone = np.isnan(left.ranges).all(axis=1) & ~np.isnan(recording.ranges).all(axis=1)
-    names, total, warnings = recording.station_names, len(group), []
+    names, total = recording.station_names, len(group)
+    warnings: list[CalibrationWarning] = []
     for code, which, what in (
         ("repeated-stations", same, REPEATED),
         ("repeated-poses", ~same, READ),
@@ -393,9 +394,14 @@ def _warnings(
         rows = np.flatnonzero(gone & which)
         if rows.size:
             other = int(np.flatnonzero(group == group[rows[0]])[0])
-            first = f"the first: {names[rows[0]]}, like {names[other]}"
-            words = f"{len(rows)} of {total} stations ({first}) repeat {what}"
-            values: dict[str, float | str] = {"stations": total, "repeated": len(rows)}
-            values |= {"first": names[rows[0]], "like": names[other]}
-            warnings.append(CalibrationWarning(code, words, values))
+            warnings.append(repeated(code, what, len(rows), total, names[rows[0]], names[other]))
     return tuple(warnings)
+
+
+def repeated(
+    code: str, what: str, number: int, stations: int, first: str, like: str
+) -> CalibrationWarning:
+    """Say how many of all stations repeat what another has; `first` is the first one, `like` which."""
+    words = f"{number} of {stations} stations (the first: {first}, like {like}) repeat {what}"
+    values: dict[str, float | str] = {"stations": stations, "repeated": number}
+    return CalibrationWarning(code, words, values | {"first": first, "like": like})

@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import number_array
 from ..errors import InputError
 from .recording import Recording
@@ -93,6 +95,24 @@ class StationList(Value):
             joints,
             () if joints is None else names,
         )
+
+    def stops(self, shift: float, turn: float) -> IntArray:
+        """Return the first station (M,) where the hand stood as at each: its errors are common to both.
+
+        Parameters
+        ----------
+        shift, turn : float
+            Recorded poses that differ by no more [m], [rad] are of one stop.
+        """
+        first = np.full(len(self), -1)
+        places = cKDTree(self.world_t_hand)
+        for at in range(len(self)):
+            if first[at] < 0:
+                near = np.array(places.query_ball_point(self.world_t_hand[at], shift))
+                R = self.world_R_hand[near]
+                turns = Rotation.from_matrix(self.world_R_hand[at].T @ R).magnitude()
+                first[near[(turns <= turn) & (first[near] < 0)]] = at
+        return first
 
     def matrices(self) -> FloatArray:
         """Return the poses world_T_hand (M, 4, 4)."""

@@ -140,14 +140,15 @@ def with_pose_errors(
             continue
         columns = whitened(block.evaluate(values), block.weights)[slot.columns, 0]
         A = np.einsum("cgs,gcd->gsd", columns, root[slot.member])
-        np.add.at(sums, slot.member, np.swapaxes(A, 1, 2) @ A)
-        found.append((index, A, slot.member))
+        station = slot.member if block.weights.station is None else block.weights.station[:, 0]
+        np.add.at(sums, station, np.swapaxes(A, 1, 2) @ A)
+        found.append((index, A, station))
     # A root of inv(I + A'A), which rounding cannot make indefinite.
     squares, axes = np.linalg.eigh(sums)
     inverse = np.swapaxes(axes / np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None], 1, 2)
     new = list(blocks)
-    for index, A, member in found:
-        U = np.einsum("gsd,gcd->cgs", A, inverse[member])[:, None]
+    for index, A, station in found:
+        U = np.einsum("gsd,gcd->cgs", A, inverse[station])[:, None]
         new[index] = replace(
             blocks[index],
             weights=replace(blocks[index].weights, common=U),  # type: ignore[type-var]

@@ -61,13 +61,19 @@ def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovarian
     count = len(problem.planes)
     known_beams, response = np.zeros((count, 3, 3)), np.zeros((count, 3, len(S)))
     number = {key: p for p, key in enumerate(problem.planes)}
+    # Planes with the same parents, the beams that see them, are taken together.
+    alike: dict[tuple[int, ...], list[tuple[int, FloatArray, FloatArray]]] = {}
     for conditional in (net.at(i) for i in range(net.size())):
-        plane, *parents = list(conditional.keys())
+        plane, *parents = conditional.keys()
         if plane in number:
-            root = np.linalg.inv(conditional.R())
-            places = np.concatenate([columns[key] for key in parents])
-            response[number[plane]][:, places] = root @ conditional.S()
-            known_beams[number[plane]] = root @ root.T
+            one = number[plane], conditional.R(), conditional.S()
+            alike.setdefault(tuple(parents), []).append(one)
+    for seen_by, members in alike.items():
+        planes, R, rest_of_rows = map(np.array, zip(*members, strict=True))
+        root = np.linalg.inv(R)
+        places = np.concatenate([columns[key] for key in seen_by])
+        response[planes[:, None], :, places] = (root @ rest_of_rows).transpose(0, 2, 1)
+        known_beams[planes] = root @ root.transpose(0, 2, 1)
     at = read_parameters(problem, values)
     return numbered(at, problem.terms, S, response, known_beams, np.zeros((count, 3)))
 

@@ -260,6 +260,10 @@ class SurveyState:
         """Return the stations of rows of items; any of rows that have none."""
         return np.array([item.station for item in self.rows.items])[owner]
 
+    def stops(self, owner: IntArray) -> IntArray:
+        """Return the stops of rows of items, as of an `Item`; -1 of rows that have none."""
+        return np.where(owner < 0, -1, self.rows.stops[self.stations(owner)])
+
     def sources(self, owner: IntArray) -> IntArray:
         """Return whose noise rows of items have: sensors, beams, then the aiming; -1 of none."""
         items, beams = self.rows.items, len(self.rows.survey.shots)
@@ -285,7 +289,7 @@ def estimate_survey(
         No shot has enough points on a target, or shows the edge of its groove; a sensor, or a beam,
         that nothing leads to a start of.
     """
-    rows = rows_of(survey)
+    rows = rows_of(survey, noise)
     state = first_state(rows, noise, earlier)
     first = first_fit(state)
     settled = _settle_sorted(state)
@@ -701,7 +705,7 @@ def _spread(state: SurveyState, found: Estimate) -> FloatArray:
         return ones
     slack = max(slackness(state.rows, state.values, member) for member in rough)
     rows, owner = state.dense()
-    (J, e), station = rows.whitened(), np.where(owner < 0, -1, state.stations(owner))
+    (J, e), station = rows.whitened(), state.stops(owner)
     stations = np.unique(station[station >= 0])
     if J.shape[1] != len(ones) or len(stations) <= len(ones):
         return slack * ones

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices, gathered
+from ..data.noise import Noise
 from ..data.readings import Readings
 from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
 from ..model import known as relations
@@ -59,6 +60,8 @@ class Item:
     family, member
         `sensor` or `beam`, and its number.
     station : int
+    stop : int
+        The first station where the hand stood as at this one: its error is common to both.
     target : (family, number)
     shot : Condensed, optional
         Of a sensor.
@@ -78,6 +81,7 @@ class Item:
     family: str
     member: int
     station: int
+    stop: int
     target: tuple[str, int]
     shot: Condensed | None = None
     points: IntArray | None = None
@@ -114,6 +118,10 @@ class Rows:
         Shots with too few points on their target, or of a groove whose edge does not show.
     length : float
         Typical range [m].
+    stops : (M,)
+        Of each station, as of an `Item`.
+    repeated : tuple of (name of a sensor or beam, station)
+        Shots and readings that stand twice: they count once.
     """
 
     survey: Survey
@@ -122,6 +130,8 @@ class Rows:
     known: tuple[Known, ...]
     lost: tuple[tuple[int, int], ...]
     length: float
+    stops: IntArray
+    repeated: tuple[tuple[str, int], ...] = ()
 
     @property
     def bodies(self) -> tuple[Known, ...]:
@@ -198,9 +208,13 @@ class Rows:
         return [numbers[label] for label in known.of]
 
 
-def rows_of(survey: Survey) -> Rows:
-    """Return a survey as rows."""
+def rows_of(survey: Survey, noise: Noise | None = None) -> Rows:
+    """Return a survey as rows; errors of the hand say which stations are of one stop."""
     labels = survey.stations.plane_labels
+    stops = survey.stations.stops(*(noise or Noise()).standstill)
+    shared = np.bincount(stops, minlength=len(stops))[stops] > 1
+    told: set[tuple[Entity, Entity, int, bytes]] = set()
+    repeated: list[tuple[str, int]] = []
     targets: dict[str, dict[str, int]] = defaultdict(dict)
     items: list[Item] = []
     lost: list[tuple[int, int]] = []
@@ -208,6 +222,17 @@ def rows_of(survey: Survey) -> Rows:
     def number(label: str) -> tuple[str, int]:
         family = kind_of(label)
         return family, targets[family].setdefault(normal_label(label), len(targets[family]))
+
+    def repeats(name: str, mount: Entity, station: int, at: Entity, *read: FloatArray) -> bool:
+        """Tell whether what was read stands twice, to the last digit, where the hand stood still."""
+        if not shared[station]:
+            return False
+        this = mount, at, int(stops[station]), b"".join(one.tobytes() for one in read)
+        if this in told:
+            repeated.append((name, station))
+            return True
+        told.add(this)
+        return False
 
     for member, shots in enumerate(survey.shots):
         order = np.argsort(shots.station, kind="stable")
@@ -222,13 +247,19 @@ def rows_of(survey: Survey) -> Rows:
             if shot is None:
                 lost.append((member, station))
                 continue
-            at = number(label)
-            items.append(Item(SENSOR.name, member, station, at, shot, part[shot.kept]))
+            at, mount = number(label), (SENSOR.name, member)
+            if repeats(shots.name, mount, station, at, shots.across[part], shots.reading[part]):
+                continue
+            stop, points = int(stops[station]), part[shot.kept]
+            items.append(Item(SENSOR.name, member, station, stop, at, shot, points))
     if survey.ranges is not None:
         for station, member in np.argwhere(~np.isnan(survey.ranges)).tolist():
-            at, d = number(labels[station]), float(survey.ranges[station, member])
-            cone = survey.half_angle
-            items.append(Item(BEAM.name, member, station, at, reading=d, half_angle=cone))
+            at, d = number(labels[station]), survey.ranges[station, member]
+            name, mount = survey.beam_names[member], (BEAM.name, member)
+            if repeats(name, mount, station, at, np.array(d)):
+                continue
+            stop, cone = int(stops[station]), survey.half_angle
+            items.append(Item(*mount, station, stop, at, reading=float(d), half_angle=cone))
     seen = {f"sensor:{shots.name}" for shots in survey.shots}
     seen |= {f"beam:{name}" for name in survey.beam_names}
     seen |= {label for names in targets.values() for label in names}
@@ -244,6 +275,8 @@ def rows_of(survey: Survey) -> Rows:
         tuple(one for one in seen_of if one is not None),
         tuple(lost),
         float(np.median(ranges)) if ranges else 1.0,
+        stops,
+        tuple(repeated),
     )
 
 
@@ -370,12 +403,13 @@ def blocks_of(
     owners: list[IntArray] = []
 
     def weights(root: FloatArray) -> Weights:
-        """Weigh rows (G, S) of a station together."""
-        return Weights(root[None], None, np.repeat(station[:, None], root.shape[1], axis=1))
+        """Weigh rows (G, S) of a stop together."""
+        return Weights(root[None], None, np.repeat(stop[:, None], root.shape[1], axis=1))
 
     for (family, target, _), numbers in alike.items():
         some = [items[i] for i in numbers]
-        member, station, seen = np.array([(i.member, i.station, i.target[1]) for i in some]).T
+        numbers_of = [(i.member, i.station, i.stop, i.target[1]) for i in some]
+        member, station, stop, seen = np.array(numbers_of).T
         root = 1.0 / np.array([[sigmas[family, item.member]] for item in some])  # (G, 1)
         robot, shots = PoseVariables(station), [i.shot for i in some if i.shot is not None]
         reading = np.array([[item.reading] for item in some])[None]

@@ -97,7 +97,15 @@ def sorted_again(
             if before is not None and np.array_equal(points, before):
                 continue
             changed = True
-            item = Item(SENSOR.name, member, station, (PLANE.name, plane), shot, points=points)
+            item = Item(
+                SENSOR.name,
+                member,
+                station,
+                int(rows.stops[station]),
+                (PLANE.name, plane),
+                shot,
+                points=points,
+            )
             if at is None:
                 items.append(item)
                 counts.append(True)

@@ -5,25 +5,39 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..data.station_list import StationList
 from ..planning.route import Plan
-from ..planning.survey import SurveyPlan
 from .checked_text import Record, json_text, record
 
 
 def plan_text(plan: Plan) -> str:
-    """Return a plan as JSON text; stations that only divide the way are among the others."""
+    """Return a plan as JSON text; stations that only divide the way are among the others.
+
+    In a survey they are in the order in which they matter: what will be known after each stands beside
+    it, too.
+    """
     stations, forecast = plan.stations, plan.forecast
-    columns = _where(stations, "plane")
-    columns |= {"ranges_m": plan.ranges, "range_sigmas_m": plan.range_sigmas}
-    if stations.joints is not None:
-        columns["joints"] = stations.joints
-    known: dict[str, Iterable[object]] = {
-        "stations": range(len(forecast) + 1),
+    turns = Rotation.from_matrix(stations.world_R_hand)
+    sigmas = {
         "location_sigma_m": forecast.location_sigma,
         "direction_sigma_rad": forecast.direction_sigma,
-        "spot_m": forecast.spot,
     }
+    columns: dict[str, Iterable[object]] = {
+        "station": stations.station_names,
+        "target" if plan.sensors else "plane": stations.plane_labels,
+        **({"sensor": plan.sensors} if plan.sensors else {}),
+        "position_m": stations.world_t_hand,
+        "quaternion_xyzw": turns.as_quat(canonical=True),
+    }
+    if plan.sensors:
+        for name, values in {"spot_error_m": forecast.spot, **sigmas}.items():
+            column = np.full(len(stations), np.nan)  # nothing is read on the way
+            column[plan.read] = values[1:]
+            columns[name] = column
+    else:
+        columns |= {"ranges_m": plan.ranges, "range_sigmas_m": plan.range_sigmas}
+    if stations.joints is not None:
+        columns["joints"] = stations.joints
+    known = {"stations": range(len(forecast) + 1), **sigmas, "spot_m": forecast.spot}
     plates = [
         record(plate, "plane point_m normal", plane=name) for name, plate in plan.plates.items()
     ]
@@ -31,51 +45,15 @@ def plan_text(plan: Plan) -> str:
         "stations": _rows(columns),
         "forecast": _rows(known),
         "working_distance_m": forecast.working_distance,
-        **record(plan, "reached plates safe uncounted", plates=plates),
+        **record(
+            plan, "reached plates safe skipped uncounted undetermined determined", plates=plates
+        ),
     }
+    if plan.sensors:
+        content["spot_error_m"] = forecast.spot[0]
     if stations.joint_names:
         content["joint_names"] = list(stations.joint_names)
-    return json_text("plan", content)
-
-
-def survey_plan_text(plan: SurveyPlan) -> str:
-    """Return a plan of a survey as JSON text."""
-    columns = _where(plan.stations, "target", sensor=plan.sensors)
-    known, read = plan.forecast, np.array([bool(sensor) for sensor in plan.sensors])
-    for name, values in (
-        ("spot_error_m", known.spot),
-        ("location_sigma_m", known.location_sigma),
-        ("direction_sigma_rad", known.direction_sigma),
-    ):
-        column = np.full(len(read), np.nan)  # nothing is read on the way
-        column[read] = values[1:]
-        columns[name] = column
-    if plan.stations.joints is not None:
-        columns["joints"] = plan.stations.joints
-    content: Record = {
-        "spot_error_m": plan.spot_errors[0],
-        "stations": _rows(columns),
-        "undetermined": plan.undetermined,
-        "determined": plan.determined,
-        "skipped": plan.skipped,
-    }
-    if plan.stations.joint_names:
-        content["joint_names"] = list(plan.stations.joint_names)
-    return json_text("survey-plan", content)
-
-
-def _where(
-    stations: StationList, before: str, **more: Iterable[object]
-) -> dict[str, Iterable[object]]:
-    """Return the names of stations, what they are before, more columns, and their poses."""
-    turns = Rotation.from_matrix(stations.world_R_hand)
-    return {
-        "station": stations.station_names,
-        before: stations.plane_labels,
-        **more,
-        "position_m": stations.world_t_hand,
-        "quaternion_xyzw": turns.as_quat(canonical=True),
-    }
+    return json_text("survey-plan" if plan.sensors else "plan", content)
 
 
 def _rows(columns: Mapping[str, Iterable[object]]) -> list[Record]:

@@ -85,7 +85,7 @@ class BeamsOnPlanes:
         row[place], held[place] = rows, 1.0
         self.poses = np.empty((len(problems), 3, 4, self.cells))
         for k, problem in enumerate(problems):
-            np.moveaxis(problem.world_R_hand, 0, -1).take(row, axis=-1, out=self.poses[k, :, :3])
+            problem.world_R_hand.transpose(1, 2, 0).take(row, axis=-1, out=self.poses[k, :, :3])
             problem.world_t_hand.T.take(row, axis=-1, out=self.poses[k, :, 3])
         if len(rows) < self.cells:
             self.poses *= held
@@ -131,8 +131,10 @@ class BeamsOnPlanes:
         """Return the rows of all readings [m]."""
         beams, planes = values[BEAM.name], values[PLANE.name]
         K = max(len(beams), len(self.poses))
-        arms = bases(beams[..., OF_DIRECTION]).transpose(0, 3, 1, 2)
-        turned, along, c, s, grazing = self._met(beams, planes, arms)
+        # One call for beams and planes: of small arrays it is the calls that take time.
+        both = bases(np.concatenate((beams[..., OF_DIRECTION], planes[..., OF_NORMAL]), axis=1))
+        arms = both[:, : self.beams].transpose(0, 3, 1, 2)
+        turned, along, c, s, grazing = self._met(beams, planes, both[:, self.beams :], arms)
         columns = np.empty((BEAM.dim + PLANE.dim + 1, K, self.beams, self.cells))
         np.multiply(c, turned[:, 0, :3].transpose(1, 0, 2)[:, :, None], out=columns[:3])
         np.multiply(s * c, along[:, 0, 2:].transpose(1, 0, 2, 3), out=columns[3:5])
@@ -141,7 +143,7 @@ class BeamsOnPlanes:
         spot += along[:, 1:, 0]
         np.multiply(c, spot.transpose(1, 0, 2, 3), out=columns[BEAM.dim : BEAM.dim + 2])
         columns[-2] = c
-        columns[-1] = s - corrected(self.measured, beams[:, :, None, OF_RANGE_ERROR])
+        np.subtract(s, corrected(self.measured, beams[:, :, None, OF_RANGE_ERROR]), out=columns[-1])
         if self.read is not None:
             columns *= self.read
         shape = K, -1, self.slots_of_chunk
@@ -177,7 +179,9 @@ class BeamsOnPlanes:
     def centred(self, values: Values) -> Values:
         """Return the same planes about centres amid their laser spots, where offsets are well known."""
         beams, planes = values[BEAM.name], values[PLANE.name]
-        _, along, _, s, grazing = self._met(beams, planes, np.empty((len(beams), 0, self.beams, 3)))
+        tangents = bases(planes[..., OF_NORMAL])
+        none = np.empty((len(beams), 0, self.beams, 3))
+        _, along, _, s, grazing = self._met(beams, planes, tangents, none)
         spot = (along[:, 1:, 0] + s[:, None] * along[:, 1:, 1]).transpose(1, 0, 2, 3)
         counted = np.ones(s.shape, dtype=bool) if self.read is None else self.read
         if grazing is not None:
@@ -186,9 +190,8 @@ class BeamsOnPlanes:
         size = np.add.reduceat(np.broadcast_to(counted, s.shape).sum(axis=1), self.first, axis=1)
         middle = (sums / np.maximum(size, 1)).transpose(1, 2, 0)[..., None]
         moved = planes.copy()
-        moved[..., CENTRE] += (bases(planes[..., OF_NORMAL]) @ middle)[..., 0] - planes[
-            ..., [HEIGHT]
-        ] * planes[..., OF_NORMAL]
+        moved[..., CENTRE] += (tangents @ middle)[..., 0]
+        moved[..., CENTRE] -= planes[..., [HEIGHT]] * planes[..., OF_NORMAL]
         moved[..., HEIGHT] = 0.0
         return {**values, PLANE.name: moved}
 
@@ -212,13 +215,15 @@ class BeamsOnPlanes:
         return reach
 
     def _met(
-        self, beams: FloatArray, planes: FloatArray, arms: FloatArray
+        self, beams: FloatArray, planes: FloatArray, tangents: FloatArray, arms: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray | None]:
         """Return where the beams meet the planes.
 
         Parameters
         ----------
         beams, planes : (K, B, 8), (K, P, 7)
+        tangents : (K, P, 3, 2)
+            `bases` of the normals.
         arms : (K, q, B, 3)
             Further vectors of the beams.
 
@@ -234,7 +239,7 @@ class BeamsOnPlanes:
             Readings that graze their planes, if any do.
         """
         n, centre = planes[..., OF_NORMAL], planes[..., CENTRE]
-        axes = np.concatenate((n[..., None], bases(n)), axis=3)
+        axes = np.concatenate((n[..., None], tangents), axis=3)
         by_axis = axes.transpose(0, 2, 3, 1).take(self.plane, axis=-1)
         turned = np.einsum("kjic,kjac->kaic", self.poses, by_axis)
         offsets = np.einsum("kpj,kpja->kap", centre, axes)

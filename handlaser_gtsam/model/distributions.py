@@ -8,7 +8,8 @@ larger value, and keeps its relative precision far out.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +31,7 @@ from ..arrays import FloatArray, IntArray
 from ..quantities import POWER
 
 Numbers = float | FloatArray | IntArray
+Key = TypeVar("Key", bound=Hashable)
 FAMILY_LEVEL = 0.01
 """Several tests together, of all readings, members or beams, contradict at most this part of good
 recordings; a single test with a smaller p-value hardly agrees."""
@@ -141,11 +143,11 @@ def holm(p: FloatArray) -> FloatArray:
     return corrected
 
 
-def contradicted(p_values: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the names whose p-values contradict, corrected for their number; a NaN is no test."""
-    tested = {name: p for name, p in p_values.items() if not math.isnan(p)}
+def contradicted(p_values: Mapping[Key, float], level: float = FAMILY_LEVEL) -> tuple[Key, ...]:
+    """Return the keys whose p-values contradict, corrected for their number; a NaN is no test."""
+    tested = {key: p for key, p in p_values.items() if not math.isnan(p)}
     corrected = holm(np.array(list(tested.values())))
-    return tuple(name for name, p in zip(tested, corrected, strict=True) if p < FAMILY_LEVEL)
+    return tuple(key for key, p in zip(tested, corrected, strict=True) if p < level)
 
 
 def p_words(p: float, digits: int = 2) -> str:

@@ -9,10 +9,8 @@ ROTATION_CELL = 2e-3
 """Rotations whose matrices agree to about this many radians count as equal."""
 COORDINATE_AXES = np.eye(3)
 """The coordinate axes."""
-CROSSED_FROM = np.array([[0, 2, 1], [2, 1, 0], [1, 0, 2]])
-"""Which coordinates of a vector its cross product with each axis (3, 3) has."""
-CROSSED_SIGN = np.array([[0.0, 1.0, -1.0], [-1.0, 0.0, 1.0], [1.0, -1.0, 0.0]])
-"""The signs that they have there."""
+CROSSED = np.array([np.cross(axis, COORDINATE_AXES).ravel() for axis in COORDINATE_AXES])
+"""A vector times this (3, 9) has its cross products with the three axes."""
 
 
 def tangent_basis(unit: FloatArray) -> FloatArray:
@@ -22,15 +20,14 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
     from the unit vector. A test compares the two.
     """
     axis = np.abs(unit).argmin(axis=1)
-    numbers, first = unit.ravel(), 3 * np.arange(len(unit))
-    along = numbers.take(first + axis)[:, None]
+    index = np.arange(0, unit.size, 3) + axis
+    along = unit.take(index)[:, None]
     scale = 1.0 / np.sqrt(1.0 - along * along)
     basis = np.empty((len(unit), 3, 2))
-    # The cross product of the vector and the axis: each coordinate is another one with a sign.
-    crossed = numbers.take(first[:, None] + CROSSED_FROM.take(axis, axis=0))
-    basis[..., 0] = crossed * (CROSSED_SIGN.take(axis, axis=0) * scale)
-    # The cross product of the vector and its first tangent.
-    basis[..., 1] = (unit * along - COORDINATE_AXES.take(axis, axis=0)) * scale
+    # The cross product of the vector and the axis, then that of the vector and its first tangent.
+    crossed = (unit @ CROSSED).reshape(-1, 3).take(index, axis=0)
+    np.multiply(crossed, scale, out=basis[..., 0])
+    np.multiply(unit * along - COORDINATE_AXES.take(axis, axis=0), scale, out=basis[..., 1])
     return basis
 
 

@@ -156,6 +156,8 @@ class _GroupPlan:
         Columns by the local member.
     by_member : SumsByKey, optional
         Groups of one local member.
+    members : Index
+        These local members.
     by_both : SumsByKey, optional
         Groups of one pattern and local member.
     pairs : list of (slice, Index)
@@ -173,6 +175,7 @@ class _GroupPlan:
     places: list[Index]
     own: Index | None
     by_member: SumsByKey | None
+    members: Index
     by_both: SumsByKey | None
     pairs: list[tuple[slice, Index]]
     by_station: list[_StationSums]
@@ -325,6 +328,7 @@ class Structure:
             [_sliced(place) for place in of_pattern],
             own,
             by_member,
+            slice(0, 0) if by_member is None else _sliced(by_member.keys),
             by_both,
             pairs,
             by_station,
@@ -415,7 +419,6 @@ class Reduction:
 def damped_step(normal: Normal, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return steps (K, n) of what stays and (K, m, d) of local members for Marquardt's damping (K,)."""
     damped, L, n = bool(damping.any()), normal.local, normal.gradient.shape[1]
-    diagonal = np.einsum("kii->ki", normal.matrix)
     if damped:
         lift = _lift(damping, np.einsum("kmii->kmi", L))
         L = L + lift[..., None] * np.eye(L.shape[-1])
@@ -425,7 +428,7 @@ def damped_step(normal: Normal, damping: FloatArray) -> tuple[FloatArray, FloatA
     taken = right.reshape(answer.shape)[..., :n].swapaxes(1, 2) @ answer
     S = normal.matrix - taken[..., :n]
     if damped:
-        np.einsum("kii->ki", S)[:] += _lift(damping, diagonal)
+        np.einsum("kii->ki", S)[:] += _lift(damping, np.einsum("kii->ki", normal.matrix))
     step = solve_definite(S, taken[..., n] - normal.gradient) if n else normal.gradient
     moved = answer[..., n] + (answer[..., :n] @ step[..., None])[..., 0]
     return step, -moved.reshape(normal.local_gradient.shape)
@@ -443,11 +446,11 @@ def _add(total: Normal, plan: _GroupPlan, columns: FloatArray) -> None:
         total.gradient[:, place] += gradient[:, u]
     if plan.own is None or plan.by_member is None or plan.by_both is None:
         return
-    member = plan.by_member.keys
-    rest = plan.by_member(P[:, :, plan.own])
-    total.local[:, member] += rest[..., plan.own]
-    total.local_gradient[:, member] += rest[..., -1]
-    border = plan.by_both(P[:, :, plan.own][..., plan.columns])
+    own = P[:, :, plan.own]
+    rest = plan.by_member(own)
+    total.local[:, plan.members] += rest[..., plan.own]
+    total.local_gradient[:, plan.members] += rest[..., -1]
+    border = plan.by_both(own[..., plan.columns])
     for (sums, members), place in zip(plan.pairs, plan.places, strict=True):
         if isinstance(members, slice) or isinstance(place, slice):
             total.border[:, members, :, place] += border[:, sums]

@@ -33,7 +33,7 @@ LEVEL_STEPS = 6
 
 
 class StoppingRule:
-    """Follows the steps of one search, or of K searches at once: numbers are single ones, or (K,).
+    """Follows the steps of one search, or of K searches at once.
 
     The length of a step is measured by its decrement -g . delta: twice the cost it should save, in
     squared standard deviations for unit weights. It is NaN, or negative, for no step.
@@ -57,10 +57,11 @@ class StoppingRule:
         rounding_cost: float | FloatArray,
         dof: int,
     ) -> None:
-        self.tolerance, self.least_damping = tolerance, least_damping
-        self.rounding_cost, self.dof = np.asarray(rounding_cost), dof
+        self.least_damping = least_damping
+        self.tolerance = tolerance * np.sqrt(2.0 / dof)  # for a cost of 1
+        self.rounding_cost = np.asarray(rounding_cost)
         shape = self.rounding_cost.shape
-        self._before, self._damped = np.full(shape, np.inf), np.full(shape, np.nan)
+        self._before, self._damped = np.zeros(shape), np.full(shape, np.nan)
         self._level = np.zeros(shape, dtype=np.intp)
 
     def picked(self, searches: IntArray) -> "StoppingRule":
@@ -77,13 +78,21 @@ class StoppingRule:
     def gain(self, decrement: FloatArray, cost: FloatArray, trial: FloatArray) -> FloatArray:
         """Return what part of the promised saving a step from `cost` to `trial` achieved.
 
-        It is -1 of a failed step. A change too small to show in the cost counts as half: accept, and
-        leave the damping.
+        It is below zero for a failed step. A change too small to show in the cost counts as half:
+        accept, and leave the damping.
         """
         resolution, saved = self.resolution(cost), cost - trial
-        level = (np.abs(decrement) <= resolution) & (saved > -resolution)
+        level = (abs(decrement) <= resolution) & (saved > -resolution)
+        self._level = level * (self._level + 1)
         gain = np.where(decrement >= 0.0, saved / np.maximum(0.5 * decrement, TINY), -1.0)
-        return np.where(level, 0.5, np.where(np.isfinite(gain), gain, -1.0))
+        return np.where(level, 0.5, gain)
+
+    def is_level(self) -> BoolArray:
+        """Tell whether the last few steps were all accepted and too short to show in the cost.
+
+        Where the model does not fit (large residuals), steps shrink slowly.
+        """
+        return np.asarray(self._level >= LEVEL_STEPS)
 
     def little_left(
         self, decrement: FloatArray, damping: FloatArray, cost: FloatArray
@@ -92,25 +101,13 @@ class StoppingRule:
 
         A step that is q times the one before it, at the same damping, leaves q / (1 - q) of its length.
         """
-        with np.errstate(all="ignore"):  # a step may be as long as the one before, or none
-            length = np.sqrt(decrement)
-            same = (damping == self._damped) & (length < self._before)
-            left = np.where(same, decrement / (self._before - length), length)
-        small = left <= self.tolerance * np.sqrt(2.0 / self.dof * cost)
-        small &= same | (damping <= self.least_damping)
+        length, most = np.sqrt(decrement), self.tolerance * np.sqrt(cost)
+        shorter = self._before - length
+        same = (damping == self._damped) & (shorter > 0.0)
         self._before, self._damped = length, damping
-        return np.asarray(small | (np.abs(decrement) <= self.rounding_cost))
-
-    def is_level(
-        self, decrement: FloatArray, cost: FloatArray, better: BoolArray | bool
-    ) -> BoolArray:
-        """Tell whether the last few steps were all accepted and too short to show in the cost.
-
-        Where the model does not fit (large residuals), steps shrink slowly.
-        """
-        short = (np.abs(decrement) <= self.resolution(cost)) & better
-        self._level = np.where(short, self._level + 1, 0)
-        return np.asarray(self._level >= LEVEL_STEPS)
+        alone = (length <= most) & (damping <= self.least_damping)
+        small = np.where(same, decrement <= most * shorter, alone)
+        return np.asarray(small | (abs(decrement) <= self.rounding_cost))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +144,9 @@ class LevenbergOptions:
         require_number("most_damping", self.most_damping, 0.0, LARGEST_NUMBER, above=True)
 
     def adapted(self, damping: FloatArray, gain: FloatArray) -> FloatArray:
-        """Return lambda (K,) after steps that saved the shares `gain` (K,) of what was promised."""
+        """Return lambda after steps that saved the shares `gain` of what was promised."""
+        if (damping <= self.least_damping).all() and (gain >= POOR_GAIN).all():
+            return damping
         higher = np.maximum(damping * self.damping_factor, self.first_damping)
         lower = damping / self.damping_factor
         # A step that needs some damping is found sooner if it falls little by little. Where a least one
@@ -402,7 +401,7 @@ class _Search:
             cost = 0.5 * normal.squares / variance
             for r, block in zip(rows, problem.blocks, strict=True):
                 cost[impossible(r, block)] = np.inf
-            cost = np.where(np.isfinite(cost), cost, np.inf)
+            cost[np.isnan(cost)] = np.inf
             none = np.empty((len(cost), 0))
             return _Point(dict(values), cost, normal, [], none, problem.unit)
         residual = robust.residual(white[0], rows[0].impossible)
@@ -456,11 +455,10 @@ class _Search:
         trial = self._evaluated(values, self.at.scale)
         gain = stopping.gain(decrement, self.at.cost, trial.cost)
         better = gain > 0.0
-        level = stopping.is_level(decrement, self.at.cost, better)
         self.iterations += better
         self._tell(decrement, trial.cost, better)
         self._accept(better, trial)
-        arrived = (arrived & ~self.tightening) | level
+        arrived = (arrived & ~self.tightening) | stopping.is_level()
         self.damping = self.options.adapted(self.damping, gain)
         self._leave(arrived | (self.damping > self.options.most_damping), ~arrived)
 
@@ -499,11 +497,12 @@ class _Search:
         found.cost[of], found.scale[of] = at.cost[gone], at.scale[gone]
         found.converged[of] = ~failed[gone] & np.isfinite(at.cost[gone])
         found.iterations[of] = self.iterations[gone]
+        self.index = self.index[rest]
         if rest.size:
             self.at, self.problem = at.picked(rest), self.problem.picked(rest)
-        self.stopping = self.stopping.picked(rest)
-        for name in ("index", "iterations", "tightening", "damping"):
-            setattr(self, name, getattr(self, name)[rest])
+            self.stopping = self.stopping.picked(rest)
+            for name in ("iterations", "tightening", "damping"):
+                setattr(self, name, getattr(self, name)[rest])
         return rest
 
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from .goal import Goal as Goal
     from .robot import Robot as Robot
     from .route import Plan as Plan
-    from .survey import SurveyPlan as SurveyPlan
-    from .survey import plan_survey as plan_survey
     from .workspace import Workspace as Workspace
 else:
     from ..lazy import lazy_names

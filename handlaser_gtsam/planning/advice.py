@@ -19,7 +19,7 @@ from .bounds import Bounds
 from .goal import Goal
 from .information import station_rows
 from .plan import POOL, without
-from .route import Plan, planned
+from .route import Plan
 from .task import planning_task
 from .workspace import Workspace
 
@@ -46,8 +46,8 @@ def next_stations(
         share = POOL // 5 // len(task.belief.plane_names)  # so that nobody waits
         pool = task.reachable(share, np.random.default_rng(0))
         # Stations that are named: more are a plan.
-        chosen = task.chosen(station_rows(task.belief, pool)[None], 3)
-        return planned(task, pool[chosen], without(pool, chosen))
+        chosen = task.aim.chosen(station_rows(task.belief, pool)[None], 3)
+        return task.planned(pool[chosen], without(pool, chosen))
     except HandlaserError:
         return None
 
@@ -77,8 +77,7 @@ def advice_lines(plan: Plan) -> list[str]:
         f"{plan.forecast.words(number)} (now {plan.forecast.words(0)})"
         + "".join(f"; {words}" for words in plan.assumed)
     ]
-    read = [not np.isnan(ranges).all() for ranges in plan.ranges]
-    named = zip(stations.plane_labels, pose_words(stations), read, strict=True)
+    named = zip(stations.plane_labels, pose_words(stations), plan.read, strict=True)
     return [*lines, *(f"  before plane {plane}: {pose}" for plane, pose, one in named if one)]
 
 

@@ -29,10 +29,10 @@ from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, generator, plane_name
 from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
 from .bounds import MOST_PLANNED, SIDES, Bounds
-from .choice import choose, value
+from .choice import choose, updated, value
 from .goal import Goal, goal_rows
-from .information import recorded_rows, station_rows, updated
-from .route import Plan, planned
+from .information import recorded_rows, station_rows
+from .route import Plan
 from .task import Task
 from .workspace import (
     Workspace,
@@ -132,7 +132,7 @@ def blind_motion(
     others = bounds.draw(rng, MOUNTS)
     safe = float(safe_stations(others, motion, sensor).all(axis=1).mean())
     task = Task(belief, workspace, sensor, Goal() if goal is None else goal)
-    return planned(task, every, ordered=True, plates=plates, safe=safe)
+    return task.planned(every, ordered=True, plates=plates, safe=safe)
 
 
 def completing_motion(
@@ -193,7 +193,7 @@ def completing_motion(
             break
     goal = Goal() if goal is None else goal
     task = Task(belief, workspace, sensor, goal, recording.station_names)
-    return planned(task, pool[chosen])
+    return task.planned(pool[chosen])
 
 
 def _after(belief: Belief, rows: FloatArray) -> Belief:

@@ -7,9 +7,14 @@ The criteria, of the covariance C of the beams in units of the goal (or of natur
 
 Stations are taken one by one, each the best beside those before (greedy), and are then exchanged for
 better ones while that helps (Fedorov). A and spot are tr(M C) with a fixed M; D and E have a different
-M at every step, the gradient of the criterion.
+M at every step, the gradient of the criterion. With the whitened rows A of a station, C becomes
+
+    C - C A' inv(I + A C A') A C
+
+after it (the update of a Kalman filter).
 """
 
+from collections.abc import Iterable, Iterator
 from typing import Literal
 
 import numpy as np
@@ -140,6 +145,22 @@ class _Search:
         self.S -= left @ np.swapaxes(M.reshape(self.S.shape), 1, 2)
         C = self.C - np.swapaxes(V, 1, 2) @ step
         self.C = 0.5 * (C + np.swapaxes(C, 1, 2))
+
+
+def updates(covariance: FloatArray, rows: Iterable[FloatArray]) -> Iterator[FloatArray]:
+    """Yield the covariance (U, U) before stations with whitened rows (M, B, U), and after each."""
+    yield covariance
+    for station in rows:
+        V = station @ covariance
+        S = np.eye(len(V)) + V @ station.T
+        covariance = np.asarray(covariance - V.T @ np.linalg.solve(S, V))
+        yield covariance
+
+
+def updated(covariance: FloatArray, rows: Iterable[FloatArray]) -> FloatArray:
+    """Return the covariance (U, U) after stations with whitened rows (M, B, U)."""
+    *_, last = updates(covariance, rows)
+    return last
 
 
 def value(covariance: FloatArray, weight: FloatArray, criterion: Criterion) -> float:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..checks import require_number, require_word
 from ..data.value import Value
 from ..model.families import (
@@ -22,7 +22,7 @@ from ..model.sensor import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
 from ..results.spot_error import radius, spot_of
-from .choice import CRITERIA, Criterion
+from .choice import CRITERIA, Criterion, choose, updated, updates
 
 DIRECTION_UNIT = math.radians(0.1)
 """[rad]"""
@@ -193,16 +193,61 @@ def goal_rows(goal: Goal, mounts: Sequence[Mount]) -> FloatArray:
     return np.concatenate([part for pair in parts for part in pair])
 
 
-def forecast(
-    mounts: Sequence[Mount], covariances: Iterable[FloatArray], distance: float
-) -> Forecast:
-    """Return what is known of mounts with the covariances (U, U) before and after each station."""
-    sigmas = []
-    for C in covariances:
-        location = max(np.diagonal(m.location @ C @ m.location.T).max() for m in mounts)
-        turns = (m.turns @ C @ np.swapaxes(m.turns, 1, 2) for m in mounts)
-        direction = max(np.linalg.eigvalsh(turn).max() for turn in turns)
-        spot = max(radius(m.spot @ C @ m.spot.T) for m in mounts)
-        sigmas.append((math.sqrt(location), math.sqrt(direction), spot))
-    location, direction, spot = np.array(sigmas).T
-    return Forecast(location, direction, spot, distance)
+class Aim:
+    """What is known before the next stations, and what these are to make small.
+
+    Attributes
+    ----------
+    covariance : (U, U)
+        Of all unknowns, before the first station.
+    mounts : sequence of Mount
+        Of all beams and sensors that count.
+    goal : Goal
+    distance : float
+        The working distance [m]; NaN where each beam and sensor has its own.
+    weight : (W, U)
+        What is to become small; see `goal_rows`.
+    """
+
+    def __init__(
+        self, covariance: FloatArray, mounts: Sequence[Mount], goal: Goal, distance: float
+    ) -> None:
+        self.covariance, self.mounts = covariance, mounts
+        self.goal, self.distance = goal, distance
+        self.weight = goal_rows(goal, mounts)
+
+    def chosen(
+        self,
+        rows: FloatArray,
+        count: int,
+        beside: Iterable[FloatArray] = (),
+        *,
+        exchange: bool = False,
+        start: IntArray | None = None,
+    ) -> IntArray:
+        """Choose among candidates given by rows (K, N, B, U) at the mean and at draws; see `choose`.
+
+        `beside` are the rows (M, B, U) of stations that are chosen already.
+        """
+        known, criterion = updated(self.covariance, beside), self.goal.criterion
+        return choose(rows, known, self.weight, count, criterion, exchange=exchange, start=start)
+
+    def forecast(self, rows: FloatArray) -> Forecast:
+        """Return what will be known after each of some stations, given by whitened rows (M, B, U)."""
+        sigmas = []
+        for C in updates(self.covariance, rows):
+            location = max(np.diagonal(m.location @ C @ m.location.T).max() for m in self.mounts)
+            turns = (m.turns @ C @ np.swapaxes(m.turns, 1, 2) for m in self.mounts)
+            direction = max(np.linalg.eigvalsh(turn).max() for turn in turns)
+            spot = max(radius(m.spot @ C @ m.spot.T) for m in self.mounts)
+            sigmas.append((math.sqrt(location), math.sqrt(direction), spot))
+        location, direction, spot = np.array(sigmas).T
+        return Forecast(location, direction, spot, self.distance)
+
+    def enough(self, rows: FloatArray) -> int:
+        """Return how many of some stations reach the goal, at least one; all where they do not.
+
+        All, too, where the goal states nothing. The stations are given by whitened rows (M, B, U).
+        """
+        least = self.forecast(rows).reaches(self.goal) if self.goal.stated else None
+        return len(rows) if least is None else max(least, 1)

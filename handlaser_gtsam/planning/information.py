@@ -2,14 +2,8 @@ r"""What a station would say of beams and planes, before it is measured.
 
 The residuals of one station before plane p are A x, with x the deviation of the unknowns and A (B, U)
 whitened by the covariance of the station's readings (see `model.weighting`); only the columns of the
-beams and of that plane are not zero. From the covariance C before the station follows
-
-    C - C A' inv(I + A C A') A C
-
-after it (the update of a Kalman filter).
+beams and of that plane are not zero. What is known after it follows by `choice.updated`.
 """
-
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -107,22 +101,6 @@ def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
     stations = Stations(recording.world_R_hand, recording.world_t_hand, plane)[facing]
     read = ~np.isnan(recording.ranges[facing])
     return np.where(read[..., None], station_rows(belief, stations), 0.0)
-
-
-def updates(covariance: FloatArray, rows: FloatArray) -> Iterator[FloatArray]:
-    """Yield the covariance (U, U) before stations with whitened rows (M, B, U), and after each."""
-    yield covariance
-    for station in rows:
-        V = station @ covariance
-        S = np.eye(len(V)) + V @ station.T
-        covariance = np.asarray(covariance - V.T @ np.linalg.solve(S, V))
-        yield covariance
-
-
-def updated(covariance: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the covariance (U, U) after stations with whitened rows (M, B, U)."""
-    *_, last = updates(covariance, rows)
-    return last
 
 
 def _linearized(

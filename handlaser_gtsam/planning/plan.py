@@ -1,7 +1,8 @@
-"""Plan the next stations of a calibration."""
+"""Plan the next stations of a calibration, of beams before planes or of a survey."""
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,21 +16,24 @@ from ..results.mounts import Mounts
 from ..validation.simulate import Stations, generator, plane_name
 from .belief import COMPARED_DRAWS
 from .bounds import MOST_PLANNED, Placement, Plate
-from .choice import value
+from .choice import updated, value
 from .goal import Goal
-from .information import station_rows, updated
-from .route import Plan, planned
+from .information import station_rows
+from .route import Plan
 from .task import Task, planning_task
 from .workspace import Workspace, joined
+
+if TYPE_CHECKING:
+    from ..results.survey import SurveyCalibration
 
 POOL = 1200
 """Candidates of all planes together: twice as many lower the criterion by about 2 %."""
 
 
 def plan(
-    calibration: Calibration | Mounts,
+    calibration: "Calibration | Mounts | SurveyCalibration",
     stations: int,
-    sensor: Sensor,
+    sensor: Sensor | None = None,
     workspace: Workspace | None = None,
     goal: Goal | None = None,
     *,
@@ -37,39 +41,57 @@ def plan(
     placement: Placement | None = None,
     rng: np.random.Generator | None = None,
 ) -> Plan:
-    """Choose the stations that determine the beams best, given what a calibration knows so far.
+    """Choose the stations that determine the mounts best, given what a calibration knows so far.
 
     They lie before the planes of the calibration, which stand where they stood, and before `plates`;
-    with a `placement` before the last of these planes only, moved to the best orientations.
+    with a `placement` before the last of these planes only, moved to the best orientations. Stations of
+    a survey look at its planes and spheres as they were found, and first determine what its motion has
+    left undetermined.
 
     Parameters
     ----------
-    calibration : Calibration or Mounts
-        Mounts know no planes: `plates` says where there are some.
+    calibration : Calibration, Mounts or SurveyCalibration
+        Mounts know no planes: `plates` says where there are some. A survey may be undetermined.
     stations : int
         At most; fewer where fewer reach what the goal states.
     sensor : Sensor
+        Of beams before planes; sensors of a survey read as far as they did so far.
     workspace : Workspace, optional
         Around the stations so far, where not given.
     goal : Goal, optional
+        Stations of a survey are chosen for spots, at the typical reading of each beam and sensor.
     plates : mapping of names to Plate, optional
-        Of which nothing was read yet.
+        Of which nothing was read yet; for beams before planes.
     placement : Placement, optional
+        For beams before planes.
     rng : numpy.random.Generator, optional
 
     Raises
     ------
     InputError
-        No covariance, plane, workspace or sensor's range is known, or no station is safe.
+        No covariance, plane, workspace or sensor's range is known, or no station is safe; a survey of
+        cones, one that does not fit, or arguments that are for beams before planes.
     """
     goal = Goal() if goal is None else goal
     rng = generator(rng)
-    require_kind("sensor", sensor, Sensor)
     require_count("stations", stations, 1, MOST_PLANNED)
-    if not isinstance(calibration, Mounts):
-        require_kind("calibration", calibration, Calibration, "a Calibration, or Mounts")
     if workspace is not None:
         require_kind("workspace", workspace, Workspace)
+    if not isinstance(calibration, Calibration | Mounts):
+        from ..results.survey import SurveyCalibration  # which plans of beams do not need
+        from .survey import plan_survey
+
+        expected = "a Calibration, a SurveyCalibration, or Mounts"
+        require_kind("calibration", calibration, SurveyCalibration, expected)
+        if sensor is not None or plates is not None or placement is not None:
+            raise InputError(
+                "a sensor, plates or a placement for a survey",
+                "none of them: its stations go by the readings and targets that it has",
+            )
+        return plan_survey(calibration, stations, workspace, goal, rng)
+    if sensor is None:
+        raise InputError("no sensor for beams before planes", "the Sensor that states their range")
+    require_kind("sensor", sensor, Sensor)
     task = planning_task(calibration, sensor, workspace, goal, plates)
     put: Mapping[str, Plate] = {}
     if placement is not None:
@@ -84,16 +106,14 @@ def plan(
         except (GrazingBeamError, InputError):  # so wide a posterior has draws that read nothing
             continue
     rows = np.stack(each)
+    aim = task.aim
     if goal.stated:  # how many are enough, before these are chosen with more care
-        quick = task.chosen(rows[:1], stations)
-        enough = task.forecast(rows[0, quick]).reaches(goal)
-        stations = stations if enough is None else max(enough, 1)
-    chosen = task.chosen(rows, stations, exchange=True)
+        quick = aim.chosen(rows[:1], stations)
+        stations = aim.enough(rows[0, quick])
+    chosen = aim.chosen(rows, stations, exchange=True)
     best = _refined(task, pool[chosen], rng)
-    if goal.stated:
-        enough = task.forecast(station_rows(belief, best)).reaches(goal)
-        best = best if enough is None else best[np.arange(max(enough, 1))]
-    return planned(task, best, without(pool, chosen), plates=put)
+    best = best[np.arange(aim.enough(station_rows(belief, best)))]
+    return task.planned(best, without(pool, chosen), plates=put)
 
 
 def without(pool: Stations, chosen: IntArray) -> Stations:
@@ -126,9 +146,9 @@ def _placed(
                 pool = trial.candidates(plane, POOL // 20, rng)
             except InputError:
                 continue
-            rows = station_rows(belief, pool)
-            known = updated(belief.covariance, rows[trial.chosen(rows[None], count)])
-            left = value(known, trial.weight, task.goal.criterion)
+            rows, aim = station_rows(belief, pool), trial.aim
+            known = updated(belief.covariance, rows[aim.chosen(rows[None], count)])
+            left = value(known, aim.weight, task.goal.criterion)
             if left < best:
                 best, put[name] = left, plate
                 after = replace(belief, covariance=known)
@@ -167,5 +187,5 @@ def _refined(task: Task, stations: Stations, rng: np.random.Generator) -> Statio
             continue
         pool = joined([stations, near])
         rows = station_rows(belief, pool)[None]
-        stations = pool[task.chosen(rows, count, exchange=True, start=np.arange(count))]
+        stations = pool[task.aim.chosen(rows, count, exchange=True, start=np.arange(count))]
     return stations

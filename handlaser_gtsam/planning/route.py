@@ -1,24 +1,19 @@
-"""A plan: chosen stations in the order of the way, with what is expected there."""
+"""A plan: chosen stations in the order of the way, with what will be known after them."""
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
-from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.station_list import StationList
 from ..data.value import Value
-from ..errors import InputError
 from ..validation.simulate import Stations
 from .bounds import Plate
-from .goal import Forecast
-from .information import outlook, station_rows, updated
-from .task import Task
+from .goal import Aim, Forecast
 from .way import divided, driven, shortest
-from .workspace import Workspace, joined
+from .workspace import Workspace
 
 VIA = "via"
 """Beginning of the names of stations on the way, at which nothing need be read."""
@@ -26,7 +21,10 @@ VIA = "via"
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Plan(Value):
-    """Stations to measure next, in an order that shortens the way.
+    """Stations to measure next.
+
+    Their order shortens the way; in a survey and in a first motion it is the order in which they
+    matter.
 
     Attributes
     ----------
@@ -34,11 +32,13 @@ class Plan(Value):
         Those named "via 1", ... divide a step that is longer than the workspace allows, or lead around
         the plate; nothing need be read there. With an arm, they have its joints.
     ranges : (M, B)
-        What every beam is expected to read [m]; NaN on the way.
+        What every beam before planes is expected to read [m]; NaN on the way. None is expected of a
+        survey (M, 0).
     range_sigmas : (M, B)
         How far the reading may be off [m], noise included.
     forecast : Forecast
-        If they were measured in the order in which they matter.
+        If they were measured in the order in which they matter. NaN as long as a survey, with the
+        stations up to there, leaves anything undetermined.
     reached : int or None
         How many of them reach the goal, in that order; None where all do not, or none is stated.
     plates : mapping by name
@@ -50,6 +50,11 @@ class Plan(Value):
         Stations fewer than were chosen: the arm found no way to them, nor to others in their place.
     uncounted : tuple of str
         Codes of errors that were free in the calibration, of which the stations are taken to have none.
+    sensors : tuple of str
+        Of a survey: the sensor that looks at the target, or `beam NAME`, at each station; empty on the
+        way. No names where all beams read at every station.
+    undetermined : tuple of str
+        What the calibration of a survey leaves undetermined, in sentences.
     """
 
     stations: StationList
@@ -61,6 +66,8 @@ class Plan(Value):
     safe: float | None = None
     skipped: int = 0
     uncounted: tuple[str, ...] = ()
+    sensors: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
     @property
     def assumed(self) -> tuple[str, ...]:
@@ -72,27 +79,19 @@ class Plan(Value):
             f"the stations are taken to be without the freed errors {words}: let there be none",
         )
 
+    @property
+    def determined(self) -> bool:
+        """Whether everything is determined once there are its stations."""
+        return bool(np.isfinite(self.forecast.spot[-1]))
+
+    @property
+    def read(self) -> BoolArray:
+        """Tell which stations (M,) are to be read: the others lie on the way."""
+        return np.array([not name.startswith(VIA) for name in self.stations.station_names])
+
     def __len__(self) -> int:
         """Return how many stations are to be read."""
-        return sum(not name.startswith(VIA) for name in self.stations.station_names)
-
-
-class Visit(NamedTuple):
-    """Stations in the order in which they are visited.
-
-    Attributes
-    ----------
-    stations : StationList
-        With others on the way, which are named `VIA`.
-    read : (M,) of bool
-        Which of them are to be read.
-    kept : indices
-        Which of the chosen stations these are, in this order: the arm found a way to them.
-    """
-
-    stations: StationList
-    read: BoolArray
-    kept: IntArray
+        return int(self.read.sum())
 
 
 def visited(
@@ -102,7 +101,7 @@ def visited(
     plates: Sequence[Plate | None],
     taken: Sequence[str] = (),
     length: float | None = None,
-) -> Visit:
+) -> tuple[StationList, IntArray]:
     """Return a way to stations: straight without an arm, in steps that the workspace allows.
 
     Parameters
@@ -116,6 +115,14 @@ def visited(
     length : float, optional
         The order is a short one, in which a turn by one radian counts as a move by this length [m];
         that of the stations where not given.
+
+    Returns
+    -------
+    StationList
+        With others on the way, which are named `VIA`.
+    origin : (M,)
+        Index of each among the given ones, -1 on the way. Those are missing to which the arm finds no
+        way.
     """
     robot, joints = workspace.robot, None
     order = np.arange(len(stations)) if length is None else shortest(stations, length)
@@ -134,93 +141,70 @@ def visited(
         joints,
         () if robot is None else robot.joint_names,
     )
-    return Visit(listed, read, order[origin[read]])
+    return listed, np.where(read, order[origin], -1)
 
 
-def with_ways(
+def planned(
+    aim: Aim,
+    workspace: Workspace,
+    candidates: Stations,
     rows: FloatArray,
     chosen: IntArray,
-    choose: Callable[[IntArray, int, IntArray], IntArray],
-    way: Callable[[IntArray], Visit],
-) -> tuple[IntArray, Visit]:
-    """Return chosen candidates with a way to them, in the order in which they matter.
+    labels: Sequence[str],
+    plates: Sequence[Plate | None],
+    taken: Sequence[str] = (),
+    length: float | None = None,
+) -> tuple[Plan, IntArray]:
+    """Return a plan of chosen candidates, with a way to them.
 
     Where the arm finds no way to some, the best others beside those that it reaches take their places,
     as long as there are others. The choice with the most stations wins.
 
     Parameters
     ----------
+    aim, workspace
+    candidates : Stations
+        All of them, N.
     rows : (N, B, U)
-        Whitened rows of all candidates.
-    chosen : (M,)
-    choose : callable
-        Takes candidates, how many to choose, and those that are chosen already.
-    way : callable
-        Takes candidates.
-    """
-    nothing, others = chosen[:0], np.setdiff1d(np.arange(len(rows)), chosen)
-    tried, visit = chosen, way(chosen)
-    best = tried[np.sort(visit.kept)], visit
-    for _ in range(5):  # most plans need one or two, before fewer stations have to do
-        reached = tried[np.sort(visit.kept)]
-        missing = len(chosen) - len(reached)
-        if not missing or len(others) < missing:
-            break
-        more = choose(others, missing, reached)
-        others = np.setdiff1d(others, more)
-        tried = choose(np.concatenate((reached, more)), len(chosen), nothing)
-        visit = way(tried)
-        if len(visit.kept) > len(best[0]):
-            best = tried[np.sort(visit.kept)], visit
-    return best
+        Their whitened rows.
+    chosen : (C,)
+        Indices of candidates, in the order in which they matter.
+    labels, plates, taken, length
+        As `visited` has them.
 
-
-def planned(
-    task: Task,
-    stations: Stations,
-    spare: Stations | None = None,
-    *,
-    ordered: bool = False,
-    plates: Mapping[str, Plate] | None = None,
-    safe: float | None = None,
-) -> Plan:
-    """Return a plan of stations, which matter in the order given, or of `spare` ones instead.
-
-    They are visited in another order, unless this one is to stay (`ordered`), with others between them
-    where steps are long.
+    Returns
+    -------
+    Plan
+        Without what is expected to be read.
+    candidate : (M,)
+        Index of the candidate at each station of the plan; -1 on the way.
 
     Raises
     ------
     InputError
-        The arm finds no way to any station, or not to all that are ordered.
+        The arm finds no way to any station.
     """
-    belief, workspace = task.belief, task.workspace
-    location, direction = task.goal.units
-    pool, names, before = stations, belief.plane_names, belief.plates()
-    if spare is not None and workspace.robot is not None:
-        pool = joined([stations, spare])
-    rows, C = station_rows(belief, pool), belief.covariance
 
-    def choose(some: IntArray, number: int, beside: IntArray) -> IntArray:
-        return some[task.chosen(rows[None, some], number, updated(C, rows[beside]))]
+    def way(some: IntArray) -> tuple[StationList, IntArray, IntArray]:
+        """Return a way, the candidate at each of its stations, and those reached as they matter."""
+        stations, origin = visited(workspace, candidates[some], labels, plates, taken, length)
+        return stations, np.where(origin >= 0, some[origin], -1), some[np.sort(origin[origin >= 0])]
 
-    def way(some: IntArray) -> Visit:
-        length = None if ordered else location / direction
-        return visited(workspace, pool[some], names, before, task.taken, length)
-
-    every = np.arange(len(stations))
-    chosen, visit = with_ways(rows, every, choose, way)
-    skipped = len(stations) - len(chosen)
-    if skipped and ordered:
-        raise InputError(
-            f"no way of the arm to {skipped} of {len(stations)} stations of a first motion",
-            "more room around the plate, or a smaller clearance",
-        )
-    ranges, sigmas = (np.full((len(visit.read), belief.beams), math.nan) for _ in range(2))
-    in_order = chosen[np.argsort(np.argsort(visit.kept))]
-    ranges[visit.read], sigmas[visit.read], _, _ = outlook(belief, pool[in_order])
-    forecast = task.forecast(rows[chosen])
-    reached = forecast.reaches(task.goal) if task.goal.stated else None
-    put = {} if plates is None else dict(plates)
-    at = visit.stations
-    return Plan(at, ranges, sigmas, forecast, reached, put, safe, skipped, belief.uncounted)
+    others = np.setdiff1d(np.arange(len(rows)), chosen)
+    stations, candidate, reached = way(chosen)
+    found = reached
+    for _ in range(5):  # most plans need one or two, before fewer stations have to do
+        missing = len(chosen) - len(found)
+        if not missing or len(others) < missing:
+            break
+        more = others[aim.chosen(rows[None, others], missing, rows[found])]
+        others = np.setdiff1d(others, more)
+        every = np.concatenate((found, more))
+        tried = way(every[aim.chosen(rows[None, every], len(every))])
+        found = tried[2]
+        if len(found) > len(reached):
+            stations, candidate, reached = tried
+    forecast = aim.forecast(rows[reached])
+    enough = forecast.reaches(aim.goal) if aim.goal.stated else None
+    nothing, skipped = np.empty((len(stations), 0)), len(chosen) - len(reached)
+    return Plan(stations, nothing, nothing, forecast, enough, skipped=skipped), candidate

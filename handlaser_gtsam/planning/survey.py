@@ -2,21 +2,18 @@ r"""The next stations of a survey: where a profiler, a scanner, an array or a be
 
 Candidates look at the planes and spheres as they were found, from all sides, at ranges that the sensor
 had so far and within the workspace. A candidate says what all its rays say, by the rows of the survey
-and with the errors of the hand; `choose` takes those that shrink the laser spots at working distance
+and with the errors of the hand; those are taken that shrink the laser spots at working distance
 most. What the survey leaves undetermined counts as known to a metre, or a radian: so the first stations
 go where the motion has been too poor. That bound only guides the choice: standard deviations are stated
 only where survey and stations determine everything.
 """
 
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray, evenly
-from ..checks import require_count, require_kind
-from ..data.station_list import StationList
-from ..data.value import Value
+from ..arrays import BoolArray, FloatArray, evenly
 from ..errors import InputError
 from ..estimation.dense import dense_rows, with_pose_errors
 from ..estimation.estimate import information_axes, least_information
@@ -48,12 +45,10 @@ from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.shots import MOST_SLANTED
 from ..model.targets.sphere import SPHERE
 from ..results.survey import SurveyCalibration
-from ..validation.simulate import Stations, generator, read_back
-from .bounds import MOST_PLANNED, Plate, plate_of
-from .choice import choose
-from .goal import Forecast, Goal, Mount, beam_mount, forecast, goal_rows
-from .information import updated, updates
-from .route import visited, with_ways
+from ..validation.simulate import Stations, read_back
+from .bounds import Plate, plate_of
+from .goal import Aim, Forecast, Goal, Mount, beam_mount
+from .route import Plan, planned
 from .workspace import Workspace, drawn_turns, inside, joined, reached, workspace_of
 
 VIEWS = 600
@@ -69,84 +64,29 @@ UNDETERMINED_SIGMA = 1.0
 """Standard deviation [m], [rad] of what is undetermined so far."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SurveyPlan(Value):
-    """Stations to measure next, the most useful first.
-
-    Attributes
-    ----------
-    stations : StationList
-        Those named "via 1", ... lie on the way, as in a `Plan`; with an arm, all have its joints.
-    sensors : names
-        The sensor that looks at the target, or `beam NAME`, at each station; empty on the way.
-    forecast : Forecast
-        The largest of all sensors and beams, each at its own working distance; NaN as long as the
-        survey, with the stations up to there, leaves anything undetermined.
-    undetermined : tuple of str
-        What the survey alone leaves undetermined, in sentences.
-    reached : bool, optional
-        Whether the goal is reached after them, where there is one: the plan ends there.
-    skipped : int
-        Stations fewer than were chosen: the arm found no way to them, nor to others in their place.
-    """
-
-    stations: StationList
-    sensors: tuple[str, ...]
-    forecast: Forecast
-    undetermined: tuple[str, ...]
-    reached: bool | None = None
-    skipped: int = 0
-
-    @property
-    def spot_errors(self) -> FloatArray:
-        """Radii (M + 1,) that hold a spot with 95 %, before the first station and after each [m]."""
-        return self.forecast.spot
-
-    @property
-    def determined(self) -> bool:
-        """Whether everything is determined once the survey has its stations."""
-        return bool(np.isfinite(self.spot_errors[-1]))
-
-
 def plan_survey(
     calibration: SurveyCalibration,
-    count: int = 10,
-    workspace: Workspace | None = None,
-    goal: Goal | None = None,
-    rng: np.random.Generator | None = None,
-) -> SurveyPlan:
-    """Choose the next stations of a survey.
-
-    Parameters
-    ----------
-    calibration : SurveyCalibration
-        Converged or undetermined.
-    count : int
-        Stations at most.
-    workspace : Workspace, optional
-        Where the hand may go, and the arm that is to reach it; about the stations so far where it is
-        not given.
-    goal : Goal, optional
-        Standard deviations of locations and turns, and spot errors, that are enough for all sensors and
-        beams.
-    rng : Generator, optional
+    count: int,
+    workspace: Workspace | None,
+    goal: Goal,
+    rng: np.random.Generator,
+) -> Plan:
+    """Choose the next stations of a survey; see `plan`.
 
     Raises
     ------
     InputError
         A survey of cones, one that does not fit, or no place for a station.
     """
-    require_kind("calibration", calibration, SurveyCalibration)
-    require_count("count", count, 1, MOST_PLANNED)
     if calibration.status not in ("converged", "undetermined"):
         raise InputError(f"a survey that is {calibration.status}", "one whose readings fit")
-    if goal is not None and (goal.criterion in ("D", "E") or goal.working_distance):
+    if goal.criterion in ("D", "E") or goal.working_distance:
         raise InputError(
             "criterion D or E, or working_distance_mm in [goal], with sensors of many rays or other "
             "targets",
             "what is enough: stations are chosen for spots at the typical readings",
         )
-    of, rng = calibration._found.rows, generator(rng)
+    of = calibration._found.rows
     if of.survey.half_angle and not calibration.sensors:
         raise InputError(
             "a survey of cones alone, which no stations are planned for",
@@ -186,45 +126,27 @@ def plan_survey(
     pool, most = joined([part for part, _ in parts]), max(said.shape[1] for _, said in parts)
     padded = [np.pad(said, ((0, 0), (0, most - said.shape[1]), (0, 0))) for _, said in parts]
     rows, labels = np.concatenate(padded), [of.label(target) for target in targets]
-    planned = {(family, member) for family, member, _ in looks}
-    mounts, known = list(_mounts(calibration, planned)), _Known(calibration)
-    weight = goal_rows(Goal("spot"), mounts)
-
-    def best(some: IntArray, number: int, beside: IntArray) -> IntArray:
-        C = updated(known.covariance, rows[beside])
-        return some[choose(rows[None, some], C, weight, number)]
-
-    every = np.arange(len(rows))
-    chosen = best(every, min(count, len(rows)), every[:0])
-    if goal is not None and goal.stated:
-        enough = known.forecast(mounts, rows[chosen]).reaches(goal)
-        chosen = chosen if enough is None else chosen[: max(enough, 1)]
-    asked = len(chosen)
-    chosen, visit = with_ways(
-        rows, chosen, best, lambda some: visited(workspace, pool[some], labels, plates)
-    )
-    expected = known.forecast(mounts, rows[chosen])
-    looking = iter([names[i] for i in chosen])
-    return SurveyPlan(
-        visit.stations,
-        tuple(next(looking) if is_read else "" for is_read in visit.read),
-        expected,
-        calibration.undetermined,
-        None if goal is None or not goal.stated else expected.reaches(goal) is not None,
-        asked - len(chosen),
+    known = _Known(calibration, {(family, member) for family, member, _ in looks}, goal)
+    chosen = known.chosen(rows[None], count, exchange=True)
+    chosen = chosen[: known.enough(rows[chosen])]
+    plan, candidate = planned(known, workspace, pool, rows, chosen, labels, plates)
+    return replace(
+        plan,
+        sensors=tuple(names[i] if i >= 0 else "" for i in candidate),
+        undetermined=calibration.undetermined,
     )
 
 
-class _Known:
+class _Known(Aim):
     """What a survey knows of its unknowns, and from when on it knows all of them.
 
-    Attributes
-    ----------
-    covariance : (U, U)
-        With what is undetermined known to `UNDETERMINED_SIGMA`.
+    In `covariance` what is undetermined is known to `UNDETERMINED_SIGMA`. What is to become small are
+    the spots of the sensors and beams that stations are planned for.
     """
 
-    def __init__(self, calibration: SurveyCalibration) -> None:
+    def __init__(
+        self, calibration: SurveyCalibration, planned: Container[Entity], goal: Goal
+    ) -> None:
         found = calibration._found
         problem = found.problem()
         values = {name: x[None] for name, x in found.estimate.values.items()}
@@ -237,19 +159,24 @@ class _Known:
         size, own = np.linalg.eigh(H * np.outer(scale, scale))
         root = own / np.sqrt(np.maximum(size, np.finfo(float).eps))
         spread = scale * unit * found.spread
-        self.covariance: FloatArray = (root @ root.T) * np.outer(spread, spread)
+        covariance = (root @ root.T) * np.outer(spread, spread)
+        mounts = list(_mounts(calibration, planned))
+        super().__init__(covariance, mounts, replace(goal, criterion="spot"), np.nan)
 
-    def forecast(self, mounts: Sequence[Mount], rows: FloatArray) -> Forecast:
+    def forecast(self, rows: FloatArray) -> Forecast:
         """Return what will be known after each station; NaN where something is undetermined."""
-        said = forecast(mounts, updates(self.covariance, rows), np.nan)
         told, known = self._rows, [not self._open]
         for station in rows:  # of unit weight and in natural units: do they determine all unknowns
             told = np.vstack((told, station * self._unit))
             information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
             known.append(known[-1] or bool(information.min() >= least_information(information)))
-        unsaid = np.where(known, 1.0, np.nan)
-        location, direction, spot = said.location_sigma, said.direction_sigma, said.spot
-        return Forecast(unsaid * location, unsaid * direction, unsaid * spot, np.nan)
+        said, unsaid = super().forecast(rows), np.where(known, 1.0, np.nan)
+        return replace(
+            said,
+            location_sigma=unsaid * said.location_sigma,
+            direction_sigma=unsaid * said.direction_sigma,
+            spot=unsaid * said.spot,
+        )
 
 
 def _mounts(calibration: SurveyCalibration, planned: Container[Entity]) -> Iterator[Mount]:

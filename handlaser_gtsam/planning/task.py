@@ -1,12 +1,13 @@
 """What a plan starts from: what is known, where the hand may go, what the beams read, and the goal."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from .. import model
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray
 from ..errors import InputError
 from ..model.sensor import Sensor
 from ..quantities import FAR_SIGMAS
@@ -15,9 +16,9 @@ from ..results.mounts import Mounts
 from ..validation.simulate import Stations
 from .belief import Belief, belief_of
 from .bounds import Plate
-from .choice import choose
-from .goal import Forecast, Goal, forecast, goal_rows
-from .information import outlook, updates
+from .goal import Aim, Goal
+from .information import outlook, station_rows
+from .route import Plan, planned
 from .workspace import (
     Workspace,
     drawn_turns,
@@ -59,26 +60,10 @@ class Task(NamedTuple):
     taken: Sequence[str] = ()
 
     @property
-    def weight(self) -> FloatArray:
-        """What is to become small (W, U)."""
-        return goal_rows(self.goal, self.belief.mounts(self.goal.distance(self.sensor)))
-
-    def chosen(
-        self,
-        rows: FloatArray,
-        count: int,
-        covariance: FloatArray | None = None,
-        *,
-        exchange: bool = False,
-        start: IntArray | None = None,
-    ) -> IntArray:
-        """Choose among stations given by rows (K, N, B, U) at the belief and draws; see `choose`.
-
-        Beside what the `covariance` (U, U) says, or the belief where it is not given.
-        """
-        known, weight = self.belief.covariance if covariance is None else covariance, self.weight
-        criterion = self.goal.criterion
-        return choose(rows, known, weight, count, criterion, exchange=exchange, start=start)
+    def aim(self) -> Aim:
+        """What the stations are chosen for."""
+        distance = self.goal.distance(self.sensor)
+        return Aim(self.belief.covariance, self.belief.mounts(distance), self.goal, distance)
 
     def safe(self, stations: Stations) -> BoolArray:
         """Tell at which stations (M,) all readings are within the sensor's limits, with a margin.
@@ -195,11 +180,57 @@ class Task(NamedTuple):
             raise refusal
         return joined(parts)
 
-    def forecast(self, rows: FloatArray) -> Forecast:
-        """Return what will be known after each of some stations, given by whitened rows (M, B, U)."""
-        distance = self.goal.distance(self.sensor)
-        mounts = self.belief.mounts(distance)
-        return forecast(mounts, updates(self.belief.covariance, rows), distance)
+    def planned(
+        self,
+        stations: Stations,
+        spare: Stations | None = None,
+        *,
+        ordered: bool = False,
+        plates: Mapping[str, Plate] | None = None,
+        safe: float | None = None,
+    ) -> Plan:
+        """Return a plan of stations, which matter in the order given, or of `spare` ones instead.
+
+        They are visited in another order, unless this one is to stay (`ordered`), with others between
+        them where steps are long.
+
+        Raises
+        ------
+        InputError
+            The arm finds no way to any station, or not to all that are ordered.
+        """
+        belief, workspace = self.belief, self.workspace
+        location, direction = self.goal.units
+        candidates = stations
+        if spare is not None and workspace.robot is not None:
+            candidates = joined([stations, spare])
+        plan, candidate = planned(
+            self.aim,
+            workspace,
+            candidates,
+            station_rows(belief, candidates),
+            np.arange(len(stations)),
+            belief.plane_names,
+            belief.plates(),
+            self.taken,
+            None if ordered else location / direction,
+        )
+        if plan.skipped and ordered:
+            raise InputError(
+                f"no way of the arm to {plan.skipped} of {len(stations)} stations of a first motion",
+                "more room around the plate, or a smaller clearance",
+            )
+        read = candidate >= 0
+        ranges, sigmas = (np.full((len(read), belief.beams), np.nan) for _ in range(2))
+        ranges[read], sigmas[read], _, _ = outlook(belief, candidates[candidate[read]])
+        return replace(
+            plan,
+            ranges=ranges,
+            range_sigmas=sigmas,
+            plates={} if plates is None else dict(plates),
+            safe=safe,
+            uncounted=belief.uncounted,
+        )
 
 
 def planning_task(

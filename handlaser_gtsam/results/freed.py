@@ -37,7 +37,7 @@ from ..model.effects.plausible import how_to_state
 from ..model.equation import residuals_or_infinite
 from ..model.families import BEAM, PLANE, modelled
 from ..model.geometry import skew, tangent_basis
-from ..model.joint import JointCovariance, beam_lifts
+from ..model.joint import JointCovariance
 from ..model.sensor import Sensor
 from ..quantities import MOST_ROUNDS
 from ..text import count
@@ -97,11 +97,6 @@ class Freed(NamedTuple):
     def grown(self, joint: JointCovariance) -> JointCovariance:
         """Return a covariance for known sizes with what these add, in the order of the readings."""
         return joint.following(self.beams[modelled(joint.terms)], self.planes, self.covariance)
-
-    def beam_sigmas(self, directions: FloatArray) -> FloatArray:
-        """Return what they add to the standard deviations (B, 8) of beams with directions (B, 3)."""
-        moved = beam_lifts(tangent_basis(directions)) @ self.beams
-        return np.asarray(np.sqrt(np.einsum("bcq,qr,bcr->bc", moved, self.covariance, moved)))
 
     def reports(
         self, problem: Problem, joint: JointCovariance, growth: float

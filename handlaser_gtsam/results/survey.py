@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import FloatArray
+from ..data.screen import REPEATED, repeated
 from ..data.survey import RAY_ERRORS, Survey, kind_of
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
@@ -591,7 +592,13 @@ def rejected_words(one: Rejected, beams: Container[str]) -> str:
 def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
     """Warn of stations without a reading, of grooves without an edge, and of lost shots."""
     survey, stations = rows.survey, len(rows.survey.stations)
-    read = {item.station for item in rows.items} | {at for _, at in rows.lost}
+    names = survey.stations.station_names
+    twice = {at for _, at in rows.repeated}
+    if twice:
+        first = min(twice)
+        like = names[rows.stops[first]]
+        yield repeated("repeated-stations", REPEATED, len(twice), stations, names[first], like)
+    read = {item.station for item in rows.items} | {at for _, at in rows.lost} | twice
     unread = stations - len(read)
     if unread:
         yield warned("stations-left-out", {"stations": unread, "total": stations})
@@ -601,7 +608,6 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         shots = sum(labels[at] == label for _, at in rows.lost)
         plane = f"{PLANE.name}:{label.partition(':')[2]}"
         yield warned("no-edge", {"target": label, "shots": shots, "label": plane})
-    names = survey.stations.station_names
     lost = [
         f"sensor {survey.shots[member].name} at station {names[at]}"
         for member, at in rows.lost

@@ -129,7 +129,8 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     InputError
         No shot has enough points on its target.
     """
-    rows, noise = rows_of(survey), noise or Noise()
+    noise = noise or Noise()
+    rows = rows_of(survey, noise)
     causes = tuple(misread(rows, noise))
     unread = tuple(unread_stations(rows))
     lost = () if causes else tuple(unconfirmed(rows, unread))

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .reports import Change as Change
     from .reports import Comparison as Comparison
-    from .reports import Moved as Moved
     from .reports import Update as Update
 else:
     from ..lazy import lazy_names

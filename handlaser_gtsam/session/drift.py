@@ -22,9 +22,9 @@ from ..arrays import FloatArray, IntArray
 from ..model.distributions import chi2_sf, f_sf
 from ..model.families import BEAM, MOUNT_DIM
 from ..quantities import KNOWN
+from ..validation.hold_out import BeamDrift
 from .config import SessionConfig
 from .plane import FittedPlane
-from .reports import Moved
 
 FALSE_ALARMS = 2e-5
 """Probability that a search finds a move where there is none; a session searches at every change."""
@@ -44,7 +44,7 @@ def moves(config: SessionConfig) -> IntArray:
 
 def search(
     config: SessionConfig, planes: Mapping[str, FittedPlane], epochs: IntArray | None = None
-) -> Moved | None:
+) -> BeamDrift | None:
     """Return the beam that has moved; None where there is no clear sign of it.
 
     Parameters
@@ -86,13 +86,13 @@ def search(
     if len(epochs) < count - 1:
         return search(config, planes)  # something has moved: look at every epoch
     d = axes[best] @ np.where(keep, along / safe, 0.0)[best] * config.unit[beams[best[1]]]
-    return Moved(
+    return BeamDrift(
         config.names[best[1]],
-        list(planes)[int(epochs[best[0]])],
         float(statistic[best]),
         p_value,
         d[:3],
         float(np.linalg.norm(d[3:])),
+        list(planes)[int(epochs[best[0]])],
     )
 
 

@@ -18,12 +18,13 @@ from ..model.joint import JointCovariance
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..solvers.isam import BeamState
+from ..validation.hold_out import BeamDrift
 from .config import SessionConfig
 from .contents import Contents
 from .drift import recent, search
 from .joining import fitted_planes
 from .plane import fit_plane
-from .reports import Change, Comparison, Moved
+from .reports import Change, Comparison
 from .state import undetermined
 
 
@@ -91,7 +92,7 @@ class FreedState:
         origins = readings.plane_means(readings.world_t_hand)
         return readings.seen_from(origins), self.batch.parameters().seen_from(origins)
 
-    def moved(self, *, recently: bool = False) -> Moved | None:
+    def moved(self, *, recently: bool = False) -> BeamDrift | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         beams, used = self.integrated.beams, self.batch.used_in(self.contents.recording())
         every = {

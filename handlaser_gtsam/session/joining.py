@@ -129,7 +129,7 @@ def _rather_moved(
         return False
     d, sigma = fitted.readings.distance, fitted.whitening.sigma
     gone = len(d) - len(again.readings.distance)
-    of_beam = fitted.readings.beam == fitted.config.names.index(moved.beam)
+    of_beam = fitted.readings.beam == fitted.config.names.index(moved.name)
     if (
         gone == of_beam.sum()
         and not np.isin(again.readings.beam, fitted.readings.beam[of_beam]).any()

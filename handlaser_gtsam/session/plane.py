@@ -158,7 +158,7 @@ class FittedPlane:
         """
         readings, how, values = self.readings, self.whitening, gtsam.Values()
         normal, offset = gtsam.Unit3(self.parameters.normals[0]), self.parameters.offsets[0]
-        values.insert(plane_key(number), gtsam.OrientedPlane3(normal, offset))
+        values.insert(plane_key(number), plane=gtsam.OrientedPlane3(normal, offset))
         rows: IntArray = np.lexsort((readings.beam, readings.station))
         together, priors, graph = readings.plane, None, gtsam.NonlinearFactorGraph()
         if self.config.poses == "estimated":

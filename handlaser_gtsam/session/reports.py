@@ -6,6 +6,7 @@ from typing import Literal
 from ..arrays import FloatArray
 from ..data.value import Value
 from ..model.sensor import Rejected
+from ..validation.hold_out import BeamDrift
 
 ChangeCode = Literal[
     "scales", "range-sigma", "outliers", "excluded-planes", "from-batch", "not-converged"
@@ -58,33 +59,6 @@ class Comparison(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Moved(Value):
-    """A beam that has moved.
-
-    Attributes
-    ----------
-    beam : str
-    since : str
-        The first plane that saw it moved.
-    statistic : float
-        Fall of chi2.
-    p_value : float
-        Probability of so clear a sign if nothing has moved, all epochs and beams considered.
-    shift : (3,)
-        Move of its location [m]; NaN where it has moved so far that planes fit only without it.
-    turn : float
-        Turn of its direction [rad]; NaN likewise.
-    """
-
-    beam: str
-    since: str
-    statistic: float
-    p_value: float
-    shift: FloatArray
-    turn: float
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Update(Value):
     """What a change of a session did: stations that came or left.
 
@@ -107,7 +81,7 @@ class Update(Value):
         Why there is no calibration yet, or that it was restarted; empty otherwise.
     rejected : tuple of Rejected
         New readings or shots that do not count; they are kept, and not used.
-    moved : Moved or None
+    moved : BeamDrift or None
         The beam that the planes so far show to have moved, and since when; surveys are not searched.
     inconsistent : tuple of str
         Planes that do not fit, whichever beam has moved a little. They wait, and take no part, unless
@@ -123,6 +97,6 @@ class Update(Value):
     before: FloatArray | None
     message: str = ""
     rejected: tuple[Rejected, ...] = ()
-    moved: Moved | None = None
+    moved: BeamDrift | None = None
     inconsistent: tuple[str, ...] = ()
     comparison: Comparison | None = None

@@ -23,8 +23,9 @@ from ..model.sensor import Rejected
 from ..results.calibration import Calibration
 from ..results.freed import prior_sizes
 from ..results.mounts import Mounts
+from ..validation.hold_out import BeamDrift
 from .contents import Contents
-from .reports import Comparison, Moved, Update
+from .reports import Comparison, Update
 from .updating import UNKNOWN, AnyState, changed, recalibrate, split_beam, started
 
 
@@ -258,7 +259,7 @@ class Session:
         """
         return self.state.compare()
 
-    def moved(self) -> Moved | None:
+    def moved(self) -> BeamDrift | None:
         """Return the beam that all planes so far show to have moved, whenever that was."""
         return self.state.moved()
 

@@ -24,12 +24,13 @@ from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
 from ..results.calibration import Calibration
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
+from ..validation.hold_out import BeamDrift
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
 from .drift import recent, search
 from .joining import fitted_planes, join_planes
-from .reports import Comparison, Moved
+from .reports import Comparison
 
 REWEIGHED_MOVE = 5e-4
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
@@ -143,7 +144,7 @@ class SessionState:
         scale = np.sqrt(found.chi2 / max(found.dof, 1))
         return replace(config, sigma=config.sigma * float(scale), sigma_dof=float(found.dof))
 
-    def moved(self, *, recently: bool = False) -> Moved | None:
+    def moved(self, *, recently: bool = False) -> BeamDrift | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         planes = self.contents.consistent
         moved = search(self.config, planes, recent(len(planes)) if recently else None)
@@ -151,8 +152,8 @@ class SessionState:
         excluded = self.contents.excluded.items()
         plane, beam = next((far for far in excluded if far[1]), ("", ""))
         if beam and moved is None:
-            return Moved(beam, plane, np.nan, 0.0, np.full(3, np.nan), np.nan)
-        if moved is None or moved.beam != beam:
+            return BeamDrift(beam, np.nan, 0.0, np.full(3, np.nan), np.nan, plane)
+        if moved is None or moved.name != beam:
             return moved
         order = list(self.contents.planes)
         return replace(moved, since=min(moved.since, plane, key=order.index))

@@ -49,15 +49,13 @@ def beam_problem(
     """
     block = BeamsOnPlanes(readings, None if isinstance(noise, float) else noise)
     K = max(len(readings), copies)
-    unit = np.full(K, noise) if isinstance(noise, float) else np.array([w.sigma for w in noise])
-    unit = np.broadcast_to(unit, K)
+    unit = np.full(K, noise if isinstance(noise, float) else [w.sigma for w in noise])
     blocks: list[Block] = [block]
     if prior is not None and terms:
         root = unit[:, None, None] * np.where(np.arange(2) < terms, 1.0 / prior.sigma, 0.0)
         mean = np.zeros_like(prior.sigma) if prior.mean is None else prior.mean
         blocks.append(VectorPrior(BEAM.name, root, mean))
-    reach = np.broadcast_to(block.reach(), K)
-    rounding = block.size * (4.0 * np.finfo(float).eps * reach / unit) ** 2
+    rounding = block.size * (4.0 * np.finfo(float).eps * block.reach() / unit) ** 2
     if robust is not None:
         real = block.spread(np.ones((1, block.size))).reshape(-1, block.slots_of_chunk) > 0.0
         robust = replace(robust, real=real)

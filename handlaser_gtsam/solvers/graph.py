@@ -10,11 +10,11 @@ from functools import cache, partial
 import gtsam
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, renumbered
 from ..checks import require_kind
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
-from ..factors import RangeBlock, range_error_prior, range_factor, require_rows
+from ..factors import RangeBlock, SharedEvaluation, range_error_prior, require_rows
 from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.families import POSE
 from ..model.losses import GAUSSIAN, Loss
@@ -54,7 +54,7 @@ class PosePriors:
             recorded = gtsam.Pose3(gtsam.Rot3(self.world_R_hand[j]), self.world_t_hand[j])
             model = gtsam.noiseModel.Gaussian.Covariance(self.covariance[j])
             graph.push_back(gtsam.PriorFactorPose3(key, recorded, model))
-            values.insert(key, recorded if self.start is None else self.start.atPose3(key))
+            values.insert(key, pose3=recorded if self.start is None else self.start.atPose3(key))
 
 
 def pose_priors(
@@ -101,8 +101,8 @@ class CalibrationGraph:
         Of every whitened residual.
     rows : (N,)
         Row of the readings for each row of the blocks.
-    whitening : Whitening or None
-        In the order of the blocks' rows.
+    shared : SharedEvaluation
+        Of the blocks, with the whitening of their rows.
     readings : Readings
     """
 
@@ -117,7 +117,7 @@ class CalibrationGraph:
     terms: tuple[int, ...]
     loss: Loss
     rows: IntArray
-    whitening: Whitening | None
+    shared: SharedEvaluation
     readings: Readings
     prior_rows: int = 0
     """Rows of the priors."""
@@ -162,7 +162,7 @@ def build_graph(
     blocks = grouped_blocks(readings, whitening, rows, group, (beams, planes, priors))
     graph, noise_model = gtsam.NonlinearFactorGraph(), cache(partial(_noise_model, sigma, loss))
     for block in blocks:
-        graph.add(range_factor(block, noise_model(len(block.distance))))
+        graph.add(block.factor(noise_model(len(block.distance))))
     for factor in range_error_priors(beams, counts, range_errors):
         graph.add(factor)
     prior_rows = 0 if range_errors is None else range_errors.rows(max(counts))
@@ -173,6 +173,7 @@ def build_graph(
         priors.join(graph, values, poses)
         prior_rows += 6 * len(poses)
     whitening = None if whitening is None else whitening.of_rows(rows)
+    shared = SharedEvaluation(blocks, whitening, readings.measured[rows])
     of_beams = [key for beam in beams for key in beam.variables]
     # Uncoupled beams are independent given the planes: they go first where there are far more.
     order = [*poses, *planes, *of_beams]
@@ -190,7 +191,7 @@ def build_graph(
         counts,
         loss,
         rows,
-        whitening,
+        shared,
         readings,
         prior_rows=prior_rows,
     )
@@ -227,16 +228,19 @@ def _noise_model(range_sigma: float, loss: Loss, rows: int) -> gtsam.noiseModel.
 def start_values(
     start: Parameters, beams: tuple[BeamKeys, ...], planes: tuple[int, ...], terms: Terms
 ) -> gtsam.Values:
-    """Return `start` as GTSAM values under the given keys."""
+    """Return `start` as GTSAM values under the given keys.
+
+    The name of the kind of value spares GTSAM the trial of one kind after the other.
+    """
     counts = per_beam(terms, len(beams))
     values = gtsam.Values()
     for i, beam in enumerate(beams):
         values.insert(beam.location, start.locations[i])
-        values.insert(beam.direction, gtsam.Unit3(start.directions[i]))
+        values.insert(beam.direction, unit3=gtsam.Unit3(start.directions[i]))
         if beam.range_error is not None:
             values.insert(beam.range_error, start.range_errors[i, : counts[i]])
-    for p, key in enumerate(planes):
-        values.insert(key, gtsam.OrientedPlane3(gtsam.Unit3(start.normals[p]), start.offsets[p]))
+    for key, normal, offset in zip(planes, start.normals, start.offsets, strict=True):
+        values.insert(key, plane=gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
     return values
 
 
@@ -254,15 +258,15 @@ def parameters_of(
         if beam.range_error is not None:
             range_error = values.atVector(beam.range_error)
             k[i, : range_error.size] = range_error
-    variables = [values.atOrientedPlane3(key) for key in planes]
     directions = [values.atUnit3(beam.direction).point3() for beam in beams]
-    normals = [plane.normal().point3() for plane in variables]
+    found = [values.atOrientedPlane3(key).planeCoefficients() for key in planes]
+    n, b = np.hsplit(np.array(found).reshape(-1, 4), [3])
     return Parameters.unchecked(
         np.array([values.atPoint3(beam.location) for beam in beams]),
         np.array(directions).reshape(-1, 3),
         k,
-        np.array(normals).reshape(-1, 3),
-        np.array([plane.distance() for plane in variables]),
+        np.ascontiguousarray(n),
+        b.ravel(),
     )
 
 
@@ -281,9 +285,11 @@ def grouped_blocks(
     starts = np.flatnonzero(np.diff(group[rows], prepend=-1))
     run = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(rows)))
     # The beams of each run, in their order, and which of them each row is of.
-    pairs, pair = np.unique(run * len(beams) + readings.beam[rows], return_inverse=True)
+    pair = run * len(beams) + readings.beam[rows]
+    pairs = np.flatnonzero(np.bincount(pair))
     first = np.searchsorted(pairs, len(beams) * np.arange(len(starts) + 1))
-    beam_of, seen = pair - first[run], [beams[i] for i in (pairs % len(beams)).tolist()]
+    beam_of = renumbered(pair) - first[run]
+    seen, first = [beams[i] for i in (pairs % len(beams)).tolist()], first.tolist()
     d, R, t = (
         one[rows] for one in (readings.distance, readings.world_R_hand, readings.world_t_hand)
     )
@@ -292,7 +298,7 @@ def grouped_blocks(
     blocks, ends = [], [*starts[1:].tolist(), len(rows)]
     plane, station = (one[rows[starts]].tolist() for one in (readings.plane, readings.station))
     for g, (begin, end) in enumerate(zip(starts.tolist(), ends, strict=True)):
-        own, some = slice(begin, end), rows[begin:end]
+        own = slice(begin, end)
         blocks.append(
             RangeBlock(
                 seen[first[g] : first[g + 1]],
@@ -302,8 +308,9 @@ def grouped_blocks(
                 t[own],
                 None if priors is None else pose_key(station[g]),
                 beam_of[own],
-                None if whitening is None else whitening.of_rows(some),
-                None if readings.regressors is None else readings.regressors[some],
+                whitening,
+                readings.measured,
+                rows[own],
             )
         )
     return tuple(blocks)

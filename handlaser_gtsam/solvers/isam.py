@@ -203,7 +203,7 @@ class IncrementalGraph:
             for beam in self.beams:
                 r, v, k = beam.location, beam.direction, beam.range_error
                 values.insert(r, self._view.atPoint3(r) + delta.at(r))
-                values.insert(v, self._view.atUnit3(v).retract(delta.at(v)))
+                values.insert(v, unit3=self._view.atUnit3(v).retract(delta.at(v)))
                 if k is not None:
                     values.insert(k, self._view.atVector(k) + delta.at(k))
             bases = np.array([self._view.atUnit3(beam.direction).basis() for beam in self.beams])
@@ -318,7 +318,7 @@ def _restored(
     beams, terms, length, of_beams = kept
     start = start_values(at, beams, tuple(plane_key(number) for number in parts), terms)
     for key, pose in poses.items():
-        start.insert(key, pose)
+        start.insert(key, pose3=pose)
     graph, nowhere = IncrementalGraph(beams, terms, length), gtsam.Values()
     planes = {number: GraphPart(*part, nowhere) for number, part in parts.items()}
     graph._exchange(planes, (), GraphPart((), of_beams, start))

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
 from ..errors import GrazingBeamError, InputError
-from ..factors import SharedEvaluation
 from ..model.search import LevenbergOptions, StoppingRule
 from ..progress import Trial
 from ..quantities import LARGEST_NUMBER, ROUNDING, SINGULAR
@@ -84,7 +83,7 @@ def of_calibration(problem: CalibrationGraph) -> Objective:
     others = gtsam.NonlinearFactorGraph()
     for index in range(len(problem.blocks), problem.graph.size()):
         others.push_back(problem.graph.at(index))
-    shared, sigma = SharedEvaluation(problem.blocks, problem.whitening), problem.range_sigma
+    shared, sigma = problem.shared, problem.range_sigma
 
     def evaluate(values: gtsam.Values) -> Point:
         point = shared.evaluate(values)
@@ -277,18 +276,9 @@ def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) 
     require_values(values)
 
 
-def evaluated(problem: CalibrationGraph, message: str) -> LevenbergResult:
-    """Return the start of `problem`, which somebody else has solved, as a result."""
-    point = of_calibration(problem).evaluate(problem.values)
-    return LevenbergResult(
-        point.values, "converged", message, point.cost, 0, (), *point.residuals()
-    )
-
-
 def linearize(problem: CalibrationGraph, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
     """Return the linear graph at `values`, all readings evaluated together."""
-    shared = SharedEvaluation(problem.blocks, problem.whitening)
-    with shared.handed_out(shared.evaluate(values)):
+    with problem.shared.handed_out(problem.shared.evaluate(values)):
         return problem.graph.linearize(values)
 
 
@@ -303,33 +293,32 @@ def _minimised(
         options.step_tolerance, options.least_damping, objective.rounding, objective.dof
     )
     history: list[Trial] = []
-    accepted, damping = 0, options.least_damping
+    accepted, damping = 0, np.array(options.least_damping)
     status: Status = "max_iterations"
     message = f"not converged within {count(options.max_iterations, 'trial step')}"
     try:
         solver = point.linearized()
         while len(history) < options.max_iterations:
-            step = solver(damping)
+            step = solver(float(damping))
             decrement = np.array(-1.0 if step is None else step[1])  # negative for no step
             trial = None if step is None else _tried(objective, point.values.retract(step[0]))
             cost = np.array(np.inf if trial is None else trial.cost)
             gain = stopping.gain(decrement, np.array(point.cost), cost)
             better = trial is not None and bool(gain > 0.0)
             length = np.inf if step is None else float(np.sqrt(decrement))
-            history.append(Trial(len(history) + 1, float(cost), damping, length, better))
+            history.append(Trial(len(history) + 1, float(cost), float(damping), length, better))
             if progress is not None:
                 progress(history[-1])
             if better and trial is not None:
                 point = trial
                 accepted += 1
-            now = np.array(point.cost)
-            reason = "the cost is level" if stopping.is_level(decrement, now, better) else None
-            if step is not None and stopping.little_left(decrement, np.array(damping), now):
+            reason = "the cost is level" if stopping.is_level() else None
+            if step is not None and stopping.little_left(decrement, damping, np.array(point.cost)):
                 reason = "converged"
             if reason is not None:
                 status, message = "converged", f"{reason} after {count(accepted, 'step')}"
                 break
-            damping = float(options.adapted(np.array(damping), gain))
+            damping = options.adapted(damping, gain)
             if damping > options.most_damping:
                 status = "stalled"
                 message = f"no step lowers the cost after {count(accepted, 'step')}"

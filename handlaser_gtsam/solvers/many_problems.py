@@ -1,7 +1,7 @@
 """Many problems of one shape solved together on the reduction: each has the minimum of its graph."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.value import Value
 from ..model.beams_on_planes import parameters_of
+from ..model.families import BEAM, OF_RANGE_ERROR
 from ..model.search import LevenbergOptions, search
 from ..model.weighting import Whitening
 from ..quantities import ROWS_AT_ONCE
@@ -74,9 +75,9 @@ def solve_together(
         some = slice(first, first + share)
         of_some = noise if isinstance(noise, float) else noise[some]
         problem, block = beam_problem(problems[some], terms, of_some, prior=prior)
-        used = np.arange(2) < terms
-        begun = [replace(p, range_errors=p.range_errors * used) for p in starts[some]]
-        ended = search(problem, block.begun(begun), options)
+        begun = block.begun(starts[some])
+        begun[BEAM.name][..., OF_RANGE_ERROR] *= np.arange(2) < terms
+        ended = search(problem, begun, options)
         ends.append(ended)
         units.append(problem.unit)
         parameters += parameters_of(ended.values)

@@ -7,9 +7,8 @@ if TYPE_CHECKING:
     from .cross_check import cross_check_survey as cross_check_survey
     from .hold_out import BeamDrift as BeamDrift
     from .hold_out import HoldOut as HoldOut
-    from .leave_out import PlaneLeftOut as PlaneLeftOut
-    from .leave_out import Validation as Validation
     from .prediction import Prediction as Prediction
+    from .prediction import SurveyPrediction as SurveyPrediction
     from .runs import Estimated as Estimated
     from .runs import calibrate_each as calibrate_each
     from .runs import count_warnings as count_warnings
@@ -19,9 +18,8 @@ if TYPE_CHECKING:
     from .simulate import Errors as Errors
     from .study import Case as Case
     from .study import Study as Study
-    from .survey import SurveyLeftOut as SurveyLeftOut
-    from .survey import SurveyValidation as SurveyValidation
-    from .survey import validate_survey as validate_survey
+    from .validation import LeftOut as LeftOut
+    from .validation import Validation as Validation
 else:
     from ..lazy import lazy_names
 

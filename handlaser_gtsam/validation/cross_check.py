@@ -71,6 +71,11 @@ class CrossCheck(Value):
     sigma_parameter: str
     iterations: int
 
+    @property
+    def difference(self) -> str:
+        """The largest difference of a parameter in words."""
+        return f"{self.largest:.2g} standard deviations in {self.parameter}"
+
 
 def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     """Solve the readings of `calibration` again with SciPy, from a start of its own.
@@ -273,6 +278,7 @@ def _problem(found: SurveyEstimate) -> Problem:
         float(found.noise.sigma[-1]),
         known,
         beside=0.005,
+        stops=rows.stops,
     )
 
 

@@ -7,8 +7,7 @@ same solution where noise and prior are given. Where they were learned from ever
 held out has contributed to them.
 """
 
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +18,7 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.recording import Recording
-from ..data.value import Value
-from ..errors import GrazingBeamError, InputError, SolverError
+from ..errors import SolverError
 from ..estimation.posterior import covariance_of_determined
 from ..model.errors_in_variables import weighed
 from ..model.joint import JointCovariance
@@ -31,9 +29,10 @@ from ..quantities import MOST_ROUNDS, NEGLIGIBLE
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.beam_problem import newton_step
-from .hold_out import hold_out
-from .leave_out import USUAL_SPLITS, PlaneLeftOut, training_stations
+from .hold_out import HoldOut, hold_out
+from .leave_out import drawn_stations
 from .prediction import Prediction, predicted
+from .validation import USUAL_SPLITS, Validation, leave_out
 
 
 class WholeSolution(NamedTuple):
@@ -149,72 +148,45 @@ class WholeSolution(NamedTuple):
         return at.seen_from(-origins), named
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class HeldOut(Value):
-    """How a calibration predicts parts of its own recording when it does not see them.
-
-    Attributes
-    ----------
-    planes : tuple of PlaneLeftOut
-        Empty where there is one plane only; some of more than forty.
-    splits : tuple of Prediction
-        30 % of the stations of every plane, predicted from the others.
-    message : str
-        Why nothing was held out; empty where something was.
-    """
-
-    planes: tuple[PlaneLeftOut, ...]
-    splits: tuple[Prediction, ...]
-    message: str = ""
-
-
-def held_out(calibration: Calibration) -> HeldOut:
+def held_out(calibration: Calibration) -> Validation:
     """Predict every plane, and 30 % of all stations several times, from the rest of the recording.
 
     Of many planes only some are held out, evenly spread: as many as take a second or two. The splits
     are the same each time.
 
-    Returns
-    -------
-    HeldOut
-        Empty, with the reason, where `WholeSolution.of` knows of nothing to hold out.
-
     Raises
     ------
     InputError
         What is no calibration.
+    SolverError
+        `WholeSolution.of` knows of nothing to hold out.
     """
     require_kind("calibration", calibration, Calibration)
-    try:
-        whole = WholeSolution.of(calibration)
-    except SolverError as error:
-        return HeldOut((), (), str(error))
+    whole = WholeSolution.of(calibration)
     fit, planes = calibration.fit, whole.recording.plane_names
     known = fit.range_sigma_given or bool(calibration.noise_estimate)
     sigma = fit.range_sigma if known else None
+
+    def of_plane(out: BoolArray) -> HoldOut:
+        at, joint = whole.known_by(~out, solve=True)
+        held, variances = whole.stations(out)
+        exact = 0.0 if variances.pose is None else None
+        noise = Noise(sigma, exact, exact, variances.incidence_sigma, variances.pose)
+        typical, S = float(np.median(variances.range_sigma)), joint.matrix(planes=[])
+        mounts = Mounts(joint.beam_names, *at.beams, joint.terms, S, typical)
+        return hold_out(mounts, held, noise, each_beam=False)
+
+    def of_split(out: BoolArray) -> Prediction:
+        at, joint = whole.known_by(~out, solve=True)
+        return predicted(at, joint, *whole.stations(out))
+
     # The cost of one plane that is held out is linear in the number of planes.
     count = len(planes)
     most = 0 if count < 2 else max(2000 // count, 10)
-    left_out, predictions = [], []
-    for p in evenly(count, most):
-        mine = whole.recording.plane_of_station == p
-        try:
-            at, joint = whole.known_by(~mine, solve=True)
-            held, variances = whole.stations(mine)
-            exact = 0.0 if variances.pose is None else None
-            noise = Noise(sigma, exact, exact, variances.incidence_sigma, variances.pose)
-            typical, S = float(np.median(variances.range_sigma)), joint.matrix(planes=[])
-            mounts = Mounts(joint.beam_names, *at.beams, joint.terms, S, typical)
-            result, message = hold_out(mounts, held, noise, each_beam=False), ""
-        except (InputError, SolverError, GrazingBeamError) as error:
-            result, message = None, str(error)
-        left_out.append(PlaneLeftOut(planes[p], result, message))
+    of = whole.recording.plane_of_station
+    stations = {planes[p]: of == p for p in evenly(count, most)}
     rng = np.random.default_rng(0)
-    for _ in range(USUAL_SPLITS):
-        training = training_stations(whole.recording, rng)
-        # Where the training stations do not suffice there is no prediction.
-        with suppress(InputError, SolverError, GrazingBeamError):
-            at, joint = whole.known_by(training, solve=True)
-            test, variances = whole.stations(~training)
-            predictions.append(predicted(at, joint, test, variances))
-    return HeldOut(tuple(left_out), tuple(predictions))
+    draws = (drawn_stations(whole.recording, rng) for _ in range(USUAL_SPLITS))
+    total = 1 + len(stations) + USUAL_SPLITS
+    parts = leave_out(stations, draws, of_plane, of_split, total, kind="plane ")
+    return Validation(calibration, *parts)

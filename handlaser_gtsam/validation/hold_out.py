@@ -36,7 +36,7 @@ from ..starts.growing import PartialStart, grow
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class BeamDrift(Value):
-    """Whether one beam has moved since its calibration.
+    """Whether one beam has moved since its calibration, or while a session went on.
 
     Attributes
     ----------
@@ -44,11 +44,15 @@ class BeamDrift(Value):
     statistic : float
         By how much chi2 falls when this beam alone may have moved.
     p_value : float
-        Probability of so large a fall if it has not.
+        Probability of so large a fall if it has not; in a session if none has, all epochs and beams
+        considered.
     shift : (3,)
-        By how much its location would have moved [m].
+        By how much its location would have moved [m]; NaN in a session where it has moved so far that
+        planes fit only without it.
     turn : float
-        By how much its direction would have [rad].
+        By how much its direction would have [rad]; NaN likewise.
+    since : str
+        The first plane of a session that saw it moved; empty of another recording.
     """
 
     name: str
@@ -56,6 +60,7 @@ class BeamDrift(Value):
     p_value: float
     shift: FloatArray
     turn: float
+    since: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -43,6 +43,29 @@ class Prediction(Value):
     standardized: float
 
 
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class SurveyPrediction(Value):
+    """How the rest of a survey predicts the shots of a part of it.
+
+    Attributes
+    ----------
+    shots : int
+        Shots and readings of beams that were predicted.
+    chi2, dof : float, int
+        What they add to the sum of squares, and what it should be about.
+    p_value : float
+        Probability of more by chance.
+    shift : float
+        Largest shift of a spot at working distance against the whole survey [m].
+    """
+
+    shots: int
+    chi2: float
+    dof: int
+    p_value: float
+    shift: float
+
+
 def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Prediction:
     """Return the errors with which a calibration predicts another recording of its planes and beams.
 
@@ -134,8 +157,10 @@ def reconstruction(calibration: Calibration, recording: Recording) -> Prediction
     return _prediction(e, np.full(len(e), np.nan))
 
 
-def pooled(predictions: Sequence[Prediction]) -> Prediction:
-    """Return the errors of several predictions as one."""
+def pooled(predictions: Sequence[Prediction]) -> Prediction | None:
+    """Return the errors of several predictions as one; None of none."""
+    if not predictions:
+        return None
     tests = np.array([one.tests for one in predictions])
     rms, unit = np.array([(one.rms, one.standardized) for one in predictions]).T
     largest = max(one.max_residual for one in predictions)

@@ -41,9 +41,8 @@ def head_of(subject: Subject) -> Mapping[str, object]:
     if sensor.max_incidence < np.pi / 2.0:
         parts.append(f"up to {np.degrees(sensor.max_incidence):.4g} deg of incidence")
     parts.append(f"expected linear to {IN_PERCENT * sensor.linearity:.3g} % of a reading")
-    contradicting = (
-        f"plane {plane} contradicts the beams found without it" for plane in subject.contradicting
-    )
+    contradiction = subject.held_out.contradiction
+    contradicting = [contradiction] if contradiction else []
     ranges = np.empty((0, 1)) if recording is None else recording.ranges
     return {
         "warnings": tuple(map(sentence, (*subject.warnings, *contradicting))),
@@ -76,6 +75,6 @@ def _plan_table(subject: Subject) -> Table | None:
             *(number(x, 4) for x in quaternions[j].tolist()),
         )
         for j in range(len(stations.plane_labels))
-        if not np.isnan(plan.ranges[j]).all()
+        if plan.read[j]
     )
     return table_of("next", rows)

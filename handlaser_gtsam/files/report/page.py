@@ -41,6 +41,7 @@ from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
 from ...validation.hold_out import HoldOut
 from ...validation.prediction import pooled
+from ...validation.validation import LeftOut
 from ..calibration_json import calibration_text
 from .figure import STYLE, Figure
 from .figures import flat_figures
@@ -81,7 +82,7 @@ def content_of(subject: Subject) -> tuple[dict[str, str], dict[str, Figure], str
         "title": title_of(subject.options),
         **head_of(subject),
         "held_out": held_out_table(subject),
-        "splits": pooled(subject.held_out.splits) if subject.held_out.splits else None,
+        "splits": pooled(subject.held_out.predictions),
         "stations": stations_table(subject),
         "stills": {f"space-{space.frame}": still(space) for space in spaces},
         "strong": STRONG,
@@ -255,29 +256,30 @@ def _station(rows: ReadingRows, j: int, digits: int) -> tuple[Cell, ...]:
 
 def held_out_table(subject: Subject) -> Table | None:
     """Return how the beams found without each plane fit that plane; None where nothing was held out."""
-    planes = subject.held_out.planes
+    planes = subject.held_out.targets
     if not planes:
         return None
-    rows = [_held(subject, one.plane, one.result, one.message) for one in planes]
+    rows = [_held(subject, one) for one in planes]
     every = len(subject.calibration.planes)
     note = f"{len(planes)} of {every} planes were held out, one at a time."
     note = note if len(planes) < every else ""
     return table_of("held-out", rows, note)
 
 
-def _held(subject: Subject, plane: str, held: HoldOut | None, why: str) -> tuple[Cell, ...]:
-    if held is None:
-        return name_cell(plane), *[Cell(NONE)] * 4, Cell(why, 1.0, "care")
+def _held(subject: Subject, plane: LeftOut) -> tuple[Cell, ...]:
+    held = plane.result
+    if not isinstance(held, HoldOut):
+        return name_cell(plane.name), *[Cell(NONE)] * 4, Cell(plane.message, 1.0, "care")
     state = Cell("agree", 0.0, "good")
     if math.isnan(held.p_value):
         state = Cell("not tested", 1.0, "care")
-    elif plane in subject.contradicting:
+    elif plane in subject.held_out.contradicted:
         state = Cell(f"contradict it ({chance(held.p_value)})", 3.0, "bad")
     elif held.p_value < FAMILY_LEVEL:
         state = Cell(f"hardly agree ({chance(held.p_value)})", 2.0, "care")
     numbers = (significant(held.rms * IN_MM), significant(held.max_residual * IN_MM))
     return (
-        name_cell(plane),
+        name_cell(plane.name),
         Cell(str(held.readings), held.readings),
         *numbers,
         significant(held.p_value, 2),

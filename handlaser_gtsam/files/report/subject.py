@@ -9,14 +9,15 @@ import numpy as np
 from ... import model
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
-from ...model.distributions import contradicted
+from ...errors import SolverError
 from ...planning.advice import next_stations
 from ...planning.goal import Forecast
 from ...planning.route import Plan
 from ...progress import tell
 from ...results.calibration import Calibration
 from ...results.description.description import Description
-from ...validation.held_out import HeldOut, held_out
+from ...validation.held_out import held_out
+from ...validation.validation import Validation
 from .history import history
 from .options import ReportOptions
 
@@ -28,7 +29,9 @@ class Subject(Description):
     Attributes
     ----------
     options : ReportOptions
-    held_out : HeldOut
+    held_out : Validation
+    nothing_held_out : str
+        Why not; empty where something was.
     history : (number of stations, Forecast) or None
     plan : Plan or None
         The next best stations.
@@ -38,16 +41,11 @@ class Subject(Description):
 
     calibration: Calibration
     options: ReportOptions
-    held_out: HeldOut
+    held_out: Validation
+    nothing_held_out: str
     history: tuple[IntArray, Forecast] | None
     plan: Plan | None
     rows: "ReadingRows | None"
-
-    @property
-    def contradicting(self) -> tuple[str, ...]:
-        """The planes that contradict the beams found without them."""
-        p = {one.plane: one.result.p_value for one in self.held_out.planes if one.result}
-        return contradicted(p) if p else ()
 
 
 class ReadingRows(NamedTuple):
@@ -102,9 +100,12 @@ def subject_of(calibration: Calibration, options: ReportOptions) -> Subject:
         plan = next_stations(calibration, rig.sensor, rig.workspace, rig.goal)
     if solved and math.isfinite(judged.reading):
         past = history(calibration, judged.reading)
-    held = held_out(calibration)
+    try:
+        held, why = held_out(calibration), ""
+    except SolverError as error:
+        held, why = Validation(calibration, (), ()), str(error)
     rows = None if recording is None else _rows(calibration, recording)
-    return Subject(calibration, judged, options, held, past, plan, rows)
+    return Subject(calibration, judged, options, held, why, past, plan, rows)
 
 
 def _rows(calibration: Calibration, recording: Recording) -> ReadingRows:

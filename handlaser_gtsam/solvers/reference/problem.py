@@ -53,6 +53,8 @@ class Problem:
         Whose sizes are unknowns.
     beside : float
         All unknowns begin so far [m], [rad] from the start, to either side.
+    stops : (M,), optional
+        The first station with the error of each pose, where several have one.
     """
 
     observed: Sequence[Observed]
@@ -64,6 +66,7 @@ class Problem:
     known: Sequence[tuple[Known, Sequence[tuple[str, int]]]] = ()
     errors: SystematicErrors | None = None
     beside: float = 0.0
+    stops: IntArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +110,8 @@ class Residuals:
         self._station = np.concatenate(
             [np.tile(one.station[one.solved], one.rows) for one in problem.observed]
         )
+        if problem.stops is not None:
+            self._station = problem.stops[self._station]
         self._weights: list[tuple[IntArray, FloatArray, FloatArray]] = []
         self._known = np.flatnonzero(np.isfinite(self.unknowns.sigma))
         self.weigh(self.unknowns.x0)

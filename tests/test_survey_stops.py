@@ -1,0 +1,89 @@
+"""Several shots where the hand stands still: its error is common to them, and copies count once."""
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks import rigs, rigs_by_rays
+from handlaser_gtsam.data.station_list import StationList
+
+NOISE = 3e-5
+"""Of a point of a profile [m]."""
+
+
+def survey_of(rig, shots, jitter=0.0, copies=False):
+    """Return a survey of a rig with so many shots a stop, each with noise of its own, or copied."""
+    rng = np.random.default_rng(1)
+    (table,) = rig.tables.values()
+    stations = len(rig.label)
+    station = np.concatenate([table["station"] + stations * shot for shot in range(shots)])
+    z = np.concatenate(
+        [table["z"] + NOISE * rng.standard_normal(len(table["z"])) for _ in range(shots)]
+    )
+    if copies:
+        z = np.tile(z[: len(table["z"])], shots)
+    t = np.tile(rig.t, (shots, 1))
+    t[stations:] += jitter * rng.standard_normal((len(t) - stations, 3))
+    poses = hl.StationList(np.tile(rig.R, (shots, 1, 1)), t, tuple(rig.label) * shots)
+    return hl.Survey(
+        poses, (hl.Shots.profiler("profiler", station, np.tile(table["x"], shots), z),)
+    )
+
+
+def rig_of(seed):
+    options = {"targets": "planes+sphere", "planes": 2, "spheres": 1, "stations": 7}
+    return rigs_by_rays.profiler(seed, sigma=0.0, hand_sigma=rigs.HAND, **options)
+
+
+def test_stations_within_the_error_of_the_hand_are_of_one_stop():
+    t = np.array([[0.0, 0.0, 0.0], [5e-5, 0.0, 0.0], [2e-4, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    R = np.tile(np.eye(3), (4, 1, 1))
+    R[3] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    stations = StationList(R, t, ("A",) * 4)
+    assert stations.stops(1e-4, 1e-3).tolist() == [0, 0, 2, 3]
+    assert stations.stops(0.0, 0.0).tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("jitter", [0.0, 4e-6])
+def test_more_shots_of_a_stop_do_not_lessen_the_error_of_the_hand(jitter):
+    rig = rig_of(3)
+    one, three = (
+        hl.calibrate(survey_of(rig, shots, jitter), rigs.STATED).sensors["profiler"]
+        for shots in (1, 3)
+    )
+    # As three times as many stops they made these 0.58 of what they are.
+    assert (
+        np.sqrt(np.diagonal(three.covariance)[:6] / np.diagonal(one.covariance)[:6]) > 0.9
+    ).all()
+    assert np.linalg.norm(three.location - one.location) < one.spot_error
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_stated_with_four_shots_a_stop():
+    squares = []
+    for seed in range(8):
+        rig = rig_of(seed)
+        result = hl.calibrate(survey_of(rig, 4), rigs.STATED)
+        ((error, C),) = rigs.errors_of(rig, result)
+        squares.append(float(error @ np.linalg.solve(C, error)))
+    # 48 numbers of variance one: between these with 99.9 %.
+    assert 0.5 < np.mean(squares) / 6.0 < 1.75
+
+
+def test_copies_of_a_shot_count_once():
+    rig = rig_of(4)
+    one = hl.calibrate(survey_of(rig, 1))
+    twice = hl.calibrate(survey_of(rig, 2, copies=True))
+    C = one.sensors["profiler"].covariance
+    assert np.abs(twice.sensors["profiler"].covariance - C).max() <= 1e-6 * np.abs(C).max()
+    (warning,) = [one for one in twice.warnings if one.code == "repeated-stations"]
+    assert warning.values["repeated"] == len(rig.label)
+    assert "repeated-stations" not in [one.code for one in one.warnings]
+
+
+def test_the_reference_counts_errors_of_a_stop_once():
+    result = hl.calibrate(survey_of(rig_of(5), 3), rigs.STATED)
+    checked = hl.validation.cross_check_survey(result)
+    # Readings of few points count noise along and across the profile to first order.
+    assert checked.largest < 0.1
+    assert checked.largest_sigma < 1e-3
