@@ -6,7 +6,7 @@ eliminates, chi2. Shots are tested as wholes, because their points share what ma
 within a shot were sorted out when it was condensed.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,6 +163,11 @@ class SurveyEstimate:
         own = np.bincount(source[source >= 0], left[source >= 0], len(inside))
         return np.asarray(own + inside)
 
+    def learning(self) -> "SurveyState":
+        """Return the state where the estimate ended, whose sizes of the noise may be learned again."""
+        values = {name: x[None] for name, x in self.estimate.values.items()}
+        return replace(self.at(values, self.noise), stated=self.stated)
+
     def at(self, values: Mapping[str, FloatArray], sizes: Components) -> "SurveyState":
         """Return the same shots at other values and sizes of the noise, which are not learned."""
         known, relations = dict(values), relations_of(self.rows)
@@ -189,9 +194,16 @@ class SurveyState:
         """Whether sizes of the noise are learned."""
         return bool(np.isnan([*self.stated.sigma, *self.stated.pose]).any())
 
-    def dense(self, *, pose_errors: bool = True) -> tuple[DenseRows, IntArray]:
-        """Return the rows of the problem, and the number of each one's item: -1 for what has none."""
+    def dense(
+        self, *, pose_errors: bool = True, range_errors: bool = False
+    ) -> tuple[DenseRows, IntArray]:
+        """Return the rows of the problem, and the number of each one's item: -1 for what has none.
+
+        Where `range_errors` is set, those of sensors that are held at zero are unknowns, too.
+        """
         problem, owner = self.problem(pose_errors=pose_errors)
+        if range_errors and SENSOR.name in problem.unknown:
+            problem = replace(problem, unknown={**problem.unknown, SENSOR.name: True})
         rows = problem.rows(problem.blocks, self.values)
         more = len(rows.residuals) - len(owner)
         return rows, np.append(owner, np.full(more, -1))
@@ -619,11 +631,18 @@ def _by_hand(state: SurveyState) -> float:
     return float(np.sqrt(shift + turn * state.rows.length**2))
 
 
-def _learned(state: SurveyState) -> bool:
-    """Learn the sizes of the noise at the values; tell whether one has changed."""
+def learned_sizes(
+    state: SurveyState, beside: Callable[[SurveyState], FloatArray] | None = None
+) -> Components:
+    """Return the sizes of the noise at the values of a state: as stated, or learned.
+
+    Derivatives (R, q) of its rows by further unknowns may stand beside those of its own.
+    """
     if not state.learning:
-        return False
+        return state.sizes
     rows, owner = state.dense(pose_errors=False)
+    if beside is not None:
+        rows = replace(rows, derivatives=np.column_stack((rows.derivatives, beside(state))))
     if state.noise.pose_covariance is not None:  # in standard deviations of what is stated
         root = covariance_roots(state.pose_covariance())[state.stations(owner)]
         rows.by_pose[:] = np.einsum("ri,rij->rj", rows.by_pose, root)
@@ -632,7 +651,12 @@ def _learned(state: SurveyState) -> bool:
     finest[len(state.sizes.sigma) - 1] = 1e-6
     source, inside = state.sources(owner), _inside(state.rows)
     usual = usual_noise(state.rows, state.noise)
-    new = components(rows, source, inside, state.sizes, state.stated, usual, finest)
+    return components(rows, source, inside, state.sizes, state.stated, usual, finest)
+
+
+def _learned(state: SurveyState) -> bool:
+    """Learn the sizes of the noise at the values; tell whether one has changed."""
+    new = learned_sizes(state)
     before, after = state.sizes.vector(), new.vector()
     state.sizes = new
     return bool((np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any())

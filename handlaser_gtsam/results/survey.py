@@ -2,7 +2,7 @@
 
 import math
 from abc import abstractmethod
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,7 +24,16 @@ from ..estimation.estimate import (
 )
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import Rows
-from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
+from ..estimation.survey_trials import ALIKE, SIZE, displacement, too_small_alike
+from ..model.distributions import (
+    FAMILY_LEVEL,
+    FEW_DEGREES,
+    SINGLE_LEVEL,
+    chi2_cdf,
+    chi2_sf,
+    gaussian_sf,
+    p_words,
+)
 from ..model.families import (
     BEAM,
     DIRECTION,
@@ -64,7 +73,7 @@ from .survey_misfit import (
 )
 from .survey_motion import open_words
 from .survey_rivals import rival_mounts
-from .survey_verdict import FEW, TOO_FEW, survey_verdict
+from .survey_verdict import DISPLACED, FEW, TOO_FEW, free_of, survey_verdict
 from .verdict import Verdict
 from .warnings import MANY_OUTLIERS
 
@@ -77,7 +86,8 @@ class SensorError(TestedEffect):
 
     Attributes
     ----------
-    code : "k0", "k1", "k2" or "scale"
+    code : "k0", "k1", "k2", "scale" or "size"
+        The last one is k1 and scale at once: both axes of a profiler err by the same part.
     spot_shift : float
         How far it moves a spot of this sensor if it is of size 1 [m].
     """
@@ -371,7 +381,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     turn, shift = found.noise.pose
     stated = bool((np.array(found.stated.pose) == 1.0).all())  # covariances of the poses
     relations = found.tests
-    warnings = tuple(_warnings(found, sensors, relations, rejected))
+    warnings = tuple(_warnings(found, sensors, beams, relations, rejected))
     wrong = next((one.message for one in warnings if one.code in (NO_FIT, *MISREAD)), None)
     status, message = estimate.status, estimate.message
     undetermined, advice = tuple[str, ...](), tuple[str, ...]()
@@ -520,13 +530,16 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
     whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
     J, e = dense_rows(blocks, values, whole).whitened()
     own = problem.places()
-    columns = {}
+    columns, zero = {}, np.zeros_like(e)
     for member in range(len(found.rows.survey.shots)):
         for code in RAY_ERRORS:
             name = f"{SENSOR.name}[{member}].{code}"
             column = J[:, whole.names.index(name)]
             if name not in own.names and column.any():
                 columns[name] = column
+        both = [columns.get(f"{SENSOR.name}[{member}].{code}", zero) for code in ALIKE]
+        if found.rows.survey.shots[member].kind == "profiler" and all(map(np.any, both)):
+            columns[f"{SENSOR.name}[{member}].{SIZE}"] = both[0] + both[1]
     index = [whole.names.index(name) for name in own.names]
     effects: dict[int, list[SensorError]] = {}
     for name, (tested, follows) in tested_columns(J[:, index], e, columns).items():
@@ -538,14 +551,50 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
         spot = _spot_of(shots.kind, shots.across, float(np.median(shots.reading)))
         turn = follows[own.place[SENSOR.name][member] + np.arange(6)]
         shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
+        if code == SIZE:
+            tested = _tried(found, tested, member, len(columns))
         parts = tested.size, tested.sigma, tested.detectable, tested.found
         effects.setdefault(member, []).append(SensorError(*parts, code, shift))
     return {member: tuple(errors) for member, errors in effects.items()}
 
 
+def _tried(found: SurveyEstimate, tested: TestedEffect, member: int, of: int) -> TestedEffect:
+    """Return the test of the size of a profiler, one of some, with noise that is learned beside it."""
+    tried = too_small_alike(found, member)
+    size, sigma = float(tried.size[0]), math.sqrt(tried.covariance[0, 0])
+    detectable = tested.detectable / tested.sigma * sigma
+    return TestedEffect(size, sigma, detectable, tried.p_value < FAMILY_LEVEL / of)
+
+
+def _displaced(found: SurveyEstimate, mounts: Sequence[Mount]) -> Iterator[CalibrationWarning]:
+    """Warn of a target, sensor or beam that was moved amid the survey."""
+    moved = displacement(found) if found.estimate.status == "converged" else None
+    if moved is None:
+        return
+    (family, member), size, sensors = moved.entity, moved.tried.size, len(found.rows.survey.shots)
+    place, times = found.rows.places().place, []
+    for number, mount in enumerate(mounts):
+        own = (SENSOR.name, number) if number < sensors else (BEAM.name, number - sensors)
+        J = mount.spot_by()
+        shift = J @ moved.tried.moved[place[own[0]][own[1]] + np.arange(J.shape[1])]
+        times.append(float(np.linalg.norm(shift)) / mount.spot_error)
+    name, of_mount = found.rows.names(family)[member], family in (SENSOR.name, BEAM.name)
+    values: Values = {
+        "target": f"{family} {name}" if of_mount else name,
+        "station": found.rows.survey.stations.station_names[moved.station],
+        "shift": float(abs(size[2]) if family == PLANE.name else np.linalg.norm(size)),
+        "turn_deg": float(np.degrees(np.hypot(*size[:2]))) if family == PLANE.name else 0.0,
+        "p": moved.tried.p_value,
+        "times": max(times),
+    }
+    which = f"{DISPLACED}:mount" if of_mount else DISPLACED
+    yield warned(which, values, likely=p_words(moved.tried.p_value, 1))
+
+
 def _warnings(
     found: SurveyEstimate,
     sensors: Mapping[str, SensorMount],
+    beams: Mapping[str, BeamMount],
     relations: tuple[RelationTest, ...],
     rejected: tuple[Rejected, ...],
 ) -> Iterator[CalibrationWarning]:
@@ -570,13 +619,14 @@ def _warnings(
             p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
             alike = " or ".join(error.code for error in others)
             also = f"; an error {alike} would look much like it" if others else ""
-            which = {"sensor": sensor.name, "code": first.code, "alike": alike}
+            free = free_of(first.code)
+            which = {"sensor": sensor.name, "code": first.code, "alike": alike, "free": free}
             sizes = {"size": first.size, "sigma": first.sigma, "p": p}
             yield warned("range-error", {**which, **sizes}, likely=p_words(p, 1), also=also)
-    beams = found.rows.survey.beam_names
+    yield from _displaced(found, [*sensors.values(), *beams.values()])
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
-        names = some([rejected_words(one, beams) for one in out], NAMES_IN_LINE)
+        names = some([rejected_words(one, tuple(beams)) for one in out], NAMES_IN_LINE)
         total = len(found.rows.items)
         yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
     yield from unread

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..estimation.estimate import covariance_along, information_axes
+from ..estimation.survey_trials import ALIKE, SIZE
 from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
 from ..quantities import IN_PERCENT
@@ -34,6 +35,8 @@ from .warnings import RIVAL, ambiguous
 if TYPE_CHECKING:
     from .survey import SurveyCalibration
 
+DISPLACED = "displaced"
+"""Code of the warning that a target, sensor or beam was moved amid the survey."""
 FEW = "few-readings"
 """Code of the warning that hardly more readings than unknowns tell the noise."""
 TOO_FEW = "too-few-readings"
@@ -61,11 +64,14 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(result)
     contradicted = [one.message for one in result.warnings if one.code == FALSE_RELATION]
+    moved = next((one for one in result.warnings if one.code == DISPLACED), None)
     unsure = [one.message for one in result.warnings if one.code == TOO_FEW]
     unsure += ambiguous(result.warnings)
     code, first = "usable", ""
     if contradicted:
         code, first = "contradicted", contradicted[0]
+    elif moved is not None and float(moved.values["times"]) > 1.0:
+        code, first = "systematic-error", moved.message
     elif harmful is not None and excess > 1.0:
         code, first = "systematic-error", _range_error_of(result, harmful[0])
     elif unsure:
@@ -158,6 +164,11 @@ def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, 
     return worst, 0.0 if worst is None else moved[worst]
 
 
+def free_of(code: str) -> str:
+    """Return what stands between the quotes of `free` to estimate a range error of a sensor."""
+    return '", "'.join(ALIKE) if code == SIZE else code
+
+
 def _improvement(
     result: "SurveyCalibration", harmful: tuple[str, str] | None, failed: tuple[LimitCheck, ...]
 ) -> Improvement:
@@ -165,8 +176,11 @@ def _improvement(
     warnings = {one.code: one for one in reversed(result.warnings)}
     if FALSE_RELATION in warnings:
         return improvement_of(FALSE_RELATION)
+    if DISPLACED in warnings:
+        moved = warnings[DISPLACED].values
+        return improvement_of(DISPLACED, target=moved["target"], station=moved["station"])
     if harmful is not None:
-        return improvement_of("range-error", sensor=harmful[0], code=harmful[1])
+        return improvement_of("range-error", sensor=harmful[0], free=free_of(harmful[1]))
     if any(ambiguous(result.warnings)):
         return improvement_of(RIVAL)
     if "many-rejected" in warnings:
