@@ -180,6 +180,23 @@ def test_no_name_breaks_out_of_its_comment(to):
     assert hl.export_text(plan, to).isascii()
 
 
+@pytest.mark.parametrize(
+    ("to", "words"),
+    [
+        ("krl", "; station s:1, target sphere:ball"),
+        ("rapid", "! station s:1, target sphere:ball"),
+        ("urscript", "# station s:1, target sphere:ball"),
+        ("tp", "!station s 1, target sphere"),
+    ],
+)
+def test_a_colon_stands_in_comments_that_allow_it(to, words):
+    plan = hl.StationList([np.eye(3)] * 2, np.zeros((2, 3)), ("sphere:ball", "A"), ("s:1", "s:2"))
+    text = hl.export_text(plan, to)
+    assert words in text
+    assert "U+003A" not in text
+    assert ", plane A" in text
+
+
 def test_remarks_of_fanuc_are_short():
     for line in hl.export_text(stations(), "tp").splitlines():
         if "!" in line:

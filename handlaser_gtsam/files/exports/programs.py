@@ -19,6 +19,9 @@ from .formats import PROGRAMS
 from .rendering import REMARK, comment_text, fixed, number, rendered
 
 IN_JOINTS = ("krl", "rapid", "urscript")
+COLON = {"krl": ":", "rapid": ":", "urscript": ":", "tp": " "}
+"""What stands for the colon of a label, `sphere:ball`, in a comment. Comments end with their line, and
+remarks of FANUC have letters, digits and few signs."""
 
 
 def program_text(stations: StationList, to: str, signal: int, pause: float) -> str:
@@ -37,7 +40,7 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
     write, unit = (number, 1.0) if to == "urscript" else (fixed, IN_DEG)
     stops = [
         {
-            "words": f"station {comment_text(name)[: 2 * REMARK // 3]}, plane {comment_text(plane)}",
+            "words": _words(name, plane, COLON[to]),
             "pose": tuple(map(write, pose)),
             "joints": tuple(write(unit * joint) for joint in turned),
             "read": not name.startswith(VIA),
@@ -45,6 +48,13 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
         for (name, plane), pose, turned in zip(names, x.tolist(), joints.tolist(), strict=True)
     ]
     return rendered(to, stops=stops, signal=signal, pause=pause)
+
+
+def _words(name: str, label: str, colon: str) -> str:
+    """Return what a comment says of a station: its name, and its plane or another target."""
+    kind = "target" if ":" in label else "plane"
+    station = comment_text(name, colon)[: 2 * REMARK // 3]
+    return f"station {station}, {kind} {comment_text(label, colon)}"
 
 
 def poses_text(stations: StationList, pose_format: str) -> str:

@@ -114,9 +114,13 @@ def _identifier(name: str) -> str:
     return spelt if re.match(rf"{PREFIX}([^a-z]|$)", spelt) else f"{PREFIX}_{spelt}".rstrip("_")
 
 
-def comment_text(name: str) -> str:
-    """Return a name as it stands in a comment: ASCII, and nothing that could end the comment."""
+def comment_text(name: str, colon: str = "[U+003A]") -> str:
+    """Return a name as it stands in a comment: ASCII, and nothing that could end the comment.
+
+    A `colon` becomes what the comments of a format allow for it.
+    """
     spelt = "".join(c if HARMLESS.fullmatch(c) else f"[U+{ord(c):04X}]" for c in name)
+    spelt = spelt.replace("[U+003A]", colon)
     return spelt.replace("--", "-[U+002D]")
 
 
