@@ -113,6 +113,7 @@ def one_beam(
 
     A mistake in the poses or the units is the same for all beams, and one beam is the smallest problem
     that shows it. Of more stations than `most`, some are taken, before the planes with most of them.
+    Where one beam has too few readings there, all beams may have enough: they share the planes.
     """
     seen = ~np.isnan(recording.ranges)
     others = np.ones(seen.shape, dtype=bool)
@@ -124,7 +125,11 @@ def one_beam(
         rows = rows[np.isin(recording.plane_of_station[rows], largest)]
         rows = rows[evenly(len(rows), most)]
     one = recording.without(others).part(rows)
-    return (one, rows) if tells(one, spare) else (recording, np.arange(len(seen), dtype=np.intp))
+    if tells(one, spare):
+        return one, rows
+    if most is None:
+        return recording, np.arange(len(seen), dtype=np.intp)
+    return recording.part(rows), rows
 
 
 def tells(recording: Recording, spare: int = SPARE) -> bool:

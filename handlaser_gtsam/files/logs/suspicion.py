@@ -2,7 +2,8 @@
 
 Poses may not have been updated: stations repeat a pose although the readings have changed.
 
-Or the poses mean something else. A small part of the log is solved at a glance as it is stated, and,
+Or the poses mean something else. A small part of the log, one beam, or all where one has too few
+readings for its planes, is solved at a glance as it is stated, and,
 where that leaves residuals above a hundredth of the spread of the readings, under every other
 convention with as many numbers a pose, with inverted poses, and with the other units of ranges. The rms
 residual is compared, and where that shows nothing the residual below which 70 % of the readings are, so
@@ -117,7 +118,8 @@ def refuse_wrong_convention(
         It fits so, and is not to be read `as_stated` in any case.
     """
     part, stations = one_beam(recording, MOST_STATIONS, LEAST_SPARE)
-    if len(stations) < LEAST_OF_BEAM or not tells(part, LEAST_SPARE) or len(part.beam_names) > 1:
+    of_a_beam = (~np.isnan(part.ranges)).sum(axis=0).max()
+    if of_a_beam < LEAST_OF_BEAM or not tells(part, LEAST_SPARE):
         return ()
     rows, way = way.narrowed(chosen[stations])
     numbers = numbers[rows]
