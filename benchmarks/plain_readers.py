@@ -114,7 +114,9 @@ def _number(cell: str) -> float:
 
 
 def _range(cell: str) -> float:
-    return math.nan if cell.lstrip("+-").lower() in ("", *NO_READING) else _number(cell)
+    if not cell.strip("-\u2013\u2014") or cell.lstrip("+-").lower() in NO_READING:
+        return math.nan
+    return _number(cell)
 
 
 def _rotation(x: float, y: float, z: float, w: float) -> list[list[float]]:

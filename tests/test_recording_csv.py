@@ -390,3 +390,14 @@ def test_any_name_that_can_be_printed_is_written_and_read_back(tmp_path, name):
     assert back.beam_names == named.beam_names
     assert back.plane_labels == named.plane_labels
     assert back.station_names == named.station_names
+
+
+def test_dashes_in_a_recording_are_counted(tmp_path):
+    rows = [f"A,0,0,{k},0,0,0,1,{'---' if k == 2 else 1.0 + k}" for k in range(4)]
+    path = tmp_path / "recording.csv"
+    path.write_text("\n".join(["plane,x,y,z,qx,qy,qz,qw,range_1", *rows]) + "\n")
+    (warning,) = read_recording(path).warnings
+    assert "one reading of '---' of beam 1 counted as no reading" in warning.message
+    path.write_text(path.read_text().replace("---", "-+-"))
+    with pytest.raises(InputError, match=r"found '-\+-'; expected a finite number"):
+        read_recording(path)

@@ -47,6 +47,8 @@ JOINT = "joint_"
 """Before the names of joints; a recording ignores such columns."""
 NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
 """Words, with a sign or without, by which sensors and programs say that there is no reading."""
+DASHES = r"^[-\u2013\u2014]+$"
+"""Cells of nothing but dashes say it, too: no number is written so."""
 
 
 def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
@@ -364,6 +366,8 @@ def _word_codes(column: pl.Series) -> BoolArray:
     if column.dtype != pl.String:
         return np.asarray((~column.is_finite()).fill_null(value=False).to_numpy(), dtype=bool)
     found = ~column.cast(pl.Float64, strict=False).is_finite().fill_null(value=False).to_numpy()
-    word = column.filter(found).str.to_lowercase().str.strip_chars_start("+-")
-    found[found] = word.is_in(NO_READING).fill_null(value=False).to_numpy()
+    cells = column.filter(found)
+    word = cells.str.to_lowercase().str.strip_chars_start("+-")
+    said = word.is_in(NO_READING) | cells.str.contains(DASHES)
+    found[found] = said.fill_null(value=False).to_numpy()
     return np.asarray(found, dtype=bool)
