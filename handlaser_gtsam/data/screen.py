@@ -8,6 +8,10 @@ no distance where it lies far from all other readings, or stands far more often 
 means "no reading", or "beyond my limit". Files say the same with words (`nan`, `overflow`) and with
 numbers that no range has (0, -1); those are found when a file is read.
 
+The readings of a sensor of many rays are one column. But those of one station coincide where they are
+rounded: a flat plate reads as one number all over. So a code of such a sensor must stand at several
+stations, too, each time beside several other numbers.
+
 Two columns are one channel logged twice where they are equal, rounded, jittered, or in another unit.
 Two sensors never read the same: their mounts differ, so that their readings differ from station to
 station as the hand turns, and their noise is independent. Columns d and d' are taken for one channel
@@ -30,7 +34,7 @@ Samples that are far from the others of their pose are not averaged: they stay w
 tested like all readings.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -209,12 +213,32 @@ def screened(
 def without_codes(recording: Recording) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
     """Return the recording without readings that are codes, and a warning for each code."""
     d, warnings = recording.ranges, list[CalibrationWarning]()
-    while (code := next((x for x in _ends(d) if _is_code(d, x)), None)) is not None:
+    for code in _codes(d, _is_code):
         where = d == code
         beams = [recording.beam_names[i] for i in np.nonzero(where.T)[0]]
         warnings.append(code_warning(f"{code:.10g} m", beams))
         d = np.where(where, np.nan, d)
     return (replace(recording, ranges=d) if warnings else recording), tuple(warnings)
+
+
+def codes_of_shots(reading: FloatArray, station: IntArray) -> tuple[float, ...]:
+    """Return the codes among the readings (N,) of a sensor of many rays, of the stations (N,)."""
+
+    def is_code(d: FloatArray, value: float) -> bool:
+        return _is_code(d, value) and _is_among_others(d[:, 0], station, value)
+
+    return tuple(_codes(reading[:, None], is_code))
+
+
+def shots_code_warning(what: str, sensor: str, points: int) -> CalibrationWarning:
+    """Return the warning that a value of a sensor of many rays, `z = 0`, was taken for "no reading"."""
+    return CalibrationWarning(
+        "reading-code",
+        f"{points} points of sensor {sensor} with {what} counted as no reading: a number that stands "
+        "so often at one end of all readings means a missing echo or the sensor's limit, not a "
+        "distance; leave such cells empty, or write more decimals if they are distances",
+        {"readings": points, "sensor": sensor, "value": what},
+    )
 
 
 def code_warning(what: str, beams: list[str], *, stated: bool = False) -> CalibrationWarning:
@@ -234,6 +258,13 @@ def code_warning(what: str, beams: list[str], *, stated: bool = False) -> Calibr
         f"{readings} of {what} of {whose} counted as no reading: {why}",
         {"readings": count, "beams": ", ".join(names), "value": what},
     )
+
+
+def _codes(d: FloatArray, is_code: Callable[[FloatArray, float], bool]) -> Iterator[float]:
+    """Yield the codes among readings (M, B) one by one; each is left out where the next is sought."""
+    while (code := next((x for x in _ends(d) if is_code(d, x)), None)) is not None:
+        yield code
+        d = np.where(d == code, np.nan, d)
 
 
 def _ends(d: FloatArray) -> list[float]:
@@ -261,6 +292,15 @@ def _is_code(d: FloatArray, value: float) -> bool:
         return True
     often = np.unique(rest[~np.isnan(rest)], return_counts=True)[1].max()
     return bool(where.sum() >= BY_CHANCE * often)
+
+
+def _is_among_others(d: FloatArray, station: IntArray, value: float) -> bool:
+    """Tell whether a number stands at several stations (N,), at each beside several other numbers."""
+    others = np.isin(station, station[d == value]) & (d != value) & ~np.isnan(d)
+    order = np.lexsort((d[others], station[others]))
+    at, number = station[others][order], d[others][order]
+    first = (np.diff(at, prepend=-1) != 0) | (np.diff(number, prepend=np.nan) != 0.0)
+    return int((np.bincount(at[first]) >= BY_CHANCE).sum()) >= BY_CHANCE
 
 
 def coded_numbers(d: FloatArray, impossible: BoolArray) -> BoolArray:

@@ -2,12 +2,15 @@
 
 Columns, by the kind of the sensor: `station`, and `x, z` (profiler); `angle, reading` (scanner);
 `zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty
-cells and codes for no reading (not finite, zero, or beyond `FARTHEST`) are passed over. An array may
-have a column `echo` where a zone has several. Letters of names count in either case.
+cells and codes for no reading (not finite, zero, or beyond `FARTHEST`) are passed over; other numbers
+that are codes, by the rule of `data.screen`, are passed over and counted. An array may have a column
+`echo` where a zone has several. Letters of names count in either case.
 """
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +18,7 @@ import numpy as np
 import polars as pl
 
 from ..arrays import FloatArray, IntArray
+from ..data.screen import codes_of_shots
 from ..errors import InputError
 from ..text import count, shown, some
 from .checked_text import in_file
@@ -41,7 +45,11 @@ Echo = Literal["all", "near", "far"]
 Points = tuple[IntArray, FloatArray, FloatArray]
 """The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
 of an array at the station, NaN for that reading itself and for other kinds."""
+Codes = dict[float, int]
+"""Numbers that were no readings, and how many of each there were."""
 
+A_NUMBER = r"[0-9]+(\.[0-9]+)?"
+"""Names of stations that are compared as numbers where they differ as texts."""
 FARTHEST = 1e9
 """No reading in any unit: a thousand kilometres in millimetres, or a code such as 3.4e38."""
 AWAITED = "waiting for the poses of"
@@ -58,10 +66,10 @@ def read_points(
     station_column: str = "",
     *,
     growing: bool = False,
-) -> tuple[Points, dict[str, str], tuple[str, ...]]:
-    """Return points as they stand, the units of their columns, and what was passed over, in lines.
+) -> tuple[Points, dict[str, str], Codes, tuple[str, ...]]:
+    """Return points as they stand, the units of their columns, their codes, and what was passed over.
 
-    The unit is that in the name of the column, empty for none.
+    The unit is that in the name of the column, empty for none. What was passed over is said in lines.
 
     Parameters
     ----------
@@ -84,33 +92,37 @@ def read_points(
         are in one unit in one file, and in another in the next.
     """
     place = {name: i for i, name in enumerate(stations)}
+    station_of = _stations_by_name(stations)
     of_recording = f"of the recording, such as {some(list(place), 4)}"
-    parts: list[Points] = []
+    parts: list[tuple[IntArray, FloatArray]] = []
     units: dict[str, str] = {}
     seen: dict[str, Path] = {}
     awaited: list[str] = []
     titles: list[str] = []
+    if not growing:
+        _require_poses(files, stations, station_of)
     for own, path in files.items():
-        name = _station_of(own, place)
+        name = station_of(own)
         if name in seen:
             found = f"another file of station {name} beside {seen[name].name}"
             raise InputError(found, "one file a station: move the other elsewhere", path)
         seen[name] = path
         if name and name not in place:
-            if not growing:
-                found = f"a file of station {shown(name)}, by its name"
-                raise InputError(found, f"files of stations {of_recording}", path)
             awaited.append(name)
             continue
         if name and path.is_file() and not path.stat().st_size:
             continue  # the sensor saw nothing there
         table = _read_table(path, kind, name)
         titles += [one.message for one in table.warnings]
+        if len(table.frame) and _used(table.frame.columns[-1], kind, station_column):
+            table.refuse_cut()
         if name:
-            _require_station(table, name, place)
+            _require_station(table, name, station_of)
             station = np.full(len(table.frame), place[name], dtype=np.intp)
         else:
             column, names = _stations(table, station_column)
+            called = {one: station_of(one) for one in names.unique().to_list()}
+            names = names.replace_strict(called, return_dtype=pl.String)
             foreign = [one for one in names.unique(maintain_order=True) if one not in place]
             if foreign and not (growing and len(foreign) < names.n_unique()):
                 found = f"station {some([shown(one) for one in foreign], 4)}"
@@ -120,14 +132,17 @@ def read_points(
                 there = ~names.is_in(foreign)
                 table, names = table.where(there.to_numpy()), names.filter(there)
             station = names.replace_strict(place, return_dtype=pl.Int64).to_numpy()
-        points, named = _points(table, kind, station, echo)
+        points, named = _points(table, kind, station)
         if parts and named != units:
             found = f"columns in {_words(named)}, after others in {_words(units)}"
             raise InputError(found, "one unit in all files", path)
         parts.append(points)
         units = named
+    codes: Codes = {}
     if parts:
-        station, numbers, before = (np.concatenate(column) for column in zip(*parts, strict=True))
+        station = np.concatenate([at for at, _ in parts])
+        numbers = np.concatenate([points for _, points in parts])
+        station, numbers, codes = without_codes(station, numbers)
     if awaited and not parts:
         found = f"points of station {some([shown(one) for one in awaited], 4)} only"
         raise InputError(found, f"some of stations {of_recording}", next(iter(files.values())))
@@ -140,14 +155,60 @@ def read_points(
         lines.append(f"{titles[0]}{more}")
     if awaited:
         lines.append(f"{AWAITED} {some(awaited, 4)}, whose points are there")
-    return (station, numbers, before), units, tuple(lines)
+    if kind == "array":
+        return _of_echoes(station, numbers, echo), units, codes, tuple(lines)
+    return (station, numbers, np.full(len(numbers), np.nan)), units, codes, tuple(lines)
 
 
-def _station_of(name: str, place: Mapping[str, int]) -> str:
-    """Return the station that a file is of: of its own name, or of the same number."""
-    if name in place or not name.isdigit():
-        return name
-    return next((one for one in place if one.isdigit() and int(one) == int(name)), name)
+def without_codes(station: IntArray, numbers: FloatArray) -> tuple[IntArray, FloatArray, Codes]:
+    """Return stations (N,) and numbers (N, c) of points without those whose reading is a code."""
+    reading = numbers[:, -1]
+    codes = {code: int((reading == code).sum()) for code in codes_of_shots(reading, station)}
+    if codes:
+        kept = ~np.isin(reading, list(codes))
+        station, numbers = station[kept], numbers[kept]
+    return station, numbers, codes
+
+
+def _stations_by_name(stations: Sequence[str]) -> Callable[[str], str]:
+    """Return what finds the station of a name: its own, or else of one that is an equal number.
+
+    A name of which there is no station, or of which there are several, stays as it is.
+    """
+    numbered: dict[Decimal, list[str]] = {}
+    for name in stations:
+        if re.fullmatch(A_NUMBER, name):
+            numbered.setdefault(Decimal(name), []).append(name)
+    there = set(stations)
+
+    def station_of(name: str) -> str:
+        if name in there or not re.fullmatch(A_NUMBER, name):
+            return name
+        same = numbered.get(Decimal(name), [])
+        return same[0] if len(same) == 1 else name
+
+    return station_of
+
+
+def _require_poses(
+    files: Mapping[str, Path], stations: Sequence[str], station_of: Callable[[str], str]
+) -> None:
+    """Refuse files of stations without a pose."""
+    foreign = [one for one in files if one and station_of(one) not in stations]
+    if not foreign:
+        return
+    names = some([shown(one) for one in foreign], 4)
+    found = f"points of station {names}, by the name of the file, and no such pose"
+    if len(foreign) < len(files):
+        expected = f"all points with a pose: add that of {names}, or remove "
+        expected += some([files[one].name for one in foreign], 4)
+    else:
+        found += f" among {some(stations, 4)}"
+        expected = (
+            "the same names, or equal numbers (1, 001, 1.0): what stands for the * in the name of a "
+            "file is compared with the names of the stations; rename the ones or the others"
+        )
+    raise InputError(found, expected, files[foreign[0]])
 
 
 def _words(units: Mapping[str, str]) -> str:
@@ -167,13 +228,11 @@ def _read_table(path: Path, kind: str, name: str) -> Table:
     return table
 
 
-def _require_station(table: Table, name: str, place: Mapping[str, int]) -> None:
+def _require_station(table: Table, name: str, station_of: Callable[[str], str]) -> None:
     """Refuse a table of one station in whose rows another one is named."""
     for column in [one for one in table.frame.columns if plain(one) == "station"]:
         cells = table.frame[column].cast(pl.String)
-        others = [
-            one for one in cells.unique() if one is not None and _station_of(one, place) != name
-        ]
+        others = [one for one in cells.unique() if one is not None and station_of(one) != name]
         expected = f"rows of {name} only, as the name of the file has it, or no column {column}"
         table.refuse(cells.is_in(others).fill_null(value=False).to_numpy(), column, expected)
 
@@ -188,30 +247,38 @@ def _stations(table: Table, station_column: str) -> tuple[str, pl.Series]:
 
 
 def _points(
-    table: Table, kind: str, station: IntArray, echo: Echo
-) -> tuple[Points, dict[str, str]]:
-    """Return the points of a table whose rows are of these stations, and the units of its columns."""
+    table: Table, kind: str, station: IntArray
+) -> tuple[tuple[IntArray, FloatArray], dict[str, str]]:
+    """Return stations and numbers of the points of a table, and the units of its columns."""
     wanted = COLUMNS[kind]
     found = [_column(table, one) for one in wanted]
     numbers = np.column_stack([known_numbers(table, one)[0] for one in found])
     good = (np.abs(numbers) < FARTHEST).all(axis=1)
     if kind != "profiler":
         good &= (numbers[:, -1] > 0.0) if kind != "points" else (numbers != 0.0).any(axis=1)
-    station, numbers = station[good], numbers[good]
-    before = np.full(len(numbers), np.nan)
-    if kind == "array" and len(numbers):  # sorted by station, zone and range
-        order = np.lexsort((numbers[:, 1], numbers[:, 0], station))
-        zones = np.column_stack((station, numbers[:, 0]))[order]
-        first = np.append(True, (np.diff(zones, axis=0) != 0.0).any(axis=1))
-        nearest = numbers[order, -1][first][np.cumsum(first) - 1]
-        before[order] = np.where(first, np.nan, nearest)
-        if echo != "all":
-            # Each zone begins with its nearest reading, and ends with its farthest.
-            one_a_zone = first if echo == "near" else np.roll(first, -1)
-            kept = np.sort(order[one_a_zone])
-            station, numbers, before = station[kept], numbers[kept], before[kept]
     units = {one: unit_of(column) for one, column in zip(wanted, found, strict=True)}
-    return (station.astype(np.intp), numbers, before), units
+    return (station[good].astype(np.intp), numbers[good]), units
+
+
+def _of_echoes(station: IntArray, numbers: FloatArray, echo: Echo) -> Points:
+    """Return the points of an array that count, with the nearest reading of the zone of each."""
+    before = np.empty(len(numbers))
+    order = np.lexsort((numbers[:, 1], numbers[:, 0], station))
+    zones = np.column_stack((station, numbers[:, 0]))[order]
+    first = np.append(True, (np.diff(zones, axis=0) != 0.0).any(axis=1))
+    nearest = numbers[order, -1][first][np.cumsum(first) - 1]
+    before[order] = np.where(first, np.nan, nearest)
+    if echo != "all":
+        # Each zone begins with its nearest reading, and ends with its farthest.
+        one_a_zone = first if echo == "near" else np.roll(first, -1)
+        kept = np.sort(order[one_a_zone])
+        station, numbers, before = station[kept], numbers[kept], before[kept]
+    return station, numbers, before
+
+
+def _used(column: str, kind: str, station_column: str) -> bool:
+    """Tell whether a column of a table of points is read."""
+    return plain(column) in ("station", *COLUMNS[kind]) or column == station_column
 
 
 def _column(table: Table, name: str) -> str:

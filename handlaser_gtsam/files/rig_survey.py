@@ -25,16 +25,17 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..checks import require_word
+from ..data.screen import shots_code_warning
 from ..data.station_list import StationList
 from ..data.survey import RELATIONS, Convention, Kind, Known, Shots
-from ..errors import InputError
+from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor import LONG_RANGE
 from ..quantities import DEG, IN_MM, MAJORITY, MM
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
-from .points_table import Echo, Points, read_frame, read_points
+from .points_table import COLUMNS, Codes, Echo, Points, read_frame, read_points, without_codes
 from .recording_csv import known_numbers
 from .writing import same_file
 
@@ -101,8 +102,8 @@ class SurveyTables:
 
     def shots(
         self, stations: tuple[str, ...], station_column: str = ""
-    ) -> tuple[tuple[Shots, ...], tuple[str, ...]]:
-        """Return what the sensors read at named stations, and lines of how their tables were read.
+    ) -> tuple[tuple[Shots, ...], tuple[str, ...], tuple[CalibrationWarning, ...]]:
+        """Return what the sensors read at named stations, how their tables were read, and warnings.
 
         The column of the stations is `station`, or is called as in the log of poses.
 
@@ -120,10 +121,16 @@ class SurveyTables:
                     found = f"one table of points of {first} and {table.name}"
                     raise InputError(found, "a table of each sensor in [[sensors]]", path)
         read = [self._read(table, stations, station_column) for table in self.sensors]
-        return tuple(shots for shots, _ in read), tuple(line for _, lines in read for line in lines)
+        return (
+            tuple(shots for shots, *_ in read),
+            tuple(line for _, lines, _ in read for line in lines),
+            tuple(warning for *_, warnings in read for warning in warnings),
+        )
 
-    def bag(self, path: Path, given: LogFormat) -> tuple[StationList, tuple[Shots, ...]]:
-        """Return the stops of the hand in a bag, and what the sensors published there.
+    def bag(
+        self, path: Path, given: LogFormat
+    ) -> tuple[StationList, tuple[Shots, ...], tuple[CalibrationWarning, ...]]:
+        """Return the stops of the hand in a bag, what the sensors published there, and warnings.
 
         Raises
         ------
@@ -141,15 +148,17 @@ class SurveyTables:
         wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
         with in_file(path):
             stations, points = read_bag_points(path, given, wanted)
-            shots = []
-            for table, (station, numbers) in zip(self.sensors, points, strict=True):
+            shots, warnings = [], list[CalibrationWarning]()
+            for table, published in zip(self.sensors, points, strict=True):
+                station, numbers, codes = without_codes(*published)
+                warnings += _code_warnings(table, codes)
                 own = station, numbers, np.full(len(numbers), np.nan)
                 shots.append(self._shots(table, own, 1.0, 1.0))
-        return stations, tuple(shots)
+        return stations, tuple(shots), tuple(warnings)
 
     def _read(
         self, table: SensorTable, stations: tuple[str, ...], station_column: str
-    ) -> tuple[Shots, tuple[str, ...]]:
+    ) -> tuple[Shots, tuple[str, ...], list[CalibrationWarning]]:
         if table.topics or not table.points:
             found = f"topics of {table.name}, or no table of points, with a table of poses"
             raise InputError(found, "points, a table of points in [[sensors]]")
@@ -164,7 +173,7 @@ class SurveyTables:
             example = path.name.replace(EACH, stations[0])
             raise InputError("no such file", f"one a station, as {example} of the first", path)
         growing = bool(self.copies)
-        points, named, lines = read_points(
+        points, named, codes, lines = read_points(
             files, table.kind, stations, table.echo, station_column, growing=growing
         )
         turns = {"angle"} & named.keys()
@@ -173,7 +182,8 @@ class SurveyTables:
             length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
             angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
             shots = self._shots(table, points, LENGTHS[length], ANGLES[angle])
-        return shots, (f"{table.name} in {words}{f' and {more}' if turns else ''}", *lines)
+        words += f" and {more}" if turns else ""
+        return shots, (f"{table.name} in {words}", *lines), _code_warnings(table, codes)
 
     def _shots(self, table: SensorTable, points: Points, length: float, angle: float) -> Shots:
         """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
@@ -254,6 +264,14 @@ class SurveyTables:
         """Folders into which further tables of points come, one a station."""
         paths = [self.folder / table.points for table in self.sensors]
         return tuple(path.parent for path in paths if EACH in path.name)
+
+
+def _code_warnings(table: SensorTable, codes: Codes) -> list[CalibrationWarning]:
+    what = COLUMNS[table.kind][-1]
+    return [
+        shots_code_warning(f"{what} = {code:.10g}", table.name, times)
+        for code, times in codes.items()
+    ]
 
 
 def _of_station(points: Path) -> re.Pattern[str]:
@@ -368,6 +386,8 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
     """
     expected = "zone, x, y, z or zone, x_deg, y_deg"
     table = read_frame(path, f"CSV with {expected}", expected)
+    if len(table.frame):
+        table.refuse_cut()
     numbers = {name: known_numbers(table, name)[0] for name in table.frame.columns}
     if {"zone", "x", "y", "z"} <= numbers.keys():
         u = np.stack([numbers[a] for a in "xyz"], axis=1)

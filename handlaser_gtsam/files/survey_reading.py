@@ -59,10 +59,10 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     beams, lines = tuple[str, ...](), tuple[str, ...]()
     if is_bag(path):
         refuse_of_a_bag(log, path, OF_READINGS)
-        stations, shots = tables.bag(path, log)
+        stations, shots, coded = tables.bag(path, log)
     elif is_log(path, log, readings=False):
         stations, rows = _of_log(path, log)
-        shots, lines = tables.shots(stations.station_names, log.station_column)
+        shots, lines, coded = tables.shots(stations.station_names, log.station_column)
         lines = (rows.words, *lines)
     else:
         table = read_table(path, ("plane", *POSE))
@@ -70,7 +70,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
         beams = tuple(name.removeprefix(PREFIX) for name in columns)
         ranges = range_numbers(table, columns, rig.sensor)[0] if columns else None
-        shots, lines = tables.shots(stations.station_names)
+        shots, lines, coded = tables.shots(stations.station_names)
         lines = (*(one.message for one in table.warnings), *lines)
     if rig.half_angle and not beams:
         found = "half_angle_deg in [sensor], and no single beam that it would count for"
@@ -79,7 +79,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         )
         raise InputError(found, expected, path)
     survey = _survey(stations, ranges, beams, rig, shots=shots, known=tables.known, lines=lines)
-    warnings = () if rows is None else rows.warnings
+    warnings = coded if rows is None else (*rows.warnings, *coded)
     if shots and not is_bag(path):
         with in_file(path):
             at = stations.world_R_hand, stations.world_t_hand

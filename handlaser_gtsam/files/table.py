@@ -251,10 +251,12 @@ def table_of(
         row = int(wrong[0])
         is_cut = row == len(numbers) - 1 and not ended and counts[row] < width
         cut = " in a last line that is cut" if is_cut else ""
+        undo = "; take it away, or copy the whole file again" if is_cut else ""
         hint = "; decimal commas need another separator than commas"
         hint = hint if counts[row] > width and separator == "," else ""
-        expected = f"{width}, as in the header{hint}"
-        raise InputError(f"{counts[row]} fields{cut}", expected, path, int(numbers[row]))
+        expected = f"{width}, as in the header{hint}{undo}"
+        found = f"{count(int(counts[row]), 'field')}{cut}"
+        raise InputError(found, expected, path, int(numbers[row]))
     if fault is not None:
         raise fault
     names = [cell.strip(BLANK) for cell in rows[0].split(mark)]
