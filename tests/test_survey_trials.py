@@ -1,0 +1,82 @@
+"""What a survey misfits by, where errors of the hand that are learned would explain it."""
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks import rigs, rigs_by_rays
+
+
+def rig_of(seed, **options):
+    options = {"targets": "planes+sphere", "planes": 2, "spheres": 1, "stations": 10} | options
+    return rigs_by_rays.profiler(seed, sigma=3e-5, hand_sigma=rigs.HAND, **options)
+
+
+def moved(rig, label, move):
+    """Move a target in the second half of its stations: the same as moving the hand there back."""
+    own = np.flatnonzero([one == label for one in rig.label])
+    t = rig.t.copy()
+    t[own[len(own) // 2 :]] -= move
+    poses = hl.StationList(rig.R, t, tuple(rig.label))
+    (shots,) = rigs.survey_of(rig).shots
+    return hl.Survey(poses, (shots,)), str(own[len(own) // 2] + 1)
+
+
+def labels(rig):
+    return sorted(set(rig.label))
+
+
+@pytest.mark.parametrize("noise", [hl.Noise(), rigs.STATED], ids=["learned", "stated"])
+@pytest.mark.parametrize(("kind", "size"), [("plane", 1e-3), ("sphere", 1.5e-3)])
+def test_a_target_that_was_moved_is_named(noise, kind, size):
+    rig = rig_of(2)
+    label = next(one for one in labels(rig) if one.startswith(kind))
+    survey, first = moved(rig, label, np.full(3, size / 3**0.5))
+    found = hl.calibrate(survey, noise)
+    assert found.verdict.code != "usable"
+    if found.status == "converged":
+        (warning,) = [one for one in found.warnings if one.code == "displaced"]
+        assert warning.values["target"] == label
+        # A shot beside the change may be among those that are left out.
+        assert abs(int(warning.values["station"]) - int(first)) <= 1
+        if kind == "sphere":
+            assert warning.values["shift"] == pytest.approx(size, rel=0.15)
+        assert found.verdict.best.code == "displaced"
+
+
+def test_a_sensor_that_was_moved_is_named():
+    """All targets seem to be elsewhere: that is one change in the hand."""
+    rig = rig_of(3)
+    order = np.random.default_rng(1).permutation(len(rig.t))
+    late = np.arange(len(order)) >= len(order) // 2
+    move = np.array([1e-3, -5e-4, 8e-4])
+    t = rig.t[order] - late[:, None] * (rig.R[order] @ move)
+    place = np.argsort(order)
+    (table,) = rig.tables.values()
+    shots = hl.Shots.profiler("p", place[table["station"]], table["x"], table["z"])
+    poses = hl.StationList(rig.R[order], t, tuple(np.array(rig.label)[order].tolist()))
+    found = hl.calibrate(hl.Survey(poses, (shots,)))
+    (warning,) = [one for one in found.warnings if one.code == "displaced"]
+    assert warning.values["target"] == "sensor p"
+    assert warning.values["shift"] == pytest.approx(float(np.linalg.norm(move)), rel=0.15)
+
+
+def test_a_profiler_both_of_whose_axes_err_alike_is_named():
+    rig = rig_of(4)
+    (table,) = rig.tables.values()
+    shots = hl.Shots.profiler("p", table["station"], 0.98 * table["x"], 0.98 * table["z"])
+    survey = hl.Survey(hl.StationList(rig.R, rig.t, tuple(rig.label)), (shots,))
+    found = hl.calibrate(survey)
+    assert found.verdict.code == "systematic-error"
+    (warning,) = [one for one in found.warnings if one.code == "range-error"]
+    assert (warning.values["code"], warning.values["free"]) == ("size", 'k1", "scale')
+    (error,) = [one for one in found.sensors["p"].errors if one.code == "size"]
+    # The sign is that of k1: readings are too small.
+    assert abs(error.size) == pytest.approx(0.02, abs=4.0 * error.sigma + 1e-3)
+
+
+@pytest.mark.parametrize("noise", [hl.Noise(), rigs.STATED], ids=["learned", "stated"])
+@pytest.mark.parametrize("seed", [0, 1, 5])
+def test_nothing_is_found_where_nothing_was_moved(seed, noise):
+    found = hl.calibrate(rigs.survey_of(rig_of(seed)), noise)
+    assert not {"displaced", "range-error"} & {one.code for one in found.warnings}
