@@ -49,15 +49,17 @@ def validate_survey(
         raise SolverError(calibration.verdict.sentence)
     reference = cross_check_survey(calibration)
     predict = partial(_predicted, calibration)
-    draws = (_draw(len(labels), rng) for _ in range(splits))
+    # Stations of one stop share the error of the hand, and go together.
+    _, stop = np.unique(survey.stations.stops(*noise.standstill), return_inverse=True)
+    draws = (_draw(int(stop.max()) + 1, rng)[stop] for _ in range(splits))
     parts = leave_out(targets, draws, predict, predict, total)
     return Validation(calibration, *parts, reference=reference)
 
 
-def _draw(stations: int, rng: np.random.Generator) -> BoolArray:
-    """Return which of the stations (M,) a random split leaves out."""
-    out = np.zeros(stations, dtype=bool)
-    out[rng.permutation(stations)[: round(PART_LEFT_OUT * stations)]] = True
+def _draw(stops: int, rng: np.random.Generator) -> BoolArray:
+    """Return which of the stops a random split leaves out."""
+    out = np.zeros(stops, dtype=bool)
+    out[rng.permutation(stops)[: round(PART_LEFT_OUT * stops)]] = True
     return out
 
 
