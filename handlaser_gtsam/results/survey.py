@@ -587,8 +587,11 @@ def _displaced(found: SurveyEstimate, mounts: Sequence[Mount]) -> Iterator[Calib
         "p": moved.tried.p_value,
         "times": max(times),
     }
-    which = f"{DISPLACED}:mount" if of_mount else DISPLACED
-    yield warned(which, values, likely=p_words(moved.tried.p_value, 1))
+    likely = p_words(moved.tried.p_value, 1)
+    if of_mount:
+        yield warned(f"{DISPLACED}:mount", values, likely=likely)
+    else:
+        yield warned(DISPLACED, values, likely=likely)
 
 
 def _warnings(
