@@ -117,6 +117,41 @@ def test_a_radius_that_is_roughly_known_is_no_contradiction(sigma):
     assert not found.relations[0].contradicted
 
 
+@pytest.mark.parametrize(
+    ("wrong", "right", "how"),
+    [
+        ("plane:plat", "plane:plate", "a misspelt"),
+        ("plane:door", "plane:plate", "another name of"),
+        ("sphere:ball2", "sphere:ball", "a misspelt"),
+    ],
+)
+def test_a_label_of_its_own_whose_shot_fits_another_target_is_named(wrong, right, how):
+    survey = cell(1, labels=[(8 if right == "plane:plate" else 9, wrong)])
+    found, check = hl.calibrate(survey), check_survey(survey)
+    words = f"1 station of {wrong}; {how} {right}, which the shots fit?"
+    assert found.message == check.doubt == words
+    assert found.verdict.findings[0] == words
+    assert found.verdict.causes[0].values == {"target": wrong, "other": right}
+    # The mount is known all the same.
+    assert np.isfinite(found.sensors["profiler"].location_sigma).all()
+    # A second plate elsewhere is none of that, whatever its name.
+    shots = survey.shots[0]
+    nearer = shots.reading - np.where(
+        shots.station == (8 if right == "plane:plate" else 9), 0.05, 0.0
+    )
+    other = hl.Shots.profiler("profiler", shots.station, shots.across[:, 0], nearer)
+    assert "misspelt-label" not in {
+        one.code for one in hl.calibrate(replace(survey, shots=(other,))).warnings
+    }
+
+
+def test_spaces_about_the_colon_of_a_label_are_nothing():
+    survey = cell(1, labels=[(8, "plane: plate"), (12, "sphere :ball")])
+    assert set(survey.stations.plane_labels) == {"plane:plate", "sphere:ball"}
+    assert hl.Known("radius", ("sphere : ball",), RADIUS, sigma=1e-5).of == ("sphere:ball",)
+    require_right(hl.calibrate(survey))
+
+
 @pytest.mark.parametrize("seed", first_and_slow(*range(4)))
 def test_a_table_behind_the_ball_is_not_the_ball(seed):
     found = hl.calibrate(cell(seed, background=True))
@@ -245,12 +280,17 @@ def test_a_survey_of_which_no_shot_shows_its_target_names_the_label():
             verb(survey)
 
 
-def test_where_half_of_the_shots_are_lost_nothing_is_usable():
-    """The sign of z turns a ball inside out, and leaves a plate as it was."""
-    survey = cell(0)
+def turned_round(survey, about):
+    """The same points with z that grows towards the sensor, and their sum with z as it was `about`."""
     shots = survey.shots[0]
-    turned = hl.Shots.profiler("profiler", shots.station, shots.across[:, 0], -shots.reading)
-    reversed_z = replace(survey, shots=(turned,))
+    turned = hl.Shots.profiler("profiler", shots.station, shots.across[:, 0], about - shots.reading)
+    return replace(survey, shots=(turned,))
+
+
+@pytest.mark.parametrize("about", [0.0, 0.33])
+def test_where_half_of_the_shots_are_lost_nothing_is_usable(about):
+    """The sign of z turns a ball inside out, and leaves a plate as it was."""
+    reversed_z = turned_round(cell(0), about)
     found, check = hl.calibrate(reversed_z), check_survey(reversed_z)
     assert found.verdict.code == "no-fit"
     assert check.doubt == found.message
@@ -265,10 +305,31 @@ def test_where_half_of_the_shots_are_lost_nothing_is_usable():
         "total": 18,
         "targets": "sphere:ball",
     }
+    assert "so that no shot of sphere:ball counts" in found.message
+    # Reversed again, they fit.
+    assert hl.calibrate(turned_round(reversed_z, 0.0)).usable
     # As many lost shots are nothing where two that count agree with all others.
     aside = cell(3, background=True)
     assert len(left_out(hl.calibrate(aside))) == 7
     assert hl.calibrate(aside).usable
+
+
+def test_a_target_of_which_no_shot_counts_is_in_the_headline():
+    """Few shots of the only ball cannot be spared; those of a second ball can."""
+    few = turned_round(cell(0, background=True).part(np.arange(18) < 12), 0.0)
+    found, check = hl.calibrate(few), check_survey(few)
+    assert found.verdict.code == "no-fit"
+    assert check.doubt == found.message
+    assert "the rest does not confirm it of sphere:ball" in found.message
+    survey = cell(0, labels=[(17, "sphere:other")])
+    shots = survey.shots[0]
+    # The last station shows nothing that has a shape.
+    rough = np.random.default_rng(0).uniform(0.1, 0.2, len(shots.reading))
+    rough = np.where(shots.station == 17, rough, shots.reading)
+    rough = hl.Shots.profiler("profiler", shots.station, shots.across[:, 0], rough)
+    found = hl.calibrate(replace(survey, shots=(rough,)))
+    assert found.verdict.code == "usable-with-care"
+    assert "so that no shot of sphere:other counts" in found.verdict.sentence
 
 
 def test_a_plate_that_is_labelled_a_ball_ends_both_verbs_alike(tmp_path, handlaser):

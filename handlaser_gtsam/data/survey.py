@@ -406,6 +406,9 @@ class Survey(Value):
             for part in parts:
                 require_kind(name, part, kind)
             object.__setattr__(self, name, parts)
+        labels = tuple(map(stripped_label, self.stations.plane_labels))
+        if labels != self.stations.plane_labels:
+            object.__setattr__(self, "stations", replace(self.stations, plane_labels=labels))
         count = len(self.stations)
         for shots in self.shots:
             if not ((shots.station >= 0) & (shots.station < count)).all():
@@ -572,7 +575,7 @@ def kind_of(label: str) -> str:
     InputError
         There is no such kind.
     """
-    kind, colon, name = label.partition(":")
+    kind, colon, name = stripped_label(label).partition(":")
     if not colon:
         return "plane"
     if kind not in TARGETS or not name:
@@ -587,9 +590,15 @@ def beyond_planes(labels: Iterable[str]) -> str:
     A colon in the name of a plane is no kind.
     """
     kinds = tuple(f"{kind}:" for kind in TARGETS if kind != "plane")
-    return next((label for label in labels if label.startswith(kinds)), "")
+    return next((label for label in map(stripped_label, labels) if label.startswith(kinds)), "")
 
 
 def normal_label(label: str) -> str:
-    """Return a label with its kind."""
-    return label if ":" in label else f"plane:{label}"
+    """Return a label with its kind, without spaces about the colon."""
+    return stripped_label(label) if ":" in label else f"plane:{label}"
+
+
+def stripped_label(label: str) -> str:
+    """Return a label without spaces about the colon: `plane: plate` is `plane:plate`."""
+    kind, colon, name = label.partition(":")
+    return f"{kind.strip()}:{name.strip()}" if colon else label

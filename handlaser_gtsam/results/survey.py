@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..data.screen import REPEATED, repeated
-from ..data.survey import RAY_ERRORS, Survey, kind_of
+from ..data.survey import RAY_ERRORS, Survey, kind_of, normal_label
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.dense import dense_rows, unknowns_of
@@ -51,6 +51,7 @@ from ..model.geometry import skew
 from ..model.sensor import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
+from ..model.shots import condensed_shots
 from ..model.targets.sphere import SPHERE
 from ..observability.wording import open_sentence
 from ..quantities import IN_MM
@@ -66,6 +67,7 @@ from .survey_misfit import (
     contradictions,
     implausible,
     misheard,
+    mislabelled,
     misread,
     no_fit,
     pulled,
@@ -604,12 +606,16 @@ def _warnings(
     yield from contradictions(relations)
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
     causes += tuple(implausible(found.rows, found.estimate.values))
+    values = {name: x[None] for name, x in found.estimate.values.items()}
+    causes += tuple(mislabelled(found.at(values, found.noise), found.estimate))
     unread = tuple(unread_stations(found.rows))
     if not found.fits:
         yield no_fit(found.rows, found.first, causes, found.given)
     elif not causes:
         yield from unconfirmed(found.rows, unread)
     yield from causes
+    gone = [one for one in unread if one.code == "no-edge" or "targets" in one.values]
+    yield from gone  # a target of which no shot counts is missing in all that follows
     yield from _sigmas(found)
     yield from _too_few(found)
     yield from _few(found)
@@ -632,7 +638,7 @@ def _warnings(
         names = some([rejected_words(one, tuple(beams)) for one in out], NAMES_IN_LINE)
         total = len(found.rows.items)
         yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
-    yield from unread
+    yield from (one for one in unread if one not in gone)
     yield from found.rows.survey.warnings
 
 
@@ -661,30 +667,38 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         shots = sum(labels[at] == label for _, at in rows.lost)
         plane = f"{PLANE.name}:{label.partition(':')[2]}"
         yield warned("no-edge", {"target": label, "shots": shots, "label": plane})
-    lost = [
-        f"sensor {survey.shots[member].name} at station {names[at]}"
-        for member, at in rows.lost
-        if labels[at] not in edgeless
-    ]
+    lost = [(member, at) for member, at in rows.lost if labels[at] not in edgeless]
     if lost:
+        listed = [
+            f"sensor {survey.shots[member].name} at station {names[at]}" for member, at in lost
+        ]
+        values: Values = {"shots": len(lost), "names": some(listed, NAMES_IN_LINE)}
+        counted = {normal_label(labels[item.station]) for item in rows.items}
+        lost_labels = dict.fromkeys(normal_label(labels[at]) for _, at in lost)
+        gone = [label for label in lost_labels if label not in counted]
+        if gone:
+            values = {**values, "targets": some(gone, NAMES_IN_LINE)}
+        uncounted = f", so that no shot of {values['targets']} counts" if gone else ""
         more = "".join(f"; {one}" for one in _counted_towards(rows))
-        yield warned(
-            "too-few-points",
-            {"shots": len(lost), "names": some(lost, NAMES_IN_LINE)},
-            lost=count(len(lost), "shot"),
-            more=more,
-        )
+        with_few = count(len(lost), "shot")
+        yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)
 
 
 def _counted_towards(rows: Rows) -> Iterator[str]:
-    """Yield what to try of profilers of which no shot meets a ball, and whose z is below zero."""
+    """Yield what to try of profilers whose shots show balls only where z grows towards the sensor.
+
+    A shape in a profile is the same wherever it is along z, so that z is reversed about its own middle.
+    """
     labels = rows.survey.stations.plane_labels
     for member, shots in enumerate(rows.survey.shots):
-        before = {
-            at for own, at in rows.lost if own == member and kind_of(labels[at]) == SPHERE.name
-        }
-        met = any(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
-        if shots.kind == "profiler" and before and not met and np.median(shots.reading) < 0.0:
+        before = [at for i, at in rows.lost if i == member and kind_of(labels[at]) == SPHERE.name]
+        met = sum(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
+        if shots.kind != "profiler" or len(before) <= met:
+            continue
+        turned = float(shots.reading.min() + shots.reading.max()) - shots.reading
+        tables = [(shots.across[shots.station == s], turned[shots.station == s]) for s in before]
+        shown = condensed_shots(KINDS[shots.kind], SPHERE.name, tables, sigma=shots.sigma)
+        if sum(shot is not None for shot in shown) > 0.5 * len(before):
             yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
 
 

@@ -32,6 +32,7 @@ from .survey_misfit import (
     contradictions,
     first_noise,
     implausible,
+    mislabelled,
     misread,
     no_fit,
     unconfirmed,
@@ -164,6 +165,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     weak = ~exact & (information < least_information(information))
     found = judged(problem, problem.blocks, dict(state.values))
     found, images = with_images(found, others)
+    warnings = (*mislabelled(state, found), *warnings)
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
     if numbers < unknowns and undetermined:
         advice = (*advice, "measure at more stations")

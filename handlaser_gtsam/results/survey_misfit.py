@@ -12,6 +12,7 @@ survey, too. Cones are tried with other angles once all is solved.
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from difflib import get_close_matches
 from itertools import pairwise
 
 import numpy as np
@@ -20,13 +21,14 @@ from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
-from ..estimation.estimate import MOST_REJECTED
+from ..estimation.estimate import MOST_REJECTED, Estimate
 from ..estimation.survey import (
     GROSS,
     MOST_LEFT_OUT,
     FirstFit,
     RelationTest,
     SurveyEstimate,
+    SurveyState,
     estimate_survey,
     first_state,
     misfits,
@@ -40,7 +42,7 @@ from ..model.sensors.kinds import KINDS
 from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
 from ..model.targets.sphere import SPHERE
 from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
-from ..text import some
+from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
 from .warnings import IMPLAUSIBLE
@@ -49,6 +51,8 @@ CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
 KIND = "target-kind"
 """Code of the warning that a target is of another kind than its label says."""
+LABEL = "misspelt-label"
+"""Code of the warning that few stations have a label of their own, and fit another target."""
 NO_FIT = "no-fit"
 """Code of the warning that most shots do not fit each other."""
 HALF_ANGLE = "half-angle"
@@ -57,7 +61,7 @@ BEHIND_ECHO = "behind-echo"
 """Code of the warning that what an array reads behind a near echo does not fit what else it reads."""
 FALSE_RELATION = "relation-contradicted"
 """Code of the warning that readings contradict what is said to be known."""
-MISREAD = (CONVENTION, KIND, HALF_ANGLE, BEHIND_ECHO, IMPLAUSIBLE)
+MISREAD = (CONVENTION, KIND, LABEL, HALF_ANGLE, BEHIND_ECHO, IMPLAUSIBLE)
 """Codes of mistakes with which no result is usable, and no advice on the motion means anything."""
 PULLED = 2.0
 """Readings are pulled if their median is off by more standard deviations of one. Less is lost in the
@@ -204,24 +208,57 @@ def unconfirmed(rows: Rows, causes: Sequence[CalibrationWarning]) -> Iterator[Ca
     """Warn of sensors that lose more shots than may be rejected, where the rest does not confirm them.
 
     It confirms them where the shots of every target that count say more than the unknowns of that
-    target. `causes` say of the shots why they are lost.
+    target. Fewer lost shots are too many where no shot of a target counts, and no other target could
+    show what is wrong: planes look alike from a sensor that is read inside out, spheres do not.
+    `causes` say of the shots why they are lost.
     """
     labels = [normal_label(label) for label in rows.survey.stations.plane_labels]
     numbers = Counter[str]()
     for item in rows.items:
         numbers[labels[item.station]] += item.numbers
+    told = {label for label in numbers if numbers[label] > FAMILIES.get(kind_of(label), PLANE).dim}
+    round_told = any(kind_of(label) == SPHERE.name for label in told)
     for member, shots in enumerate(rows.survey.shots):
         lost = [labels[at] for own, at in rows.lost if own == member]
         total = len(np.unique(shots.station))
-        open_ = [
-            label
-            for label in dict.fromkeys(lost)
-            if numbers[label] <= FAMILIES.get(kind_of(label), PLANE).dim
-        ]
-        if len(lost) > MOST_REJECTED * total and open_:
+        open_ = [label for label in dict.fromkeys(lost) if label not in told]
+        if len(lost) <= MOST_REJECTED * total:
+            gone = (label for label in open_ if not numbers[label])
+            open_ = [one for one in gone if kind_of(one) == SPHERE.name and not round_told]
+        if open_:
             targets, what = some(open_, NAMES_IN_LINE), "; ".join(one.message for one in causes)
             values: Values = {"sensor": shots.name, "lost": len(lost), "targets": targets}
             yield warned(f"{NO_FIT}:lost", values, total=total, what=what)
+
+
+def mislabelled(state: SurveyState, found: Estimate) -> Iterator[CalibrationWarning]:
+    """Warn of targets that are undetermined, and whose shots fit another one with more stations.
+
+    Parameters
+    ----------
+    state : SurveyState
+        At the values of the estimate.
+    found : Estimate
+    """
+    rows = state.rows
+    seen = [item.target for item in rows.items]
+    targets = dict.fromkeys(seen)
+    stations = {one: len({i.station for i in rows.items if i.target == one}) for one in targets}
+    known = {one for one in targets if np.isfinite(found.marginal(*one)).all()}
+    for target in targets.keys() - known:
+        own = np.array([one == target for one in seen])
+        misfit: dict[str, float] = {}
+        for other in known:
+            if other[0] == target[0] and stations[other] > stations[target]:
+                items = [replace(i, target=other) if i.target == target else i for i in rows.items]
+                renamed = replace(state, rows=replace(rows, items=tuple(items)))
+                misfit[rows.label(other)] = float(np.median(misfits(renamed)[own]))
+        best = min(misfit, key=lambda label: misfit[label], default="")
+        if best and misfit[best] < GROSS:
+            label = rows.label(target)
+            how = "a misspelt" if get_close_matches(label, [best]) else "another name of"
+            values: Values = {"target": label, "other": best}
+            yield warned(LABEL, values, stations=count(stations[target], "station"), how=how)
 
 
 def implausible(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[CalibrationWarning]:
