@@ -208,9 +208,18 @@ def test_too_few_stations_are_said(tmp_path, handlaser):
     code, out, err = handlaser(*words)
     assert code == 3
     assert "6 numbers from shots for 9 unknowns" in out
-    assert "the motion leaves open sensor scanner: location" in err
-    assert "measure at more stations" in err
+    few = (
+        "too few stations, 6 numbers from shots for 9 unknowns, leave open sensor scanner: location"
+    )
+    assert few in err
+    # The hand turns about two axes, and is not to be turned about two axes.
+    assert "To determine it: measure at more stations" in err
+    assert "turn the hand" not in err
     assert json.loads(handlaser(*words, "--json")[1])["undetermined"]
+    code, _, err = handlaser("calibrate", *words[1:])
+    assert code == 3
+    assert few in err
+    assert "turn the hand" not in err
 
 
 @pytest.mark.slow

@@ -40,14 +40,14 @@ def test_a_program_reads_code_causes_and_remedies():
     assert bad["remedies"][0]["number"] == pytest.approx(9.0)
 
 
-def test_what_is_undetermined_has_the_motion_as_its_remedy():
+def test_what_is_undetermined_has_more_stations_as_its_remedy():
     survey = survey_of(rigs_by_rays.profiler(3))
     result = hl.calibrate(survey.part(np.arange(len(survey.stations)) < 3), EXACT)
     verdict = record_of(result)
     assert (verdict["code"], verdict["usable"], verdict["spot"]) == ("undetermined", False, None)
     (remedy,) = verdict["remedies"]
-    assert remedy["code"] == "more-motion"
-    assert remedy["message"].startswith("turn the hand about two different axes")
+    assert remedy["code"] == "more-stations"
+    assert remedy["message"] == "measure at more stations"
 
 
 def test_a_false_relation_and_a_range_error_are_codes():

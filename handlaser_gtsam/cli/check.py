@@ -58,7 +58,7 @@ def _of_survey(survey: "Survey", rig: "Rig") -> Answer:
     from ..results.survey_check import check_lines, check_survey
 
     found = check_survey(survey, rig.noise)
-    failure = left_open(found.undetermined, found.advice)
+    failure = (UNDETERMINED, found.open_sentence) if found.undetermined else None
     if failure is not None and not found.exactly:
         failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
     if found.doubt is not None:

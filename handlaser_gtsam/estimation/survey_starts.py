@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..errors import HandlaserError
 from ..model.block import Values, whitened
+from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE, pose_of
 from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
@@ -72,8 +73,10 @@ def start_of(
         candidates = [from_planes[entity]] if entity in from_planes else []
         candidates += _others(rows, entity, own)
         found = _searched(rows, entity, own, candidates, sigmas, thorough=last_resort)
-        # A mean square misfit beyond this [squared standard deviations] is no good fit.
-        if last_resort and entity[0] == SENSOR.name and (found is None or found[0] > 25.0):
+        # A mean square misfit beyond this [squared standard deviations] is no good fit; of few shots a
+        # false minimum fits well, too.
+        poor = found is None or found[0] > 25.0 or _redundancy(own, found[1]) < FEW_DEGREES
+        if last_resort and entity[0] == SENSOR.name and poor:
             more = _searched(rows, entity, own, _random_mounts(), sigmas, thorough=True)
             if more is not None and (found is None or more[0] < found[0]):
                 found = more
@@ -471,7 +474,9 @@ def _searched(
     # The mean square misfits of the shots, those that fit worst left out.
     white = (whitened(block.evaluate(ended.values), block.weights)[-1] for block in blocks)
     q = np.sort(np.concatenate([(e**2).mean(axis=2) for e in white], axis=1), axis=1)
-    most = max(int(np.ceil(TRIMMED * q.shape[1])), 1)
+    # Of few shots those that fit best fit at a false minimum, too.
+    trimmed = TRIMMED if _redundancy(own, (entity, *targets)) >= FEW_DEGREES else 1.0
+    most = max(int(np.ceil(trimmed * q.shape[1])), 1)
     cost = q[:, :most].mean(axis=1)
     cost = np.where(np.isfinite(ended.cost), cost, np.inf)
     k = int(cost.argmin())

@@ -161,9 +161,11 @@ def advice(parts: Sequence[OpenPart]) -> tuple[str, ...]:
     return tuple(words)
 
 
-def open_sentence(undetermined: Sequence[str], advice: Sequence[str]) -> str:
-    """Return what a motion leaves open, and what determines it, as one line."""
-    words = f"the motion leaves open {'; '.join(undetermined)}"
+def open_sentence(
+    undetermined: Sequence[str], advice: Sequence[str], opening: str = "the motion leaves open"
+) -> str:
+    """Return what a motion, or what else is to blame, leaves open, and what determines it."""
+    words = f"{opening} {'; '.join(undetermined)}"
     return f"{words}. To determine it: {'; '.join(advice)}" if advice else words
 
 

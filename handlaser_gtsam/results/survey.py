@@ -73,7 +73,7 @@ from .survey_misfit import (
     pulled,
     unconfirmed,
 )
-from .survey_motion import open_words
+from .survey_motion import MORE_STATIONS, counts_of, open_words, opening, unconfirmed_mount
 from .survey_rivals import rival_mounts
 from .survey_verdict import DISPLACED, FEW, TOO_FEW, free_of, survey_verdict
 from .verdict import Verdict
@@ -398,7 +398,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         information, axes, _ = _information(found)
         null = axes[:, information < least_information(information)]
         moving, advice = open_words(rows, estimate, null, found.images)
-        undetermined = (open_sentence(moving, advice),)
+        undetermined = (open_sentence(moving, advice, opening(*counts_of(rows), advice)),)
         message = undetermined[0]
     return SurveyCalibration(
         status,
@@ -717,11 +717,20 @@ def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
 
 
 def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
-    """Warn of beams whose readings, without a relation, cannot contradict a mount.
+    """Warn of surveys, and of beams, whose readings cannot contradict a mount without a relation.
 
     Noise that is stated shows by chi2 that a mount does not fit.
     """
     rows, unknowns = found.rows, FAMILIES[BEAM.name].dim
+    another = unconfirmed_mount(rows)
+    if another and found.estimate.status == "converged":
+        numbers, every = counts_of(rows)
+        sentence = open_sentence(
+            (another,), (MORE_STATIONS,), opening(numbers, every, (MORE_STATIONS,))
+        )
+        yield warned(
+            f"{TOO_FEW}:survey", {"numbers": numbers, "unknowns": every}, sentence=sentence
+        )
     if found.estimate.status != "converged" or not np.isnan(found.stated.sigma[-2]):
         return
     related = {entity for known in rows.known for entity in rows.entities(known)}

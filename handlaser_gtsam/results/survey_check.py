@@ -12,16 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..data.noise import Noise
-from ..data.survey import RAY_ERRORS, Known, Survey, normal_label
+from ..data.survey import Known, Survey, normal_label
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
 from ..estimation.survey import estimate_survey, first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import Rows, rows_of
-from ..model.families import BEAM, RANGE_ERROR, pose_of
+from ..model.distributions import FEW_DEGREES
+from ..model.families import BEAM, pose_of
 from ..model.sensors.mounted import SENSOR
 from ..observability.motion import PlaneMotion, motion_before
+from ..observability.wording import open_sentence
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
 from .survey import unread_stations
@@ -38,12 +40,17 @@ from .survey_misfit import (
     unconfirmed,
     with_causes,
 )
-from .survey_motion import CURE_OF_A_CIRCLE, open_words
+from .survey_motion import (
+    CURE_OF_A_CIRCLE,
+    MORE_STATIONS,
+    counts_of,
+    open_words,
+    opening,
+    unconfirmed_mount,
+)
 
 DOUBTS = (NO_FIT, *MISREAD, FALSE_RELATION)
 """Codes of warnings with which the motion is not judged: the gravest first."""
-NOT_OF_MOTION = frozenset((*RAY_ERRORS, *BEAM.coordinates[RANGE_ERROR]))
-"""Coordinates that do not count among the unknowns that a motion has to determine."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -113,6 +120,14 @@ class SurveyCheck(Value):
     warnings: tuple[CalibrationWarning, ...]
 
     @property
+    def open_sentence(self) -> str:
+        """What is undetermined, and what would determine it; empty where nothing is."""
+        if not self.undetermined:
+            return ""
+        why = opening(self.numbers, self.unknowns, self.advice)
+        return open_sentence(self.undetermined, self.advice, why)
+
+    @property
     def doubt(self) -> str | None:
         """What is wrong where shots do not fit each other, or not what is stated; None elsewhere."""
         for code in DOUBTS:
@@ -137,9 +152,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     lost = () if causes else tuple(unconfirmed(rows, unread))
     warnings = (*lost, *causes, *unread, *survey.warnings)
     targets = tuple(_targets(rows))
-    numbers = sum(item.numbers for item in rows.items)
-    names = rows.places().names
-    unknowns = sum(name.rpartition(".")[2] not in NOT_OF_MOTION for name in names)
+    numbers, unknowns = counts_of(rows)
     # A search wanders along what is undetermined by metres, at no cost, and derivatives with it.
     whose = [f"sensor:{one.name}" for one in survey.shots]
     whose += [f"beam:{name}" for name in survey.beam_names]
@@ -167,8 +180,6 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     found, images = with_images(found, others)
     warnings = (*mislabelled(state, found), *warnings)
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
-    if numbers < unknowns and undetermined:
-        advice = (*advice, "measure at more stations")
     if not first.fits:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
     elif (
@@ -176,6 +187,9 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     ):  # whether relations hold depends on the noise, which is learned with everything
         with suppress(InputError):
             warnings = (*warnings, *contradictions(estimate_survey(survey, noise).tests))
+    another = unconfirmed_mount(rows)
+    if another and not undetermined:
+        undetermined, advice = (another,), (MORE_STATIONS,)
     doubtful = any(one.code in DOUBTS for one in warnings)
     if doubtful:  # what a motion leaves undetermined means nothing then
         undetermined, advice = (), ()
@@ -264,4 +278,7 @@ def check_lines(check: SurveyCheck) -> Iterator[str]:
     if check.doubt is not None:
         yield check.doubt
     elif not check.undetermined:
-        yield "these stations and targets determine everything"
+        words = "these stations and targets determine everything"
+        if check.numbers < check.unknowns + FEW_DEGREES:
+            words += f", and are too few to judge how well shots fit: {MORE_STATIONS}"
+        yield words

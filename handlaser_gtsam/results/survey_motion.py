@@ -1,14 +1,16 @@
 """What a survey leaves undetermined, in words: by the kind of its motion, by circles, or one by one."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from ..arrays import FloatArray
+from ..data.survey import RAY_ERRORS
 from ..estimation.estimate import Estimate
 from ..estimation.survey_mirror import motion_of, numbers_of
 from ..estimation.survey_rows import Rows
-from ..model.families import BEAM, FAMILIES, PLANE, bases, pose_of
+from ..model.distributions import FEW_DEGREES
+from ..model.families import BEAM, FAMILIES, PLANE, RANGE_ERROR, bases, pose_of
 from ..model.known import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -22,6 +24,13 @@ from .messages import said
 
 CURE_OF_A_CIRCLE = "tilt it by another angle, or add a second plane"
 """What determines a sensor whose normals lie on one circle."""
+
+
+MORE_STATIONS = "measure at more stations"
+"""What determines more where numbers are hardly more than unknowns: the first advice, where the hand
+turns about two axes."""
+NOT_OF_MOTION = frozenset((*RAY_ERRORS, *BEAM.coordinates[RANGE_ERROR]))
+"""Coordinates that do not count among the unknowns that a motion has to determine."""
 
 
 def open_words(
@@ -66,8 +75,40 @@ def open_words(
     errors = any(part.quantity == "range error" for part in parts)
     leans = motion is None or _leans(rows, found, motion, images)
     mount = SENSOR.name if rows.survey.shots else BEAM.name
-    moving, others = named(motion, parts, leans=leans, k1_free=errors, mount=mount)
-    return (*moving, *what), (*cures, *others)
+    numbers, unknowns = counts_of(rows)
+    enough = numbers >= unknowns
+    moving, others = named(motion, parts, leans=leans, k1_free=errors, mount=mount, enough=enough)
+    few = numbers < unknowns + FEW_DEGREES
+    if motion is None and few:  # the hand turns about two axes, and that is not what is missing
+        return (*moving, *what), (MORE_STATIONS, *cures, *(others if enough else ()))
+    return (*moving, *what), (*cures, *others, *(() if enough else (MORE_STATIONS,)))
+
+
+def counts_of(rows: Rows) -> tuple[int, int]:
+    """Return how many numbers all shots say, and how many unknowns a motion has to determine."""
+    names = rows.places().names
+    unknowns = sum(name.rpartition(".")[2] not in NOT_OF_MOTION for name in names)
+    return sum(item.numbers for item in rows.items), unknowns
+
+
+def unconfirmed_mount(rows: Rows) -> str:
+    """Say that no shot can be spared, so that nothing tells the mount from another one; else empty.
+
+    Far from the truth there are minima that fit as many numbers as there are unknowns. The numbers of
+    one more shot contradict them. Relations do so, too, and beams are judged one by one.
+    """
+    if rows.known or not rows.survey.shots:
+        return ""
+    numbers, unknowns = counts_of(rows)
+    largest = max(item.numbers for item in rows.items)
+    return "whether another mount fits as well" if numbers - largest < unknowns else ""
+
+
+def opening(numbers: int, unknowns: int, advice: Sequence[str]) -> str:
+    """Return how a sentence on what is undetermined begins: with the motion, or too few stations."""
+    if advice and advice[0] == MORE_STATIONS:
+        return f"too few stations, {numbers} numbers from shots for {unknowns} unknowns, leave open"
+    return "the motion leaves open"
 
 
 def _words_of_images(

@@ -21,6 +21,7 @@ from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .messages import said
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
+from .survey_motion import MORE_STATIONS
 from .verdict import (
     Improvement,
     Verdict,
@@ -116,7 +117,8 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
         code = "contradicted"
     best = improvement_of("recording")
     if result.advice:
-        best = Improvement("more-motion", "; ".join(result.advice))
+        what = "more-stations" if result.advice[0] == MORE_STATIONS else "more-motion"
+        best = Improvement(what, "; ".join(result.advice))
     elif causes:  # each says what to do
         best = Improvement(causes[0].code, clause(causes[0].message))
     findings = tuple(dict.fromkeys(clause(one) for one in why))
