@@ -12,6 +12,10 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.errors import SolverError
+from handlaser_gtsam.files.logs.format_checks import convention_of
+from handlaser_gtsam.files.logs.motion import Way
+from handlaser_gtsam.files.logs.survey_suspicion import refuse_wrong_reading
+from handlaser_gtsam.model.conventions import numbers_of, poses_of
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
 from handlaser_gtsam.results.survey_misfit import better_kinds
 
@@ -489,3 +493,41 @@ def test_beams_in_millimetres_are_named_where_no_range_is_stated(tmp_path, handl
         code, _, err = handlaser(verb, made / "stations.csv", "--rig", rig)
         assert code == 3
         assert "look for another unit of this column" in err
+
+
+def written_wrong(how):
+    """A survey of the cell with a mistake in the table of poses, and the numbers of the poses."""
+    survey, kuka = cell(1), hl.LogFormat(pose_format="kuka")
+    of, shots = survey.stations, survey.shots[0]
+    numbers = numbers_of(of.world_R_hand, of.world_t_hand, convention_of(kuka))
+    if how == "late":
+        shots = shots.part(shots.station < 17)
+        late = hl.Shots.profiler("profiler", shots.station + 1, shots.across[:, 0], shots.reading)
+        return replace(survey, shots=(late,)), numbers, kuka
+    if how == "order":
+        numbers[:, [3, 4]] = numbers[:, [4, 3]]
+    else:
+        numbers[:, :3] *= {"sign": [1.0, -1.0, 1.0], "unit": [1.0, 0.1, 1.0], "right": 1.0}[how]
+    R, t = poses_of(numbers, convention_of(kuka))
+    stations = replace(of, world_R_hand=R, world_t_hand=t)
+    return replace(survey, stations=stations), numbers, kuka
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ("late", "times better if the shots are one row late; "),
+        ("sign", "times better if the y coordinates of the positions are negated; "),
+        ("unit", "if the y coordinates of the positions are 10 times as large"),
+        ("order", "are in another order: columns 2, 1, 3 of them; "),
+    ],
+)
+def test_a_single_mistake_in_the_table_of_poses_is_named(how, words):
+    survey, numbers, kuka = written_wrong(how)
+    with pytest.raises(hl.InputError, match=words):
+        refuse_wrong_reading(survey, numbers, Way.of_rows(18), kuka)
+
+
+def test_a_right_table_of_poses_is_not_accused_of_a_mistake():
+    survey, numbers, kuka = written_wrong("right")
+    assert not refuse_wrong_reading(survey, numbers, Way.of_rows(18), kuka)

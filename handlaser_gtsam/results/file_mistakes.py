@@ -374,7 +374,7 @@ def _shifted(recording: Recording, rows: int) -> Recording:
     return replace(recording.part(kept), ranges=recording.ranges[kept + rows], samples=None)
 
 
-def _undone(recording: Recording, what: str, how: str | int | list[int]) -> Recording:
+def without_mistake(recording: Recording, what: str, how: str | int | list[int]) -> Recording:
     """Return a recording without one of the `MISTAKES`.
 
     Axes that are exchanged or negated are given as numbers: [-1, 3, 2] is -x, z, y.
@@ -415,7 +415,7 @@ HYPOTHESES: dict[str, Change] = {
     f"the poses look inverted: {INVERTED}": _inverted,
     "the rotations look inverted (hand_R_world instead of world_R_hand)": _transposed,
     **{
-        words: partial(_undone, what=what, how=how)
+        words: partial(without_mistake, what=what, how=how)
         for words, mistake in MISTAKES.items()
         for what, how in mistake.items()
     },

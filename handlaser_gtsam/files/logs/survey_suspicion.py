@@ -2,16 +2,21 @@
 
 As for logs of beams (`suspicion`), every other convention with as many numbers a pose is tried where
 the shots of a sensor do not fit, and every other unit of their lengths: a start is found for the shots
-of that sensor, and the residual below which most readings are is compared.
+of that sensor, and the residual below which most readings are is compared. Where none of these fits,
+single mistakes are tried: shots one row late, a coordinate of the positions with another sign, in
+another unit or in place of another one, numbers of the rotations in another order.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
+from itertools import permutations
 
 import numpy as np
 
 from ...arrays import FloatArray
 from ...data.recording import Recording
+from ...data.station_list import StationList
 from ...data.survey import Shots, Survey
 from ...errors import CalibrationWarning
 from ...estimation.survey_rows import Rows, blocks_of, rows_of
@@ -20,11 +25,14 @@ from ...model.conventions import LENGTHS
 from ...model.families import pose_of
 from ...model.sensors.mounted import SENSOR
 from ...model.shots import Mixed
-from ...quantities import TINY, UNIT_SIGMA
+from ...quantities import INCH, MM, TINY, UNIT_SIGMA
+from ...results.file_mistakes import without_mistake
+from ...results.messages import MISTAKES
 from ...results.rereading import Rereading, misfits
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort
 from .format import LogFormat
+from .format_checks import convention_of
 from .motion import Way
 from .suspicion import (
     BETTER,
@@ -65,46 +73,114 @@ def refuse_wrong_reading(
     """
     warnings: tuple[CalibrationWarning, ...] = ()
     poses = list(alternatives(numbers, way, given))
+    mistakes = [*_single_mistakes(survey.stations), *_other_orders(numbers, way, given)]
     for shots in sorted(survey.shots, key=lambda shots: -len(np.unique(shots.station))):
         words = f'the lengths of {shots.name} are in {{name}}: units = "{{unit}}" in [[sensors]]'
         others = [one for stated in LENGTHS for one in other_lengths(stated, words)]
-        warnings += _accused(survey, shots, [*others, *poses], given)
-        poses = []
+        warnings += _accused(survey, shots, ([*others, *poses], mistakes), given)
+        poses, mistakes = [], []
     return warnings
 
 
+def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
+    """Yield mistakes that concern one coordinate of the positions, two of them, or the rows.
+
+    Those units of a coordinate are tried that make its spread more like those of the others.
+    """
+    for words, mistake in MISTAKES.items():
+        for what, how in mistake.items():
+            order = how if isinstance(how, list) else []
+            negated, moved = (
+                sum(i < 0 for i in order),
+                sum(abs(i) != j for j, i in enumerate(order, 1)),
+            )
+            if what == "rows" or (what == "positions" and 2 * negated + moved == 2):
+                said = words.replace("ranges", "shots").replace(" look ", " are ", 1)
+                yield Rereading(said, partial(without_mistake, what=what, how=how), "glance")
+    spread = stations.world_t_hand.std(axis=0)
+    others = {"centimetres": 10.0, "inches": INCH / MM, "metres": 1.0 / MM}
+    for axis, name in enumerate("xyz"):
+        ratio = max(float(np.delete(spread, axis).mean()), TINY) / max(float(spread[axis]), TINY)
+        for unit, times in others.items():
+            if abs(np.log(ratio / times)) < abs(np.log(ratio)):
+                factor = np.where(np.arange(3) == axis, times, 1.0)
+                said = f"the {name} coordinates of the positions are {times:.3g} times as large"
+                said += f" ({unit} among millimetres)"
+                yield Rereading(said, partial(_stretched, factor=factor), "glance")
+
+
+def _stretched(recording: Recording, factor: FloatArray) -> Recording:
+    return replace(recording, world_t_hand=recording.world_t_hand * factor)
+
+
+def _other_orders(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Rereading]:
+    """Yield the same numbers with those of the rotations in another order, of three a rotation."""
+    convention, places = convention_of(given), 3
+    if numbers.shape[1] != 2 * places:
+        return
+
+    def ordered(order: tuple[int, ...], recording: Recording) -> Recording:
+        columns = [*range(places), *(places + i for i in order)]
+        R, t = way.poses(numbers[:, columns], convention, inverse=given.inverted)
+        return replace(recording, world_R_hand=R, world_t_hand=t)
+
+    _, *orders = permutations(range(places))
+    for order in orders:
+        stand = ", ".join(str(i + 1) for i in order)
+        words = f"the three numbers of the rotations are in another order: columns {stand} of them"
+        yield Rereading(words, partial(ordered, order), "glance")
+
+
 def _accused(
-    survey: Survey, shots: Shots, others: Sequence[Rereading], given: LogFormat
+    survey: Survey, shots: Shots, rounds: Sequence[Sequence[Rereading]], given: LogFormat
 ) -> tuple[CalibrationWarning, ...]:
-    """Refuse, or warn of, a sensor whose shots fit far better in one of the `others`."""
+    """Refuse, or warn of, a sensor whose shots fit far better in another way.
+
+    The ways of a round are tried where none of the round before it fits.
+    """
     rows = _part(survey, shots)
     read = [item.shot.reading for item in rows.items if item.shot is not None]
     if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
         return ()
     variance = max(float(np.concatenate(read).var()), TINY)
 
+    count = len(survey.stations)
+    stations, labels = survey.stations, survey.stations.plane_labels
+
     def measure(recording: Recording, effort: Effort) -> float:
         del effort  # there is one way to a start
         # Lengths that are larger fit as positions do that are smaller, and shots need no other rows.
         scale = float(recording.ranges[0, 0])
-        R, t = recording.world_R_hand, recording.world_t_hand / scale
-        stations = replace(survey.stations, world_R_hand=R, world_t_hand=t)
-        return (
-            _misfit(replace(rows, survey=replace(rows.survey, stations=stations)), scale) / variance
-        )
+        shot_of = ((recording.ranges[:, 1] / scale - 1.0) * count).round().astype(np.intp)
+        R, t = stations.world_R_hand.copy(), stations.world_t_hand.copy()
+        R[shot_of], t[shot_of] = recording.world_R_hand, recording.world_t_hand / scale
+        poses = replace(stations, world_R_hand=R, world_t_hand=t)
+        # A shot whose label is that of another row was sorted by another shape.
+        kept = {
+            at
+            for at, label in zip(shot_of.tolist(), recording.plane_labels, strict=True)
+            if label == labels[at]
+        }
+        items = tuple(item for item in rows.items if item.station in kept)
+        read_so = replace(rows, survey=replace(rows.survey, stations=poses), items=items)
+        return _misfit(read_so, scale) / variance
 
-    # What carries poses from one convention to another has readings: by what lengths are multiplied.
-    carrier = survey.stations.recording(np.ones((len(survey.stations), 1)))
+    # What carries poses from one convention to another has readings: by what lengths are multiplied,
+    # and the same times a number that tells whose shot belongs to a pose.
+    carried = np.column_stack((np.ones(count), 1.0 + np.arange(count) / count))
+    carrier = stations.recording(carried)
     now = measure(carrier, "glance")
     if now <= FITS:
         return ()
-    found = misfits(carrier, others, measure)
-    best = min((value for value, _ in found), default=np.inf)
-    if best > min(now / BETTER, WELL):
-        return ()
-    # Of several ways those are named whose misfit is within this factor of the least.
-    words = " or ".join(one.words for value, one in found if value <= 4.0 * best)
-    return accused(now / best, words, given, f", and lengths of {shots.name} as they are read")
+    for others in rounds:
+        found = misfits(carrier, others, measure)
+        best = min((value for value, _ in found), default=np.inf)
+        if best <= min(now / BETTER, WELL):
+            # Of several ways those are named whose misfit is within this factor of the least.
+            words = " or ".join(one.words for value, one in found if value <= 4.0 * best)
+            more = f", and lengths of {shots.name} as they are read"
+            return accused(now / best, words, given, more)
+    return ()
 
 
 def _part(survey: Survey, one: Shots) -> Rows:
