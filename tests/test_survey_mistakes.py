@@ -136,7 +136,7 @@ def test_a_radius_that_is_roughly_known_is_no_contradiction(sigma):
 def test_a_label_of_its_own_whose_shot_fits_another_target_is_named(wrong, right, how):
     survey = cell(1, labels=[(8 if right == "plane:plate" else 9, wrong)])
     found, check = hl.calibrate(survey), check_survey(survey)
-    words = f"1 station of {wrong}; {how} {right}, which the shots fit?"
+    words = f"1 station of {wrong}; {how} {right}? The shots fit it"
     assert found.message == check.doubt == words
     assert found.verdict.findings[0] == words
     assert found.verdict.causes[0].values == {"target": wrong, "other": right}
@@ -493,6 +493,31 @@ def test_beams_in_millimetres_are_named_where_no_range_is_stated(tmp_path, handl
         code, _, err = handlaser(verb, made / "stations.csv", "--rig", rig)
         assert code == 3
         assert "look for another unit of this column" in err
+
+
+@pytest.mark.parametrize(
+    ("moved", "where"), [((6, 7, 8), "from station 7 on"), ((0, 1, 2), "up to station 3")]
+)
+def test_a_plate_that_is_moved_is_named_with_the_station(moved, where):
+    survey = cell(2)
+    up = np.isin(np.arange(18), moved)[:, None] * [0.0, 0.0, 0.02]
+    stations = replace(survey.stations, world_t_hand=survey.stations.world_t_hand + up)
+    found = hl.calibrate(replace(survey, stations=stations))
+    assert found.status == "contradicted"
+    words = f"contradict the others; these are all of plane:plate {where}: ask whether it was moved"
+    assert found.message.endswith(words)
+    assert found.verdict.findings[0] == found.message
+
+
+def test_a_scale_with_which_the_search_does_not_come_to_rest_is_named(monkeypatch):
+    survey = cell(0)
+    shots = survey.shots[0]
+    wide = hl.Shots.profiler("profiler", shots.station, 1.02 * shots.across[:, 0], shots.reading)
+    monkeypatch.setattr("handlaser_gtsam.estimation.survey.MOST_ROUNDS", 1)
+    found = hl.calibrate(replace(survey, shots=(wide,)))
+    assert found.status == "not_converged"
+    assert found.message.startswith("profiler reads with an error ")
+    assert found.verdict.findings == (found.message,)
 
 
 def written_wrong(how):

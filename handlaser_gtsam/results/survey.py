@@ -15,6 +15,7 @@ from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.dense import dense_rows, unknowns_of
 from ..estimation.estimate import (
+    MOST_REJECTED,
     TestedEffect,
     covariance_along,
     information_axes,
@@ -58,7 +59,7 @@ from ..quantities import IN_MM
 from ..text import count, some
 from .limits import Limits
 from .lines import NAMES_IN_LINE
-from .messages import Values, warned
+from .messages import Values, said, warned
 from .spot_error import radius, spot_of
 from .survey_misfit import (
     FALSE_RELATION,
@@ -368,8 +369,10 @@ class SurveyCalibration(Value):
 def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     """Return the result of an estimate."""
     rows, estimate, survey = found.rows, found.estimate, found.rows.survey
-    fits = estimate.status in ("converged", "contradicted")
-    effects = _effects(found) if fits else {}
+    # A range error may be why the search does not come to rest.
+    restless = estimate.status == "not_converged" and found.first.fits
+    tested = restless or estimate.status in ("converged", "contradicted")
+    effects = _effects(found) if tested else {}
     sensors = {
         shots.name: _sensor(found, i, effects.get(i, ())) for i, shots in enumerate(survey.shots)
     }
@@ -394,6 +397,10 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         # Labels and noise may be right, and rows do not fit because of the relation.
         status = "contradicted"
         message = next(one.message for one in warnings if one.code == FALSE_RELATION)
+    elif restless and any(one.code == "range-error" for one in warnings):
+        message = next(one.message for one in warnings if one.code == "range-error")
+    elif status == "contradicted":
+        message = "; ".join((message, *_rejected_since(found)))
     elif estimate.undetermined or found.images:
         information, axes, _ = _information(found)
         null = axes[:, information < least_information(information)]
@@ -520,6 +527,24 @@ def _rejected(found: SurveyEstimate) -> Iterator[Rejected]:
         label = stations.plane_labels[at]
         reason = "no-edge" if label in edgeless else "too-few-points"
         yield Rejected(stations.station_names[at], sensors[member], label, reason)
+
+
+def _rejected_since(found: SurveyEstimate) -> Iterator[str]:
+    """Yield the targets of which many shots are rejected: all from some station on, or up to one."""
+    names = found.rows.survey.stations.station_names
+    items = list(zip(found.rows.items, found.used.tolist(), strict=True))
+    for target in dict.fromkeys(item.target for item, _ in items):
+        own = sorted((item.station, used) for item, used in items if item.target == target)
+        used = np.array([is_used for _, is_used in own])
+        rejected = np.flatnonzero(~used)
+        if used.mean() >= 1.0 - MOST_REJECTED or not used.any():
+            continue
+        first, last = names[own[rejected[0]][0]], names[own[rejected[-1]][0]]
+        label = found.rows.label(target)
+        if not used[rejected[0] :].any():
+            yield said("displaced", target=label, where=f"from station {first} on")
+        elif not used[: rejected[-1]].any():
+            yield said("displaced", target=label, where=f"up to station {last}")
 
 
 def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
