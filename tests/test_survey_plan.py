@@ -95,6 +95,23 @@ def test_a_plan_determines_what_a_poor_motion_left_open():
     assert after.sensors["profiler"].spot_error < 1e-3
 
 
+def test_without_a_workspace_targets_are_looked_at_from_where_they_were_seen():
+    """Nothing says what stands on the other sides."""
+    rng = np.random.default_rng(4)
+    poses = list(looking(rng.uniform(-0.4, 0.4, (8, 2)), rng))
+    # Turns about the axis of the sensor allow the hand large ones.
+    spun = [
+        (R @ Rotation.from_rotvec(MOUNT[0][:, 2] * a).as_matrix(), t)
+        for a, (R, t) in zip(np.linspace(-1.0, 1.0, 8), poses, strict=True)
+    ]
+    plan = hl.plan(hl.calibrate(measured(spun, rng), EXACT), 6)
+    before = np.array([R @ MOUNT[0][:, 2] for R, _ in spun])
+    axis = before.mean(axis=0) / np.linalg.norm(before.mean(axis=0))
+    cone = np.arccos((before @ axis).min())
+    planned = plan.stations.world_R_hand @ MOUNT[0][:, 2] @ axis
+    assert np.arccos(planned.min()) <= max(cone, np.radians(20.0)) + 1e-3
+
+
 def test_a_plan_ends_where_its_goal_is_reached():
     rng = np.random.default_rng(2)
     first = hl.calibrate(measured(list(looking(rng.uniform(-0.5, 0.5, (6, 2)), rng)), rng), EXACT)
@@ -288,6 +305,7 @@ def test_the_command(handlaser, refusal, tmp_path):
     code, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3", "--out", out)
     assert code == 0
     assert said.startswith("3 stations: 3 of scanner before sphere:ball")
+    assert "not checked: stand, plate and arm; there is no [workspace]" in said
     assert "\n3. scanner before sphere:ball\n" in said
     assert len(hl.read_stations(out).station_names) == 3
     assert "qx qy qz qw" not in said

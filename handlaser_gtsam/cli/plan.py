@@ -21,6 +21,13 @@ if TYPE_CHECKING:
     from ..results.mounts import Mounts
 
 
+UNCHECKED = (
+    "not checked: stand, plate and arm; there is no [workspace] in the rig file, and stations look at "
+    "each target from about where it was seen"
+)
+"""What is not checked of stations of a survey without a workspace."""
+
+
 def plan(
     given: Given,
     model: Model,
@@ -89,6 +96,8 @@ def plan(
             warnings += _uncounted(calibration)
         robot = None if rig.workspace is None else rig.workspace.robot
         lines = plan_lines(planned, rig.goal, robot)
+        if planned.sensors and rig.workspace is None:
+            lines.append(UNCHECKED)
         if out is not None:
             write_stations(out, planned.stations)
         else:

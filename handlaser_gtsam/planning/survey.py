@@ -49,7 +49,15 @@ from ..validation.simulate import Stations, read_back
 from .bounds import Plate, plate_of
 from .goal import Aim, Forecast, Goal, Mount, beam_mount
 from .route import Plan, planned
-from .workspace import Workspace, drawn_turns, inside, joined, reached, workspace_of
+from .workspace import (
+    Workspace,
+    drawn_turns,
+    inside,
+    joined,
+    reached,
+    room_to_turn,
+    workspace_of,
+)
 
 VIEWS = 600
 """Candidates before each target for each sensor, or for all beams together: twice as many bring less
@@ -94,6 +102,7 @@ def plan_survey(
             "half_angle_deg, about two axes and at different distances, and see with `check` how well "
             "the mounts would be known",
         )
+    from_seen = workspace is None
     workspace = workspace_of(of.survey.stations) if workspace is None else workspace
     looks: dict[tuple[str, int, tuple[str, int]], list[Item]] = {}
     for item in of.items:
@@ -110,7 +119,7 @@ def plan_survey(
     names, parts = list[str](), list[tuple[Stations, FloatArray]]()
     for (family, member, target), items in looks.items():
         look, at = _Look(calibration, items), targets.index(target)
-        stations = look.drawn(workspace, at, rng)
+        stations = look.drawn(workspace, at, rng, from_seen=from_seen)
         stations = stations[inside(workspace, stations)]
         seen, said = look.rows(stations)
         stations, plates[at] = stations[seen], look.plate()
@@ -232,12 +241,21 @@ class _Look:
         away = float(np.sign((self.before @ n).sum()))
         return plate_of(away * n, away * float(height - n @ centre), self.spots.mean(axis=0))
 
-    def drawn(self, workspace: Workspace, target: int, rng: np.random.Generator) -> Stations:
-        """Draw stations before `target`, turned as far as allowed, whose middle ray looks there."""
+    def drawn(
+        self, workspace: Workspace, target: int, rng: np.random.Generator, *, from_seen: bool
+    ) -> Stations:
+        """Draw stations before `target`, turned as far as allowed, whose middle ray looks there.
+
+        Perhaps only `from_seen` directions: within the cone from which it was seen so far.
+        """
         beams = len(self.found.rows.survey.beam_names)
         views = VIEWS // beams if self.first.family == BEAM.name else VIEWS
         # Of a hand that turns in all directions a sixth looks there.
         R, x = drawn_turns(workspace, 6 * views, rng), self.target
+        if from_seen:
+            axis = self.before.mean(axis=0) / np.linalg.norm(self.before.mean(axis=0))
+            cone = room_to_turn(float(np.arccos(np.clip((self.before @ axis).min(), -1.0, 1.0))))
+            R = R[R @ self.ray @ axis >= np.cos(cone)]
         if self.first.target[0] == PLANE.name:
             away = np.sign((self.before @ x[:3]).sum())
             # Candidates look at a plane at angles of incidence up to that: most sensors read there.

@@ -100,9 +100,14 @@ def workspace_of(recording: Recording | StationList) -> Workspace:
     """
     t, R = recording.world_t_hand, Rotation.from_matrix(recording.world_R_hand)
     home = R.mean()
-    turn = max(float((home.inv() * R).magnitude().max()), math.radians(20.0))
+    turn = room_to_turn(float((home.inv() * R).magnitude().max()))
     room = max(0.25 * float(np.ptp(t, axis=0).max()), MM)  # for a hand that has not moved
     return Workspace(t.min(axis=0) - room, t.max(axis=0) + room, home.as_matrix(), turn)
+
+
+def room_to_turn(turned: float) -> float:
+    """Return how far a hand may turn that has turned so far [rad]: by 20 degrees any hand can."""
+    return max(turned, math.radians(20.0))
 
 
 def require_facing(
