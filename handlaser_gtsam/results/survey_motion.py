@@ -78,10 +78,12 @@ def open_words(
     numbers, unknowns = counts_of(rows)
     enough = numbers >= unknowns
     moving, others = named(motion, parts, leans=leans, k1_free=errors, mount=mount, enough=enough)
-    few = numbers < unknowns + FEW_DEGREES
-    if motion is None and few:  # the hand turns about two axes, and that is not what is missing
-        return (*moving, *what), (MORE_STATIONS, *cures, *(others if enough else ()))
-    return (*moving, *what), (*cures, *others, *(() if enough else (MORE_STATIONS,)))
+    if not enough:
+        return (*moving, *what), (MORE_STATIONS, *cures, *(others if motion is not None else ()))
+    if motion is None and numbers < unknowns + FEW_DEGREES:
+        # The hand turns about two axes, and that is not what is missing most.
+        return (*moving, *what), (MORE_STATIONS, *cures, *others)
+    return (*moving, *what), (*cures, *others)
 
 
 def counts_of(rows: Rows) -> tuple[int, int]:
