@@ -34,7 +34,7 @@ PLACES_OF = dict.fromkeys((PLANE.name, SPHERE.name, BEAM.name), (0, 1, 2)) | {
     SENSOR.name: (3, 4, 5)
 }
 """Tangent coordinates of where targets, sensors and beams are: of planes two tilts and the offset."""
-SIZE, ALIKE = "size", ("k1", "scale")
+BOTH_AXES, ALIKE = "x-and-z", ("k1", "scale")
 """Code of an error of both axes of a profiler by the same part, and the range errors that it is."""
 
 

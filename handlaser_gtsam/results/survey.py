@@ -25,7 +25,7 @@ from ..estimation.estimate import (
 )
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import Rows
-from ..estimation.survey_trials import ALIKE, SIZE, displacement, too_small_alike
+from ..estimation.survey_trials import ALIKE, BOTH_AXES, displacement, too_small_alike
 from ..model.distributions import (
     FAMILY_LEVEL,
     FEW_DEGREES,
@@ -89,7 +89,7 @@ class SensorError(TestedEffect):
 
     Attributes
     ----------
-    code : "k0", "k1", "k2", "scale" or "size"
+    code : "k0", "k1", "k2", "scale" or "x-and-z"
         The last one is k1 and scale at once: both axes of a profiler err by the same part.
     spot_shift : float
         How far it moves a spot of this sensor if it is of size 1 [m].
@@ -566,7 +566,7 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
                 columns[name] = column
         both = [columns.get(f"{SENSOR.name}[{member}].{code}", zero) for code in ALIKE]
         if found.rows.survey.shots[member].kind == "profiler" and all(map(np.any, both)):
-            columns[f"{SENSOR.name}[{member}].{SIZE}"] = both[0] + both[1]
+            columns[f"{SENSOR.name}[{member}].{BOTH_AXES}"] = both[0] + both[1]
     index = [whole.names.index(name) for name in own.names]
     effects: dict[int, list[SensorError]] = {}
     for name, (tested, follows) in tested_columns(J[:, index], e, columns).items():
@@ -578,7 +578,7 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
         spot = _spot_of(shots.kind, shots.across, float(np.median(shots.reading)))
         turn = follows[own.place[SENSOR.name][member] + np.arange(6)]
         shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
-        if code == SIZE:
+        if code == BOTH_AXES:
             tested = _tried(found, tested, member, len(columns))
         parts = tested.size, tested.sigma, tested.detectable, tested.found
         effects.setdefault(member, []).append(SensorError(*parts, code, shift))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..estimation.estimate import covariance_along, information_axes
-from ..estimation.survey_trials import ALIKE, SIZE
+from ..estimation.survey_trials import ALIKE, BOTH_AXES
 from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
 from ..quantities import IN_PERCENT
@@ -168,7 +168,7 @@ def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, 
 
 def free_of(code: str) -> str:
     """Return what stands between the quotes of `free` to estimate a range error of a sensor."""
-    return '", "'.join(ALIKE) if code == SIZE else code
+    return '", "'.join(ALIKE) if code == BOTH_AXES else code
 
 
 def _improvement(

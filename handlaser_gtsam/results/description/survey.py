@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
 from ...data.survey import RAY_ERRORS
+from ...estimation.survey_trials import BOTH_AXES
 from ...model.distributions import p_words
 from ...model.families import BEAM, RANGE_ERROR
 from ...model.sensors.mounted import SENSOR
@@ -35,8 +36,8 @@ UNITS = {
     name: SHOWN[power]
     for name, power in zip(SENSOR.coordinates, SENSOR.powers, strict=True)
     if name in RAY_ERRORS
-}
-"""The same by range error."""
+} | {BOTH_AXES: SHOWN[0]}
+"""The same by range error, and of both axes at once."""
 
 
 def survey_lines(
