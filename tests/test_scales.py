@@ -12,9 +12,9 @@ from scipy import linalg, stats
 import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
-from handlaser_gtsam.estimation import learned
+from handlaser_gtsam.estimation import learning_scales as learned
 from handlaser_gtsam.estimation.information import Information, LinearReadings
-from handlaser_gtsam.estimation.learned import ScaleProblem
+from handlaser_gtsam.estimation.learning_scales import ScaleProblem
 from handlaser_gtsam.estimation.mixture import BeamPosterior
 from handlaser_gtsam.estimation.posterior import posterior
 from handlaser_gtsam.estimation.range_error_grid import (

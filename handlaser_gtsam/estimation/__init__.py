@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from .estimate import Estimate as Estimate
     from .estimate import TestedEffect as TestedEffect
     from .estimate import score_test as score_test
-    from .learned import LearnedScales as LearnedScales
+    from .learning_scales import LearnedScales as LearnedScales
     from .many_recordings import SolvedMany as SolvedMany
     from .many_recordings import solve_many as solve_many
     from .range_error_grid import RangeErrorGrid as RangeErrorGrid

@@ -28,7 +28,7 @@ from ..observability.rank import Observability
 from ..solvers.beam_problem import moved
 from ..solvers.graph import CalibrationGraph, read_parameters
 from ..solvers.levenberg import linearize
-from .learned import LearnedScales, ScaleProblem, integrated_over
+from .learning_scales import LearnedScales, ScaleProblem, integrated_over
 from .scales import Scale
 
 

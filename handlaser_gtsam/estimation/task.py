@@ -33,7 +33,7 @@ from ..solvers.graph import PosePriors, build_graph, pose_priors
 from ..solvers.levenberg import Status, levenberg_marquardt
 from ..solvers.sums import eliminated_sums
 from ..text import count
-from .learned import ScaleProblem
+from .learning_scales import ScaleProblem
 from .options import CalibrationOptions
 from .posterior import ScaleEstimate, covariance_by_gtsam, numbered, posterior
 from .scales import Scales, start_of, unknown_scales, with_scales

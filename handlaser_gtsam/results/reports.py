@@ -17,7 +17,7 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
-from ..estimation.learned import LearnedScales
+from ..estimation.learning_scales import LearnedScales
 from ..model.distributions import CONFIDENCE, chi2_sf, gaussian_quantile, student_quantile
 from ..model.effects import EFFECTS
 from ..model.effects.effect import size_in_words

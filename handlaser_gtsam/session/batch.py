@@ -9,7 +9,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording, join
-from ..estimation.learned import LearnedScales, ScaleProblem
+from ..estimation.learning_scales import LearnedScales, ScaleProblem
 from ..estimation.posterior import covariance_of_determined, posterior
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution

@@ -10,7 +10,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
-from ..estimation.learned import LearnedScales
+from ..estimation.learning_scales import LearnedScales
 from ..estimation.options import CalibrationOptions
 from ..factors.keys import BeamKeys, beam_keys
 from ..model.families import BEAM, modelled

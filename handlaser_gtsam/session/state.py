@@ -18,7 +18,7 @@ from .. import model
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings
 from ..errors import HandlaserError, InputError
-from ..estimation.learned import beam_posterior, integrated_over
+from ..estimation.learning_scales import beam_posterior, integrated_over
 from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
 from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
