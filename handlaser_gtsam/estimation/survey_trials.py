@@ -13,10 +13,11 @@ one number of the noise; with noise that is stated by chi2.
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
@@ -25,6 +26,7 @@ from ..model.families import BEAM, PLANE, POSE
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
 from ..quantities import NEGLIGIBLE, TINY
+from .dense import DenseRows
 from .survey import SurveyEstimate, SurveyState, learned_sizes
 from .survey_rows import Entity
 
@@ -118,24 +120,26 @@ def displacement(found: SurveyEstimate) -> Displacement | None:
     Where a target may be what was moved, it is: a hand of which all targets seem to move takes more.
     """
     state, looked_for = found.learning(), 0
-    promising: list[tuple[float, Entity, int, Columns]] = []
+    rows, owner = state.dense()
+    gain, stops = _Gain(rows), state.stops(owner)
+    promising: list[tuple[Entity, int]] = []
     for entity, splits in _splits(state):
         looked_for += len(splits)
-        tried = [_since(entity, station) for station in splits]
-        chi2 = _scores(state, tried)
-        best = int(chi2.argmax())
-        if chi2_sf(chi2[best], len(PLACES_OF[entity[0]])) < FAMILY_LEVEL:
-            promising.append((float(chi2[best]), entity, splits[best], tried[best]))
-    found_moves = []
-    for _, entity, station, columns in promising:
-        one = try_free(state, columns)
-        one = replace(one, p_value=min(one.p_value * looked_for, 1.0))
-        if one.p_value < FAMILY_LEVEL:
-            found_moves.append(Displacement(entity, station, one))
-    if not found_moves:
+        columns = rows.derivatives[:, _place(state, entity)]
+        chi2 = [gain(columns * (stops >= station)[:, None]) for station in splits]
+        best = int(np.argmax(chi2))
+        if chi2_sf(chi2[best], columns.shape[1]) < FAMILY_LEVEL:
+            promising.append((entity, splits[best]))
+    moves = []
+    for entity, station in promising:
+        one = try_free(state, partial(_since, entity, station))
+        p = min(one.p_value * looked_for, 1.0)
+        if p < FAMILY_LEVEL:
+            moves.append(Displacement(entity, station, replace(one, p_value=p)))
+    if not moves:
         return None
-    surest = max(one.tried.chi2 for one in found_moves)
-    alike = [one for one in found_moves if one.tried.chi2 > surest - UNLIKELY_EXCESS]
+    surest = max(one.tried.chi2 for one in moves)
+    alike = [one for one in moves if one.tried.chi2 > surest - UNLIKELY_EXCESS]
     return next((one for one in alike if one.entity[0] in (PLANE.name, SPHERE.name)), alike[0])
 
 
@@ -153,31 +157,31 @@ def _splits(state: SurveyState) -> Iterator[tuple[Entity, list[int]]]:
             yield entity, [splits[i] for i in evenly.round().astype(int)]
 
 
-def _since(entity: Entity, station: int) -> Columns:
-    """Return what makes derivatives (R, 3) by the place of an entity from a station on."""
+def _place(state: SurveyState, entity: Entity) -> IntArray:
+    """Return which unknowns (3,) say where an entity is."""
     family, member = entity
-
-    def columns(state: SurveyState) -> FloatArray:
-        rows, owner = state.dense(pose_errors=False)
-        places = state.rows.places()
-        place = places.place[family][member] + np.array(PLACES_OF[family])
-        return rows.derivatives[:, place] * (state.stops(owner) >= station)[:, None]
-
-    return columns
+    return np.asarray(state.rows.places().place[family][member] + np.array(PLACES_OF[family]))
 
 
-def _scores(state: SurveyState, tried: list[Columns]) -> FloatArray:
-    """Return by how much chi2 would fall with each of some further unknowns, noise as it is."""
-    rows, _ = state.dense()
-    J, e = rows.whitened()
-    U, size, _ = np.linalg.svd(
-        J / np.maximum(np.sqrt((J**2).sum(axis=0)), TINY), full_matrices=False
+def _since(entity: Entity, station: int, state: SurveyState) -> FloatArray:
+    """Return the derivatives (R, 3) by the place of an entity from a station on."""
+    rows, owner = state.dense(pose_errors=False)
+    return np.asarray(
+        rows.derivatives[:, _place(state, entity)] * (state.stops(owner) >= station)[:, None]
     )
-    Q = U[:, size > NEGLIGIBLE * size[0]]
-    chi2 = np.zeros(len(tried))
-    for i, columns in enumerate(tried):
-        A, _ = replace(rows, derivatives=columns(state)).whitened()
-        rest = A - Q @ (Q.T @ A)
-        gain = np.linalg.lstsq(rest, e, rcond=NEGLIGIBLE)[0]
-        chi2[i] = float(gain @ rest.T @ e)
-    return chi2
+
+
+class _Gain:
+    """By how much chi2 would fall with some further unknowns, noise as it is."""
+
+    def __init__(self, rows: DenseRows) -> None:
+        J, self._e = rows.whitened()
+        scale = np.maximum(np.sqrt((J**2).sum(axis=0)), TINY)
+        U, size, _ = np.linalg.svd(J / scale, full_matrices=False)
+        self._rows, self._known = rows, U[:, size > NEGLIGIBLE * size[0]]
+
+    def __call__(self, columns: FloatArray) -> float:
+        """Return it for derivatives (R, q) by the further unknowns."""
+        A, _ = replace(self._rows, derivatives=columns).whitened()
+        rest = A - self._known @ (self._known.T @ A)
+        return float(np.linalg.lstsq(rest, self._e, rcond=NEGLIGIBLE)[0] @ rest.T @ self._e)
