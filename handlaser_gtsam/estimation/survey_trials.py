@@ -24,6 +24,7 @@ from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
 from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, PLANE, POSE
 from ..model.sensors.mounted import SENSOR
+from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..quantities import NEGLIGIBLE, TINY
 from .dense import DenseRows
@@ -144,10 +145,13 @@ def displacement(found: SurveyEstimate) -> Displacement | None:
 
 
 def _splits(state: SurveyState) -> Iterator[tuple[Entity, list[int]]]:
-    """Yield targets, sensors and beams with the stations from which on each may be elsewhere."""
+    """Yield targets, sensors and beams with the stations from which on each may be elsewhere.
+
+    Beams that are aimed at points do not count: each station is aimed by itself.
+    """
     seen: dict[Entity, set[int]] = {}
     for item, used in zip(state.rows.items, state.used, strict=True):
-        if used:
+        if used and item.target[0] != POINT.name:
             for entity in (item.target, item.mount):
                 seen.setdefault(entity, set()).add(item.stop)
     for entity, stops in seen.items():
