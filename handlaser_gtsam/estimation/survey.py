@@ -199,7 +199,7 @@ class SurveyState:
     ) -> tuple[DenseRows, IntArray]:
         """Return the rows of the problem, and the number of each one's item: -1 for what has none.
 
-        Where `range_errors` is set, those of sensors that are held at zero are unknowns, too.
+        Where `range_errors` is set, errors of sensors that are held at zero are unknowns, too.
         """
         problem, owner = self.problem(pose_errors=pose_errors)
         if range_errors and SENSOR.name in problem.unknown:
@@ -636,7 +636,7 @@ def learned_sizes(
 ) -> Components:
     """Return the sizes of the noise at the values of a state: as stated, or learned.
 
-    Derivatives (R, q) of its rows by further unknowns may stand beside those of its own.
+    Derivatives (R, q) of its rows by further unknowns may stand beside its own derivatives.
     """
     if not state.learning:
         return state.sizes

@@ -7,7 +7,7 @@ additional unknowns x (q of them), whose least squares solution in standard devi
 
     x,  C = cov(x),  F = x' inv(C) x / q,
 
-is tested against an F distribution of q over S - q - 1 degrees of freedom at S stops, as if each told
+is tested against an F distribution of q over S - q - 1 degrees of freedom at S stops, as if each said
 one number of the noise; with noise that is stated by chi2.
 """
 
