@@ -301,7 +301,7 @@ def test_calibrating_beams_imports_nothing_for_plans_logs_and_surveys(tmp_path):
     imported = {name.partition(".")[2] for name in ended.stdout.split()}
     assert "estimation.task" in imported
     unused = ("planning.", "validation.", "session.")
-    unused += ("files.logs.reading", "estimation.survey")
+    unused += ("files.logs.reading", "files.points_table", "estimation.survey")
     assert not [name for name in imported if name.startswith(unused)]
 
 

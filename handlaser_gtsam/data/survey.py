@@ -27,6 +27,8 @@ Kind = Literal["profiler", "scanner", "array", "points"]
 """Kinds of sensors of many rays."""
 Convention = Literal["radial", "perpendicular"]
 """Whether an array reads along its rays or along its axis."""
+Echo = Literal["all", "near", "far"]
+"""Which readings of a zone of an array count, where it has several."""
 RAY_ERRORS = ("k0", "k1", "k2", "scale")
 """Range errors of many rays: k0 + k1 d + k2 d^2, and the scale of x, of the angles, or of the tangents
 of the directions; [m], [1], [1/m], [1]."""

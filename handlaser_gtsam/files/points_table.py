@@ -12,13 +12,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import polars as pl
 
 from ..arrays import FloatArray, IntArray
 from ..data.screen import codes_of_shots
+from ..data.survey import Echo
 from ..errors import InputError
 from ..text import count, shown, some
 from .checked_text import in_file
@@ -41,7 +41,6 @@ COLUMNS = {
     "points": ("x", "y", "z"),
 }
 """Columns beside `station`, by the kind of the sensor."""
-Echo = Literal["all", "near", "far"]
 Points = tuple[IntArray, FloatArray, FloatArray]
 """The station (N,) of each point, from 0, its columns (N, c), and (N,) the nearest reading of the zone
 of an array at the station, NaN for that reading itself and for other kinds."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from ..data.survey import Survey, beyond_planes, kind_of
 from ..errors import CalibrationWarning, InputError
 from ..model.sensor import Sensor
-from ..model.targets.point import POINT
 from ..text import shown
 from .logs.format import LogFormat
 from .logs.report import LogReport
@@ -71,7 +70,7 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
 
 def _require_points(rig: Rig, labels: Sequence[str], path: Path) -> None:
     """Refuse a standard deviation of the aiming where no target is a point; raises InputError."""
-    if rig.aiming_sigma is not None and POINT.name not in map(kind_of, labels):
+    if rig.aiming_sigma is not None and "point" not in map(kind_of, labels):
         found = "aiming_sigma_mm in [noise], and no target that is a point"
         raise InputError(found, "stations with the label point:NAME, or no aiming_sigma_mm", path)
 

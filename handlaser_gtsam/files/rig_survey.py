@@ -17,7 +17,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Strict
@@ -27,7 +27,7 @@ from ..arrays import FloatArray
 from ..checks import require_word
 from ..data.screen import shots_code_warning
 from ..data.station_list import StationList
-from ..data.survey import RELATIONS, Convention, Kind, Known, Shots
+from ..data.survey import RELATIONS, Convention, Echo, Kind, Known, Shots
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor import LONG_RANGE
@@ -35,9 +35,11 @@ from ..quantities import DEG, IN_MM, MAJORITY, MM
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
-from .points_table import COLUMNS, Codes, Echo, Points, read_frame, read_points, without_codes
 from .recording_csv import known_numbers
 from .writing import same_file
+
+if TYPE_CHECKING:  # tables of points are read where a rig file names some
+    from .points_table import Codes, Points
 
 ONE_KIND = {"angles": "scanner", "convention": "array", "echo": "array", "clear_mm": "array"}
 """Fields of [[sensors]] that one kind of sensor has."""
@@ -137,6 +139,7 @@ class SurveyTables:
         InputError
         """
         from .logs.bag_points import read_bag_points
+        from .points_table import without_codes
 
         for table in self.sensors:
             if table.points or not table.topics:
@@ -173,6 +176,8 @@ class SurveyTables:
             example = path.name.replace(EACH, stations[0])
             raise InputError("no such file", f"one a station, as {example} of the first", path)
         growing = bool(self.copies)
+        from .points_table import read_points
+
         points, named, codes, lines = read_points(
             files, table.kind, stations, table.echo, station_column, growing=growing
         )
@@ -185,7 +190,7 @@ class SurveyTables:
         words += f" and {more}" if turns else ""
         return shots, (f"{table.name} in {words}", *lines), _code_warnings(table, codes)
 
-    def _shots(self, table: SensorTable, points: Points, length: float, angle: float) -> Shots:
+    def _shots(self, table: SensorTable, points: "Points", length: float, angle: float) -> Shots:
         """Return shots of the numbers of each point, whose units are a length [m] and an angle [rad].
 
         They come with the station (N,) of each point, and with the nearest echo (N,) that a zone read
@@ -266,7 +271,9 @@ class SurveyTables:
         return tuple(path.parent for path in paths if EACH in path.name)
 
 
-def _code_warnings(table: SensorTable, codes: Codes) -> list[CalibrationWarning]:
+def _code_warnings(table: SensorTable, codes: "Codes") -> list[CalibrationWarning]:
+    from .points_table import COLUMNS
+
     what = COLUMNS[table.kind][-1]
     return [
         shots_code_warning(f"{what} = {code:.10g}", table.name, times)
@@ -385,6 +392,8 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
     InputError
     """
     expected = "zone, x, y, z or zone, x_deg, y_deg"
+    from .points_table import read_frame
+
     table = read_frame(path, f"CSV with {expected}", expected)
     if len(table.frame):
         table.refuse_cut()
