@@ -253,7 +253,9 @@ def test_a_rest_that_leaves_something_open_is_named_as_the_user_names_it():
     noise = hl.Noise(None, 1e-5, 1e-5)
     found = hl.validate(hl.Survey(stations, (few,)), noise, splits=0)
     (plate,) = (one for one in found.targets if one.name == "plane:plate")
-    assert plate.message.startswith("the motion leaves open ")
+    assert plate.message.startswith(
+        "too few stations, 9 numbers from shots for 10 unknowns, leave open"
+    )
     assert "sensor profiler: " in plate.message
     assert "[" not in plate.message
 
