@@ -353,3 +353,10 @@ def test_plot_takes_a_log(kuka, tmp_path, handlaser):
     code, out, err = handlaser("plot", path, "--rig", rig, "--out", tmp_path / "pictures")
     assert code == 0, err
     assert "space-world.svg" in out
+
+
+def test_a_command_to_type_keeps_its_options(tmp_path, refusal):
+    """Options in words become fields of [log] where a rig file is read, but none of a whole command."""
+    path = tmp_path / "numbers.csv"
+    path.write_text("0.1,0.2,0.3\n0.4,0.5,0.6\n")
+    assert "`handlaser convert LOG --header NAMES`" in refusal("calibrate", path)

@@ -61,7 +61,8 @@ if TYPE_CHECKING:  # calibrating needs none of it
     from ..planning.workspace import Workspace
 
 RIG_FILE = "a rig file, TOML"
-OPTION = re.compile(r"--([a-z][a-z-]*)")
+OPTION = re.compile(r"`handlaser [^`]*`|--([a-z][a-z-]*)")
+"""An option by itself; a command to type keeps its own."""
 NAMES = tuple(one.name for one in fields(LogFormat))
 
 
@@ -103,7 +104,7 @@ def as_fields(words: str) -> str:
     """Return words with fields of the table in place of the options of `convert`."""
 
     def field(option: re.Match[str]) -> str:
-        name = option[1].replace("-", "_")
+        name = (option[1] or "").replace("-", "_")
         return f"log.{name}" if name in NAMES else option[0]
 
     return OPTION.sub(field, words)
