@@ -6,8 +6,8 @@ Surveys of a line profiler and two single beams before two planes and a ball, by
 `benchmarks.rigs`, with errors of the hand of 0.05 mm and 0.01 deg that are stated or not, and noise of
 all readings of 0.02, 0.1 and 0.5 mm that is not. Of the readings of a beam 7 to 12 are kept at random:
 it has seven unknowns. Each line is how many 95 % regions of the locations of beams hold the truth in
-results that are usable, their NEES a degree of freedom, how many beams have a coordinate beyond 5
-standard deviations there, and how many results are not usable.
+results that are usable, and in all that converged, the NEES of the former a degree of freedom, how many
+of their beams have a coordinate beyond 5 standard deviations, and how many results are not usable.
 """
 
 import argparse
@@ -38,19 +38,27 @@ class Coverage:
     ----------
     squares : list of float
         Squared errors of the locations of beams in usable results, in their covariance.
+    others : list of float
+        The same of results that converged and are not usable.
     wrong, unusable, surveys : int
-        Locations of these that are wrong; results that are not usable; all results.
+        Locations that are wrong in a usable result; results that are not usable; all results.
     """
 
     squares: list[float]
+    others: list[float]
     wrong: int = 0
     unusable: int = 0
     surveys: int = 0
 
     @property
     def inside(self) -> float:
-        """The part of the 95 % regions that hold the truth."""
+        """The part of the 95 % regions of usable results that hold the truth."""
         return float(np.mean(chi2.cdf(self.squares, 3) < 0.95))
+
+    @property
+    def inside_of_all(self) -> float:
+        """The same of all results that converged."""
+        return float(np.mean(chi2.cdf([*self.squares, *self.others], 3) < 0.95))
 
     @property
     def nees(self) -> float:
@@ -75,7 +83,7 @@ def few_readings(seed: int, generator: Any, sigma: float) -> Any:
 
 def coverage(generator: Any, sigma: float, noise: hl.Noise, rigs: int) -> Coverage:
     """Return what is found of as many rigs."""
-    found = Coverage([])
+    found = Coverage([], [])
     for seed in range(rigs):
         print(f"\r{seed + 1} of {rigs} ", end="", file=sys.stderr, flush=True)
         rig = few_readings(seed, generator, sigma)
@@ -85,15 +93,16 @@ def coverage(generator: Any, sigma: float, noise: hl.Noise, rigs: int) -> Covera
         except HandlaserError:
             found.unusable += 1
             continue
-        if not result.usable:
-            found.unusable += 1
+        found.unusable += not result.usable
+        if result.status != "converged":
             continue
         names = [*result.sensors, *result.beams]
         for name, (error, C) in zip(names, errors_of(rig, result), strict=True):
             if name in result.beams:
-                found.squares.append(float(error @ np.linalg.solve(C, error)))
+                squares = found.squares if result.usable else found.others
+                squares.append(float(error @ np.linalg.solve(C, error)))
                 far = bool((np.abs(error) > FAR * np.sqrt(np.diagonal(C))).any())
-                found.wrong += far
+                found.wrong += far and result.usable
     print("\r" + " " * 40 + "\r", end="", file=sys.stderr)
     return found
 
@@ -111,7 +120,8 @@ def main() -> None:
                 seconds = (time.process_time() - begin) / rigs
                 print(
                     f"by {name}, hand {hand}, {1e3 * sigma:g} mm: {100 * found.inside:.1f} % of "
-                    f"{len(found.squares)} inside, NEES {found.nees:.2f}, {found.wrong} wrong, "
+                    f"{len(found.squares)} inside ({100 * found.inside_of_all:.1f} % of all that "
+                    f"converged), NEES {found.nees:.2f}, {found.wrong} wrong, "
                     f"{found.unusable} of {found.surveys} not usable, {seconds:.2f} s",
                     flush=True,
                 )

@@ -6,9 +6,10 @@ Two generators that share nothing with the package, nor with each other, make ri
 planes, spheres, points and bodies anywhere. Each line is one kind of rig: how many were found right
 (within what chance allows of their covariance), how many are wrong without a flag (a coordinate beyond
 5 of its standard deviations, and yet `usable`), how many were flagged (not `usable`, right or not: the
-tests of range errors alone flag at most 1 in 100 sensors that have none), NEES a degree of freedom of
-the mounts that converged, and the median error. With --relations, relations that are true, and false by
-ten standard deviations of what readings and relation say together, are stated one at a time.
+tests of range errors alone flag at most 1 in 100 sensors that have none), how many were accused of what
+no rig has (`NOT_THERE`), NEES a degree of freedom of the mounts that converged, and the median error.
+With --relations, relations that are true, and false by ten standard deviations of what readings and
+relation say together, are stated one at a time.
 """
 
 import argparse
@@ -79,6 +80,8 @@ SAME_SPREAD = 0.05
 """A mount is less sure where its standard deviation grew by more: sizes of the noise are estimated."""
 FAR = 5.0
 """Standard deviations beyond which a coordinate is wrong."""
+NOT_THERE = {"displaced", "range-error", "another-mount"}
+"""Codes of warnings of what no rig has."""
 BY_CHANCE = 1e-6
 """A rig is right if an error of its size is more probable than this."""
 
@@ -146,7 +149,7 @@ def body_of(rig: Any) -> list[hl.Known]:
 def row_of(name: str, generator: Any, rigs: int) -> str:
     """Return what is said of one kind of rig."""
     kind, options, noise = ROWS[name]
-    right = wrong = flagged = mounts = 0
+    right = wrong = flagged = accused = mounts = 0
     nees: list[float] = []
     shifts: list[float] = []
     begin = time.process_time()
@@ -160,6 +163,7 @@ def row_of(name: str, generator: Any, rigs: int) -> str:
             flagged += 1
             continue
         flagged += not result.usable
+        accused += bool(NOT_THERE & {warning.code for warning in result.warnings})
         if result.status != "converged":
             continue
         good = True
@@ -176,8 +180,8 @@ def row_of(name: str, generator: Any, rigs: int) -> str:
     seconds = (time.process_time() - begin) / rigs
     return (
         f"{name:32} {right:4} of {rigs} right, {wrong} of {mounts} mounts wrong unflagged, "
-        f"{flagged} flagged, NEES {np.mean(nees):.2f}, median {1e3 * np.median(shifts):.3f} mm, "
-        f"{seconds:.2f} s"
+        f"{flagged} flagged, {accused} accused, NEES {np.mean(nees):.2f}, "
+        f"median {1e3 * np.median(shifts):.3f} mm, {seconds:.2f} s"
     )
 
 
