@@ -1,4 +1,6 @@
-r"""Ranges along a hand-mounted beam to one plane, from known hand poses.
+r"""Ranges along a hand-mounted beam to one plane, from known hand poses, for graphs of your own.
+
+`hl.calibrate` builds the same blocks for all its readings at once (`solvers.graph`).
 
 Beam: location r [m], unit direction v, hand frame. Plane: n . x + b = 0 in the world frame, seen
 from the hand as n_H = R'n, b_H = b + n . t. Predicted range [m], equation (6) of Wei and Hirzinger:

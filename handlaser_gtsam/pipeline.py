@@ -48,7 +48,7 @@ def calibrate(
     options: CalibrationOptions | None = None,
     progress: Listener | None = None,
 ) -> "Calibration | SurveyCalibration | Estimate":
-    """Find the mount of every beam, its range error and every plane, with covariances.
+    """Find the mount of every beam or sensor, its range error and every target, with covariances.
 
     Parameters
     ----------
@@ -73,7 +73,8 @@ def calibrate(
     ------
     InputError
         A beam or a plane without readings within the sensor's limits; a channel that was logged twice;
-        pose covariances of another number of stations; arguments of other types, or contradictory.
+        pose covariances of another number of stations; a survey none of whose shots shows its target;
+        arguments of other types, or contradictory.
     """
     if isinstance(recording, BlockProblem):
         if any(given is not None for given in (noise, options, progress)):
@@ -93,7 +94,7 @@ def calibrate_survey(
 ) -> "SurveyCalibration":
     """Do as `calibrate` of a survey, perhaps from where an earlier one of the same sensors ended.
 
-    What relations do that are contradicted is shown by a calibration without them.
+    Where relations are contradicted, `without` is the calibration without them: it shows what they do.
     """
     from .estimation.survey import estimate_survey
     from .estimation.survey_rows import rows_of

@@ -19,7 +19,8 @@ IN_DEG = 180.0 / math.pi
 IN_PERCENT = 100.0
 """The whole in percent."""
 KNOWN = 0.1
-"""What is known worse than to this part of its natural unit, the range or 1, is not determined."""
+"""What has a standard deviation above this part of its natural unit is undetermined: of the range for a
+length, of 1 for a direction."""
 WIDEST_CONE = math.pi / 3.0
 """No ultrasonic sensor hears farther from its axis [rad]."""
 MEDIAN_TO_SIGMA = 1.4826
@@ -36,7 +37,7 @@ ROUNDING = 1e-9
 NEGLIGIBLE = 1e-6
 """A part below this counts for nothing: it is above rounding, and no estimate is known so well."""
 EXACT = 1e-11
-"""Readings whose residuals are below this part of them show no noise: no sensor is so good."""
+"""Residuals below this part of the readings are taken as rounding: the noise cannot be learned then."""
 UNIT_SIGMA = 1e-3
 """Range sigma [m] that weights readings where nothing is known of it, as where they fit exactly."""
 REPRESENTATIVE_BEAMS = 30

@@ -30,7 +30,7 @@ from handlaser_gtsam.model.targets.plane import Plane
 from handlaser_gtsam.model.targets.point import POINT
 from handlaser_gtsam.model.targets.sphere import SPHERE
 from handlaser_gtsam.results.description.survey import facts
-from handlaser_gtsam.results.survey import rejected_words
+from handlaser_gtsam.results.survey_warnings import rejected_shot
 
 EXACT = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 GENERATORS = {"rays": rigs_by_rays, "distance": rigs_by_distance}
@@ -141,7 +141,7 @@ def test_what_is_left_out_is_named_with_its_kind():
         in dict(facts(result, result.verdict))["left out"]
     )
     lost = Rejected("2", "s", "plane:A", "too-few-points")
-    assert rejected_words(lost, result.beams) == "sensor s at station 2"
+    assert rejected_shot(lost, result.beams) == "sensor s at station 2"
 
 
 def test_a_cone_is_refused_with_what_is_undetermined():

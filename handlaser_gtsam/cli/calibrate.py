@@ -86,7 +86,7 @@ class Output:
 
 
 def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output: Output) -> None:
-    r"""Find the mount of every beam and every plane in RECORDING, with covariances.
+    r"""Find where each beam or sensor sits in the hand, and each target, with covariances.
 
     Exit codes: 0 good; 1 a bug; 2 bad input; 3 no calibration: the recording does not determine it, its
     readings do not fit each other, or another solver disagrees; 4 not usable: outside the limits of the

@@ -1,4 +1,7 @@
-"""The errors of sensor and robot that are known, and priors of those that are not."""
+"""Errors of beams and robot that are stated, and priors of those that are not.
+
+Sensors of many rays have their own standard deviation (`survey.Shots.sigma`).
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -23,7 +26,7 @@ class Noise(Value):
     Attributes
     ----------
     range_sigma : float, optional
-        Standard deviation of a reading at right angles [m].
+        Standard deviation of a reading of a single beam at right angles [m].
     pose_translation_sigma : float, optional
         Standard deviation of the hand position an axis [m]; zero for a robot that is exact.
     pose_rotation_sigma : float, optional

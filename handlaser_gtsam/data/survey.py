@@ -65,7 +65,7 @@ class Shots(Value):
         Which station each reading is of, from 0.
     across : (N, c)
         What tells the rays apart: x [m] of a profiler, the angle [rad] of a scanner, of arrays and
-        cameras the direction of the ray.
+        cameras the direction of the ray (`model.sensors.kinds`).
     reading : (N,)
         z [m] of a profiler; else the distance along the ray.
     sigma : float, optional
@@ -248,9 +248,9 @@ class Known(Value):
     ----------
     relation : str
         `angle` of two planes or two beams (`value`, rad); `parallel` planes at a distance (`value`, m);
-        the normal of a plane `along`, or a plane `upright` to, a `direction`; a `plane` where
-        direction . x + value = 0; the `radius` of a sphere (`value`); the `position` of a point or of
-        the centre of a sphere (`direction` holds it); the `distance` of two of them (`value`); a
+        a plane whose normal is `along` a `direction`, or that is `upright`: it contains it; a `plane`
+        where direction . x + value = 0; the `radius` of a sphere (`value`); the `position` of a point
+        or of the centre of a sphere (`direction` holds it); the `distance` of two of them (`value`); a
         `body`: planes with `faces` (outward normal, offset) in one frame; the `mount` of a sensor or a
         beam as in a drawing (`pose`); two `mounts` to each other (`pose`).
     of : tuple of str

@@ -1,4 +1,4 @@
-"""Learning unknown scales of noise and range errors from readings about a solution."""
+"""Learning unknown scales of noise and range errors from readings that are linearised at a solution."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

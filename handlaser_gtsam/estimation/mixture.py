@@ -15,7 +15,7 @@ A narrower prior, R^2 more information in a basis in which it is diagonal (`Rang
 makes that
 
     V' = T inv(1 + T' R^2 T) T',   k' = V' inv(V) k^,   mean m + G (k' - k^),   covariance P + G V' G',
-    log evidence - (log|1 + R V R| + k^' R inv(1 + R V R) R k^) / 2 + ...
+    log evidence = -(log|1 + R V R| + k^' R inv(1 + R V R) R k^) / 2 + what all narrower priors share.
 
 Sums of squares alone: no digit is lost where the readings do not determine k and the widest prior is
 far wider than the narrower one. The posterior is the mixture over all scales, of which mean and

@@ -3,10 +3,10 @@
 The solution stands at the most probable scales; here the scales are integrated over (`scales`,
 `mixture`), at the linearisation of the solution. Planes follow the beams.
 
-The joint covariance of the solution at the most probable scales comes from GTSAM where everything is
-determined and the loss is least squares: poses and planes are eliminated from the linear graph, or from
-the sums of the reduction where that would be very large (`solvers.sums`), and what is left is the
-information of the beams. What a calibration states is the mean over all scales and
+The joint covariance at the most probable scales, the stated one where no scale is learned, comes from
+GTSAM where everything is determined and the loss is least squares: poses and planes are eliminated from
+the linear graph, or from the sums of the reduction where that would be very large (`solvers.sums`), and
+what is left is the information of the beams. What a calibration states is the mean over all scales and
 the scatter between them. Where rank is short or the loss robust, or where GTSAM's Cholesky calls a
 sound system indeterminate (it compares pivots of different units), it comes from the reduced
 information of `observability.rank`, restricted to what is determined: the covariance of a determined
@@ -217,7 +217,8 @@ def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
         spread = float(np.sqrt(sets @ (np.exp(u) - sets @ np.exp(u)) ** 2)) * scale.unit
         spread = float(np.hypot(spread, sigma * learned.left[column]))
         estimates.append(ScaleEstimate(scale, sigma, spread))
-    # Where poses are variables the solution is a little off that of the form without them: it stays.
+    # Where poses are variables the solution differs a little from the one that eliminates them
+    # beforehand, and only the shift by the scales is added to it.
     beam = ((mean - solution) * unit).reshape(problem.readings.beams, -1)
     plane = step - response @ mean
     plane -= planes_here.local_step[0] - planes_here.local_response[0] @ solution

@@ -2,7 +2,7 @@
 
 Readings outside the sensor's range are rejected first, then outliers, then readings that meet their
 plane too flat. Outliers are tested again with the final model: range errors may have looked like them.
-Once the choice rests, `SolutionTask.finished` has GTSAM solve it, and integrates over scales.
+Once the choice rests, `SolutionTask.finished` has GTSAM end the solution, and integrates over scales.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""One joint solution: where it ended, how readings weigh there, and what is determined."""
+"""What a joint solution is: where the search ended, how readings weigh there, what is determined."""
 
 from dataclasses import dataclass
 from typing import Literal

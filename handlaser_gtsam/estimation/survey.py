@@ -1,9 +1,10 @@
 r"""The estimate of a survey: sensors of many rays and beams, before planes, spheres and points.
 
 From a start without a guess, shots that the others contradict are rejected, sizes of the noise that are
-not stated are learned, and the whole is judged as any blocks are: rank, covariances that GTSAM
-eliminates, chi2. Shots are tested as wholes, because their points share what made them wrong; points
-within a shot were sorted out when it was condensed.
+not stated (standard deviations of readings, aiming and hand) are learned, and the whole is judged as
+any blocks are: rank, covariances from sums that GTSAM eliminates, chi2. Shots are tested as wholes,
+because their points share what made them wrong; points within a shot were sorted out when it was
+condensed.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -109,7 +110,7 @@ class SurveyEstimate:
         What was stated of it.
     estimate : Estimate
     noise : Components
-        Its pose sizes are 1 where covariances of the poses are stated.
+        Pose sizes multiply stated covariances, and are 1, where there are some.
     stated : Components
         NaN where it was learned.
     used : (items,) of bool
@@ -176,7 +177,7 @@ class SurveyEstimate:
 
 @dataclass(slots=True)
 class SurveyState:
-    """The values and sizes so far, and which items count.
+    """The values and the sizes of the noise so far, and which items count.
 
     `stated` is what is stated of the noise; what is not is NaN.
     """

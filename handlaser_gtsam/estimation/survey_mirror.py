@@ -69,7 +69,7 @@ def best_image(
     Returns
     -------
     settled : bool or None
-        What `settle` returned last; None where no other image fits better.
+        What `settle` returned last, False where images kept changing; None where no other fits better.
     others : list of mapping
         Members (n, size) of each family of every image that fits as well; none where the motion
         determines one alone.

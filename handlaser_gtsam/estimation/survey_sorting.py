@@ -1,4 +1,4 @@
-r"""Readings of small shots, sorted by what all shots say of their target.
+r"""Readings of ToF arrays before planes, sorted by what all shots say of their target.
 
 Of the few zones of a ToF array a shot hardly tells which read something else than its target: an edge,
 a thing before it. Where mount and target are known from all shots, each reading tells by itself. The

@@ -50,8 +50,7 @@ NO_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit: the readings tell hardly a
 digit."""
 STEPS_IN_VAIN = 100
-"""Steps from a start that is no fit, after which readings that still are none fit nothing: without a
-minimum to arrive at, the search would go on to the end."""
+"""A search that after so many steps still is no fit is ended: it has no minimum to arrive at."""
 
 
 _Point = tuple[FloatArray, FloatArray]
@@ -209,7 +208,7 @@ class SolutionTask:
         return replace(solution, scales=tuple(ScaleEstimate(*pair, np.nan) for pair in pairs))
 
     def finished(self) -> Solution:
-        """Return the solution that GTSAM ends with, all scales integrated over about it.
+        """Return what GTSAM ends with (`last_word`), linearised and integrated over all scales.
 
         Nothing is integrated over where something is undetermined, or under a robust loss.
         """
@@ -310,7 +309,9 @@ class SolutionTask:
         )
 
     def last_word(self, solution: Solution) -> Solution:
-        """Return the solution that GTSAM ends with, and its covariance, where all is determined.
+        """Have GTSAM end the search at the scales as they are; return that with its covariance.
+
+        Where something is undetermined the solution is returned as it is.
 
         Levenberg-Marquardt on the factor graph begins where the reduction ended; where the graph would
         be very large, the last step is on the sums of the reduction.

@@ -7,8 +7,9 @@ semicolon or a tab. Other columns are ignored, and named in `Recording.ignored_c
 become rows stands in `table`.
 
 Stations to drive to are a recording without readings: `plane`, `station`, `x, y, z, qx, qy, qz, qw`,
-and with an arm `joint_NAME` for each of its joints (radians; metres where it slides). Who fills in
-`range_NAME` for every beam has a recording; columns of ranges are ignored there.
+and with an arm `joint_NAME` for each of its joints (radians; metres where it slides). Columns of
+ranges are ignored where stations are read. With `range_NAME` filled in for every beam the same file is
+a recording.
 
 Cells of ranges are readings, or say that there is none: by words, or by numbers that no range has.
 """

@@ -1,4 +1,4 @@
-"""The mathematics in NumPy, without GTSAM: equation, geometry, weights, losses, distributions."""
+"""The mathematics in NumPy, without GTSAM: blocks, their reduction and search, weights, losses."""
 
 from typing import TYPE_CHECKING
 

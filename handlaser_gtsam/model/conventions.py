@@ -49,7 +49,7 @@ class Convention:
     Attributes
     ----------
     rotation : str
-        As above.
+        One of `ROTATIONS`.
     units : {"m", "mm", "in"}
     angles : {"rad", "deg"}
         "rad" where there are none.

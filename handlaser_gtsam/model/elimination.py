@@ -96,7 +96,7 @@ def eliminated(
     local_gradient: FloatArray,
     floor: float | None = None,
 ) -> ReducedInformation:
-    """Eliminate local members; the arrays are defined in `reduction.Normal`, with any leading axes.
+    """Eliminate local members from normal equations (`reduction.Normal`), with any leading axes.
 
     Information of a member below `floor` counts as zero; the default is `SINGULAR` times its largest.
     """

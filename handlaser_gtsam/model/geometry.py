@@ -1,4 +1,4 @@
-"""Unit vectors and their tangent planes; laser spots and the planes through them."""
+"""Unit vectors and rotations; laser spots and the planes through them; the scatter of poses."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -2,7 +2,8 @@ r"""Ranges of any sensor to any target from any robot, as one block: the chain r
 
 A reading d belongs to a ray with origin o and direction u in the hand, which meets a target at the
 range s; its residual is e = s - g(d), with g(d) the true range that the sensor means, or, of sensors
-whose readings are rough, e = h(s) - d with the reading h(s) that a range means. In the hand, let
+whose readings are rough, e = h(s) - d with the reading h(s) that a range means; g of beams is in
+`equation.corrected`. In the hand, let
 a = ds/do be the covector of the range. Everything on the near side of the target follows by pulling it
 back, because a direction acts as an origin that is s times as far:
 

@@ -2,9 +2,10 @@ r"""A shot of many rays on one target, as a handful of rows: compressed, wrong p
 
 What n readings of a shot say of where the target is in the sensor's frame is the shape that fits them
 best, with its information: two numbers for a line in a profile, three for a plane or a circle, four for
-a sphere. About that fit, readings at as many rays of the shot, with the covariance of the fitted
-shape there, say the same as all n readings; what a range error of all rays does is added from its
-component along the shape and from the rest. Where readings are linear in the shape (a profile on a
+a sphere. The shot is replaced by that many readings of the fitted shape, two for a line, at rays of
+its own, with the covariance of the shape there: they say the same as all n readings. A range error that
+all rays share bends the shape: the part that a shape can follow moves these readings, and the part that
+it cannot is a row more. Where readings are linear in the shape (a profile on a
 plane, known noise of x or none) this is exact for every mount, and else to first order in the noise.
 
 Noise across the rays, of x in a profile, is counted by the slope of the shape: each point is first

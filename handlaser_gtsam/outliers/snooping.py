@@ -1,4 +1,6 @@
-r"""Which readings to reject: the ones that the others contradict.
+r"""Which readings to reject: the ones that the others contradict (data snooping, as geodesy has it).
+
+`screen` does so for starts; `estimation.selection` tests the readings of the final solution by `test`.
 
 From a candidate that fits most readings, the far ones are rejected, the rest is fitted again, and all
 readings are tested again against that fit, until nothing changes. Candidates are compared by the
@@ -38,7 +40,7 @@ from ..starts.search import LAST_STEPS
 
 LEAST_CUT = 3.0
 """The cut in standard deviations is at least this: Gaussian errors exceed it once in 370. It is
-`FAR_SIGMAS` at most, and in the first round."""
+`FAR_SIGMAS` at most."""
 LARGEST_LEVERAGES = 50_000_000
 """Readings times beam unknowns beyond which leverages are taken as zero: a single reading weighs little
 there, and the information takes too long to invert."""
@@ -134,12 +136,14 @@ def cut(readings: Readings, kept: BoolArray, range_sigma: float) -> float:
     """Return the standard deviations beyond which readings are outliers, by the share of outliers.
 
     A residual of z standard deviations is as likely from a gross error as from a good reading where
-    z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)).
+    z^2 / 2 = ln(W (1 - share) / (sqrt(2 pi) sigma share)),
+
+    and the cut is half a standard deviation below: a gross error that is kept costs more than a good
+    reading that is rejected.
     """
     share = (int((~kept).sum()) + 1) / (len(kept) + 2)
     odds = price(readings.distance, range_sigma) + np.log((1.0 - share) / share)
     even = float(np.sqrt(2.0 * max(odds, 0.0)))
-    # Below even odds: a gross error costs more than a rejected good reading.
     return min(max(even - 0.5, LEAST_CUT), FAR_SIGMAS)
 
 

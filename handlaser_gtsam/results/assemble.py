@@ -1,6 +1,6 @@
-"""From a solution to the result people see, with how well it is known.
+"""From a solution to the result people see: status, warnings, covariance and scales of noise.
 
-That is its covariance, and its scales of noise.
+The covariance grows here by what errors that are correlated in time make of it.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,7 @@
-"""Mistakes that people make when they write poses and ranges to a file.
+"""Mistakes that people make when they write poses and ranges to a file of beams before planes.
+
+Most stand in tables of `messages.toml`; those that take a search are here. Logs and surveys are tried
+in other conventions by `files.logs.suspicion` and `files.logs.survey_suspicion`.
 
 A recording that does not fit as it stands is read as if each mistake were undone (`rereading`).
 """
@@ -22,7 +25,7 @@ from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits,
 from .warnings import MANY_OUTLIERS
 
 PROMISING = 9.0
-"""And it is tried in earnest when it does so by this factor at a glance."""
+"""Another reading of the file is solved in full where a quick look makes residuals smaller by this."""
 LEAST_REJECTED = 3
 """Fewer rejected readings of one beam do not suggest that they are another beam's."""
 SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)

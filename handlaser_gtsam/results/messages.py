@@ -1,4 +1,4 @@
-"""Warnings about results by their codes, and other sentences: their words stand in `messages.toml`."""
+"""Warnings about results by their codes, and sentences with numbers: words are in `messages.toml`."""
 
 import pkgutil
 import string

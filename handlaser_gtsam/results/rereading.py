@@ -2,8 +2,8 @@
 
 Another way to read a file is a change of the recording, in words for the user. A start is found for the
 changed recording, and the residuals are compared. The result is a sentence, never a change of the data.
-Logs try the conventions in which poses are written, calibrations that do not fit the mistakes of
-`file_mistakes`.
+Logs try the conventions in which poses are written; calibrations whose readings do not fit try the
+mistakes of `file_mistakes`.
 """
 
 from collections.abc import Callable, Iterable, Sequence

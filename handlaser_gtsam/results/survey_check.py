@@ -26,7 +26,6 @@ from ..observability.motion import PlaneMotion, motion_before
 from ..observability.wording import open_sentence
 from ..quantities import IN_DEG, IN_MM, NEGLIGIBLE
 from ..text import count
-from .survey import unread_stations
 from .survey_misfit import (
     FALSE_RELATION,
     MISREAD,
@@ -48,6 +47,7 @@ from .survey_motion import (
     opening,
     unconfirmed_mount,
 )
+from .survey_warnings import unread_stations
 
 DOUBTS = (NO_FIT, *MISREAD, FALSE_RELATION)
 """Codes of warnings with which the motion is not judged: the gravest first."""

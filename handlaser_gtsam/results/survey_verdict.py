@@ -1,5 +1,7 @@
 """The verdict on the calibration of a survey, in the terms of that on beams before planes.
 
+The warnings that it judges are made in `survey_warnings.py`.
+
 Its findings name every sensor and beam with the radius around its spot at its working distance. What
 would improve it most is looked for in the same order: what makes the stated numbers wrong, then the
 largest share of the variance of the spot that is least certain.

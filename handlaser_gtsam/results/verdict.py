@@ -1,5 +1,9 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most.
 
+Its code is the first of these that holds: no calibration; outside the limits of the user; a systematic
+error that moves a laser spot by more than the radius that holds the spot with 95 %; another mount that
+is as probable; a warning, or a systematic error that was found or may hide (usable with care); usable.
+
 Of improvements, what makes the stated numbers wrong comes first: a mistake of the file, a systematic
 error, another mount that is as probable, many outliers,
 given sigmas that the residuals contradict, a limit of the residuals, a freed error that the readings do
@@ -158,8 +162,9 @@ class Verdict:
     Attributes
     ----------
     code : str
-        `usable`; `usable-with-care`: there are warnings; `outside-limits`; `systematic-error`: one was
-        found that moves a laser spot by more than its stated error; `contradicted`: a plane that was
+        `usable`; `usable-with-care`: there are warnings, or a systematic error was found or may hide;
+        `outside-limits`; `systematic-error`: one was found that moves a laser spot out of the radius
+        that holds it with 95 %; `contradicted`: a plane that was
         left out contradicts the beams found without it, or readings of a survey what is known;
         `undetermined`, or another mount is about as probable; `no-fit`: the readings
         contradict each other, whatever the motion; `not-converged`.

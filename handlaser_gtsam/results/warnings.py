@@ -1,7 +1,7 @@
-"""Signs that a result should not be believed, each in a sentence with what to look at.
+"""Signs that a calibration of beams before planes should not be believed, each with what to look at.
 
-One of them is another mount of a beam that fits nearly as well, farther off than its standard
-deviations reach.
+Their words stand in `messages.toml`; a new one is yielded by `fit_warnings`. Those of surveys are in
+`survey_warnings`.
 """
 
 import math

@@ -1,8 +1,8 @@
 r"""Whether a beam has moved while planes came in, which one, and since when.
 
 Near the present beams plane p, with itself fitted, knows of the beams x the information L_p and
-h_p = L_p x_p. Over all planes x = inv(T) h. If beam i has moved by d
-before the planes A that came after some epoch, the score of d at x and its variance are
+h_p = L_p x_p. Over all planes, T = sum L_p and h = sum h_p, it is x = inv(T) h. If beam i has moved by
+m as the planes A were measured, after some epoch, the score of m at x and its variance are
 
     s = h_A - L_A x,    M = L_A - L_A inv(T) L_A    (rows and columns of beam i),
 

@@ -138,7 +138,8 @@ class Session:
     def add(self, recording: Recording) -> Update:
         """Add the stations of a recording; nothing has changed where an error is raised.
 
-        They see the beams as they are now, also before a plane that came before one has moved.
+        All of them are taken as read with the beams where they are now, also those of a plane that was
+        added before a beam moved.
 
         Raises
         ------

@@ -5,7 +5,7 @@ Every plane is remembered by its information on the beams for each set of noise 
 (`estimation.information`), counted from beams that all share. The graph holds the most probable scales.
 Integrating over all scales changes the mean; the change follows from the sums over the planes, and is
 added to the estimate of iSAM2. The covariance is that of these sums, as in a batch solution.
-So the cost of a new plane does not grow.
+A new plane therefore costs the same however many there are.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What a session becomes as planes come and go, and beside the batch calibration of everything."""
+"""What a session becomes when planes come, change or go, and its distance from a batch solution."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-r"""Levenberg-Marquardt on a factor graph whose Values belong to Python.
+r"""Levenberg-Marquardt on a factor graph: the loop is here, linearisation and elimination are GTSAM's.
 
 GTSAM's own optimizers hand every Python factor a deep copy of all Values, so their cost grows with
 the square of the problem. Here each step evaluates all readings at once, the factors hand out their
@@ -76,9 +76,9 @@ class Objective:
 
 
 def of_calibration(problem: CalibrationGraph) -> Objective:
-    """Return a calibration whose factors share one evaluation of the readings.
+    """Return the objective of a calibration, whose factors share one evaluation of the readings.
 
-    Positions and readings are rounded.
+    Its rounding error is that of positions and readings.
     """
     others = gtsam.NonlinearFactorGraph()
     for index in range(len(problem.blocks), problem.graph.size()):
@@ -112,7 +112,7 @@ def of_calibration(problem: CalibrationGraph) -> Objective:
 
 
 def of_graph(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Objective:
-    """Return any graph of a user: every factor evaluates itself.
+    """Return the objective of any graph of a user: every factor evaluates itself.
 
     A change of `ROUNDING` standard deviations of every residual counts as rounding.
     """

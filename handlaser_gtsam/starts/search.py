@@ -1,4 +1,4 @@
-"""The only search over candidates: rounds of starts, refined under a loss, until a judge is convinced.
+"""The search for a start: rounds of candidates, refined under a loss, until a judge is convinced.
 
 A plain search refines by least squares and compares sums of squares. A robust search refines under
 losses that let go of outliers, and compares evidence. What they share is here.

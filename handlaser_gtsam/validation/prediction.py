@@ -1,4 +1,6 @@
-"""How far predicted ranges are off: from a calibration, or from the plane that one station shows.
+"""How far predicted ranges are off.
+
+A calibration predicts them, or, of several beams at one station, the plane that the others show.
 
 Predictions carry their own standard deviation, from the reading, the pose, and the beams and planes
 behind it.

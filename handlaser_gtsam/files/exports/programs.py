@@ -2,8 +2,7 @@
 
 A program drives from station to station, stops, and sets a digital output while a logger may read. At
 stations on the way, which are named `via`, it does not stop. Where six joints of every station are
-known it moves in the joints, as the ways of a plan are checked; else along lines. FANUC counts J3 from
-the horizon, which no URDF does, so that its program always has lines.
+known it moves in the joints, as the ways of a plan are checked; else along lines.
 """
 
 import csv
@@ -15,13 +14,8 @@ from ...data.station_list import StationList
 from ...model.conventions import FORMATS, numbers_of, spelled_columns
 from ...planning.route import VIA
 from ...quantities import IN_DEG
-from .formats import PROGRAMS
+from .formats import COLON, IN_JOINTS, PROGRAMS
 from .rendering import REMARK, comment_text, fixed, number, rendered
-
-IN_JOINTS = ("krl", "rapid", "urscript")
-COLON = {"krl": ":", "rapid": ":", "urscript": ":", "tp": " "}
-"""What stands for the colon of a label, `sphere:ball`, in a comment. Comments end with their line, and
-remarks of FANUC have letters, digits and few signs."""
 
 
 def program_text(stations: StationList, to: str, signal: int, pause: float) -> str:

@@ -1,4 +1,4 @@
-"""Texts from the templates of this folder, one a format, and how these write numbers and names.
+"""Texts from templates, in `templates/`, and how these write numbers and names.
 
 A beam may have any printable name. Each format gets an identifier made of it; the name itself stands in
 a comment beside it, where every character that could end a comment is replaced by its code point.

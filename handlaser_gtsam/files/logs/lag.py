@@ -13,9 +13,9 @@ the stated lag, and near offsets that velocities suggest (`candidate_offsets`). 
 back or changes its speed identifies it; a sweep at constant speed does not. Where several offsets fit
 alike, none is chosen unless it is near the stated lag.
 
-From there on the lag is an unknown of the calibration itself, as systematic errors are that are free
-(`results.freed`): with the residuals e of beams and planes solved at tau, of variance s^2, and what
-these leave of the derivative of e by tau, a,
+From there on the lag is an unknown beside beams and planes, which are solved here for it alone: with
+the residuals e of beams and planes solved at tau, of variance s^2, and what these leave of the
+derivative of e by tau, a,
 
     tau <- tau - a'e / a'a,    var(tau) = s^2 / a'a.
 

@@ -1,5 +1,7 @@
 """The page: one HTML file that loads nothing, with everything that it shows inside.
 
+What it shows of a survey is put together in `survey.py` beside it.
+
 It is a report, or a live page that a server sends the sections and figures that have changed. The
 template escapes all text. Data for the script are JSON without `<`, `>` and `&`, so that nothing in
 them can end the script element or be read as HTML. plotly.js, which draws the figures, is in the page

@@ -1,4 +1,4 @@
-"""The flat figures of a report as pictures: the same data, drawn by matplotlib.
+"""The figures of a report as pictures: flat ones drawn by matplotlib, those in space by a template.
 
 What stands between `$` is no mathematics here, and names are shown as they are.
 """

@@ -1,4 +1,6 @@
-"""Who may ask: requests by the names of this computer only, and from no other page.
+"""Who may ask: only requests by a name of this computer, or where others may reach it by an address.
+
+No other page may ask.
 
 A page from elsewhere can make a browser ask a server on the same computer, under a name of its own that
 leads there (DNS rebinding) or from its own origin. Both show in what the browser says of the request.

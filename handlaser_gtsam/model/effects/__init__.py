@@ -1,8 +1,9 @@
 """Systematic errors that the model does not hold, and the table of them all.
 
-What `effects.toml` states is named in every view, and counted in the verdict once `plausible.py` knows
-its plausible size. What a recording can show has its column in a file of its own, and is tested for;
-what none can, because unknowns of the calibration are the same, is only counted.
+What `effects.toml` states, with words and plausible sizes, is named in every view and counted in the
+verdict; a size that users may state instead is a field of `plausible.py`. What a recording can show has
+its column in a file of its own, and is tested for; what none can, because unknowns of the calibration
+are the same, is only counted.
 """
 
 from collections.abc import Callable
@@ -31,7 +32,7 @@ MEMBERS: dict[str, Callable[[SeenStations], Everywhere | OnPlanes]] = {
     "tool-displaced": tool_displaced.members,
     "beam-on-plane": beam_on_plane.members,
 }
-"""Columns of errors with members of their own."""
+"""Columns of errors that have a size for each beam or plane."""
 TWISTS = {
     "lag": lag.twists,
     "tool-displaced": tool_displaced.twists,
@@ -52,8 +53,8 @@ EFFECTS = {
 """All systematic errors by their codes."""
 OF_STATIONS = (*OF_READINGS, "sag", "turn-scale", "translation-scale")
 """Errors that a station has by itself, whenever and after whatever other station it is measured. A lag
-goes by the station before and after; the unknowns of a drift and of what is displaced by all stations
-up to the last one; and a new plate brings biases of its own."""
+depends on the station before and after, a drift and what is displaced on all stations up to the last
+one, and a new plate brings biases of its own."""
 
 
 def may_also_be(codes: tuple[str, ...]) -> str:

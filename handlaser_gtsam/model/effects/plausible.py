@@ -1,4 +1,4 @@
-"""How large systematic errors may plausibly be: what is stated, else what the effect says.
+"""How large systematic errors may plausibly be: what is stated, else what `effects.toml` has.
 
 Sizes of a sensor are parts of its measuring range: the one stated, else the largest reading. Sizes of
 plates, robots and converters do not depend on the sensor. All are half widths: the error is no larger.

@@ -1,4 +1,6 @@
-"""An arm over a pinocchio model: its joints and limits, the pose of its hand, and the way back.
+"""An arm over a pinocchio model: joints and limits, the pose of its hand, and joints for a pose.
+
+Collisions are in `scene.py`.
 
 pinocchio is imported when the first arm is loaded. Joints are the numbers (J,) of a robot program:
 radians where a joint turns, metres where it slides, and any number of turns where it is endless, which

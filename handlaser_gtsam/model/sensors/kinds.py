@@ -4,7 +4,9 @@ A line profiler reads z at many x: its profile is in the plane y = 0 of the sens
 (x, 0, z) is the reading z of a ray from (x, 0, 0) along the z axis. A 2-D scanner reads a range at many
 angles, in the plane z = 0, as ROS has it: the ray of an angle goes from the origin along (cos, sin, 0),
 so that angle zero is the x axis. ToF arrays and depth cameras read ranges along known directions from
-one point.
+one point; zones have the same directions in every shot, points of a camera their own.
+
+What tells the rays of a sensor apart is called `across`: x, the angle, or the direction.
 """
 
 from collections.abc import Callable

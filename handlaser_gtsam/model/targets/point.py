@@ -2,8 +2,8 @@ r"""A point that the spot is aimed at: a tip, a corner, the middle of a mark.
 
 The spot x = o + g(d) u of a reading lies on the point C: R x + t = C. In the hand, y = x + R'(t - C)
 has a component along the ray, which errs as the reading does, and two across it, which err as the
-aiming does. The three rows of a reading are a' y for axes a that are held: minus the ray's direction
-where the rows were made, and two vectors across it.
+aiming does. The three rows of a reading are a' y for three axes a: minus the ray's direction, and two
+vectors across it, as they were where the rows were made; they do not turn with the estimate.
 """
 
 from dataclasses import dataclass, field

@@ -16,7 +16,8 @@ from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..lines import NAMES_IN_LINE, UNDETERMINED, decimals
 from ..messages import said
-from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget, rejected_words
+from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
+from ..survey_warnings import rejected_shot
 from ..verdict import Verdict
 from .rendering import full_table, text_lines
 from .tables import (
@@ -147,7 +148,7 @@ def facts(result: SurveyCalibration, verdict: Verdict) -> Facts:
     if result.without is not None:
         found += _without(result, result.without)
     if result.rejected:
-        names = [f"{rejected_words(one, result.beams)} ({one.reason})" for one in result.rejected]
+        names = [f"{rejected_shot(one, result.beams)} ({one.reason})" for one in result.rejected]
         found.append(("left out", f"{count(len(names), 'shot')}: {some(names, NAMES_IN_LINE)}"))
     return tuple(found)
 

@@ -1,0 +1,262 @@
+"""The warnings of a survey: what its readings say of labels, poses, sigmas, range errors and mounts."""
+
+import math
+from collections.abc import Container, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..data.screen import REPEATED, repeated
+from ..data.survey import kind_of, normal_label
+from ..errors import CalibrationWarning
+from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
+from ..estimation.survey_rows import Rows
+from ..estimation.survey_trials import displacement
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
+from ..model.families import BEAM, FAMILIES, PLANE
+from ..model.sensor import Rejected
+from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import SENSOR
+from ..model.shots import condensed_shots
+from ..model.targets.sphere import SPHERE
+from ..observability.wording import open_sentence
+from ..quantities import IN_MM
+from ..text import count, some
+from .lines import NAMES_IN_LINE
+from .messages import Values, warned
+from .survey_misfit import (
+    contradictions,
+    implausible,
+    misheard,
+    mislabelled,
+    misread,
+    no_fit,
+    pulled,
+    unconfirmed,
+)
+from .survey_motion import MORE_STATIONS, counts_of, opening, unconfirmed_mount
+from .survey_rivals import rival_mounts
+from .survey_verdict import DISPLACED, FEW, TOO_FEW, free_of
+from .warnings import MANY_OUTLIERS
+
+if TYPE_CHECKING:
+    from .survey import BeamMount, Mount, SensorMount
+
+
+def survey_warnings(
+    found: SurveyEstimate,
+    sensors: "Mapping[str, SensorMount]",
+    beams: "Mapping[str, BeamMount]",
+    relations: tuple[RelationTest, ...],
+    rejected: tuple[Rejected, ...],
+) -> Iterator[CalibrationWarning]:
+    """Yield the warnings of a survey, causes before what they make of the result."""
+    yield from contradictions(relations)
+    causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
+    causes += tuple(implausible(found.rows, found.estimate.values))
+    values = {name: x[None] for name, x in found.estimate.values.items()}
+    causes += tuple(mislabelled(found.at(values, found.noise), found.estimate))
+    unread = tuple(unread_stations(found.rows))
+    if not found.fits:
+        yield no_fit(found.rows, found.first, causes, found.given)
+    elif not causes:
+        yield from unconfirmed(found.rows, unread)
+    yield from causes
+    gone = [one for one in unread if one.code == "no-edge" or "targets" in one.values]
+    yield from gone  # a target of which no shot counts is missing in all that follows
+    yield from _sigmas(found)
+    yield from _too_few(found)
+    yield from _few(found)
+    yield from rival_mounts(found)
+    for sensor in sensors.values():
+        found_errors = [error for error in sensor.errors if error.found]
+        if found_errors:
+            # One error shows in the tests of others that look like it: the most significant is named.
+            first, *others = sorted(found_errors, key=lambda e: -abs(e.size) / e.sigma)
+            p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
+            alike = " or ".join(error.code for error in others)
+            also = f"; an error {alike} would look much like it" if others else ""
+            free = free_of(first.code)
+            which = {"sensor": sensor.name, "code": first.code, "alike": alike, "free": free}
+            sizes = {"size": first.size, "sigma": first.sigma, "p": p}
+            yield warned("range-error", {**which, **sizes}, likely=p_words(p, 1), also=also)
+    yield from _displaced(found, [*sensors.values(), *beams.values()])
+    out = [one for one in rejected if one.reason == "contradicted"]
+    if len(out) > MANY_OUTLIERS * len(found.rows.items):
+        names = some([rejected_shot(one, tuple(beams)) for one in out], NAMES_IN_LINE)
+        total = len(found.rows.items)
+        yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
+    yield from (one for one in unread if one not in gone)
+    yield from found.rows.survey.warnings
+
+
+def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[CalibrationWarning]:
+    """Warn of a target, sensor or beam that was moved amid the survey."""
+    moved = displacement(found) if found.estimate.status == "converged" else None
+    if moved is None:
+        return
+    (family, member), size, sensors = moved.entity, moved.tried.size, len(found.rows.survey.shots)
+    place, times = found.rows.places().place, []
+    for number, mount in enumerate(mounts):
+        own = (SENSOR.name, number) if number < sensors else (BEAM.name, number - sensors)
+        J = mount.spot_by()
+        shift = J @ moved.tried.moved[place[own[0]][own[1]] + np.arange(J.shape[1])]
+        times.append(float(np.linalg.norm(shift)) / mount.spot_error)
+    name, of_mount = found.rows.names(family)[member], family in (SENSOR.name, BEAM.name)
+    values: Values = {
+        "target": f"{family} {name}" if of_mount else name,
+        "station": found.rows.survey.stations.station_names[moved.station],
+        "shift": float(abs(size[2]) if family == PLANE.name else np.linalg.norm(size)),
+        "turn_deg": float(np.degrees(np.hypot(*size[:2]))) if family == PLANE.name else 0.0,
+        "p": moved.tried.p_value,
+        "times": max(times),
+    }
+    likely = p_words(moved.tried.p_value, 1)
+    if of_mount:
+        yield warned(f"{DISPLACED}:mount", values, likely=likely)
+    else:
+        yield warned(DISPLACED, values, likely=likely)
+
+
+def rejected_shot(one: Rejected, beams: Container[str]) -> str:
+    """Return which it is, as "beam 1 at station 2", given the names of the beams."""
+    kind = BEAM.name if one.sensor in beams else SENSOR.name
+    return f"{kind} {one.sensor} at station {one.station}"
+
+
+def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
+    """Warn of stations without a reading, of grooves without an edge, and of lost shots."""
+    survey, stations = rows.survey, len(rows.survey.stations)
+    names = survey.stations.station_names
+    twice = {at for _, at in rows.repeated}
+    if twice:
+        first = min(twice)
+        like = names[rows.stops[first]]
+        yield repeated("repeated-stations", REPEATED, len(twice), stations, names[first], like)
+    read = {item.station for item in rows.items} | {at for _, at in rows.lost} | twice
+    unread = stations - len(read)
+    if unread:
+        yield warned("stations-left-out", {"stations": unread, "total": stations})
+    labels = survey.stations.plane_labels
+    edgeless = rows.edgeless
+    for label in edgeless:
+        shots = sum(labels[at] == label for _, at in rows.lost)
+        plane = f"{PLANE.name}:{label.partition(':')[2]}"
+        yield warned("no-edge", {"target": label, "shots": shots, "label": plane})
+    lost = [(member, at) for member, at in rows.lost if labels[at] not in edgeless]
+    if lost:
+        listed = [
+            f"sensor {survey.shots[member].name} at station {names[at]}" for member, at in lost
+        ]
+        values: Values = {"shots": len(lost), "names": some(listed, NAMES_IN_LINE)}
+        counted = {normal_label(labels[item.station]) for item in rows.items}
+        lost_labels = dict.fromkeys(normal_label(labels[at]) for _, at in lost)
+        gone = [label for label in lost_labels if label not in counted]
+        if gone:
+            values = {**values, "targets": some(gone, NAMES_IN_LINE)}
+        uncounted = f", so that no shot of {values['targets']} counts" if gone else ""
+        more = "".join(f"; {one}" for one in _counted_towards(rows))
+        with_few = count(len(lost), "shot")
+        yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)
+
+
+def _counted_towards(rows: Rows) -> Iterator[str]:
+    """Yield what to try of profilers whose shots show balls only where z grows towards the sensor.
+
+    A shape in a profile is the same wherever it is along z, so that z is reversed about its own middle.
+    """
+    labels = rows.survey.stations.plane_labels
+    for member, shots in enumerate(rows.survey.shots):
+        before = [at for i, at in rows.lost if i == member and kind_of(labels[at]) == SPHERE.name]
+        met = sum(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
+        if shots.kind != "profiler" or len(before) <= met:
+            continue
+        turned = float(shots.reading.min() + shots.reading.max()) - shots.reading
+        tables = [(shots.across[shots.station == s], turned[shots.station == s]) for s in before]
+        shown = condensed_shots(KINDS[shots.kind], SPHERE.name, tables, sigma=shots.sigma)
+        if sum(shot is not None for shot in shown) > 0.5 * len(before):
+            yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
+
+
+def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of mounts whose standard deviations rest on what noise is usual: few readings tell it."""
+    learned = np.isnan(found.stated.sigma)
+    if found.estimate.status != "converged" or not learned.any():
+        return
+    survey = found.rows.survey
+    names = [f"sensor {shots.name}" for shots in survey.shots]
+    names += [f"{BEAM.name} {some(survey.beam_names, NAMES_IN_LINE)}", "the aiming at points"]
+    spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
+    for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
+        sigma = {"sigma": float(found.noise.sigma[i]), "usual": float(usual[i])}
+        yield warned(f"{FEW}:survey", {"source": names[i]}, spare=float(spare[i]), **sigma)
+
+
+def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of surveys, and of beams, whose readings cannot contradict a mount without a relation.
+
+    Noise that is stated shows by chi2 that a mount does not fit.
+    """
+    rows, unknowns = found.rows, FAMILIES[BEAM.name].dim
+    another = unconfirmed_mount(rows)
+    if another and found.estimate.status == "converged":
+        numbers, every = counts_of(rows)
+        sentence = open_sentence(
+            (another,), (MORE_STATIONS,), opening(numbers, every, (MORE_STATIONS,))
+        )
+        yield warned(
+            f"{TOO_FEW}:survey", {"numbers": numbers, "unknowns": every}, sentence=sentence
+        )
+    if found.estimate.status != "converged" or not np.isnan(found.stated.sigma[-2]):
+        return
+    related = {entity for known in rows.known for entity in rows.entities(known)}
+    for member, name in enumerate(rows.survey.beam_names):
+        mount = BEAM.name, member
+        numbers = sum(
+            item.numbers
+            for item, used in zip(rows.items, found.used, strict=True)
+            if used and item.mount == mount
+        )
+        if numbers < unknowns and mount not in related:
+            values: Values = {"beam": name, "numbers": numbers, "unknowns": unknowns}
+            yield warned(TOO_FEW, values)
+
+
+def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of stated sigmas that the scatter inside shots contradicts, or chi2 if none is learned."""
+    for member, shots in enumerate(found.rows.survey.shots):
+        own = [
+            one.shot
+            for one, used in zip(found.rows.items, found.used, strict=True)
+            if used and one.shot is not None and one.member == member and one.shot.dof
+        ]
+        many = sum(shot.dof for shot in own)
+        if not shots.sigma or not many:
+            continue
+        inside = math.sqrt(sum(shot.squares for shot in own) / many)
+        square = many * (inside / shots.sigma) ** 2
+        smaller = inside < shots.sigma
+        p = float((chi2_cdf if smaller else chi2_sf)(square, many))
+        # Points tell a sigma to a per cent; data sheets do not state it better than by such a
+        # factor.
+        if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > 1.5:
+            how, stated = "large" if smaller else "small", shots.sigma
+            times = inside / shots.sigma
+            values: Values = {
+                "sensor": shots.name,
+                "sigma_mm": inside * IN_MM,
+                "stated_mm": stated * IN_MM,
+                "times": times,
+                "p": p,
+            }
+            yield warned(f"sigmas-too-{how}:shots", values)
+            return
+    chi2, dof = found.estimate.chi2, found.estimate.dof
+    learned = np.isnan([*found.stated.sigma, *found.stated.pose]).any()
+    if learned or dof < 1 or not math.isfinite(chi2):
+        return
+    times = math.sqrt(chi2 / dof)
+    for how, p in (("small", float(chi2_sf(chi2, dof))), ("large", float(chi2_cdf(chi2, dof)))):
+        if p < SINGLE_LEVEL:
+            values = {"times": times, "p": p}
+            yield warned(f"sigmas-too-{how}:survey", values, likely=p_words(p, 1))
