@@ -55,7 +55,7 @@ def dense_solution(readings: Readings, start: Parameters, steps: int) -> float:
     plane = of_beams + 3 * readings.plane[:, None] + np.arange(3)
     J = np.zeros((len(readings), count_unknowns(readings, TERMS)))
     for _ in range(steps):
-        centres = linearized(at, readings, TERMS).centres
+        _, centres = linearized(at, readings, TERMS)
         columns = jacobian_columns(at, readings, TERMS, centres)
         J[rows, beam], J[rows, plane] = columns[:width].T, columns[width:-1].T
         step = -np.linalg.solve(J.T @ J, J.T @ columns[-1])

@@ -38,7 +38,7 @@ def test_moving_along_the_null_space_changes_no_reading(case):
     truth = bench(TRUTH[case])
     found = observability(truth, readings, 0, 1e-4)
     assert found.rank < found.unknowns
-    centres = linearized(truth, readings, 0).centres
+    centres = linearized(truth, readings, 0)[1]
     units = np.array([found.length] * 3 + [1.0] * 2), np.array([1.0, 1.0, found.length])
     step = 1e-6
     for column in range(found.null_space[0].shape[-1]):

@@ -101,7 +101,7 @@ def test_tangents_are_those_of_gtsam():
 def test_normal_equations_are_those_of_the_graph(problem):
     """The reduced information of the beams does not depend on how planes are parametrised."""
     _, readings, start, graph = problem
-    normal = linearized(start, readings, 2).normal
+    normal = linearized(start, readings, 2)[0]
     beam, border = normal.matrix[0], normal.border[0]
     W = np.linalg.solve(normal.local[0], border)
     reduced = beam - border.reshape(-1, len(beam)).T @ W.reshape(-1, len(beam))

@@ -6,18 +6,17 @@ searched for, rejected or learned. `calibrate` does all that for one recording.
 
 import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
 from .. import model
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.recording import Recording
-from ..data.value import Value
 from ..errors import InputError
 from ..model.beams_on_planes import values_of
 from ..model.elimination import eliminated
@@ -27,36 +26,8 @@ from ..model.joint import beam_lifts
 from ..model.search import LevenbergOptions
 from ..model.weighting import Variances, Whitening, unequal
 from ..solvers.beam_problem import beam_problem
-from ..solvers.many_problems import SolvedTogether, solve_together
+from ..solvers.many_problems import SolvedMany, solve_together
 from ..starts import find_start
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SolvedMany(Value):
-    """Solutions of K recordings with the same beams, planes and stations.
-
-    Attributes
-    ----------
-    beam_names, plane_names : tuple of str
-    parameters : K Parameters
-        Planes in the world frame.
-    cost : (K,)
-        Half the sum of squares in standard deviations.
-    converged : (K,) of bool
-    iterations : (K,)
-        Steps of the last solution.
-    covariances : (K, B, 8, 8)
-        Of (x, y, z, vx, vy, vz, k1, k2) of every beam, SI units; NaN of a recording whose
-        information is singular.
-    """
-
-    beam_names: tuple[str, ...]
-    plane_names: tuple[str, ...]
-    parameters: tuple[Parameters, ...]
-    cost: FloatArray
-    converged: BoolArray
-    iterations: IntArray
-    covariances: FloatArray
 
 
 def solve_many(
@@ -110,19 +81,14 @@ def solve_many(
             ]
             local, weights = (list(part) for part in zip(*both, strict=True))
             solved = solve_together(local, solved.parameters, terms, weights, prior, options)
-    return SolvedMany(
-        *(recordings[0].beam_names, recordings[0].plane_names),
-        tuple(at.seen_from(-there) for at, there in zip(solved.parameters, origins, strict=True)),
-        solved.cost,
-        solved.converged,
-        solved.iterations,
-        _beam_covariances(local, solved, terms, weights, prior),
-    )
+    world = (at.seen_from(-there) for at, there in zip(solved.parameters, origins, strict=True))
+    covariances = _beam_covariances(local, solved, terms, weights, prior)
+    return replace(solved, parameters=tuple(world), covariances=covariances)
 
 
 def _beam_covariances(
     readings: Sequence[Readings],
-    solved: SolvedTogether,
+    solved: SolvedMany,
     terms: int,
     noise: float | Sequence[Whitening],
     prior: RangeErrorPrior | None,

@@ -29,7 +29,7 @@ from ..solvers.beam_problem import moved
 from ..solvers.graph import CalibrationGraph, read_parameters
 from ..solvers.levenberg import linearize
 from .learning_scales import LearnedScales, ScaleProblem, integrated_over
-from .scales import Scale
+from .scales import NoiseComponent
 
 
 def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovariance:
@@ -140,25 +140,6 @@ def covariance_of_determined(
 
 
 @dataclass(frozen=True, slots=True)
-class ScaleEstimate:
-    """A standard deviation of the noise that was estimated.
-
-    Attributes
-    ----------
-    scale : Scale
-        Which one.
-    sigma : float
-        Its estimate: the exponential of its mean logarithm [m or rad].
-    error : float
-        Standard deviation of the estimate, likewise; NaN where the scales are not integrated over.
-    """
-
-    scale: Scale
-    sigma: float
-    error: float
-
-
-@dataclass(frozen=True, slots=True)
 class Posterior:
     """Beams and planes with all unknown scales integrated over, in the order of the readings.
 
@@ -169,7 +150,7 @@ class Posterior:
     joint : JointCovariance
         Within and between the scales. Its origins, at which offsets are taken, lie amid the laser spots
         and are given in the frames of the planes.
-    scales : tuple of ScaleEstimate
+    scales : tuple of NoiseComponent
         Of the noise.
     learned : LearnedScales
         Over which was integrated.
@@ -177,7 +158,7 @@ class Posterior:
 
     parameters: Parameters
     joint: JointCovariance
-    scales: tuple[ScaleEstimate, ...]
+    scales: tuple[NoiseComponent, ...]
     learned: LearnedScales
 
 
@@ -213,10 +194,11 @@ def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
     estimates = []
     for column, scale in enumerate(learned.scales.unknown):
         u = learned.points[:, column]
-        sigma = float(np.exp(sets @ u)) * scale.unit
-        spread = float(np.sqrt(sets @ (np.exp(u) - sets @ np.exp(u)) ** 2)) * scale.unit
-        spread = float(np.hypot(spread, sigma * learned.left[column]))
-        estimates.append(ScaleEstimate(scale, sigma, spread))
+        value = float(np.exp(sets @ u))
+        spread = float(np.sqrt(sets @ (np.exp(u) - sets @ np.exp(u)) ** 2))
+        estimates.append(
+            scale.estimated(value, float(np.hypot(spread, value * learned.left[column])))
+        )
     # Where poses are variables the solution differs a little from the one that eliminates them
     # beforehand, and only the shift by the scales is added to it.
     beam = ((mean - solution) * unit).reshape(problem.readings.beams, -1)

@@ -67,6 +67,12 @@ class Scale:
     prior: float
     most: float = np.inf
 
+    def estimated(self, value: float, error: float = np.nan) -> "NoiseComponent":
+        """Return the standard deviation that a value of this scale means; beams go by their number."""
+        beam = None if self.beam is None else str(self.beam)
+        unit = self.unit
+        return NoiseComponent(self.name, value * unit, error * unit, self.prior * unit, beam)
+
     @property
     def bounds(self) -> tuple[float, float]:
         """Bounds of the logarithm of the scale."""
@@ -81,6 +87,42 @@ class Scale:
         if self.name == RANGE:
             density = -np.logaddexp(0.0, -x)
         return density
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class NoiseComponent(Value):
+    """A standard deviation of the noise that was estimated.
+
+    Attributes
+    ----------
+    quantity : str
+        `range`, `pose translation` or `pose rotation`.
+    sigma : float
+        Its estimate: the exponential of its mean logarithm [m], or [rad] to turn.
+    error : float
+        Standard deviation of the estimate, likewise; NaN with a robust loss, under which scales are not
+        integrated over.
+    usual : float
+        What is expected of such a sensor or robot, likewise.
+    beam : str, optional
+        Name of the beam whose range sigma it is; of all beams where None.
+    """
+
+    quantity: str
+    sigma: float
+    error: float
+    usual: float
+    beam: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The quantity, with its beam."""
+        return self.quantity if self.beam is None else f"{self.quantity} of beam {self.beam}"
+
+    @property
+    def prior_carries(self) -> bool:
+        """Whether what is usual decides more about it than the recording: it errs by half of itself."""
+        return self.error >= 0.5 * self.sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

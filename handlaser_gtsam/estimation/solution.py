@@ -14,7 +14,8 @@ from ..model.weighting import Variances, Whitening
 from ..observability.rank import Observability
 from ..solvers.graph import CalibrationGraph, read_parameters
 from ..solvers.levenberg import LevenbergResult, Status
-from .posterior import Posterior, ScaleEstimate
+from .posterior import Posterior
+from .scales import NoiseComponent
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ class Solution:
     posterior : Posterior or None
         The estimate with the scales integrated over; None where none but a common sigma is unknown,
         under a robust loss, and where the solution is not fully determined or fits exactly.
-    scales : tuple of ScaleEstimate
+    scales : tuple of NoiseComponent
         Scales of the noise that were learned. Empty where a common range sigma alone is unknown and
         range errors have no learned prior: then the residuals tell it.
     joint : JointCovariance or None
@@ -120,7 +121,7 @@ class Solution:
     whitening: Whitening | None = None
     prior: RangeErrorPrior | None = None
     posterior: Posterior | None = None
-    scales: tuple[ScaleEstimate, ...] = ()
+    scales: tuple[NoiseComponent, ...] = ()
     joint: JointCovariance | None = None
 
     @property

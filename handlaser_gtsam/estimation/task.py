@@ -35,7 +35,7 @@ from ..solvers.sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
 from .options import CalibrationOptions
-from .posterior import ScaleEstimate, covariance_by_gtsam, numbered, posterior
+from .posterior import covariance_by_gtsam, numbered, posterior
 from .scales import Scales, start_of, unknown_scales, with_scales
 from .solution import Minimum, Solution
 
@@ -203,9 +203,8 @@ class SolutionTask:
         solution = self.with_poses(solution, variances)
         if not (self.learns and solution.observability.full):
             return solution
-        sigmas = (np.exp(self.point[0]) * [scale.unit for scale in self.scales.unknown]).tolist()
-        pairs = zip(self.scales.unknown, sigmas, strict=True)
-        return replace(solution, scales=tuple(ScaleEstimate(*pair, np.nan) for pair in pairs))
+        values = zip(self.scales.unknown, np.exp(self.point[0]).tolist(), strict=True)
+        return replace(solution, scales=tuple(scale.estimated(value) for scale, value in values))
 
     def finished(self) -> Solution:
         """Return what GTSAM ends with (`last_word`), linearised and integrated over all scales.

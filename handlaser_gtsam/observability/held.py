@@ -115,21 +115,21 @@ def upright(parameters: Parameters, judge: Judge) -> Parameters | None:
             return None
         lean = (parameters.normals * motion.upright).sum(axis=1, keepdims=True)
         normals = model.normalized(parameters.normals - lean * motion.upright)
-        centres = linearized(parameters, readings, 0, how).centres
+        _, centres = linearized(parameters, readings, 0, how)
         turned = ((parameters.normals - normals) * centres).sum(axis=1)
         at = replace(parameters, normals=normals, offsets=parameters.offsets + turned)
         for _ in range(5):  # steps of all but the leans, which are short from the beginning
-            linear = linearized(at, readings, 0, how)
+            normal, centres = linearized(at, readings, 0, how)
             slope = np.einsum("pia,pi->pa", model.tangent_basis(at.normals), motion.upright)
-            stiff = np.zeros_like(linear.normal.local)
+            stiff = np.zeros_like(normal.local)
             stiff[0, :, :2, :2] = np.einsum("pa,pb->pab", slope, slope)
             # A lean is not to change: it gets far more information than its plane has.
-            stiff *= 1.0 / ROUNDING * np.einsum("kmii->km", linear.normal.local)[..., None, None]
-            normal = replace(linear.normal, local=linear.normal.local + stiff)
+            stiff *= 1.0 / ROUNDING * np.einsum("kmii->km", normal.local)[..., None, None]
+            normal = replace(normal, local=normal.local + stiff)
             step, local = damped_step(normal, np.array([LEAST_DAMPING]))
             beam = step.reshape(readings.beams, -1)
             beam[:, :3] -= np.outer(beam[:, :3] @ motion.axis, motion.axis)  # heights do not show
-            at = moved(at, beam, local[0], linear.centres)
+            at = moved(at, beam, local[0], centres)
     except (GrazingBeamError, np.linalg.LinAlgError):
         return None
     return at if at.finite() else None

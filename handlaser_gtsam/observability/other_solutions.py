@@ -65,7 +65,7 @@ def ruled_out(image: Parameters, readings: Readings, limit: float) -> bool:
     last = readings.plane[min(len(readings), EXCERPT_READINGS) - 1]
     some = readings.subset(np.flatnonzero(readings.plane <= last))
     try:
-        normal = linearized(image, some, 0).normal
+        normal, _ = linearized(image, some, 0)
     except GrazingBeamError:
         return False
     length = readings.typical_range()

@@ -183,8 +183,9 @@ def observability(
         readings.planes,
         readings.typical_range(),
     )
-    most, at = max(counts), linearized(parameters, readings, max(counts), whitening)
-    width, normal = MOUNT_DIM + most, at.normal
+    most = max(counts)
+    width = MOUNT_DIM + most
+    normal, centres = linearized(parameters, readings, most, whitening)
     of_beam, plane_unit = BEAM.natural_units(length)[:width], PLANE.natural_units(length)
     if prior is not None:
         sigma = np.where(np.isfinite(prior.sigma), prior.sigma, 0.0).max(axis=0)[:most]
@@ -231,7 +232,7 @@ def observability(
         beam_unit=unit[active],
         plane_unit=plane_unit,
         active=active,
-        centres=at.centres,
+        centres=centres,
         least=float(values[0]),
         most=top,
         mean_log=mean_log,

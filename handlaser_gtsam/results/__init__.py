@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..estimation.scales import NoiseComponent as NoiseComponent
     from ..estimation.survey import RelationTest as RelationTest
     from ..model.joint import Coordinate as Coordinate
     from ..model.joint import Correlation as Correlation
@@ -11,7 +12,6 @@ if TYPE_CHECKING:
     from .reports import Determined as Determined
     from .reports import Fit as Fit
     from .reports import FreedEffect as FreedEffect
-    from .reports import NoiseComponent as NoiseComponent
     from .reports import Plane as Plane
     from .reports import RangeErrorScales as RangeErrorScales
     from .reports import ScaledSolution as ScaledSolution

@@ -11,8 +11,8 @@ import numpy as np
 from ..data.parameters import RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from ..estimation.posterior import ScaleEstimate, covariance_of_determined
-from ..estimation.scales import RANGE
+from ..estimation.posterior import covariance_of_determined
+from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
 from ..model.joint import JointCovariance, strong_correlations
@@ -45,7 +45,6 @@ from .reports import (
     Determined,
     Fit,
     FreedEffect,
-    NoiseComponent,
     Plane,
     RangeErrorScales,
     ScaledSolution,
@@ -395,17 +394,12 @@ def _noise_estimate(problem: Problem, solution: Solution) -> tuple[NoiseComponen
     """Name the scales of the noise that were estimated, beams in the order of the recording."""
     place, names = problem.order.beams, problem.recording.beam_names
 
-    def position(one: ScaleEstimate) -> int:
-        if one.scale.beam is None:
-            return -1 if one.scale.name == RANGE else len(names)
-        return int(place[one.scale.beam])
+    def position(one: NoiseComponent) -> int:
+        if one.beam is None:
+            return -1 if one.quantity == RANGE else len(names)
+        return int(place[int(one.beam)])
 
     return tuple(
-        NoiseComponent(
-            one.scale.name,
-            one.sigma,
-            one.error,
-            None if one.scale.beam is None else names[place[one.scale.beam]],
-        )
+        one if one.beam is None else replace(one, beam=names[position(one)])
         for one in sorted(solution.scales, key=position)
     )

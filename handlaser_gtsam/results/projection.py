@@ -15,7 +15,6 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, MOUNT_DIM, PLANE
-from ..model.reduction import Normal
 from ..model.weighting import Whitening
 from ..solvers.beam_problem import jacobian_columns, linearized
 
@@ -86,12 +85,10 @@ class LinearRows(SeenStations):
         )
         self.how, self.prior = how, prior
         self.freed = freed or FreedColumns((), np.empty((len(readings), 0)), np.empty(0))
-        linear = linearized(at, readings, 2, how)
-        columns = jacobian_columns(at, readings, 2, linear.centres)
+        self.normal, self.centres = linearized(at, readings, 2, how)
+        columns = jacobian_columns(at, readings, 2, self.centres)
         self.J = np.ascontiguousarray(columns[: BEAM.dim + PLANE.dim].T)
         self.residual = columns[-1]
-        self.normal: Normal = linear.normal
-        self.centres = linear.centres
 
     @cached_property
     def sparse(self) -> csr_array:

@@ -18,6 +18,7 @@ from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.learning_scales import LearnedScales
+from ..estimation.scales import NoiseComponent
 from ..model.distributions import CONFIDENCE, chi2_sf, gaussian_quantile, student_quantile
 from ..model.effects import EFFECTS
 from ..model.effects.effect import size_in_words
@@ -208,32 +209,6 @@ class Fit(Value):
     def outliers(self) -> int:
         """How many readings were rejected because they contradict others, not by a sensor's limits."""
         return sum(one.reason not in BY_LIMITS for one in self.rejected)
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class NoiseComponent(Value):
-    """What a sigma is of, its estimate, and the standard deviation of that [m], or [rad] to turn.
-
-    `quantity` is `range`, `pose translation` or `pose rotation`; `beam` is the name of the beam where a
-    range sigma belongs to one beam. `prior_carries` says that the recording hardly tells the sigma:
-    what is expected of such a robot or sensor decides about it. With a robust loss the error is not
-    known, and NaN.
-    """
-
-    quantity: str
-    sigma: float
-    error: float
-    beam: str | None = None
-
-    @property
-    def name(self) -> str:
-        """The quantity, with its beam."""
-        return self.quantity if self.beam is None else f"{self.quantity} of beam {self.beam}"
-
-    @property
-    def prior_carries(self) -> bool:
-        """Whether the recording hardly determines the sigma: its own error is half of it or more."""
-        return self.error >= 0.5 * self.sigma
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -219,7 +219,7 @@ def _spot_variance(
     """Return the trace of the covariance of a spot, for these variances of the readings."""
     at = calibration.parameters()
     how = whitening(at, readings, variances)
-    normal = linearized(at, readings, 2, how).normal
+    normal, _ = linearized(at, readings, 2, how)
     prior, learned = np.zeros((len(calibration.beams), BEAM.dim)), calibration.range_error_scales
     if learned is not None:
         prior[:, MOUNT_DIM:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0

@@ -1,6 +1,6 @@
 """Signs that a calibration of beams before planes should not be believed, each with what to look at.
 
-Their words stand in `messages.toml`; a new one is yielded by `fit_warnings`. Those of surveys are in
+Their words stand in `messages.toml`; a new one is yielded by `fit_warnings`. Surveys have
 `survey_warnings`.
 """
 
@@ -173,12 +173,11 @@ def fit_warnings(
         if noise.poses_uncertain:
             yield warned("poses-taken-as-exact")
     for one in solution.scales:  # errors of poses that no robot of its kind has stand for others
-        expected = one.scale.unit * one.scale.prior
         at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
-        if one.scale.name != RANGE and at_least > TEN_TIMES * expected:
-            which = "rotation" if one.scale.name == ROTATION else "position"
-            values = {"sigma": one.sigma, "expected": expected}
-            yield warned(f"large-pose-errors:{which}", values, times=one.sigma / expected)
+        if one.quantity != RANGE and at_least > TEN_TIMES * one.usual:
+            which = "rotation" if one.quantity == ROTATION else "position"
+            values = {"sigma": one.sigma, "expected": one.usual}
+            yield warned(f"large-pose-errors:{which}", values, times=one.sigma / one.usual)
     (station, beam), sigmas = fit.max_standardized_residual_at, fit.max_standardized_residual
     if fit.dof > 0 and sigmas > FAR_SIGMAS:
         yield warned("far-reading", {"station": station, "beam": beam, "sigmas": sigmas})

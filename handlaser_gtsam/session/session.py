@@ -138,8 +138,8 @@ class Session:
     def add(self, recording: Recording) -> Update:
         """Add the stations of a recording; nothing has changed where an error is raised.
 
-        All of them are taken as read with the beams where they are now, also those of a plane that was
-        added before a beam moved.
+        All of them are read with the beams where these are now, also stations of a plane whose earlier
+        stations were read before a beam moved.
 
         Raises
         ------

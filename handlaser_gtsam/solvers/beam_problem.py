@@ -1,7 +1,7 @@
 """Beams that read planes as a least-squares problem of the reduction."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -73,26 +73,12 @@ def beam_problem(
     return LeastSquares(tuple(blocks), reduction, unit, rounding, dof, robust), block
 
 
-@dataclass(frozen=True, slots=True)
-class Linearized:
-    """The normal equations of one recording at some parameters.
-
-    Attributes
-    ----------
-    normal : Normal
-        Beams stay; planes are local. In metres.
-    centres : (P, 3)
-        Where the offset of each plane is taken: amid its laser spots [m].
-    """
-
-    normal: Normal
-    centres: FloatArray
-
-
 def linearized(
     parameters: Parameters, readings: Readings, terms: int, whitening: Whitening | None = None
-) -> Linearized:
-    """Return the normal equations at `parameters`.
+) -> tuple[Normal, FloatArray]:
+    """Return the normal equations at `parameters`, with planes as local members, in metres.
+
+    With them the points (P, 3) amid the laser spots at which the offset of each plane is taken [m].
 
     Raises
     ------
@@ -108,7 +94,7 @@ def linearized(
     normal = Reduction([block], block.counts, unknown, PLANE.name).normal(
         [whitened(rows, block.weights)]
     )
-    return Linearized(normal, values[PLANE.name][0, :, CENTRE])
+    return normal, values[PLANE.name][0, :, CENTRE]
 
 
 def jacobian_columns(

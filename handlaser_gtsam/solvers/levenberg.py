@@ -78,7 +78,7 @@ class Objective:
 def of_calibration(problem: CalibrationGraph) -> Objective:
     """Return the objective of a calibration, whose factors share one evaluation of the readings.
 
-    Its rounding error is that of positions and readings.
+    Its rounding error comes from positions and readings.
     """
     others = gtsam.NonlinearFactorGraph()
     for index in range(len(problem.blocks), problem.graph.size()):

@@ -1,7 +1,7 @@
 """Many problems of one shape solved together on the reduction: each has the minimum of its graph."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,28 +20,29 @@ DEFAULT = LevenbergOptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SolvedTogether(Value):
-    """Solutions of K problems of one shape.
+class SolvedMany(Value):
+    """Solutions of K problems with the same beams, planes and stations.
 
     Attributes
     ----------
-    parameters : tuple of Parameters
-        Planes in the frames of the readings.
+    parameters : K Parameters
+        Planes in the frames of the readings, or in the world frame from `solve_many`.
     cost : (K,)
         Half the sum of squares in standard deviations, including the prior; infinite where a beam
         grazes its plane at the start.
     converged : (K,) of bool
     iterations : (K,)
-        Steps taken.
-    sigma : (K,)
-        Standard deviation of a whitened residual [m].
+        Steps of the last solution.
+    covariances : (K, B, 8, 8)
+        Of (x, y, z, vx, vy, vz, k1, k2) of every beam, SI units, NaN of a problem whose information is
+        singular; `solve_many` alone computes them.
     """
 
     parameters: tuple[Parameters, ...]
     cost: FloatArray
     converged: BoolArray
     iterations: IntArray
-    sigma: FloatArray
+    covariances: FloatArray = field(default_factory=lambda: np.empty((0, 0, 8, 8)))
 
 
 def solve_together(
@@ -51,7 +52,7 @@ def solve_together(
     noise: float | Sequence[Whitening],
     prior: RangeErrorPrior | None = None,
     options: LevenbergOptions | None = None,
-) -> SolvedTogether:
+) -> SolvedMany:
     """Minimise the cost of K problems of one shape.
 
     Parameters
@@ -70,7 +71,7 @@ def solve_together(
     """
     options = DEFAULT if options is None else options
     share = max(ROWS_AT_ONCE // max(len(problems[0]), 1), 1)
-    ends, parameters, units = [], [], []
+    ends, parameters = [], []
     for first in range(0, len(problems), share):
         some = slice(first, first + share)
         of_some = noise if isinstance(noise, float) else noise[some]
@@ -79,12 +80,10 @@ def solve_together(
         begun[BEAM.name][..., OF_RANGE_ERROR] *= np.arange(2) < terms
         ended = search(problem, begun, options)
         ends.append(ended)
-        units.append(problem.unit)
         parameters += parameters_of(ended.values)
-    return SolvedTogether(
+    return SolvedMany(
         tuple(parameters),
         np.concatenate([ended.cost for ended in ends]),
         np.concatenate([ended.converged for ended in ends]),
         np.concatenate([ended.iterations for ended in ends]),
-        np.concatenate(units),
     )

@@ -149,9 +149,9 @@ def fit_planes(
     still = np.zeros((readings.beams, BEAM.dim))
     for _ in range(MOST_ROUNDS):  # the closed-form planes converge quadratically
         how = whitening(at, readings, variances)
-        here = linearized(at, readings, 2, how)
-        step = here.normal.reduced(np.ones(still.size), unit).local_step * unit
-        at = moved(at, still, step, here.centres)
+        normal, centres = linearized(at, readings, 2, how)
+        step = normal.reduced(np.ones(still.size), unit).local_step * unit
+        at = moved(at, still, step, centres)
         if np.abs(step).max() < SINGULAR:
             break
     return at, whitening(at, readings, variances)
@@ -176,7 +176,7 @@ def _tested(
     """
     # chi2(b + x) = cost + 2 gradient' x + x' information x over the unknowns of the beams, planes
     # fitted, along what the recording determines; in natural units and sigmas.
-    normal = linearized(at, readings, 2, how).normal
+    normal, _ = linearized(at, readings, 2, how)
     length = readings.typical_range()
     active = modelled(mounts.terms).ravel()
     every = np.tile(BEAM.natural_units(length), readings.beams)

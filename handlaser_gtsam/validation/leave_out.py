@@ -1,4 +1,4 @@
-"""How well a calibration agrees with readings that it has not seen: of planes left out, or of splits.
+"""How well a calibration agrees with readings that it has not seen: of single planes, or of splits.
 
 A reading that was rejected as an outlier of the whole recording stays rejected.
 """

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...estimation.scales import NoiseComponent
 from ...model.effects.effect import size_in_words
 from ...model.families import BEAM, RANGE_ERROR
 from ...model.joint import STRONG
@@ -14,7 +15,7 @@ from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
 from ..lines import NAMES_IN_LINE, small_mm
 from ..messages import said
-from ..reports import CalibrationData, NoiseComponent
+from ..reports import CalibrationData
 from ..systematic import SystematicError
 from ..verdict import WELL_CONDITIONED
 from .tables import (
