@@ -71,7 +71,10 @@ def graph_of_blocks(
             letter += 1
     graph = gtsam.NonlinearFactorGraph()
     for block in blocks:
-        graph.push_back(_factor(_BlockError(block, values, keys)))
+        error = _BlockError(block, values, keys)
+        now = block.evaluate(error.known).columns
+        noise = gtsam.noiseModel.Unit.Create(now.shape[2] * now.shape[3])
+        graph.push_back(gtsam.CustomFactor(noise, error.keys, error))
     return BlockGraph(graph, start, keys)
 
 
@@ -124,12 +127,6 @@ class _BlockError:
                 own = slice(slot.columns.start + steps.start, slot.columns.start + steps.stop)
                 J[seen] += np.moveaxis(columns[own][:, seen], 0, 2)
         return np.asfortranarray(J.reshape(-1, J.shape[2]))
-
-
-def _factor(error: _BlockError) -> gtsam.CustomFactor:
-    now = error.block.evaluate(error.known).columns
-    size = now.shape[2] * now.shape[3]
-    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(size), error.keys, error)
 
 
 def _parts(family: str) -> Iterator[tuple[Part, slice, slice]]:

@@ -378,10 +378,6 @@ def _derivatives(items: Sequence[Item], values: Values) -> list[FloatArray]:
     return found
 
 
-def _beam_or_cone(member: IntArray, half_angle: float) -> Beam | Cone:
-    return Cone(member, half_angle) if half_angle else Beam(member)
-
-
 def blocks_of(
     items: Sequence[Item], sigmas: Mapping[tuple[str, int], float], values: Values
 ) -> tuple[list[Block], IntArray]:
@@ -418,7 +414,8 @@ def blocks_of(
             axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), Beam(member)
             blocks.append(SpotsOnPoints(beam, robot, seen, reading, axes, weights(root)))
         elif not shots:
-            sensor = _beam_or_cone(member, some[0].half_angle)
+            angle = some[0].half_angle
+            sensor = Cone(member, angle) if angle else Beam(member)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
             origin = np.stack([s.rays.origin for s in shots])  # (G, r, 3)

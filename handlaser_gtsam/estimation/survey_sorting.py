@@ -19,6 +19,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import kind_of, normal_label
 from ..model.block import Values
+from ..model.equation import corrected
 from ..model.families import PLANE, POSE, pose_of
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -207,7 +208,7 @@ def misses_of(rows: Rows, values: Values, member: int, plane: int, some: IntArra
     """
     shots, sensor = rows.survey.shots[member], values[SENSOR.name][0, member]
     rays, d = KINDS[shots.kind].rays(shots.across[some]), shots.reading[some]
-    k0, k1, k2, scale = sensor[POSE.size :]
+    k0, *k, scale = sensor[POSE.size :]
     R = rows.survey.stations.world_R_hand[shots.station[some]]
     t = rows.survey.stations.world_t_hand[shots.station[some]]
     X, location = pose_of(sensor)
@@ -217,5 +218,5 @@ def misses_of(rows: Rows, values: Values, member: int, plane: int, some: IntArra
         values, (R @ location + t).T[:, None, None], direction.T[:, None, None]
     )
     s = hits.range[0, 0]
-    e = d + k0 + k1 * d + k2 * d**2 - s
+    e = k0 + corrected(d, np.array(k)) - s
     return np.asarray(np.where(hits.impossible[0, 0] | (s <= 0.0), np.inf, e))

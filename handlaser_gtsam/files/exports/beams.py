@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from ...arrays import FloatArray
 from ...data.recording_checks import require_once
 from ...errors import InputError
+from ...model.equation import corrected
 from ...model.families import BEAM, OF_DIRECTION
 from ...model.geometry import normalized
 from ...quantities import IN_DEG, IN_MM, SINGULAR
@@ -103,7 +104,7 @@ def _framed(ray: Ray, R: FloatArray, reading: float) -> Beam:
         "direction": tuple(v.tolist()),
         "k1": k1,
         "k2": k2,
-        "origin": tuple((r + reading * (1.0 + k1 + k2 * reading) * v).tolist()),
+        "origin": tuple((r + corrected(np.array(reading), k) * v).tolist()),
         "quaternion": tuple(turn.as_quat(canonical=True).tolist()),
         "angles": yaw_pitch_roll(R),
         "rotation_vector": tuple(turn.as_rotvec().tolist()),

@@ -353,11 +353,6 @@ def _sheets(archive: zipfile.ZipFile) -> dict[str, str]:
     return found
 
 
-def _tag(element: ET.Element) -> str:
-    """Return the name of an element without its namespace."""
-    return element.tag.rpartition("}")[2]
-
-
 def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning, ...]]:
     """Return the first row of a sheet, and a warning for each kind of cell without a value.
 
@@ -370,7 +365,7 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
     failed: dict[str, list[str]] = {}
     row = column = 0
     for event, element in ET.iterparse(file, ("start", "end")):
-        tag = _tag(element)
+        tag = element.tag.rpartition("}")[2]  # without its namespace
         if tag == "row" and event == "start":  # what has no place stands after the one before
             row, column = int(element.get("r", row + 1)), 0
         elif tag == "row":

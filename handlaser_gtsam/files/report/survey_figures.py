@@ -12,6 +12,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray, evenly
 from ...data.survey import Survey
+from ...model.equation import corrected
 from ...model.families import BEAM, bases
 from ...model.sensors.kinds import KINDS
 from ...model.sensors.mounted import SENSOR
@@ -76,7 +77,7 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
         for points in (item.points for item in own if item.points is not None):
             good[points] = True
         d, k = shots.reading[some], mount.range_error
-        d = d + k.get("k0", 0.0) + k.get("k1", 0.0) * d + k.get("k2", 0.0) * d**2
+        d = k.get("k0", 0.0) + corrected(d, np.array([k.get(one, 0.0) for one in ("k1", "k2")]))
         fan, scale = KINDS[shots.kind].rays(shots.across[some]), k.get("scale", 0.0)
         origin = fan.origin + scale * fan.origin_by_scale
         spot = origin + d[:, None] * (fan.direction + scale * fan.direction_by_scale)
