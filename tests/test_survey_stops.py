@@ -1,7 +1,10 @@
 """Several shots where the hand stands still: its error is common to them, and copies count once."""
 
+import time
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_rays
@@ -42,6 +45,20 @@ def test_stations_within_the_error_of_the_hand_are_of_one_stop():
     stations = StationList(R, t, ("A",) * 4)
     assert stations.stops(1e-4, 1e-3).tolist() == [0, 0, 2, 3]
     assert stations.stops(0.0, 0.0).tolist() == [0, 1, 2, 3]
+
+
+def test_stops_of_a_hand_that_turns_about_a_point_are_found_in_linear_time():
+    """All places are near each other there: compared in pairs, these took a minute."""
+    turns = Rotation.random(2000, random_state=1)
+    R = np.concatenate(
+        (turns.as_matrix(), (turns * Rotation.from_rotvec([1e-4, 0, 0])).as_matrix())
+    )
+    stations = StationList(R, np.zeros((len(R), 3)), ("A",) * len(R))
+    before = time.process_time()
+    first = stations.stops(1e-4, 1.1e-4)
+    assert time.process_time() - before < 5.0
+    assert (first[2000:] == first[:2000]).all()
+    assert (stations.stops(1e-4, 0.9e-4) == np.arange(4000)).all()
 
 
 @pytest.mark.parametrize("jitter", [0.0, 4e-6])

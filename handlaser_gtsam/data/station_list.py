@@ -1,15 +1,16 @@
 """Stations to drive to: hand poses without readings."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import number_array
 from ..errors import InputError
+from ..quantities import TINY
 from .recording import Recording
 from .recording_checks import check_stations, numbered, require_once, store_columns
 from .value import Value
@@ -104,14 +105,24 @@ class StationList(Value):
         shift, turn : float
             Recorded poses that differ by no more [m], [rad] are of one stop.
         """
-        first = np.full(len(self), -1)
-        places = cKDTree(self.world_t_hand)
-        for at in range(len(self)):
-            if first[at] < 0:
-                near = np.array(places.query_ball_point(self.world_t_hand[at], shift))
-                R = self.world_R_hand[near]
-                turns = Rotation.from_matrix(self.world_R_hand[at].T @ R).magnitude()
-                first[near[(turns <= turn) & (first[near] < 0)]] = at
+        # Rotations an angle a apart differ by sqrt(8) sin(a / 2) in the norm of their entries.
+        chord = 8.0**0.5 * np.sin(0.5 * min(turn, np.pi))
+        R = self.world_R_hand.reshape(-1, 9) / max(chord, TINY)
+        x = np.hstack((self.world_t_hand / max(shift, TINY), R))
+        tree, first = cKDTree(x), np.full(len(x), -1)
+        # Stations far from each other in order are looked for at once: they are hardly of one stop.
+        blocks = math.ceil(len(x) ** (2.0 / 3.0))
+        for block in (np.arange(begin, len(x), blocks) for begin in range(blocks)):
+            block = block[first[block] < 0]
+            for at, near in zip(block, tree.query_ball_point(x[block], 1.0, p=np.inf), strict=True):
+                if len(near) == 1:
+                    first[at] = at
+                elif first[at] < 0:
+                    squares = (x[near] - x[at]) ** 2
+                    same = (squares[:, :3].sum(axis=1) <= 1.0) & (squares[:, 3:].sum(axis=1) <= 1.0)
+                    own = np.array(near)[same]
+                    own = own[first[own] < 0]
+                    first[own] = own.min()
         return first
 
     def matrices(self) -> FloatArray:
