@@ -53,7 +53,7 @@ class RangeBlock:
         What residuals take of the readings, where that is not the readings themselves.
     rows : (N,), optional
         Which rows of the whitening and of what is measured are of this block; all where not given. They
-        are picked once the block needs them for itself.
+        are picked whenever they are asked for.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class RangeBlock:
         self.beams = (beams,) if isinstance(beams, BeamKeys) else tuple(beams)
         self.plane, self.pose = plane, pose
         self.distance, self.world_R_hand, self.world_t_hand = distance, world_R_hand, world_t_hand
-        self._measured = distance if measured is None else measured
+        self._measured = measured
         self._whitening, self._rows = whitening, rows
         self.beam_of = np.zeros(len(distance), np.intp) if beam_of is None else beam_of
         self.prepared: Share | None = None
@@ -107,21 +107,16 @@ class RangeBlock:
     @property
     def whitening(self) -> Whitening | None:
         """How its readings are whitened; None where they all weigh the same."""
-        self._pick()
-        return self._whitening
+        if self._whitening is None or self._rows is None:
+            return self._whitening
+        return self._whitening.of_rows(self._rows)
 
     @property
     def measured(self) -> FloatArray | Regressors:
         """What residuals take of its readings."""
-        self._pick()
-        return self._measured
-
-    def _pick(self) -> None:
-        """Keep its own rows of the whitening and of what is measured."""
-        rows, self._rows = self._rows, None
-        if rows is not None:
-            self._measured = self._measured[rows]
-            self._whitening = self._whitening and self._whitening.of_rows(rows)
+        if self._measured is None:
+            return self.distance
+        return self._measured if self._rows is None else self._measured[self._rows]
 
     def keys(self) -> list[int]:
         """Return the keys in the order of the Jacobians: r, v, k if any a beam, plane, pose if any."""
@@ -148,7 +143,8 @@ class RangeBlock:
         if share is None:
             evaluated, columns = self.evaluate(values)
             if jacobians is not None:
-                rows = evaluated.rows(self.whitening, self.beam_of)
+                how = None if self.alone is None else self.alone.whitening
+                rows = evaluated.rows(how, self.beam_of)
                 own = gtsam.JacobianVector([rows[:, of] for of in columns])
                 jacobians[:] = own  # type: ignore[index]
             return evaluated.white

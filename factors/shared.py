@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate, pairwise
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import gtsam
 import numpy as np
@@ -87,8 +87,7 @@ class Evaluation:
         return how.apply_rows(rows)
 
 
-@dataclass(slots=True)  # not frozen: that would take three times as long, and there are thousands
-class Share:
+class Share(NamedTuple):  # there are thousands, and a frozen dataclass takes three times as long
     """What one factor hands out of a shared evaluation.
 
     Attributes

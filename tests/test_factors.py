@@ -102,12 +102,14 @@ def test_shared_evaluation_equals_each_block(terms):
     for block in blocks:
         graph.push_back(range_factor(block, 0.5))
     alone = graph.linearize(values)
+    elsewhere = gtsam.Values(values)
+    elsewhere.update(11, values.atPoint3(11) + 0.01)
     shared = SharedEvaluation(blocks)
+    # Asked at other values, factors hand out what was evaluated: they do not evaluate themselves.
     with shared.handed_out(shared.evaluate(values)):
-        assert known.prepared is not None
-        together = graph.linearize(values)
-    assert known.prepared is None
-    assert together.equals(alone, 1e-12)
+        assert graph.linearize(elsewhere).equals(alone, 1e-12)
+    assert not graph.linearize(elsewhere).equals(alone, 1e-4)
+    assert graph.linearize(values).equals(alone, 1e-15)
 
 
 def test_blocks_of_several_shapes_share_in_any_order():
@@ -149,7 +151,16 @@ def test_a_block_picks_its_rows_of_the_weights():
     picked = RangeBlock(BEAM, PLANE, d[rows], R[rows], t[rows], None, None, how, level, rows)
     mine = how.of_rows(rows), level[rows]
     given = RangeBlock(BEAM, PLANE, d[rows], R[rows], t[rows], None, None, *mine)
-    assert picked.whitening == given.whitening
+    before = [getattr(picked, name) for name in RangeBlock.__slots__]
+    for _ in range(2):
+        assert picked.whitening == given.whitening
+        assert picked.measured == given.measured
+    # To ask a block changes nothing of it.
+    assert all(
+        getattr(picked, name) is one for name, one in zip(RangeBlock.__slots__, before, strict=True)
+    )
+    alone = RangeBlock(BEAM, PLANE, d[rows], R[rows], t[rows], None, None, how, None, rows)
+    assert np.array_equal(alone.measured, d[rows])
     white = [range_factor(block, 0.5).unwhitenedError(values) for block in (picked, given)]
     assert np.array_equal(*white)
 
@@ -162,6 +173,14 @@ def test_sharing_ends_when_the_solve_is_interrupted():
     with pytest.raises(KeyboardInterrupt), shared.handed_out(shared.evaluate(values)):
         raise KeyboardInterrupt
     assert block.prepared is None
+
+
+def test_what_is_handed_out_cannot_be_exchanged():
+    values, poses, d = scene(5, 0)
+    block = RangeBlock(BARE, PLANE, d, *matrices(poses))
+    shared = SharedEvaluation([block])
+    with shared.handed_out(shared.evaluate(values)), pytest.raises(AttributeError):
+        block.prepared.white = np.zeros(5)
 
 
 def test_squared_columns_are_the_diagonal_of_the_information():
