@@ -232,3 +232,12 @@ def test_leverages_keep_nothing_of_the_size_of_readings_times_unknowns():
     tracemalloc.stop()
     assert h.sum() == pytest.approx(40 * 5 + 2 * 3)
     assert peak < 0.8 * 8 * len(readings) * 40 * 5
+
+
+@pytest.mark.parametrize("damping", [0.0, 1e-3, 10.0])
+def test_damping_rises_where_the_gain_is_not_a_number(damping):
+    """It kept its value: the same step would have been tried until the last trial."""
+    options = damped.LevenbergOptions()
+    raised = options.adapted(np.array([damping, damping]), np.array([np.nan, 0.9]))
+    assert raised[0] > damping
+    assert raised[1] <= damping

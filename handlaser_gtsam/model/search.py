@@ -154,7 +154,8 @@ class LevenbergOptions:
         last = self.first_damping if self.least_damping > 0.0 else 0.01 * self.first_damping
         lower = np.where(lower >= last, lower, 0.0)
         lower = np.maximum(lower, self.least_damping)
-        return np.where(gain < POOR_GAIN, higher, np.where(gain > 1.0 - POOR_GAIN, lower, damping))
+        rest = np.where(gain > 1.0 - POOR_GAIN, lower, damping)
+        return np.where(gain >= POOR_GAIN, rest, higher)  # higher also where the gain is not a number
 
 
 @dataclass(frozen=True, slots=True)

@@ -191,8 +191,6 @@ class Verdict:
         What the spot error is made of.
     confirmed_by : int
         How many planes were held out and agree.
-    contradicted_by : tuple of str
-        The planes that were held out and disagree.
     causes : tuple of CalibrationWarning
         Why it is not usable, or usable with care: each with a code and its numbers.
     """
@@ -209,7 +207,6 @@ class Verdict:
     limits: tuple[LimitCheck, ...] = ()
     shares: VarianceShares | None = None
     confirmed_by: int = 0
-    contradicted_by: tuple[str, ...] = ()
     causes: tuple[CalibrationWarning, ...] = ()
 
     @property

@@ -224,7 +224,7 @@ def verdict_of_validation(validation: Validation, limits: Limits | None = None) 
         for check in rms_checked(f"without plane {name}", found.rms, limits)
     )
     against = tuple(one.name for one in validation.contradicted)
-    judged = replace(judged, limits=(*judged.limits, *checks), contradicted_by=against)
+    judged = replace(judged, limits=(*judged.limits, *checks))
     if not judged.usable:
         return judged
     why = []
