@@ -97,6 +97,7 @@ class Plan(Value):
 def visited(
     workspace: Workspace,
     stations: Stations,
+    *,
     labels: Sequence[str],
     plates: Sequence[Plate | None],
     taken: Sequence[str] = (),
@@ -149,6 +150,7 @@ def planned(
     workspace: Workspace,
     candidates: Stations,
     rows: FloatArray,
+    *,
     chosen: IntArray,
     labels: Sequence[str],
     plates: Sequence[Plate | None],
@@ -187,7 +189,9 @@ def planned(
 
     def way(some: IntArray) -> tuple[StationList, IntArray, IntArray]:
         """Return a way, the candidate at each of its stations, and those reached as they matter."""
-        stations, origin = visited(workspace, candidates[some], labels, plates, taken, length)
+        stations, origin = visited(
+            workspace, candidates[some], labels=labels, plates=plates, taken=taken, length=length
+        )
         return stations, np.where(origin >= 0, some[origin], -1), some[np.sort(origin[origin >= 0])]
 
     others = np.setdiff1d(np.arange(len(rows)), chosen)

@@ -138,7 +138,9 @@ def plan_survey(
     known = _Known(calibration, {(family, member) for family, member, _ in looks}, goal)
     chosen = known.chosen(rows[None], count, exchange=True)
     chosen = chosen[: known.enough(rows[chosen])]
-    plan, candidate = planned(known, workspace, pool, rows, chosen, labels, plates)
+    plan, candidate = planned(
+        known, workspace, pool, rows, chosen=chosen, labels=labels, plates=plates
+    )
     return replace(
         plan,
         sensors=tuple(names[i] if i >= 0 else "" for i in candidate),

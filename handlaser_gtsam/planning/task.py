@@ -209,11 +209,11 @@ class Task(NamedTuple):
             workspace,
             candidates,
             station_rows(belief, candidates),
-            np.arange(len(stations)),
-            belief.plane_names,
-            belief.plates(),
-            self.taken,
-            None if ordered else location / direction,
+            chosen=np.arange(len(stations)),
+            labels=belief.plane_names,
+            plates=belief.plates(),
+            taken=self.taken,
+            length=None if ordered else location / direction,
         )
         if plan.skipped and ordered:
             raise InputError(
