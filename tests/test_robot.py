@@ -223,6 +223,35 @@ def test_joints_are_the_nearest_of_those_that_differ_by_full_turns():
         assert np.abs(joints - near).max() <= math.pi + 1e-9
 
 
+@needs_pinocchio
+def test_a_pose_has_several_choices_of_joints_the_nearest_first(small):
+    """From where the arm stands first, then in the order of how far the farthest joint moves."""
+    near, plate = drawn(small, 1)[0], None
+    R, t = (one[0] for one in small.poses(near))
+    found = list(small.solutions(R, t, plate, near))
+    assert len(found) > 2
+    assert np.abs(found[0] - near).max() < 1e-6
+    moves = [float(np.abs(joints - near).max()) for joints in found]
+    assert moves == sorted(moves)
+    for one, other in itertools.combinations(found, 2):
+        assert np.abs(one - other).max() > 1e-4
+    again_R, again_t = small.poses(np.array(found))
+    assert np.abs(again_R - R).max() < 1e-6
+    assert np.abs(again_t - t).max() < 1e-6
+    assert small.free(np.array(found)).all()
+
+
+@needs_pinocchio
+def test_choices_of_joints_at_which_the_arm_touches_the_plate_are_passed_over(small):
+    near = drawn(small, 1)[0]
+    R, t = (one[0] for one in small.poses(near))
+    every = np.array(list(small.solutions(R, t, None, near)))
+    plate = hl.planning.Plate(small.base_t - [0.2, 0.0, 0.2], np.eye(3)[0])  # beside the arm
+    free = small.free(every, plate)
+    assert 0 < free.sum() < len(every)
+    assert np.array_equal(list(small.solutions(R, t, plate, near)), every[free])
+
+
 def heights(path, robot, joints):
     """Height of every joint of an arm in the world (N, J), by pinocchio and nothing of the package."""
     import pinocchio

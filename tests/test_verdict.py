@@ -17,6 +17,7 @@ from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
 from handlaser_gtsam.results.spot_error import VarianceShares, radius, spot, variance_shares
 from handlaser_gtsam.results.verdict import improvement, verdict
+from handlaser_gtsam.validation.cross_check import CrossCheck
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.validation import verdict_of_validation
 
@@ -387,6 +388,49 @@ def test_the_rms_limit_holds_for_planes_left_out(validation):
     assert found.code == "outside-limits"
     assert [one.subject for one in found.limits if not one.held] == ["without plane D"]
     assert [cause.values["subject"] for cause in found.causes] == ["without plane D"]
+
+
+def against(validation, largest=0.1, largest_sigma=0.1):
+    """The same where SciPy's result is so far off: of a location, and of a standard deviation."""
+    reference = CrossCheck(largest, "beam 1 x", largest_sigma, "plane A b", 9)
+    return replace(with_p(validation, 0.9, 0.9, 0.9, 0.9), reference=reference)
+
+
+def test_scipy_that_agrees_changes_nothing(validation):
+    found = verdict_of_validation(against(validation, 0.5, 0.5))
+    assert (found.code, found.causes) == ("usable", ())
+
+
+@pytest.mark.parametrize(
+    ("off", "parameter", "words"),
+    [
+        ({"largest": 0.51}, "beam 1 x", "another solution"),
+        ({"largest_sigma": 0.51}, "plane A b", "standard deviations that differ by 51 %"),
+        ({"largest": 0.7, "largest_sigma": 0.9}, "beam 1 x", "another solution"),
+    ],
+)
+def test_scipy_that_disagrees_is_a_cause_with_its_numbers(validation, off, parameter, words):
+    found = verdict_of_validation(against(validation, **off))
+    assert (found.code, found.usable) == ("contradicted", False)
+    (cause,) = found.causes
+    assert cause.code == "reference-disagrees"
+    assert cause.values == {"parameter": parameter, "difference": next(iter(off.values()))}
+    assert words in found.sentence
+    assert found.confirmed_by == 0
+
+
+def test_causes_of_a_validation_come_before_those_of_the_calibration(validation):
+    """And what contradicts comes before limits, which alone give the code `outside-limits`."""
+    careful = replace(validation.calibration, warnings=(CalibrationWarning("motion-weak", "weak"),))
+    off = replace(against(validation, largest=0.6), calibration=careful)
+    targets = with_p(off, 0.0014, 0.3, 0.5, 0.9).targets
+    tight = Limits(rms=0.99 * max(one.result.rms for one in validation.targets))
+    found = verdict_of_validation(replace(off, targets=targets), tight)
+    codes = [cause.code for cause in found.causes]
+    assert codes == ["reference-disagrees", "not-predicted", "motion-weak"]
+    assert found.causes[1].values == {"parts": "A"}
+    assert found.code == "contradicted"
+    assert [one.subject for one in found.limits if not one.held] == ["without plane D"]
 
 
 def test_what_is_not_usable_stays_so_when_validated(validation):
