@@ -116,7 +116,7 @@ class ConsensusJudge:
             good = readings.subset(np.flatnonzero(kept))
             if enough(readings, kept, self.terms) and plausible_range_errors(at, good):
                 sigma = sigma_of(readings, e[kept], self.terms, self.range_sigma)
-                best = min(best, evidence(readings, kept, at, sigma))
+                best = min(best, evidence(readings, kept, at, self.terms, sigma))
         return float(best)
 
     def beyond_chance(self, candidate: Refined | Candidate) -> float:
@@ -201,6 +201,10 @@ def find_consensus(
     other = None if better is None else screen(readings, better, usable, sigma)
     if other is not None and other.evidence < screening.evidence:
         screening = other
+    # A choice among few readings makes any of them agree.
+    sigma = sigma_of(readings, residuals(start.parameters, readings), usable, range_sigma)
+    if evidence(readings, everything, start.parameters, usable, sigma) < screening.evidence:
+        return Consensus(start, everything, start.parameters, start.method, None)
     return Consensus(start, screening.kept, screening.parameters, method, screening.range_sigma)
 
 

@@ -6,9 +6,10 @@ From a candidate that fits most readings, the far ones are rejected, the rest is
 readings are tested again against that fit, until nothing changes. Candidates are compared by the
 evidence for "Gaussian among m readings, anything within the span W for the others":
 
-    2 N ln sigma + RSS / sigma^2 + 2 (N - m) price - 2 ln(share of each)
+    2 (N - u) ln sigma + RSS / sigma^2 + 2 (N - m) price - 2 ln(share of each)
 
-so that rejecting a reading has its price, ln(W / (sqrt(2 pi) sigma)): about 4 standard deviations.
+with the u unknowns integrated over, which fit as many readings whatever these are, so that rejecting a
+reading has its price, ln(W / (sqrt(2 pi) sigma)): about 4 standard deviations.
 
 How much a reading pulls the solution to itself is its leverage: with unit weights the variance of a
 predicted range is h = J inv(J'J) J'. The residual of a reading that was used has variance
@@ -110,7 +111,7 @@ def screen(
         seen.add(kept.tobytes())
     if not model.plausible_range_errors(parameters, readings.subset(np.flatnonzero(kept))):
         return None
-    return Screening(kept, parameters, sigma, evidence(readings, kept, parameters, sigma))
+    return Screening(kept, parameters, sigma, evidence(readings, kept, parameters, terms, sigma))
 
 
 def sigma_of(
@@ -217,7 +218,7 @@ def enough(readings: Readings, kept: BoolArray, terms: int) -> bool:
 
 
 def evidence(
-    readings: Readings, kept: BoolArray, parameters: Parameters, range_sigma: float
+    readings: Readings, kept: BoolArray, parameters: Parameters, terms: int, range_sigma: float
 ) -> float:
     """Return the criterion of readings that are `kept` (N,), with a standard deviation [m]."""
     e = residuals(parameters, readings)[kept]
@@ -226,7 +227,8 @@ def evidence(
     inside = float(e @ e) / range_sigma**2
     outside = 2.0 * bad * price(readings.distance, range_sigma)
     shares = sum(m * np.log(m / total) for m in (good, bad) if m)
-    return float(2.0 * total * np.log(range_sigma) + inside + outside - 2.0 * shares)
+    spare = total - count_unknowns(readings, terms)
+    return float(2.0 * spare * np.log(range_sigma) + inside + outside - 2.0 * shares)
 
 
 def leverages(

@@ -39,7 +39,9 @@ from .fit import fit_of, linear_rows, unit_sigma
 from .freed import Freed
 from .lines import NAMES_IN_LINE
 from .messages import said, warned
+from .moved_beam import moved_beam
 from .problem import Problem, named_estimates
+from .projection import LinearRows
 from .reports import (
     Beam,
     Determined,
@@ -54,6 +56,7 @@ from .reports import (
 from .systematic import SystematicError, systematic_errors
 from .warnings import (
     COARSE,
+    DISPLACED,
     IMPLAUSIBLE,
     TEN_TIMES,
     fit_warnings,
@@ -104,9 +107,9 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
         wrong = way
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
-    together = INDEPENDENT
+    together, rows = INDEPENDENT, None
     if status == "converged" and solution.at.loss == GAUSSIAN:
-        systematic, together = _tested(problem, selection, fit, freed)
+        rows, systematic, together = _tested(problem, selection, fit, freed)
     joint, growth = None, None
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
@@ -127,6 +130,14 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
             of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
         signs = (*_wrong_labels(problem, why), *why.warnings, *of_fit)
     whole = joint if determined.rank == determined.unknowns else None
+    beams_and_planes = _estimates(problem, solution, joint)
+    moved = None
+    if rows is not None and not mistaken:
+        moved = moved_beam(rows, problem, selection, fit, systematic, beams_and_planes[0])
+    if moved is not None:  # what else was found is a consequence
+        systematic = tuple(
+            replace(one, explained_by=DISPLACED) if one.found else one for one in systematic
+        )
     result = Calibration(
         status,
         message,
@@ -135,6 +146,7 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
             *([] if way is None or mistaken else [way]),
             *signs,
             *rival_warnings(used, solution, joint, names),
+            *([] if moved is None else [moved]),
             *together.warnings,
             *(() if freed is None else freed.warnings(effects)),
             *(
@@ -143,7 +155,7 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
                 if s.warning
             ),
         ),
-        *_estimates(problem, solution, joint),
+        *beams_and_planes,
         fit,
         determined,
         StartReport(selection.method, selection.tried),
@@ -177,17 +189,21 @@ def _estimates(
 
 def _tested(
     problem: Problem, selection: Selection, fit: Fit, freed: Freed | None
-) -> tuple[tuple[SystematicError, ...], Dependence]:
-    """Test the residuals for errors that the model leaves out, and for correlation in time."""
+) -> tuple[LinearRows, tuple[SystematicError, ...], Dependence]:
+    """Test the residuals for errors that the model leaves out, and for correlation in time.
+
+    Priors of range errors say nothing of the noise, so that they are no degrees of freedom here.
+    """
     tell("tests")
     names, columns = problem.names, None if freed is None else freed.columns
     rows = linear_rows(problem, selection, 0 if freed is None else freed.rank, columns)
     known, stations = fit.range_sigma_given, problem.recording.station_names
+    dof = fit.dof if known else min(fit.dof, selection.solution.redundancy)
     plausible = problem.sensor.plausible_sizes(float(rows.readings.distance.max()))
     found, together = systematic_errors(
-        rows, names, stations, known=known, dof=fit.dof, plausible=plausible
+        rows, names, stations, known=known, dof=dof, plausible=plausible
     )
-    return found, together
+    return rows, found, together
 
 
 def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:

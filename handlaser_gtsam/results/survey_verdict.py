@@ -33,13 +33,11 @@ from .verdict import (
     improvement_of,
     more_stations,
 )
-from .warnings import RIVAL, ambiguous
+from .warnings import DISPLACED, RIVAL, ambiguous
 
 if TYPE_CHECKING:
     from .survey import SurveyCalibration
 
-DISPLACED = "displaced"
-"""Code of the warning that a target, sensor or beam was moved amid the survey."""
 FEW = "few-readings"
 """Code of the warning that hardly more readings than unknowns tell the noise."""
 TOO_FEW = "too-few-readings"

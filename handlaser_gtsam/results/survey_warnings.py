@@ -36,8 +36,8 @@ from .survey_misfit import (
 )
 from .survey_motion import MORE_STATIONS, counts_of, opening, unconfirmed_mount
 from .survey_rivals import rival_mounts
-from .survey_verdict import DISPLACED, FEW, TOO_FEW, free_of
-from .warnings import MANY_OUTLIERS
+from .survey_verdict import FEW, TOO_FEW, free_of
+from .warnings import DISPLACED, MANY_OUTLIERS
 
 if TYPE_CHECKING:
     from .survey import BeamMount, Mount, SensorMount

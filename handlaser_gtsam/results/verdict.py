@@ -30,7 +30,7 @@ from .messages import MESSAGES, said
 from .reports import CalibrationData
 from .spot_error import VarianceShares, freedom, spot_radii, variance_shares
 from .systematic import SystematicError
-from .warnings import MANY_OUTLIERS, RIVAL, ambiguous
+from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, ambiguous
 
 OPENING = MESSAGES["openings"]
 """How a sentence begins, by the code of its verdict."""
@@ -100,6 +100,10 @@ def improvement(
     mistake = _undone(calibration)
     if mistake is not None:
         return mistake
+    moved = moved_beam_of(calibration)
+    if moved is not None:
+        target, station = moved.values["target"], moved.values["station"]
+        return improvement_of(f"{DISPLACED}:beam", target=target, station=station)
     if harmful is not None:
         return Improvement("systematic", harmful.remedy)
     if any(ambiguous(calibration.warnings)):
@@ -131,6 +135,11 @@ def improvement(
     if few and not failed:
         return improvement_of("more-stations:few", dof=fit.dof)
     return more_stations(failed)
+
+
+def moved_beam_of(calibration: CalibrationData) -> CalibrationWarning | None:
+    """Return the warning of a beam that was moved amid the recording; None where none was."""
+    return next((one for one in calibration.warnings if one.code == DISPLACED), None)
 
 
 def _undone(calibration: CalibrationData) -> Improvement | None:
@@ -266,6 +275,7 @@ def verdict(
     checks = checked(calibration, limits or Limits())
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(calibration, radii, reading)
+    moved = moved_beam_of(calibration)
     shares = variance_shares(calibration, beam, reading) if beam else None
     hiding = hidden_errors(calibration)  # where a plausible size is known
     hidden = max(hiding, key=lambda one: one.moved(reading, unnoticed=True), default=None)
@@ -278,7 +288,7 @@ def verdict(
     code = "usable-with-care" if harmful or calibration.warnings or doubtful else "usable"
     if failed:
         code = "outside-limits"
-    elif excess > 1.0:
+    elif excess > 1.0 or (moved is not None and float(moved.values["times"]) > 1.0):
         code = "systematic-error"
     elif any(ambiguous(calibration.warnings)):
         code = "undetermined"
@@ -346,7 +356,10 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     warnings = len(calibration.warnings)
     if found.code == "outside-limits":
         yield failures(found.limits)
-    if found.code == "systematic-error" and found.harmful is not None:
+    moved = moved_beam_of(calibration)
+    if found.code == "systematic-error" and moved is not None:
+        yield clause(moved.message)
+    elif found.code == "systematic-error" and found.harmful is not None:
         yield clause(found.harmful.message)
     elif found.code == "undetermined":
         yield from map(clause, ambiguous(calibration.warnings))

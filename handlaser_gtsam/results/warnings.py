@@ -59,6 +59,8 @@ NO_MOUNT = 10.0
 """A beam further away than this [m] is on no vehicle either: its millimetres were read as metres."""
 COARSE = "coarse-readings"
 """The code of readings whose rounding alone explains why they fit so badly."""
+DISPLACED = "displaced"
+"""Code of the warning that a target, sensor or beam was moved amid the recording."""
 RIVAL = "another-mount"
 """The code of beams of which another mount fits nearly as well."""
 IMPLAUSIBLE = "implausible-range-error"

@@ -1,0 +1,289 @@
+r"""A beam that was moved amid a recording: its mount is another one from some station on.
+
+With e the residuals and A the derivatives by the mount of a beam in the rows from that station on, both
+without what all other unknowns explain and weighed by the noise, a move makes chi2 fall by
+
+    e'A (A'A)^+ A'e,    F = (fall / q) / ((chi2 - fall) / (dof - q)),
+
+with q the rank of A'A. A plate that was moved and a tool frame that changed are compared by the same
+test, and so are systematic errors that were found: a beam has moved only if it explains more, by
+Schwarz's criterion (Annals of Statistics 6(2), 1978). Readings that were rejected count again, because
+those of one side of a large move do not fit the other.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from .. import model
+from ..arrays import FloatArray, IntArray
+from ..errors import CalibrationWarning, GrazingBeamError
+from ..estimation.selection import Selection
+from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf, p_words
+from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
+from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
+from ..model.weighting import Variances, whitening
+from ..quantities import KNOWN, NEGLIGIBLE, TINY
+from .messages import warned
+from .problem import Problem
+from .projection import LinearRows, Projection
+from .reports import Beam, Fit
+from .spot_error import radius, spot_of
+from .systematic import SystematicError
+from .warnings import DISPLACED
+
+
+class Candidate(NamedTuple):
+    """Rows whose derivatives by some unknowns count from a station on.
+
+    Attributes
+    ----------
+    beam : int
+        Which beam would have moved; -1 of a plate or of the tool frame.
+    rows : (n,)
+        Of the readings that it concerns.
+    J : (n, c)
+        Derivatives.
+    """
+
+    beam: int
+    rows: IntArray
+    J: FloatArray
+
+
+class Promise(NamedTuple):
+    """The station from which on a candidate explains most, and by how much chi2 falls an unknown.
+
+    `tests` counts the stations that were tried.
+    """
+
+    one: Candidate
+    split: int
+    fall: float
+    tests: int
+
+
+class Move(NamedTuple):
+    """What a candidate explains if it moved at its best station.
+
+    Attributes
+    ----------
+    beam : int
+    position : int
+        Of the first station after the move, in the recording.
+    size : (c,)
+    p_value : float
+        Without a correction for how many were looked for.
+    criterion : float
+        Schwarz's, beside no move: the lowest explains best.
+    share, left : float
+        Part of chi2 that it explains, and variance of a whitened residual that remains [m^2].
+    """
+
+    beam: int
+    position: int
+    size: FloatArray
+    p_value: float
+    criterion: float
+    share: float
+    left: float
+
+
+def moved_beam(
+    rows: LinearRows,
+    problem: Problem,
+    selection: Selection,
+    fit: Fit,
+    found: Sequence[SystematicError],
+    beams: Mapping[str, Beam],
+) -> CalibrationWarning | None:
+    """Warn of the beam that was moved amid the recording; None where none clearly was.
+
+    Parameters
+    ----------
+    rows : LinearRows
+        Of the readings that were used, at the solution.
+    problem : Problem
+    selection : Selection
+    fit : Fit
+    found : SystematicErrors
+        That were tested on the same rows.
+    beams : mapping of str to Beam
+    """
+    move, out = None, selection.outliers()
+    if out.any() and not rows.freed.codes:
+        with suppress(GrazingBeamError):
+            move = _likely_move(_with_rejected(rows, problem, selection), fit.dof + int(out.sum()))
+        # What remains must be noise, twice the other at most, or little of what there was (of a large
+        # move the derivatives leave some): gross errors, or another cause, are neither.
+        noise = float(rows.residual @ rows.how.weighed(rows.residual[:, None])[:, 0])
+        if move is not None and move.left * fit.dof > 4.0 * noise and move.share < 1.0 - KNOWN:
+            move = None
+    if move is None:
+        move = _likely_move(rows, fit.dof)
+        clearest = max(((one.size / one.sigma) ** 2 for one in found if one.found), default=0.0)
+        if move is not None and move.criterion > _criterion(
+            clearest / (clearest + max(fit.dof - 1, 1)), fit.dof, 1
+        ):
+            move = None
+    if move is None or move.beam < 0:
+        return None
+    beam = beams[problem.names.sorted_beams()[move.beam]]
+    if beam.covariance is None:
+        return None
+    at = np.concatenate((beam.location, beam.direction, beam.range_error))
+    _, J = spot_of(at, fit.median_reading)
+    d = np.zeros(BEAM.size)
+    d[:3] = move.size[LOCATION]
+    d[3:6] = model.tangent_basis(rows.at.directions)[move.beam] @ move.size[DIRECTION]
+    shift = float(np.linalg.norm(J @ d))
+    values: dict[str, float | str] = {
+        "target": f"beam {beam.name}",
+        "station": problem.recording.station_names[move.position],
+        "shift": shift,
+        "turn_deg": float(np.degrees(np.linalg.norm(d[3:6]))),
+        "p": move.p_value,
+        "times": shift / radius(J @ beam.covariance @ J.T),
+    }
+    return warned(f"{DISPLACED}:beam", values, likely=p_words(move.p_value, 1))
+
+
+def _with_rejected(rows: LinearRows, problem: Problem, selection: Selection) -> LinearRows:
+    """Return the rows with all readings that were rejected because others contradict them."""
+    counts = selection.used | selection.outliers()
+    readings, solution = problem.chosen(counts), selection.solution
+    variances = solution.variances
+    if variances is None:
+        variances = Variances(np.full(readings.beams, rows.how.sigma))
+    how = whitening(rows.at, readings, variances)
+    position = problem.order.stations[readings.station]
+    return LinearRows(rows.at, readings, how, rows.prior, position, rows.channel)
+
+
+def _likely_move(rows: LinearRows, dof: int) -> Move | None:
+    """Return the move that explains most of the residuals; None where a beam hardly has moved."""
+    heavy = rows.how.weighed(rows.residual[:, None])[:, 0]
+    weight, total = rows.how.squares(), float(rows.residual @ heavy)
+    if dof <= BEAM.dim or not total > 0.0:
+        return None
+    falls = partial(_falls_alone, rows, heavy, weight)
+    promising = [*map(falls, _beams(rows))]
+    # Alone it explains no more than with the others: most good recordings, whose best of all tests is
+    # what chance makes of their number, end here.
+    most, tests = max(one.fall for one in promising), sum(one.tests for one in promising)
+    if chi2_sf(MOUNT_DIM * most * dof / total, MOUNT_DIM) * tests > 1.0:
+        return None
+    promising += map(falls, _others(rows))
+    tests = sum(one.tests for one in promising)
+    promising.sort(key=lambda one: -one.fall)
+    projection = Projection(rows, rows.prior)
+    priors = projection.prior_residuals(rows.at)
+    _, left, squares, _ = projection.perpendicular(rows.residual[:, None], priors)
+    rest = left[:, 0], float(squares[0]), dof
+    # The others explain less even without other unknowns.
+    moves = [_tried(by.one, by.split, rows, projection, rest) for by in promising[:4] if by.tests]
+    best_move = min(moves, key=lambda move: move.criterion)
+    if best_move.p_value * tests >= SINGLE_LEVEL:
+        return None
+    # Or the beam reads something else than one of the planes, wherever and whenever it is measured.
+    of_plane = (_tried(one, 0, rows, projection, rest) for one in _on_planes(rows, best_move.beam))
+    return min((best_move, *of_plane), key=lambda move: move.criterion)
+
+
+def _beams(rows: LinearRows) -> Iterator[Candidate]:
+    """Yield every beam, whose mount may change."""
+    for beam in range(rows.readings.beams):
+        own = np.flatnonzero(rows.readings.beam == beam)
+        yield Candidate(beam, own, rows.J[own, :MOUNT_DIM])
+
+
+def _others(rows: LinearRows) -> Iterator[Candidate]:
+    """Yield what else may have moved: every plate, and the tool frame."""
+    for plane in range(rows.readings.planes):
+        own = np.flatnonzero(rows.readings.plane == plane)
+        yield Candidate(-1, own, rows.J[own, BEAM.dim :])
+    if rows.readings.beams > 1:  # of a single beam it is the same
+        yield Candidate(-1, np.arange(len(rows.readings)), rows.linear.pose)
+
+
+def _on_planes(rows: LinearRows, beam: int) -> Iterator[Candidate]:
+    """Yield the planes that a beam sees, as if it alone saw another one there."""
+    own = np.flatnonzero(rows.readings.beam == beam)
+    for plane in np.unique(rows.readings.plane[own]).tolist():
+        there = own[rows.readings.plane[own] == plane]
+        yield Candidate(-1, there, rows.J[there, BEAM.dim :])
+
+
+def _splits(position: IntArray, least: int) -> IntArray:
+    """Return the positions of stations from which on there may be a move.
+
+    Fewer stations than `least` on a side would follow any errors of their readings.
+    """
+    times = np.unique(position)
+    times = times[least : len(times) - least + 1]
+    evenly = np.linspace(0, len(times) - 1, min(len(times), MOST_SPLITS))
+    return np.asarray(times[evenly.round().astype(np.intp)])
+
+
+def _falls_alone(
+    rows: LinearRows, heavy: FloatArray, weight: FloatArray, one: Candidate
+) -> Promise:
+    """Return where most would be explained with no other unknown than the candidate's own.
+
+    Rows from a split on count as a sum; the sums of all splits are running totals.
+    """
+    position = rows.position[one.rows]
+    order = np.argsort(position, kind="stable")
+    splits = _splits(position, one.J.shape[1] + LEAST_STATIONS)
+    if not splits.size:
+        return Promise(one, 0, 0.0, 0)
+    of, J = one.rows[order], one.J[order]
+    J = J / np.maximum(np.sqrt((J**2).sum(axis=0)), TINY)
+    first = np.searchsorted(position[order], [position.min(), *splits])
+    score = np.add.reduceat(J * heavy[of, None], first)[::-1].cumsum(axis=0)[::-1]
+    outer = weight[of, None, None] * J[:, :, None] * J[:, None, :]
+    known = np.add.reduceat(outer, first)[::-1].cumsum(axis=0)[::-1]
+    late = known[1:]
+    share = late @ np.linalg.pinv(known[0], rcond=NEGLIGIBLE, hermitian=True)
+    score = score[1:] - share @ score[0]
+    inverse = np.linalg.pinv(late - share @ late, rcond=NEGLIGIBLE, hermitian=True)
+    falls = np.einsum("ki,kij,kj->k", score, inverse, score) / J.shape[1]
+    best = int(falls.argmax())
+    return Promise(one, int(splits[best]), float(falls[best]), len(splits))
+
+
+def _tried(
+    one: Candidate,
+    split: int,
+    rows: LinearRows,
+    projection: Projection,
+    rest: tuple[FloatArray, float, int],
+) -> Move:
+    """Return what a move explains beside all unknowns.
+
+    `rest` are the weighed residuals without what these explain, their square, and degrees of freedom.
+    """
+    heavy, total, dof = rest
+    columns = np.zeros((len(rows.readings), one.J.shape[1]))
+    columns[one.rows] = one.J * (rows.position[one.rows] >= split)[:, None]
+    unit = np.maximum(np.sqrt((columns**2).sum(axis=0)), TINY)
+    columns /= unit
+    left, weighed, _, _ = projection.perpendicular(columns)
+    values, axes = np.linalg.eigh(left.T @ weighed)
+    kept = values > NEGLIGIBLE  # columns of length 1: the unknowns explain the rest
+    along = (columns.T @ heavy) @ axes
+    size = -(axes[:, kept] @ (along[kept] / values[kept])) / unit
+    fall, q = float((along[kept] ** 2 / values[kept]).sum()), int(kept.sum())
+    remains = max(total - fall, NEGLIGIBLE * total) / max(dof - q, 1)
+    p = float(f_sf(fall / max(q, 1) / remains, max(q, 1), max(dof - q, 1)))
+    share = fall / total
+    return Move(one.beam, split, size, p, _criterion(share, dof, q), share, remains)
+
+
+def _criterion(share: float, dof: int, unknowns: int) -> float:
+    """Return Schwarz's criterion for unknowns that explain a share of chi2, beside none."""
+    rest = max(1.0 - share, NEGLIGIBLE)
+    return float(dof * np.log(rest) + unknowns * np.log(max(dof, 1)))
