@@ -452,10 +452,27 @@ NEAR = (
     '[sensor]\nrange_mm = [30, 70]\n[[sensors]]\nname = "p"\nkind = "profiler"\npoints = "p.csv"\n'
 )
 FAR = '[sensor]\nrange_mm = [1000, 6000]\n[[sensors]]\nname = "p"\nkind = "scanner"\npoints = "p.csv"\n'
+CAMERA = FAR.replace("scanner", "points")
 BOTH = "looks like millimetres taken for metres, or the other way round"
 UNITS = {
     "points in mm, as m": (NEAR, "p.csv", ("x", "z"), 1e3, 'are in millimetres: units = "mm"'),
     "points in m, as mm": (FAR, "p.csv", ("reading",), 1e-3, 'are in metres: units = "m"'),
+    "x in m, z in mm": (
+        NEAR,
+        "p.csv",
+        ("x",),
+        1e-3,
+        "the column x of p is 1000 times as large (metres",
+    ),
+    "z in m, x in mm": (
+        NEAR,
+        "p.csv",
+        ("z",),
+        1e-3,
+        "the column z of p is 1000 times as large (metres",
+    ),
+    "z in mm, x in m": (NEAR, "p.csv", ("z",), 1e3, "the column z of p is 0.001 times as large"),
+    "y in inches": (CAMERA, "p.csv", ("y",), 1.0 / 25.4, "(inches among millimetres)"),
     "poses in mm, as m": (NEAR, "stations.csv", ("x", "y", "z"), 1e3, "the poses are mm"),
     "beams in mm, as m": (NEAR, "stations.csv", ("range_1",), 1e3, BOTH),
     "range of the sensor in m": (NEAR, "rig.toml", ("[30.0, 70.0]", "[0.03, 0.07]"), 1.0, BOTH),

@@ -4,13 +4,14 @@ As for logs of beams (`suspicion`), every other convention with as many numbers 
 the shots of a sensor do not fit, and every other unit of their lengths: a start is found for the shots
 of that sensor, and the residual below which most readings are is compared. Where none of these fits,
 single mistakes are tried: shots one row late, a coordinate of the positions with another sign, in
-another unit or in place of another one, numbers of the rotations in another order.
+another unit or in place of another one, numbers of the rotations in another order; at last, one column
+of the points in another unit than the others.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import permutations
+from itertools import permutations, product
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from ...data.survey import Shots, Survey
 from ...errors import CalibrationWarning
 from ...estimation.survey_rows import Rows, blocks_of, rows_of
 from ...estimation.survey_starts import start_of
-from ...model.conventions import LENGTHS
+from ...model.conventions import LENGTHS, UNIT_WORDS
 from ...model.families import pose_of
 from ...model.sensors.mounted import SENSOR
 from ...model.shots import Mixed
@@ -138,13 +139,8 @@ def _accused(
 
     The ways of a round are tried where none of the round before it fits.
     """
-    rows = _part(survey, shots)
-    read = [item.shot.reading for item in rows.items if item.shot is not None]
-    if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
-        return ()
-    variance = max(float(np.concatenate(read).var()), TINY)
-
-    count = len(survey.stations)
+    rows, count = _part(survey, shots), len(survey.stations)
+    variance = _variance(rows)
     stations, labels = survey.stations, survey.stations.plane_labels
 
     def measure(recording: Recording, effort: Effort) -> float:
@@ -169,18 +165,56 @@ def _accused(
     # and the same times a number that tells whose shot belongs to a pose.
     carried = np.column_stack((np.ones(count), 1.0 + np.arange(count) / count))
     carrier = stations.recording(carried)
-    now = measure(carrier, "glance")
+    now = measure(carrier, "glance") if variance else np.inf
     if now <= FITS:
         return ()
-    for others in rounds:
-        found = misfits(carrier, others, measure)
+
+    def ways() -> Iterator[list[tuple[float, str]]]:
+        for others in rounds if variance else ():
+            yield [(value, one.words) for value, one in misfits(carrier, others, measure)]
+        yield _misfits_of_columns(survey, shots)
+
+    for found in ways():
         best = min((value for value, _ in found), default=np.inf)
         if best <= min(now / BETTER, WELL):
             # Of several ways those are named whose misfit is within this factor of the least.
-            words = " or ".join(one.words for value, one in found if value <= 4.0 * best)
+            words = " or ".join(words for value, words in found if value <= 4.0 * best)
             more = f", and lengths of {shots.name} as they are read"
             return accused(now / best, words, given, more)
     return ()
+
+
+def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]:
+    """Return the misfit of points one of whose columns is in another unit, and words for that."""
+    found: list[tuple[float, str]] = []
+    profiler, d = shots.kind == "profiler", shots.reading[:, None]
+    if not profiler and shots.kind != "points":
+        return found
+    columns = np.hstack((shots.across, d)) if profiler else shots.across * d
+    for (at, name), (unit, among) in product(
+        enumerate("xz" if profiler else "xyz"), permutations(LENGTHS, 2)
+    ):
+        numbers, times = columns.copy(), LENGTHS[unit] / LENGTHS[among]
+        numbers[:, at] *= times
+        if profiler:
+            other = Shots.profiler(shots.name, shots.station, *numbers.T)
+        else:
+            other = Shots.points(shots.name, shots.station, numbers)
+        rows = _part(survey, other)
+        variance = _variance(rows)
+        if variance:
+            words = f"{UNIT_WORDS[unit]} among {UNIT_WORDS[among]}"
+            words = f"the column {name} of {shots.name} is {times:.4g} times as large ({words})"
+            found.append((max(_misfit(rows, 1.0) / variance, TINY), words))
+    return found
+
+
+def _variance(rows: Rows) -> float:
+    """Return the variance of the readings [m^2]; zero where they are too few to tell anything."""
+    read = [item.shot.reading for item in rows.items if item.shot is not None]
+    if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
+        return 0.0
+    return max(float(np.concatenate(read).var()), TINY)
 
 
 def _part(survey: Survey, one: Shots) -> Rows:
