@@ -2,13 +2,19 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
-from helpers import GRIPPER
+from helpers import GRIPPER, ROOT
 
 import handlaser_gtsam as hl
+from benchmarks import rigs_by_rays
+from benchmarks.rigs import survey_of
 from handlaser_gtsam.files.calibration_json import calibration_text
+from handlaser_gtsam.files.plan_json import plan_text
+from handlaser_gtsam.planning import Forecast, Plan, Plate
 
 KEPT = Path(__file__).parent / "kept"
 """What the first version of the format wrote, to five digits."""
@@ -68,3 +74,53 @@ def test_a_calibration_is_written_as_ever(name):
                 assert rows[0] == pytest.approx(rows[1], rel=CLOSE, abs=1e-4)
             for field in ("reading_m", "along_sigma_m", "across_sigma_m", "reading_sigma_m"):
                 assert mine["spot"][field] == pytest.approx(kept["spot"][field], rel=CLOSE)
+
+
+# --- docs/files.md says what files hold --------------------------------------------------------------
+
+
+def documented(section):
+    """Return the rows of a section's table of fields: the names in the first cell, and in the rest."""
+    text = (ROOT / "docs" / "files.md").read_text().split(f"\n## {section}\n")[1].split("\n## ")[0]
+    table = text.split("| field | meaning |\n")[1].split("\n\n")[0]
+    rows = (line.strip("| ").partition(" | ") for line in table.splitlines()[1:])
+    names = re.compile(r"`([a-z][a-z0-9_]*)(?:\[\])?`")
+    return {first: (names.findall(first), names.findall(rest)) for first, _, rest in rows}
+
+
+def test_sensors_and_beams_of_a_survey_are_written_as_documented():
+    """A beam had no working distance, which its table promised."""
+    survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))
+    text = json.loads(calibration_text(hl.calibrate(survey)))
+    rows = documented("Result of a survey (JSON)")
+    assert {name for names, _ in rows.values() for name in names} == set(text)
+    for beam in text["beams"]:
+        assert set(beam) == set(rows["`beams[]`"][1])
+        assert beam["working_distance_m"] > 0.0
+    profiler = hl.read_survey(
+        ROOT / "examples" / "profiler" / "poses.csv", ROOT / "examples" / "profiler" / "rig.toml"
+    )
+    (sensor,) = json.loads(calibration_text(hl.calibrate(profiler)))["sensors"]
+    assert set(sensor) == set(rows["`sensors[]`"][1])
+
+
+@pytest.mark.parametrize("kind", ["plan", "survey-plan"])
+def test_a_plan_is_written_as_documented(kind):
+    of_survey, rows = kind == "survey-plan", documented("Plan (JSON)")
+    eye, joints = np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 2))
+    names = ("1", "via 1", "2")
+    stations = hl.StationList(eye, np.zeros((3, 3)), ("A",) * 3, names, joints, ("pan", "tilt"))
+    known = Forecast(np.ones(3), np.ones(3), np.ones(3), math.nan if of_survey else 0.2)
+    read = np.zeros((3, 0 if of_survey else 1))
+    sensors = ("p", "", "p") if of_survey else ()
+    plates = {"B": Plate(np.zeros(3), np.array([0.0, 0.0, 1.0]))}
+    text = json.loads(plan_text(Plan(stations, read, read, known, plates=plates, sensors=sensors)))
+    assert text["format"] == f"handlaser-{kind}"
+    whole = {name for names, _ in rows.values() for name in names}
+    assert set(text) == whole - (set() if of_survey else {"spot_error_m"})
+    station = rows["`stations[]` of a survey" if of_survey else "`stations[]`"][1]
+    for one in text["stations"]:
+        assert set(one) == set(station)
+    assert set(text["forecast"][0]) == set(rows["`forecast[]`"][1])
+    assert set(text["plates"][0]) == set(rows["`plates[]`"][1])
+    assert (text["working_distance_m"] is None) == of_survey

@@ -1,6 +1,7 @@
 """Beams in graphs that somebody else built: solved by any optimizer, read back in one call."""
 
 import json
+import re
 from dataclasses import dataclass
 
 import gtsam
@@ -120,6 +121,24 @@ def by_isam(graph, start, threshold):
     for _ in range(10):
         isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
     return isam.calculateEstimate()
+
+
+def test_the_file_of_a_graph_says_what_a_graph_tells(walk, tmp_path):
+    """As docs/files.md says: rows by the keys of their poses, and nothing of noise and readings."""
+    path = tmp_path / "graph.json"
+    solved = hl.optimize(*walk).values
+    found = hl.read_graph(walk[0], solved, {"laser": BEAM}, PLANES)
+    hl.write_calibration(path, found)
+    text = json.loads(path.read_text())
+    fit, (beam,) = text["fit"], text["beams"]
+    assert (text["start"]["method"], text["iterations"]) == ("graph", 0)
+    assert re.fullmatch(r"x\d+", fit["max_at"]["station"])
+    assert (fit["readings"], fit["poses"]) == (40, "estimated")
+    assert fit["chi2"] == pytest.approx(2.0 * walk[0].error(solved))
+    assert (fit["rejected"], fit["noise_estimate"], fit["pose_covariance"]) == ([], [], None)
+    assert (text["systematic"], text["effects"], text["range_error_scales"]) == ([], [], None)
+    assert beam["spot"]["reading_m"] == pytest.approx(found.fit.median_reading)
+    assert hl.read_calibration(path).beams[0].name == "laser"
 
 
 def test_an_isam_with_the_threshold_it_comes_with_is_found_out(walk):

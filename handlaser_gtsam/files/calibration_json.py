@@ -129,7 +129,7 @@ def _of_survey(result: "SurveyCalibration") -> Record:
     )
     beam = (
         "name direction location_sigma_m reading_sigma_m spot_error_m readings rejected covariance "
-        "location_m direction_sigma_rad range_error"
+        "location_m direction_sigma_rad range_error working_distance_m"
     )
     rotation, translation = result.pose_sigma
     return {
@@ -143,7 +143,9 @@ def _of_survey(result: "SurveyCalibration") -> Record:
             )
             for one in result.sensors.values()
         ],
-        "beams": records(result.beams.values(), beam),
+        "beams": [
+            record(one, beam, working_distance_m=one.reading) for one in result.beams.values()
+        ],
         "targets": records(result.targets.values(), "label kind values sigma"),
         "pose_sigma": {
             "rotation_rad": rotation,
