@@ -498,6 +498,30 @@ def test_a_wrong_unit_that_no_sensor_refutes_is_named(tmp_path, handlaser, refus
         assert words in refusal(verb, made / "stations.csv", "--rig", made / "rig.toml")
 
 
+def test_beams_and_targets_without_any_reading_are_named(tmp_path, handlaser, refusal):
+    """The motion was blamed for such a beam, and such a target was only missing from the tables."""
+    (tmp_path / "rig.toml").write_text(NEAR)
+    made = tmp_path / "made"
+    options = ("--targets", "plane:A,plane:B,sphere:C", "--stations", 8, "--beams", 2, "--seed", 1)
+    assert handlaser("simulate", made, "--rig", tmp_path / "rig.toml", *options)[0] == 0
+    stations, rig = made / "stations.csv", made / "rig.toml"
+    table, points = pl.read_csv(stations), pl.read_csv(made / "p.csv")
+    table.with_columns(range_1=None).write_csv(stations)
+    for verb in ("check", "calibrate"):
+        assert "beam 1 without any reading" in refusal(verb, stations, "--rig", rig)
+    before = table["plane"] == "plane:B"
+    nothing = [pl.when(~before).then(pl.col(name)).alias(name) for name in ("range_1", "range_2")]
+    table.with_columns(nothing).write_csv(stations)
+    unread = table.filter(before)["station"].to_list()
+    points.filter(~pl.col("station").is_in(unread)).write_csv(made / "p.csv")
+    for verb in ("check", "calibrate"):
+        _, out, err = handlaser(verb, stations, "--rig", rig)
+        assert "nothing was read of plane:B" in " ".join((out + err).split())
+    survey = hl.read_survey(stations, rig)
+    (left,) = (one for one in check_survey(survey).warnings if one.code == "stations-left-out")
+    assert left.values["targets"] == "plane:B"
+
+
 def test_beams_in_millimetres_are_named_where_no_range_is_stated(tmp_path, handlaser):
     """Of a survey a k1 of -99.9 % undoes the unit; no sensor has it."""
     (tmp_path / "rig.toml").write_text(NEAR)

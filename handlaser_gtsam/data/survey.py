@@ -378,8 +378,8 @@ class Survey(Value):
     ------
     InputError
         Stations that are not there, names that stand twice, labels of kinds that are none, targets that
-        a sensor cannot read, relations of what is not there, the half angle of cones without cones, or
-        nothing that was read.
+        a sensor cannot read, relations of what is not there, the half angle of cones without cones,
+        a beam without any reading, or nothing that was read.
     """
 
     stations: StationList
@@ -423,6 +423,11 @@ class Survey(Value):
                 expected = f"({count}, {len(self.beam_names)}): stations and beams"
                 raise InputError(f"ranges of shape {ranges.shape}", expected)
             object.__setattr__(self, "ranges", frozen(ranges))
+            unread = np.isnan(ranges).all(axis=0)
+            if unread.any():
+                found = f"beam {self.beam_names[int(unread.argmax())]} without any reading"
+                expected = "a reading of every beam, within the sensor's range; leave the beam out"
+                raise InputError(found, expected)
         require_once("sensor", (*(shots.name for shots in self.shots), *self.beam_names))
         if not self.shots and not self.beam_names:
             raise InputError("a survey without readings", "shots, or ranges of beams")

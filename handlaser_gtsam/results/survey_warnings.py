@@ -135,9 +135,15 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         yield repeated("repeated-stations", REPEATED, len(twice), stations, names[first], like)
     read = {item.station for item in rows.items} | {at for _, at in rows.lost} | twice
     unread = stations - len(read)
-    if unread:
-        yield warned("stations-left-out", {"stations": unread, "total": stations})
     labels = survey.stations.plane_labels
+    if unread:
+        left: dict[str, int | str] = {"stations": unread, "total": stations}
+        seen = {labels[at] for at in read}
+        targets = some([one for one in dict.fromkeys(labels) if one not in seen], NAMES_IN_LINE)
+        if targets:
+            left["targets"] = targets
+        nothing = f"; nothing was read of {targets}" if targets else ""
+        yield warned("stations-left-out", left, nothing=nothing)
     edgeless = rows.edgeless
     for label in edgeless:
         shots = sum(labels[at] == label for _, at in rows.lost)
