@@ -109,8 +109,8 @@ if TYPE_CHECKING:
     from .validation import simulate as simulate
     from .validation.cross_check import cross_check as cross_check
     from .validation.hold_out import hold_out as hold_out
-    from .validation.leave_out import validate as validate
     from .validation.study import run_study as run_study
+    from .validation.validate import validate as validate
 else:
     from .lazy import lazy_names
 

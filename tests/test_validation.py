@@ -12,6 +12,7 @@ import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import STATED, survey_of
 from handlaser_gtsam.files.validation_json import validation_text
+from handlaser_gtsam.validation.leave_out import drawn
 from handlaser_gtsam.validation.prediction import predict, reconstruction
 from handlaser_gtsam.validation.scenes import Layout
 from handlaser_gtsam.validation.validation import verdict_of_validation
@@ -112,6 +113,15 @@ def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas, count):
     one = 1.0 / math.sqrt(2.0 * count)
     assert np.abs(ratio - 1.0).max() < 4.0 * one
     assert ratio.mean() == pytest.approx(1.0, abs=one)
+
+
+def test_a_random_split_leaves_out_30_percent_of_every_group():
+    groups = np.repeat([0, 1, 2, 5], [10, 3, 1, 20])
+    draws = np.array([drawn(groups, np.random.default_rng(seed)) for seed in range(400)])
+    left_out = np.array([draws[:, groups == group].sum(axis=1) for group in (0, 1, 2, 5)])
+    assert (left_out == np.array([[3], [1], [0], [6]])).all()
+    # Each is as likely as the others: of 400 draws, a share of 0.3 varies by 0.023.
+    assert np.abs(draws[:, groups == 5].mean(axis=0) - 0.3).max() < 4.0 * 0.023
 
 
 def test_a_part_that_is_not_predicted_has_a_reason_and_null_for_its_numbers():

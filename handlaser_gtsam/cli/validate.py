@@ -91,13 +91,13 @@ def validated(
     import numpy as np
 
     from ..files.validation_json import validation_text
-    from ..validation import leave_out
+    from ..validation import validate as validating
     from ..validation.validation import DISAGREES, verdict_of_validation
     from .answer import text_width
     from .words import validation_lines
 
     rng = np.random.default_rng(seed)
-    result = leave_out.validate(recording, rig.noise, options, splits=splits, rng=rng)
+    result = validating.validate(recording, rig.noise, options, splits=splits, rng=rng)
     judged = verdict_of_validation(result, rig.limits)
     failure = None
     if not judged.usable:

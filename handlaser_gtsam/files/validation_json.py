@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from ..results.survey import SurveyCalibration
 from ..results.verdict import Verdict
 from ..validation.hold_out import HoldOut
+from ..validation.leave_out import LeftOut, Predicted
 from ..validation.prediction import Prediction, SurveyPrediction
-from ..validation.validation import LeftOut, Predicted, Validation
+from ..validation.validation import Validation
 from .calibration_json import verdict_record
 from .checked_text import Record, json_text, record, records
 

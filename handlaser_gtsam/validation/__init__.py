@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from .cross_check import cross_check_survey as cross_check_survey
     from .hold_out import BeamDrift as BeamDrift
     from .hold_out import HoldOut as HoldOut
+    from .leave_out import LeftOut as LeftOut
     from .prediction import Prediction as Prediction
     from .prediction import SurveyPrediction as SurveyPrediction
     from .runs import Estimated as Estimated
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from .simulate import Errors as Errors
     from .study import Case as Case
     from .study import Study as Study
-    from .validation import LeftOut as LeftOut
     from .validation import Validation as Validation
 else:
     from ..lazy import lazy_names

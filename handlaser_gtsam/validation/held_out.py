@@ -1,6 +1,6 @@
 """Planes and stations held out of a calibration and predicted, without another calibration.
 
-`leave_out.validate` calibrates from nothing for every part that it holds out. Here the calibration is
+`validate` calibrates from nothing for every part that it holds out. Here the calibration is
 the start: its choice of readings, its noise and its prior of range errors stay as they are, and a few
 Gauss-Newton steps lead to the solution without that part. That takes milliseconds a plane, and is the
 same solution where noise and prior are given. Where they were learned from everything, the part that is
@@ -30,9 +30,9 @@ from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.beam_problem import newton_step
 from .hold_out import HoldOut, hold_out
-from .leave_out import drawn_stations
+from .leave_out import USUAL_SPLITS, drawn, leave_out
 from .prediction import Prediction, predicted
-from .validation import USUAL_SPLITS, Validation, leave_out
+from .validation import Validation
 
 
 class WholeSolution(NamedTuple):
@@ -186,7 +186,7 @@ def held_out(calibration: Calibration) -> Validation:
     of = whole.recording.plane_of_station
     stations = {planes[p]: of == p for p in evenly(count, most)}
     rng = np.random.default_rng(0)
-    draws = (drawn_stations(whole.recording, rng) for _ in range(USUAL_SPLITS))
+    draws = (drawn(of, rng) for _ in range(USUAL_SPLITS))
     total = 1 + len(stations) + USUAL_SPLITS
     parts = leave_out(stations, draws, of_plane, of_split, total, kind="plane ")
     return Validation(calibration, *parts)

@@ -1,129 +1,105 @@
-"""How well a calibration agrees with readings that it has not seen: of single planes, or of splits.
+"""Parts of a recording that are left out, and predicted from the rest.
 
-A reading that was rejected as an outlier of the whole recording stays rejected.
+A part is a plane or another target, or a random choice of the stations. The same types hold what was
+found of beams before planes and of surveys.
 """
 
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray
-from ..checks import require_count, require_kind
-from ..data.noise import Noise
-from ..data.recording import Recording
-from ..data.survey import Survey
-from ..errors import InputError, SolverError
-from ..estimation.options import CalibrationOptions
-from ..pipeline import calibrate, calibrate_from
-from ..progress import Listener, tell, told_to
-from ..results.calibration import Calibration
-from ..results.mounts import Mounts
-from .hold_out import HoldOut, hold_out
-from .prediction import Prediction, predict, reconstruction
-from .simulate import generator
-from .survey import validate_survey
-from .validation import PART_LEFT_OUT, USUAL_SPLITS, Validation, leave_out
+from ..arrays import BoolArray, IntArray
+from ..data.value import Value
+from ..errors import HandlaserError
+from ..progress import tell
+from .hold_out import HoldOut
+from .prediction import Prediction, SurveyPrediction
+
+PART_LEFT_OUT = 0.3
+"""Part of the stations that a random split predicts: of beams before planes, those of every plane."""
+USUAL_SPLITS = 5
+"""Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
+Predicted = HoldOut | Prediction | SurveyPrediction
+"""How the rest predicts a part."""
 
 
-def validate(
-    recording: Recording | Survey,
-    noise: Noise | None = None,
-    options: CalibrationOptions | None = None,
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LeftOut(Value):
+    """A part of a recording, and how a calibration without it predicts it.
+
+    Attributes
+    ----------
+    name : str
+        The label of a target, or the number of a random split.
+    result : HoldOut, Prediction, SurveyPrediction or None
+        Of a plane before beams; of a random split of such a recording; of any part of a survey. None
+        where there is no prediction.
+    message : str
+        Why there is none.
+    """
+
+    name: str
+    result: Predicted | None
+    message: str = ""
+
+    @property
+    def p_value(self) -> float:
+        """Probability that chance makes the part differ more from the rest; NaN without a test."""
+        found = self.result
+        return found.p_value if isinstance(found, HoldOut | SurveyPrediction) else math.nan
+
+
+def leave_out(
+    targets: Mapping[str, BoolArray],
+    splits: Iterable[BoolArray],
+    of_target: Callable[[BoolArray], Predicted],
+    of_split: Callable[[BoolArray], Predicted],
+    total: int,
     *,
-    splits: int = USUAL_SPLITS,
-    rng: np.random.Generator | None = None,
-    progress: Listener | None = None,
-) -> Validation:
-    """Validate the calibration of a recording by leaving parts of it out.
-
-    A survey is solved again by SciPy, too.
+    kind: str = "",
+) -> tuple[tuple[LeftOut, ...], tuple[LeftOut, ...]]:
+    """Predict targets, and random splits, from what is left without each.
 
     Parameters
     ----------
-    recording : Recording or Survey
-        Beams before planes; or sensors of many rays, spheres, points and relations (then there are no
-        options).
-    noise : Noise, optional
-    options : CalibrationOptions, optional
-    splits : int
-        Random 70/30 splits.
-    rng : numpy.random.Generator, optional
-        Chooses the splits; the same ones each time where not given.
-    progress : callable, optional
-        Called with a `Progress` before every calibration, and in every phase of each.
+    targets : mapping of str to (M,) of bool
+        The stations before each target.
+    splits : iterable of (M,) of bool
+        The stations that each leaves out.
+    of_target, of_split : callable
+        Predict such stations from the others; a HandlaserError says why that cannot be.
+    total : int
+        How many steps the progress counts, with what precedes and follows.
+    kind : str
+        What precedes the name of a target in the progress.
 
-    Raises
-    ------
-    InputError
-        No sensible number of splits, or what `calibrate` refuses.
-    SolverError
-        The whole recording gives no calibration.
+    Returns
+    -------
+    targets, splits : tuple of LeftOut
     """
-    require_count("splits", splits, 0, 10**9)
-    rng, noise = generator(rng), Noise() if noise is None else noise
-    with told_to(progress):
-        if isinstance(recording, Survey):
-            if options is not None:
-                raise InputError("options with a survey", "its own fields, such as free")
-            return validate_survey(recording, noise, splits, rng)
-        require_kind("recording", recording, Recording)
-        options = CalibrationOptions() if options is None else options
-        planes = recording.plane_names if len(recording.plane_names) > 1 else ()
-        total = 2 + len(planes) + splits
-        tell("leave-out", 0, total, "everything")
-        whole = _ended(calibrate(recording, noise, options))
-        if whole.status != "converged":
-            raise SolverError(f"no calibration to validate: {whole.message}")
-        kept = whole.used_in(recording)
-        # Errors that are unknowns are taken out of all readings as the whole recording has them.
-        keep = replace(options, outliers="keep", free=())
 
-        def rest(out: BoolArray) -> Calibration:
-            found = _ended(calibrate(*_part(kept, noise, ~out), keep))
-            if found.status != "converged":
-                raise SolverError(found.message)
-            return found
+    def predicted(name: str, predict: Callable[[BoolArray], Predicted], out: BoolArray) -> LeftOut:
+        try:
+            return LeftOut(name, predict(out))
+        except HandlaserError as error:
+            return LeftOut(name, None, str(error))
 
-        def of_plane(out: BoolArray) -> HoldOut:
-            others, (held, seen) = rest(out), _part(kept, noise, out)
-            seen = others.noise(seen) if others.noise_estimate else seen
-            return hold_out(Mounts.of(others), held, seen)
-
-        def of_split(out: BoolArray) -> Prediction:
-            return predict(rest(out), *_part(kept, noise, out))
-
-        labels = np.array(kept.plane_labels)
-        stations = {plane: labels == plane for plane in planes}
-        draws = (drawn_stations(kept, rng) for _ in range(splits))
-        parts = leave_out(stations, draws, of_plane, of_split, total, kind="plane ")
-        tell("leave-out", total - 1, total, "without range error")
-        bare = _ended(
-            calibrate_from(whole.parameters(), kept, noise, replace(keep, range_error="none"))
-        )
-        chosen, without = (reconstruction(one, kept) for one in (whole, bare))
-        both = () if chosen is None or without is None else (chosen, without)
-        return Validation(whole, *parts, both)
+    found, drawn = [], []
+    for done, (name, out) in enumerate(targets.items(), 1):
+        tell("leave-out", done, total, f"without {kind}{name}")
+        found.append(predicted(name, of_target, out))
+    for number, out in enumerate(splits, 1):
+        tell("leave-out", len(targets) + number, total, f"split {number}")
+        drawn.append(predicted(f"{number}", of_split, out))
+    return tuple(found), tuple(drawn)
 
 
-def _ended(calibration: Calibration) -> Calibration:
-    """Return a calibration; Ctrl-C in it ends everything."""
-    if calibration.interrupted:
-        raise KeyboardInterrupt
-    return calibration
-
-
-def _part(recording: Recording, noise: Noise, stations: BoolArray) -> tuple[Recording, Noise]:
-    """Return some stations, with their beams that read anything, and their noise."""
-    rows = np.flatnonzero(stations & ~np.isnan(recording.ranges).all(axis=1))
-    S = noise.pose_covariance
-    seen = noise if S is None or S.ndim == 2 else replace(noise, pose_covariance=S[rows])
-    return recording.part(rows), seen
-
-
-def drawn_stations(recording: Recording, rng: np.random.Generator) -> BoolArray:
-    """Return which stations (M,) a random split leaves out: 30 % of the stations of every plane."""
-    out = np.ones(len(recording.plane_labels), dtype=bool)
-    for plane in range(len(recording.plane_names)):
-        rows = np.flatnonzero(recording.plane_of_station == plane)
-        out[rng.permutation(rows)[: int(np.ceil((1.0 - PART_LEFT_OUT) * len(rows)))]] = False
+def drawn(groups: IntArray, rng: np.random.Generator) -> BoolArray:
+    """Return which of N stations, or stops, a random split leaves out: 30 % of every group (N,)."""
+    out = np.zeros(len(groups), dtype=bool)
+    for group in np.unique(groups):
+        members = rng.permutation(np.flatnonzero(groups == group))
+        out[members[: round(PART_LEFT_OUT * len(members))]] = True
     return out

@@ -23,8 +23,9 @@ from ..quantities import SINGULAR
 from ..results.spot_error import spot_of
 from ..results.survey import SurveyCalibration, survey_calibration
 from .cross_check import cross_check_survey, fits
+from .leave_out import drawn, leave_out
 from .prediction import SurveyPrediction
-from .validation import PART_LEFT_OUT, Validation, leave_out
+from .validation import Validation
 
 
 def validate_survey(
@@ -51,16 +52,10 @@ def validate_survey(
     predict = partial(_predicted, calibration)
     # Stations of one stop share the error of the hand, and go together.
     _, stop = np.unique(survey.stations.stops(*noise.standstill), return_inverse=True)
-    draws = (_draw(int(stop.max()) + 1, rng)[stop] for _ in range(splits))
+    every = np.zeros(int(stop.max()) + 1, np.intp)
+    draws = (drawn(every, rng)[stop] for _ in range(splits))
     parts = leave_out(targets, draws, predict, predict, total)
     return Validation(calibration, *parts, reference=reference)
-
-
-def _draw(stops: int, rng: np.random.Generator) -> BoolArray:
-    """Return which of the stops a random split leaves out."""
-    out = np.zeros(stops, dtype=bool)
-    out[rng.permutation(stops)[: round(PART_LEFT_OUT * stops)]] = True
-    return out
 
 
 def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPrediction:

@@ -1,18 +1,10 @@
-"""How the rest of a recording predicts parts of it, and the verdict after that.
+"""What a recording says about its own calibration, and the verdict after that."""
 
-A part is a plane or another target, or some of the stations. The same types hold what was found of
-beams before planes and of surveys.
-"""
-
-import math
-from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
-from ..arrays import BoolArray
 from ..data.value import Value
-from ..errors import CalibrationWarning, HandlaserError
+from ..errors import CalibrationWarning
 from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
-from ..progress import tell
 from ..quantities import IN_PERCENT
 from ..results.calibration import Calibration
 from ..results.limits import Limits, rms_checked
@@ -23,47 +15,15 @@ from ..results.verdict import Verdict, failures, failures_of, verdict
 from ..text import some
 from .cross_check import CrossCheck
 from .hold_out import HoldOut
-from .prediction import Prediction, SurveyPrediction
+from .leave_out import LeftOut
+from .prediction import Prediction
 
-PART_LEFT_OUT = 0.3
-"""Part of the stations that a random split predicts; in recordings, of the stations of every plane."""
-USUAL_SPLITS = 5
-"""Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
 LARGEST_DIFFERENCE = 0.5
 """A parameter may differ from SciPy's by this many of its standard deviations, and a standard deviation
 by this part. Shots are condensed to first order in their noise: of balls that are read with a noise of
 2 % of the range they differ by up to 0.47, which makes errors a tenth larger than is stated."""
 DISAGREES = "reference-disagrees"
 """Code of the cause that SciPy finds another solution."""
-
-Predicted = HoldOut | Prediction | SurveyPrediction
-"""How the rest predicts a part."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class LeftOut(Value):
-    """A part of a recording, and how a calibration without it predicts it.
-
-    Attributes
-    ----------
-    name : str
-        The label of a target, or the number of a random split.
-    result : HoldOut, Prediction, SurveyPrediction or None
-        Of a plane before beams; of a random split of such a recording; of any part of a survey. None
-        where there is no prediction.
-    message : str
-        Why there is none.
-    """
-
-    name: str
-    result: Predicted | None
-    message: str = ""
-
-    @property
-    def p_value(self) -> float:
-        """Probability that chance makes the part differ more from the rest; NaN without a test."""
-        found = self.result
-        return found.p_value if isinstance(found, HoldOut | SurveyPrediction) else math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -156,51 +116,6 @@ class Validation(Value):
     def usable(self) -> bool:
         """Whether the calibration is usable, SciPy agrees, and every part is predicted by the rest."""
         return self.verdict.usable
-
-
-def leave_out(
-    targets: Mapping[str, BoolArray],
-    splits: Iterable[BoolArray],
-    of_target: Callable[[BoolArray], Predicted],
-    of_split: Callable[[BoolArray], Predicted],
-    total: int,
-    *,
-    kind: str = "",
-) -> tuple[tuple[LeftOut, ...], tuple[LeftOut, ...]]:
-    """Predict targets, and random splits, from what is left without each.
-
-    Parameters
-    ----------
-    targets : mapping of str to (M,) of bool
-        The stations before each target.
-    splits : iterable of (M,) of bool
-        The stations that each leaves out.
-    of_target, of_split : callable
-        Predict such stations from the others; a HandlaserError says why that cannot be.
-    total : int
-        How many steps the progress counts, with what precedes and follows.
-    kind : str
-        What precedes the name of a target in the progress.
-
-    Returns
-    -------
-    targets, splits : tuple of LeftOut
-    """
-
-    def predicted(name: str, predict: Callable[[BoolArray], Predicted], out: BoolArray) -> LeftOut:
-        try:
-            return LeftOut(name, predict(out))
-        except HandlaserError as error:
-            return LeftOut(name, None, str(error))
-
-    found, drawn = [], []
-    for done, (name, out) in enumerate(targets.items(), 1):
-        tell("leave-out", done, total, f"without {kind}{name}")
-        found.append(predicted(name, of_target, out))
-    for number, out in enumerate(splits, 1):
-        tell("leave-out", len(targets) + number, total, f"split {number}")
-        drawn.append(predicted(f"{number}", of_split, out))
-    return tuple(found), tuple(drawn)
 
 
 def verdict_of_validation(validation: Validation, limits: Limits | None = None) -> Verdict:

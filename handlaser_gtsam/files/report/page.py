@@ -42,8 +42,8 @@ from ...results.description.tables import (
 from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
 from ...validation.hold_out import HoldOut
+from ...validation.leave_out import LeftOut
 from ...validation.prediction import pooled
-from ...validation.validation import LeftOut
 from ..calibration_json import calibration_text
 from .figure import STYLE, Figure
 from .figures import flat_figures
