@@ -240,7 +240,7 @@ def test_the_errors_found_are_named_by_p(calibration):
     ],
 )
 def test_what_p_means_of_an_old_calibration(p, opening):
-    found = HoldOut(9, 1e-5, 1e-5, 1.0, 1, 0.5, 1.0, 6, p, ())
+    found = HoldOut(9, 1e-5, 1e-5, 1.0, 1, 0.5, 1.0, 6, p, (), np.zeros(6), 0.5, ("1", "1"))
     assert hold_out_lines(found)[0].startswith(opening)
 
 

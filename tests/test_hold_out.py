@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 import handlaser_gtsam as hl
@@ -68,6 +69,77 @@ def test_a_turned_beam_is_named():
     assert min(found.beams, key=lambda beam: beam.p_value).name == "2"
     assert found.beams[1].turn == pytest.approx(0.03, rel=0.3)
     assert found.noise_p_value > 1e-3
+
+
+def test_a_turned_beam_alone_explains_it():
+    """The falls of the others are as significant, but leave what cannot be chance."""
+    first, second = two_days(3, turned=0.03)
+    found = hl.hold_out(mounts(first), second, NOISE, explain=True)
+    assert not found.holds
+    assert all(beam.p_value < 1e-3 for beam in found.beams)
+    assert [one.values["beam"] for one in found.explained_by] == ["2"]
+
+
+@pytest.mark.parametrize("turned", [0.03, 1.2])
+def test_a_beam_that_was_bent_far_is_named_too(turned):
+    """Freed, it does not fit where it was: the others tell."""
+    first, second = two_days(4, turned=turned)
+    causes = hl.hold_out(mounts(first), second, explain=True).explained_by
+    assert [one.values["beam"] for one in causes] == ["2"]
+
+
+def of_another_tool(b):
+    """Return the poses of a tool frame that is elsewhere by 10 cm and turned by 3 degrees."""
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.05]).as_matrix()
+    t = b.world_t_hand + b.world_R_hand @ [0.0, 0.06, 0.08]
+    return replace(b, world_R_hand=b.world_R_hand @ turn, world_t_hand=t)
+
+
+def with_a_wrong_label(b):
+    other = next(name for name in b.plane_labels if name != b.plane_labels[4])
+    return replace(b, plane_labels=(*b.plane_labels[:4], other, *b.plane_labels[5:]))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (of_another_tool, {"shift": 0.1, "turn": 0.05}),
+        (lambda b: replace(b, beam_names=("3", "2", "1")), {"first": "3", "second": "1"}),
+        (with_a_wrong_label, {"station": "5"}),
+        (lambda b: replace(b, world_t_hand=1e3 * b.world_t_hand), {"mistake": "positions"}),
+    ],
+)
+def test_what_explains_it_by_itself_is_named(undisturbed, change, expected):
+    m, b = undisturbed[0]
+    (cause,) = hl.hold_out(m, change(b), explain=True).explained_by
+    for name, value in expected.items():
+        if isinstance(value, float):  # the standard deviations of the mounts are a tenth of it
+            assert cause.values[name] == pytest.approx(value, rel=0.3)
+        else:
+            assert value in cause.values[name]
+
+
+def test_readings_in_another_unit_are_named(undisturbed):
+    """Planes lie along beams then, or fit no beams."""
+    m, b = undisturbed[0]
+    for lengths, what in (
+        ({"ranges": 1e3 * b.ranges}, "the ranges look like millimetres"),
+        ({"ranges": b.ranges / 0.0254}, "the ranges look like inches"),
+        ({"ranges": 1e3 * b.ranges, "world_t_hand": 1e3 * b.world_t_hand}, "all lengths"),
+    ):
+        try:
+            words = hl.hold_out(m, replace(b, **lengths), explain=True).explained_by[0].message
+        except hl.InputError as error:
+            words = str(error)
+        assert what in words
+
+
+def test_readings_that_fit_no_beams_do_not_pass(undisturbed):
+    """Noise that is learned from the readings is as large as they want it."""
+    m, b = undisturbed[0]
+    found = hl.hold_out(m, replace(b, world_t_hand=b.world_t_hand * [1.0, -1.0, 1.0]))
+    assert found.misfit > 10.0
+    assert not found.holds
 
 
 def test_the_drift_is_the_difference_of_two_fits():

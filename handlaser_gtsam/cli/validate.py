@@ -120,9 +120,10 @@ def _tested(
     from ..files.calibration_file import read_mounts
     from ..files.rig_reading import read_with
     from ..files.validation_json import hold_out_text
-    from ..model.distributions import SINGLE_LEVEL, p_words
+    from ..model.distributions import p_words
     from ..model.sensor import within
     from ..pipeline import calibrate
+    from ..results.messages import said
     from ..results.mounts import Mounts
     from ..validation.hold_out import hold_out
     from .words import hold_out_lines
@@ -139,13 +140,12 @@ def _tested(
         mounts = Mounts.of(calibration)
         noise = calibration.noise(noise) if calibration.noise_estimate else noise
         recording = read_with(rig, other or Path())[0].recording
-    found = hold_out(mounts, within(recording, rig.sensor), noise)
+    found = hold_out(mounts, within(recording, rig.sensor), noise, explain=True)
     failure = None
-    if found.p_value < SINGLE_LEVEL:
-        moved = [beam.name for beam in found.beams if beam.p_value < SINGLE_LEVEL]
-        words = (
-            f"the calibration does not hold ({p_words(found.p_value)}); moved alone would "
-            f"explain it: beam {' or '.join(moved) or 'none'}; calibrate again"
-        )
-        failure = NOT_USABLE, words
+    if not found.holds:
+        likely = "; or ".join(one.message for one in found.explained_by)
+        words = f"the calibration does not hold ({p_words(found.p_value)})"
+        if not found.fits:
+            words = f"the readings fit no beams, by {found.misfit:.0f} times what the noise says"
+        failure = NOT_USABLE, f"{words}: {likely or said('unexplained')}"
     return Answer(hold_out_text(found), hold_out_lines(found), recording.warnings, failure)

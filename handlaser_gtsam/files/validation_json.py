@@ -12,7 +12,8 @@ from .calibration_json import verdict_record
 from .checked_text import Record, json_text, record, records
 
 FIELDS: dict[type[Predicted], str] = {
-    HoldOut: "readings rms_m max_m chi2 dof noise_p_value drift drift_dof p_value beams",
+    HoldOut: "readings rms_m max_m chi2 dof noise_p_value drift drift_dof p_value beams "
+    "explained_by",
     Prediction: "tests rms_m max_m standardized",
     SurveyPrediction: "shots chi2 dof p_value shift_m",
 }
@@ -67,4 +68,5 @@ def _predicted(found: Predicted) -> Record:
         others["max_m"] = found.max_residual
     if isinstance(found, HoldOut):
         others["beams"] = records(found.beams, "name statistic p_value shift_m turn_rad")
+        others["explained_by"] = records(found.explained_by, "code message values")
     return record(found, FIELDS[type(found)], **others)

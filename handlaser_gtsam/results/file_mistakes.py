@@ -428,3 +428,8 @@ HYPOTHESES: dict[str, Change] = {
     ),
 }
 """Mistakes in words, and what undoes them."""
+ALL_LENGTHS: dict[str, Change] = {
+    f"all lengths look like {words}": partial(_scaled, positions=unit, ranges=unit)
+    for words, unit in (("millimetres", MM), ("inches", INCH))
+}
+"""The same of positions and ranges alike, which only beams that are known can tell."""

@@ -9,12 +9,21 @@ S being what the recording itself knows of the beams. Beams as calibrated leave 
 chi2(b + x) + x' inv(P) x; beams that are free leave c - g' S^+ g. The difference is chi-square
 distributed with as many degrees of freedom as S has rank if nothing has moved, and what the free
 beams leave tells whether noise and model are right. One beam at a time has moved: the same with its
-part of P infinite.
+part of P infinite. All have moved alike, as where the tool frame is another one: the same with a twist
+of the hand that is free.
+
+What by itself explains a difference is what leaves none: a beam or a twist that may have moved, or
+another reading of the file with which the calibration holds.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import FloatArray
@@ -23,13 +32,19 @@ from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
-from ..model.distributions import FEW_DEGREES, chi2_sf, f_sf
+from ..errors import CalibrationWarning, GrazingBeamError, HandlaserError, InputError
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_sf, f_sf
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, modelled
+from ..model.geometry import skew
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, covariance_roots, whitening
 from ..progress import tell
-from ..quantities import KNOWN, MOST_ROUNDS, SINGULAR
+from ..quantities import IN_DEG, IN_MM, KNOWN, MOST_ROUNDS, SINGULAR
+from ..results.file_mistakes import ALL_LENGTHS, HYPOTHESES
+from ..results.messages import Values, warned
 from ..results.mounts import Mounts
+from ..results.rereading import Change
+from ..results.warnings import TEN_TIMES
 from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
 
@@ -53,6 +68,9 @@ class BeamDrift(Value):
         By how much its direction would have [rad]; NaN likewise.
     since : str
         The first plane of a session that saw it moved; empty of another recording.
+    rest_p_value : float
+        Probability of a larger rest of the drift if this beam alone has moved; NaN where the recording
+        says nothing else, and in a session.
     """
 
     name: str
@@ -61,6 +79,7 @@ class BeamDrift(Value):
     shift: FloatArray
     turn: float
     since: str = ""
+    rest_p_value: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -73,7 +92,8 @@ class HoldOut(Value):
     rms, max_residual : float
         Of the residuals with the calibrated beams and the planes fitted [m].
     chi2, dof : float, int
-        Of noise and model, the beams free: near dof if they are right.
+        Of noise and model, the beams free: near dof if they are right. Of a range sigma that is not
+        given, with that of the calibration.
     noise_p_value : float
         Probability of a larger chi2 then; NaN where the range sigma was estimated from it.
     drift, drift_dof : float, int
@@ -81,6 +101,14 @@ class HoldOut(Value):
     p_value : float
         Probability of a larger drift if the calibration still holds.
     beams : tuple of BeamDrift
+    hand : (6,)
+        The twist by which all beams would have moved alike: rotation vector [rad], translation [m].
+    hand_p_value : float
+        Probability of a larger rest of the drift then; NaN where the recording says nothing else.
+    max_residual_at : (str, str)
+        The station and the beam of the largest residual.
+    explained_by : tuple of CalibrationWarning
+        What by itself explains that the calibration does not hold, where that was asked for.
     """
 
     readings: int
@@ -93,10 +121,34 @@ class HoldOut(Value):
     drift_dof: int
     p_value: float
     beams: tuple[BeamDrift, ...]
+    hand: FloatArray
+    hand_p_value: float
+    max_residual_at: tuple[str, str]
+    explained_by: tuple[CalibrationWarning, ...] = ()
+
+    @property
+    def misfit(self) -> float:
+        """How many times as large as stated the noise is, the beams free."""
+        return float(np.sqrt(self.chi2 / self.dof)) if self.dof > 0 else 1.0
+
+    @property
+    def fits(self) -> bool:
+        """Whether the readings fit some beams."""
+        return self.misfit <= TEN_TIMES
+
+    @property
+    def holds(self) -> bool:
+        """Whether nothing contradicts the calibration, and the readings fit some beams at all."""
+        return self.fits and not self.p_value < SINGLE_LEVEL
 
 
 def hold_out(
-    mounts: Mounts, recording: Recording, noise: Noise | None = None, *, each_beam: bool = True
+    mounts: Mounts,
+    recording: Recording,
+    noise: Noise | None = None,
+    *,
+    each_beam: bool = True,
+    explain: bool = False,
 ) -> HoldOut:
     """Compare calibrated beams with a recording of the same beams.
 
@@ -110,11 +162,14 @@ def hold_out(
         readings enough. Unknown errors of the poses are taken from the calibration.
     each_beam : bool
         Whether each beam is tested alone, too; that takes long for dozens of beams.
+    explain : bool
+        Whether to look for what by itself explains that it does not hold. That solves dozens of times.
 
     Raises
     ------
     InputError
-        A beam that was not calibrated, or pose covariances of another number of stations.
+        A beam that was not calibrated, or pose covariances of another number of stations; with
+        `explain`, readings that the calibrated beams cannot have, too.
     GrazingBeamError
         A beam grazes the plane that its readings would have.
     """
@@ -123,6 +178,25 @@ def hold_out(
     require_kind("recording", recording, Recording)
     require_kind("noise", noise, Noise)
     tell("hold-out")
+    try:
+        result = _held_out(mounts, recording, noise, each_beam)
+    except GrazingBeamError as error:
+        if not explain:
+            raise
+        causes = _explanations(mounts, recording, noise, None)
+        likely = " or ".join(one.message for one in causes) or "planes would lie along a beam"
+        found = f"readings that the calibrated beams cannot have: {likely}"
+        raise InputError(
+            found, "units, poses, channels and labels as for the calibration"
+        ) from error
+    if explain and not result.holds:
+        why = _explanations(mounts, recording, noise, result)
+        result = replace(result, explained_by=tuple(why))
+    return result
+
+
+def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: bool) -> HoldOut:
+    """Compare calibrated beams with a recording."""
     noise = noise.reordered(np.arange(len(recording.plane_labels)))
     mounts = mounts.arranged(recording.beam_names)
     readings = recording.readings()
@@ -136,7 +210,106 @@ def hold_out(
     variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
     beams = (mounts.locations, mounts.directions, mounts.range_errors)
     at, how = fit_planes(beams, readings, variances)
-    return _tested(at, readings, how, mounts, each_beam, noise.range_sigma is not None)
+    known = noise.range_sigma is not None
+    return _tested(at, readings, how, mounts, each_beam, known, recording.station_names)
+
+
+def _explanations(
+    mounts: Mounts, recording: Recording, noise: Noise, found: HoldOut | None
+) -> list[CalibrationWarning]:
+    """Return what by itself explains that a calibration does not hold.
+
+    `found` is None where no planes fit the readings as they stand. What takes long is tried only where
+    nothing else explains it.
+    """
+
+    def holds(change: Change) -> bool:
+        """Tell whether the calibration holds for a changed recording."""
+        with suppress(HandlaserError):  # read another way, it may be no recording
+            changed, S = change(recording), noise.pose_covariance
+            if S is not None and S.ndim == 3:
+                S = S[np.isin(recording.station_names, changed.station_names)]
+            one = _held_out(mounts, changed, replace(noise, pose_covariance=S), each_beam=False)
+            return _noise_alike(one) and one.p_value >= SINGLE_LEVEL
+        return False
+
+    def without(names: Sequence[str], name: str) -> Change:
+        return lambda whole: whole.part(np.array(names) != name)
+
+    def without_beam(name: str) -> Change:
+        return lambda whole: whole.without(
+            np.broadcast_to(np.array(whole.beam_names) == name, whole.ranges.shape)
+        )
+
+    def exchanged(one: str, two: str) -> Change:
+        other = {one: two, two: one}
+        names = tuple(other.get(name, name) for name in recording.beam_names)
+        return lambda whole: replace(whole, beam_names=names)
+
+    causes: list[CalibrationWarning] = []
+    first: list[tuple[CalibrationWarning, Change]] = []
+    suspects = recording.beam_names
+    if found is not None:
+        for beam in found.beams:
+            values: Values = {"beam": beam.name}
+            if not _noise_alike(found):  # its step is too long to be told from here
+                if holds(without_beam(beam.name)):
+                    causes.append(warned("explained:beam", values, how=""))
+            elif beam.p_value < SINGLE_LEVEL and not beam.rest_p_value < SINGLE_LEVEL:
+                shift = float(np.linalg.norm(beam.shift))
+                moved = f" by {shift * IN_MM:.3g} mm and turned by {beam.turn * IN_DEG:.3g} deg"
+                values = {"beam": beam.name, "shift": shift, "turn": beam.turn}
+                causes.append(warned("explained:beam", values, how=moved))
+        causes += _hand_moved(mounts, recording, noise, found)
+        station, of = found.max_residual_at[0], recording.station_names
+        first.append((warned("explained:station", {"station": station}), without(of, station)))
+        # Two beams that were exchanged are among those that gain most by moving.
+        beams = sorted(found.beams, key=lambda one: -one.statistic)
+        suspects = tuple(beam.name for beam in beams)
+    first += [
+        (warned("explained:channels", {"first": one, "second": two}), exchanged(one, two))
+        for one, two in combinations(suspects[:4], 2)
+    ]
+    then = [
+        (warned("explained:plane", {"plane": plane}), without(recording.plane_labels, plane))
+        for plane in recording.plane_names
+    ]
+    then += [
+        (warned("explained:file", {"mistake": words}), undone)
+        for words, undone in (ALL_LENGTHS | HYPOTHESES).items()
+    ]
+    for candidates in (first, then):
+        if candidates is first or not causes:
+            causes += [warning for warning, change in candidates if holds(change)]
+    return causes
+
+
+def _noise_alike(found: HoldOut) -> bool:
+    """Tell whether readings scatter about free beams as on the day of the calibration.
+
+    The noise of another day is taken to be as uncertain as one that few readings tell.
+    """
+    alike = f_sf(found.misfit**2, found.dof, FEW_DEGREES) if found.dof > 0 else 1.0
+    return bool(alike >= SINGLE_LEVEL)
+
+
+def _hand_moved(
+    mounts: Mounts, recording: Recording, noise: Noise, found: HoldOut
+) -> Iterator[CalibrationWarning]:
+    """Yield the twist of the hand by which all beams have moved alike, if one explains it."""
+    R, t, now = recording.world_R_hand, recording.world_t_hand, found
+    turned, shifted = np.eye(3), np.zeros(3)
+    with suppress(HandlaserError):
+        for _ in range(3):  # a few steps are enough, or it is another cause
+            step = Rotation.from_rotvec(now.hand[:3].copy()).as_matrix()
+            shifted, turned = shifted + turned @ now.hand[3:], turned @ step
+            moved = replace(recording, world_R_hand=R @ turned, world_t_hand=t + R @ shifted)
+            now = _held_out(mounts, moved, noise, each_beam=False)
+            if _noise_alike(now) and not now.hand_p_value < SINGLE_LEVEL:
+                shift = float(np.linalg.norm(shifted))
+                turn = float(Rotation.from_matrix(turned).magnitude())
+                yield warned("explained:hand", {"shift": shift, "turn": turn})
+                return
 
 
 def fit_planes(
@@ -158,7 +331,13 @@ def fit_planes(
 
 
 def _tested(
-    at: Parameters, readings: Readings, how: Whitening, mounts: Mounts, each_beam: bool, known: bool
+    at: Parameters,
+    readings: Readings,
+    how: Whitening,
+    mounts: Mounts,
+    each_beam: bool,
+    known: bool,
+    stations: Sequence[str],
 ) -> HoldOut:
     """Test the beams as calibrated against readings whose planes were fitted to them.
 
@@ -173,6 +352,8 @@ def _tested(
         Whether each is to be tested alone, too.
     known : bool
         Whether the range sigma was given; else it is what the readings show.
+    stations : sequence of str
+        Their names.
     """
     # chi2(b + x) = cost + 2 gradient' x + x' information x over the unknowns of the beams, planes
     # fitted, along what the recording determines; in natural units and sigmas.
@@ -199,7 +380,8 @@ def _tested(
     axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
     information, gradient = (axes * values) @ axes.T, axes @ along
     rank, dof = int(keep.sum()), free - int(keep.sum())
-    lift = beams_lift(model.tangent_basis(mounts.directions), mounts.terms)
+    bases = model.tangent_basis(mounts.directions)
+    lift = beams_lift(bases, mounts.terms)
     covariance = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
 
     def least(root: FloatArray, free: FloatArray) -> tuple[float, FloatArray]:
@@ -230,19 +412,31 @@ def _tested(
         root[~mine] = others
         fall, x = least(root, np.eye(n)[:, mine])
         statistic, dx = max(fall - held, 0.0), (x * unit)[mine]
-        p = p_value(statistic, min(int(mine.sum()), rank))
-        beams.append(
-            BeamDrift(name, statistic, p, dx[LOCATION], float(np.linalg.norm(dx[DIRECTION])))
-        )
+        degrees = min(int(mine.sum()), rank)
+        p, rest = p_value(statistic, degrees), p_value(drift - statistic, rank - degrees)
+        turn = float(np.linalg.norm(dx[DIRECTION]))
+        beams.append(BeamDrift(name, statistic, p, dx[LOCATION], turn, rest_p_value=rest))
+    # A twist (w, u) of the hand moves r by w x r + u, and v by w x v.
+    twist = np.zeros((readings.beams, BEAM.dim, 6))
+    twist[:, LOCATION, :3] = -skew(mounts.locations)
+    twist[:, LOCATION, 3:] = np.eye(3)
+    twist[:, DIRECTION, :3] = -np.swapaxes(bases, 1, 2) @ skew(mounts.directions)
+    along_twist = twist.reshape(-1, 6)[active] / unit[:, None]
+    fall, x = least(own, along_twist)
+    alike = np.asarray(np.linalg.lstsq(along_twist, x, rcond=SINGULAR)[0], dtype=float)
+    worst = int(np.abs(e).argmax())
     return HoldOut(
         len(e),
         float(np.sqrt(np.mean(e**2))),
-        float(np.abs(e).max()),
-        chi2,
+        float(np.abs(e[worst])),
+        chi2 * scale,
         dof,
         float(chi2_sf(chi2, dof)) if known and dof > 0 else float("nan"),
         drift,
         rank,
         p_value(drift, rank),
         tuple(beams),
+        alike,
+        p_value(drift - (fall - held), rank - min(6, rank)),
+        (stations[readings.station[worst]], mounts.names[readings.beam[worst]]),
     )
