@@ -86,6 +86,24 @@ def test_a_result_that_is_not_usable_says_so(handlaser, tmp_path):
     assert (code, err) == (0, f"WARNING: {words}\n{WARNED}")
 
 
+def test_what_the_verdict_says_is_not_said_again(handlaser, tmp_path):
+    record = json.loads(calibrated().model_dump_json())
+    record["verdict"] = {"usable": False, "sentence": "Not usable, contradicted: a reading is far."}
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps(record))
+    err = handlaser("export", path, "--to", "kuka")[2]
+    assert err == "WARNING: Not usable, contradicted: a reading is far.\n"
+
+
+def test_calibrations_and_stations_are_told_apart(handlaser, file):
+    to_program = handlaser("export", file, "--to", "krl")
+    refused(to_program, "a calibration, and krl takes stations", "--to urdf | ")
+    refused(
+        handlaser("export", RECORDING, "--to", "kuka"), "kuka takes a calibration", "--to krl | "
+    )
+    refused(handlaser("export", file.parent / "none.csv", "--to", "krl"), "no readable file")
+
+
 def test_options_reach_the_frame(handlaser, file):
     beam = calibrated().beams[1]
     given = ("--beam", "2", "--axis", "x", "--at-reading-mm", "15")

@@ -1,5 +1,6 @@
 """handlaser export: a calibration, or stations, for robots, ROS and programs."""
 
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -106,10 +107,25 @@ def export(
 
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     """Return what a format takes of a file: stations, a calibration or the result of a survey."""
+    from ..errors import InputError
     from ..files.calibration_file import read_calibration
     from ..files.recording_csv import read_stations
 
-    return read_stations(file) if to in STATIONS else read_calibration(file)
+    stations = to in STATIONS
+    try:
+        return read_stations(file) if stations else read_calibration(file)
+    except InputError as error:
+        with suppress(OSError), file.open("rb") as opened:
+            beginning = opened.read(9).lstrip()
+            if beginning.startswith(b"{") == stations:  # calibrations are JSON, and stations CSV
+                found, other = (
+                    f"no JSON, and {to} takes a calibration: of calibrate --out",
+                    STATIONS,
+                )
+                if stations:
+                    found, other = f"a calibration, and {to} takes stations: of plan --out", BEAMS
+                raise InputError(found, f"that, or --to {' | '.join(other)}", file) from error
+        raise
 
 
 def _warnings(file: "StationList | CalibrationFile | SurveyFile") -> list[str]:
@@ -118,7 +134,9 @@ def _warnings(file: "StationList | CalibrationFile | SurveyFile") -> list[str]:
 
     verdict = getattr(file, "verdict", None)
     lines = [] if verdict is None or verdict.usable else [verdict.sentence]
-    lines += [one.message for one in getattr(file, "warnings", ())]
+    said = "".join(lines)
+    warnings = (one.message for one in getattr(file, "warnings", ()))
+    lines += [words for words in warnings if words.rstrip(". ") not in said]
     lines += [
         f"systematic error {one.code}: {one.message}; {one.remedy}"
         for one in getattr(file, "systematic", ())
