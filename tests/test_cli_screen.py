@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
 from helpers import GRIPPER, degenerate, error_of
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.cli.answer import Answer
 from handlaser_gtsam.cli.words import hold_out_lines
 from handlaser_gtsam.model.sensor import Rejected
 from handlaser_gtsam.results.description.description import Description
@@ -84,6 +86,18 @@ def test_outliers_are_listed_in_one_line(handlaser, tmp_path, recording):
     (line,) = [line for line in lines if line.startswith("rejected: ")]
     assert "6 readings" in line
     assert "and 3 more" in line
+
+
+def test_a_warning_is_said_once(calibration, capsys):
+    """Of what the verdict says the screen has no further line, and stderr none."""
+    far = hl.CalibrationWarning("far-beam", "a beam lies 4 m away; in inches?", {})
+    found = replace(calibration, warnings=(far,))
+    judged = verdict(found)
+    lines = screen_lines(Description(found, judged), closing=3)
+    assert " ".join(" ".join(lines).split()).count("a beam lies 4 m away") == 1
+    with pytest.raises(typer.Exit):
+        Answer("", (), (far,), (4, judged.sentence)).give(json=True)
+    assert capsys.readouterr().err.count("a beam lies 4 m away") == 1
 
 
 def test_warnings_that_do_not_fit_are_counted(calibration):

@@ -61,6 +61,7 @@ def test_millimetres_taken_for_metres_are_asked_about(recording):
     )
     found = hl.calibrate(moved, options=NONE)
     assert "far-beam" in codes(found)
+    assert not found.judged().usable
     assert "far-beam" not in codes(hl.calibrate(recording, options=NONE))
 
 

@@ -144,6 +144,9 @@ def test_a_column_twice_with_noise_of_its_own_is_warned_of(recording):
     column = doubled(recording, lambda d: d + SIGMA * rng.standard_normal(len(d)))
     found = hl.calibrate(column, hl.Noise())
     assert "column-twice" in codes(found)
+    judged = found.judged()
+    assert (judged.code, judged.best.code) == ("contradicted", "column-twice")
+    assert judged.sentence.count("lie in one place") == 1
 
 
 def test_parallel_beams_side_by_side_are_two_beams(recording):

@@ -59,8 +59,10 @@ class Answer:
 
     def give(self, *, json: bool, quiet: bool = False) -> None:
         """Print, and leave with the exit code where something went wrong."""
+        said = "" if self.failure is None else self.failure[1]
         for one in self.warnings:
-            print(one if isinstance(one, str) else f"WARNING: {one}", file=sys.stderr)
+            if str(one).rstrip(". ").removeprefix("WARNING: ") not in said:
+                print(one if isinstance(one, str) else f"WARNING: {one}", file=sys.stderr)
         if json:
             sys.stdout.write(self.json)
         elif not quiet:

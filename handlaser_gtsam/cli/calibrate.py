@@ -90,7 +90,8 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
 
     Exit codes: 0 good; 1 a bug; 2 bad input; 3 no calibration: the recording does not determine it, its
     readings do not fit each other, or another solver disagrees; 4 not usable: outside the limits of the
-    rig file, or with a systematic error larger than what the result states; 130 stopped by Ctrl-C.
+    rig file, with a mount that no sensor has, or with a systematic error larger than what the result
+    states; 130 stopped by Ctrl-C.
 
     Examples
     --------
@@ -173,14 +174,13 @@ def _answer(
         beside = () if isinstance(read, Survey) else read.beside
         options = ReportOptions(rig, reading, path, rig_file, beside, words, plan)
         write_report(output.report, result, options)
-    warnings = [one for one in result.warnings if one.message != result.message]
     above += checked
     after = lines_read("read" if isinstance(read, Survey) else "log", read.lines)
     after += wrote(output.out, output.report)
     return Answer(
         text,
         _lines(result, judged, taught, above, plan, after, verbose=output.verbose),
-        [*checked, *warnings] if aloud else (),
+        [*checked, *result.warnings] if aloud else (),
         failure_of(result, judged, disagreement),
     )
 

@@ -1,8 +1,9 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most.
 
-Its code is the first of these that holds: no calibration; outside the limits of the user; a systematic
-error that moves a laser spot by more than the radius that holds the spot with 95 %; another mount that
-is as probable; a warning, or a systematic error that was found or may hide (usable with care); usable.
+Its code is the first of these that holds: no calibration; outside the limits of the user; a mount that
+no sensor has; a systematic error that moves a laser spot by more than the radius that holds the spot
+with 95 %; another mount that is as probable; a warning, or a systematic error that was found or may
+hide (usable with care); usable.
 
 Of improvements, what makes the stated numbers wrong comes first: a mistake of the file, a systematic
 error, another mount that is as probable, many outliers,
@@ -40,6 +41,8 @@ RANDOM_ONLY = "; random errors only: state [sensor] kind"
 """What stands beside a radius where nothing says which systematic errors are plausible."""
 CAUSE = "file-mistake"
 """Code of the warning that names why readings do not fit."""
+IMPOSSIBLE = ("column-twice", "far-beam")
+"""Codes of warnings of mounts that no sensors have: two in one place, or one beyond any hand."""
 WELL_CONDITIONED = 100.0
 """A condition number below this is the usual demand: no motion is missing then."""
 
@@ -144,8 +147,14 @@ def moved_beam_of(calibration: CalibrationData) -> CalibrationWarning | None:
 
 def _undone(calibration: CalibrationData) -> Improvement | None:
     """Return the mistake of the file that is to be undone; None where none is known."""
-    found = (one for one in calibration.warnings if one.code == CAUSE)
-    return next((Improvement(CAUSE, clause(one.message)) for one in found), None)
+    return next(
+        (Improvement(one.code, clause(one.message)) for one in _mistakes(calibration)), None
+    )
+
+
+def _mistakes(calibration: CalibrationData) -> list[CalibrationWarning]:
+    """Return what is wrong with the file, or must be because of the mounts that follow."""
+    return [one for one in calibration.warnings if one.code in (CAUSE, *IMPOSSIBLE)]
 
 
 def more_stations(failed: tuple[LimitCheck, ...]) -> Improvement:
@@ -174,7 +183,8 @@ class Verdict:
         `usable`; `usable-with-care`: there are warnings, or a systematic error was found or may hide;
         `outside-limits`; `systematic-error`: one was found that moves a laser spot out of the radius
         that holds it with 95 %; `contradicted`: a plane that was
-        left out contradicts the beams found without it, or readings of a survey what is known;
+        left out contradicts the beams found without it, or readings of a survey what is known, or a
+        mount is none that sensors have;
         `undetermined`, or another mount is about as probable; `no-fit`: the readings
         contradict each other, whatever the motion; `not-converged`.
     findings : tuple of str
@@ -241,6 +251,10 @@ class Verdict:
         words = "; ".join(self.findings)
         return f"{self.opening}{confirmed}: {words}."
 
+    def says(self, message: str) -> bool:
+        """Tell whether its sentence holds that of a warning."""
+        return clause(message) in self.sentence
+
     @property
     def worst_limits(self) -> tuple[LimitCheck, ...]:
         """Of every quantity with a limit, the value nearest to it or furthest beyond."""
@@ -288,6 +302,8 @@ def verdict(
     code = "usable-with-care" if harmful or calibration.warnings or doubtful else "usable"
     if failed:
         code = "outside-limits"
+    elif any(one.code in IMPOSSIBLE for one in calibration.warnings):
+        code = "contradicted"
     elif excess > 1.0 or (moved is not None and float(moved.values["times"]) > 1.0):
         code = "systematic-error"
     elif any(ambiguous(calibration.warnings)):
@@ -313,7 +329,7 @@ def verdict(
         limits=checks,
         shares=shares,
     )
-    named = [warning for warning in calibration.warnings if warning.code == CAUSE]
+    named = _mistakes(calibration)
     words = (clause(warning.message) for warning in named)
     causes = (*named, *_causes(found, calibration))
     return replace(found, findings=(*words, *_findings(found, calibration)), causes=causes)
@@ -329,7 +345,8 @@ def _causes(judged: Verdict, calibration: CalibrationData) -> Iterator[Calibrati
     if hidden is not None and judged.best.code == "hidden":
         values = {"size": hidden.unnoticed, "shift": judged.hidden_error or 0.0}
         yield CalibrationWarning(hidden.code, hidden.message, values)
-    yield from (warning for warning in calibration.warnings if warning.code != CAUSE)
+    known = _mistakes(calibration)
+    yield from (warning for warning in calibration.warnings if warning not in known)
 
 
 def _most_harmful(
@@ -353,7 +370,7 @@ def _most_harmful(
 
 def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     """Yield the parts of the sentence on what converged."""
-    warnings = len(calibration.warnings)
+    warnings = len(calibration.warnings) - len(_mistakes(calibration))
     if found.code == "outside-limits":
         yield failures(found.limits)
     moved = moved_beam_of(calibration)
@@ -363,7 +380,7 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
         yield clause(found.harmful.message)
     elif found.code == "undetermined":
         yield from map(clause, ambiguous(calibration.warnings))
-    elif found.spot_error is not None:
+    elif found.spot_error is not None and found.code != "contradicted":
         spot, at = _mm(found.spot_error), _mm(found.reading)
         random = RANDOM_ONLY if calibration.sensor_kind is None else ""
         yield said("verdict:spot", spot=spot, beam=found.spot_beam, at=at, random=random)
@@ -379,7 +396,7 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
         yield f"within the limits ({nearest.comparison})"
     if found.code == "usable-with-care" and warnings:
         yield f"see the {'warning' if warnings == 1 else f'{warnings} warnings'}"
-    if found.best.code != CAUSE:  # which is said already
+    if found.best.code not in (CAUSE, *IMPOSSIBLE):  # which is said already
         yield found.best.clause
 
 

@@ -73,12 +73,8 @@ class Description:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings that the verdict does not repeat, as `calibration.warnings` orders them."""
-        calibration = self.calibration
-        return tuple(
-            str(warning)
-            for warning in calibration.warnings
-            if warning.message != calibration.message
-        )
+        warnings = self.calibration.warnings
+        return tuple(str(one) for one in warnings if not self.verdict.says(one.message))
 
     @property
     def observability(self) -> tuple[str, ...]:

@@ -52,7 +52,9 @@ def survey_lines(
     for table in (*mounts_tables(result), targets_table(result), taught):
         lines += [] if table is None else full_table(table.name, table, width)
     rest = [f"{name}: {words}" for name, words in facts(result, verdict)]
-    rest += [*result.undetermined[1:], *(f"WARNING: {one.message}" for one in result.warnings)]
+    rest += result.undetermined[1:]
+    warnings = (one.message for one in result.warnings if not verdict.says(one.message))
+    rest += (f"WARNING: {words}" for words in warnings)
     return lines + text_lines(rest, width)
 
 
