@@ -126,6 +126,17 @@ def test_a_unit_that_changes_half_way_is_named_once(column):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("unit", "metres"), [("millimetres", 1e-3), ("inches", 0.0254)])
+def test_one_beam_in_another_unit_is_named(unit, metres):
+    recording, _ = simulated("arm", Layout(3, 3, 14), 1e-4, 4)
+    ranges = recording.ranges / [1.0, metres, 1.0]
+    found = hl.calibrate(replace(recording, ranges=ranges))
+    assert found.status != "converged"
+    assert found.warnings[0].values["unit"] == unit
+    assert f"the ranges of beam 2 look like {unit}" in found.message
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "words"), [(1, "late"), (-1, "early")])
 def test_ranges_of_another_row_are_named(rows, words):
     recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
@@ -152,7 +163,8 @@ def test_ways_that_cannot_be_told_apart_are_said_in_one_sentence(right):
     mirrored = replace(right, world_t_hand=right.world_t_hand * [1.0, -1.0, 1.0])
     found = better_way(mirrored, 0).message
     assert "the y coordinates of the positions look negated" in found
-    assert " or the x and z coordinates of the positions look negated" in found
+    assert "the x and z coordinates of the positions look negated" in found
+    assert " or " in found  # in the order of misfits that rounding alone tells apart
 
 
 @pytest.mark.slow

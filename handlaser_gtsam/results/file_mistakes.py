@@ -32,6 +32,8 @@ SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
 """Parts of the way to the next station, or back to the one before, at which readings may be taken."""
 SPLITS = 9
 """Evenly spaced stations that are tried as the first of a second plate; then the best is refined."""
+UNITS = {"millimetres": MM, "inches": INCH, "centimetres": 10.0 * MM}
+"""What lengths may have been written in, in metres."""
 GROUPS = 4
 """Groups of planes that are omitted in turn to find the one before which beams look swapped."""
 
@@ -192,10 +194,21 @@ def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Reread
 
 
 def _unit_changes(recording: Recording) -> Iterator[Rereading]:
-    """Lengths that have another unit from some station on: they differ by a large factor throughout.
+    """Lengths of another unit, throughout or from some station on: they differ by a large factor.
 
-    They are all ranges, the ranges of one beam, or the positions.
+    They are the ranges of one beam throughout, or from a station on all ranges, those of one beam, or
+    the positions.
     """
+    typical = np.nanmedian(np.abs(recording.ranges), axis=0)
+    for i, name in enumerate(recording.beam_names):
+        others = np.delete(typical, i)
+        if not others.size or typical[i] < 3.0 * np.median(others):
+            continue
+        for unit in ("millimetres", "inches"):
+            words = f"the ranges of beam {name} look like {unit}, and the others like metres"
+            factors = np.where(np.arange(len(typical)) == i, UNITS[unit], 1.0)
+            values: Values = {"lengths": f"the ranges of beam {name}", "unit": unit}
+            yield Rereading(words, partial(_scaled, ranges=factors), "quick", values)
     every = np.ones(len(recording.beam_names), dtype=bool)
     beams = [("the ranges", every)]
     if len(every) > 1:
@@ -229,9 +242,9 @@ def _changes_of(
         rows = np.arange(len(d)) >= split if late else np.arange(len(d)) < split
         station = recording.station_names[split]
         where = f"from station {station} on" if late else f"before station {station}"
-        for unit, metres in (("millimetres", MM), ("inches", INCH), ("centimetres", 10.0 * MM)):
+        for unit, metres in UNITS.items():
             words = f"{what} {where} look like {unit}, and the others like metres"
-            values = {"lengths": what, "station": station, "unit": unit}
+            values: Values = {"lengths": what, "station": station, "unit": unit}
             yield words, np.where(rows, metres, 1.0), values
 
 
@@ -430,6 +443,6 @@ HYPOTHESES: dict[str, Change] = {
 """Mistakes in words, and what undoes them."""
 ALL_LENGTHS: dict[str, Change] = {
     f"all lengths look like {words}": partial(_scaled, positions=unit, ranges=unit)
-    for words, unit in (("millimetres", MM), ("inches", INCH))
+    for words, unit in UNITS.items()
 }
 """The same of positions and ranges alike, which only beams that are known can tell."""
