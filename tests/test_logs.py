@@ -338,6 +338,11 @@ REFUSED = {
         "state --delimiter",
     ),
     "thousands": (AMBIGUOUS, {}, "line 2, column X: found '1,000'; expected a decimal comma or"),
+    "points between thousands": (
+        "X;Y;Z;A;B;C;range_1\n6.139,514;2,5;3,5;1,5;2,5;3,5;100\n",
+        {},
+        "line 2, column X: found '6.139,514'; expected a number; state --decimal comma",
+    ),
     "both marks": (
         "X;Y;Z;A;B;C;range_1\n1,5;2,5;3.5;1,5;2,5;3,5;100\n",
         {},

@@ -148,6 +148,10 @@ def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = 
         whole = pl.all().str.replace_all(".", "", literal=True)
         texts = texts.select(pl.when(grouped).then(whole).otherwise(pl.all()))
         table = replace(table, frame=table.frame.with_columns(texts))
+    for name in texts.columns if given.decimal is None and not numbers_have_points else ():
+        both = _match(texts[name], GROUPED) & texts[name].str.contains(",", literal=True)
+        expected = "a number; state --decimal comma if points stand between thousands"
+        table.refuse(both.fill_null(value=False).to_numpy(), name, expected)
     commas = {name: _match(texts[name], COMMA) for name in texts.columns}
     commas = {name: mask for name, mask in commas.items() if mask.any()}
     if given.decimal == "point" or not commas:
