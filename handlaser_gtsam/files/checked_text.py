@@ -154,10 +154,13 @@ def _first_fault(
         return InputError(f"the file = {shown(fault['input'])}", expected, path)
     field = ".".join(place)
     if fault["type"] == "extra_forbidden":
-        table = schema if len(place) == 1 else schema.model_fields[place[0]].annotation
-        several = [getattr(one, "model_fields", ()) for one in (table, *get_args(table))]
-        names = ", ".join(next(filter(None, several), ())) if len(place) <= 2 else ""
-        expected = f"one of {names}" if names else "a field of the format"
+        tables: list[type[BaseModel]] = [schema]
+        for part in place[:-1]:  # a name of the user's, as of a scene, is no field
+            fields = [one.model_fields[part] for one in tables if part in one.model_fields]
+            tables = [one for field in fields for one in _tables(field.annotation)] or tables
+        tables = [one for one in tables if place[-1] not in one.model_fields]
+        names = ", ".join(dict.fromkeys(name for one in tables for name in one.model_fields))
+        expected = f"one of {names}"
         expected += "".join(
             f"; {place[-1]} stands in [{name}]{f', {of.description}' if of.description else ''}"
             for name, of in schema.model_fields.items()
@@ -173,6 +176,14 @@ def _first_fault(
         wanted.append(KINDS.get(kind, "another value").format(**one.get("ctx", {})))
     wanted_words = " or ".join(dict.fromkeys(wanted))
     return InputError(f"{field} = {shown(fault['input'])}", wanted_words, path)
+
+
+def _tables(annotation: object) -> Iterator[type[BaseModel]]:
+    """Yield the tables that a field may be, by itself, in a list or by names."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for one in get_args(annotation):
+        yield from _tables(one)
 
 
 def _place(parts: Sequence[int | str], missing: bool, data: object) -> list[str]:
