@@ -185,6 +185,26 @@ def test_what_is_no_study_is_refused(cases, runs, words):
         run_study(Study(cases, runs), ONE)
 
 
+def that_fails(rng):
+    return 1 / (rng.random() > 1.0)
+
+
+def test_a_function_that_raises_is_named_with_its_run():
+    for executor in (ONE, TWO):  # from another process, too
+        with pytest.raises(
+            hl.InputError, match=r"found ZeroDivisionError in .*that_fails, run 0 of"
+        ):
+            run_study(reduced(1, draw=that_fails), executor)
+    case = Case("paper", "mine", PAPER, that_fails_too)
+    words = r"KeyError in .*that_fails_too, runs 0 to 1 of mine: '1' \(test_study.py, line"
+    with pytest.raises(hl.InputError, match=words):
+        run_study(Study([case], 2), ONE)
+
+
+def that_fails_too(recordings):
+    raise KeyError(recordings[0].beam_names[0])
+
+
 def test_a_file_of_something_else_is_refused(tmp_path):
     path = tmp_path / "mine.parquet"
     pl.DataFrame({"a": [1]}).write_parquet(path)
@@ -251,8 +271,9 @@ arguments = { scene = "arm" }
     assert recording == draw_scene(np.random.default_rng(1), "arm")[0]
     with pytest.raises(hl.InputError, match='noise = "scene" for the scene of a function'):
         hl.read_study(declared(tmp_path, text + 'noise = "scene"'))
-    with pytest.raises(hl.InputError, match="module:name"):
-        hl.read_study(declared(tmp_path, text.replace("validation.scenes:", "")))
+    for old, new in (("validation.scenes:", ""), ("arguments = { scene", "arguments = { sceen")):
+        with pytest.raises(hl.InputError, match="module:name"):
+            hl.read_study(declared(tmp_path, text.replace(old, new)))
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ A function runs with the rights of who starts the study: declare those that you 
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -91,10 +92,14 @@ class _Function(FileRecord):
     def draw(self) -> Draw:
         module, _, name = self.function.partition(":")
         try:
-            return partial(getattr(import_module(module), name), **self.arguments)
-        except (ImportError, AttributeError, ValueError) as error:
+            function = getattr(import_module(module), name)
+            signature(function).bind(None, **self.arguments)
+            return partial(function, **self.arguments)
+        except Exception as error:  # a module of the user's may raise anything
             found = f"the function {self.function!r} ({error})"
-            raise InputError(found, "module:name") from error
+            raise InputError(
+                found, "module:name of one that takes a generator and the arguments"
+            ) from error
 
 
 class _Treatment(FileRecord):

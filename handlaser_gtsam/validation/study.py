@@ -10,12 +10,14 @@ Work is done in blocks on processes or on a Dask cluster; a block whose worker w
 import hashlib
 import pickle
 import time
+import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
@@ -181,18 +183,41 @@ def solve_runs(case: Case, key: tuple[int, int], runs: Sequence[int]) -> pl.Data
         Seed of the study and number of the scene: with the number of a run, they are its seed.
     runs : ints
     """
-    drawn = [case.draw(np.random.default_rng((*key, run))) for run in runs]
+    drawn = []
+    for run in runs:
+        with _of_the_user(case.draw, f"run {run} of the scene {case.scene}"):
+            drawn.append(case.draw(np.random.default_rng((*key, run))))
     for pair in drawn:
         kinds = [type(part) for part in pair] if isinstance(pair, tuple) else [type(pair)]
         if kinds != [Recording, Parameters]:
             found = f"the scene {case.scene} draws {', '.join(kind.__name__ for kind in kinds)}"
             raise InputError(found, "a Recording, and the Parameters that are true")
-    estimates = case.solve([recording for recording, _ in drawn])
+    with _of_the_user(case.solve, f"runs {runs[0]} to {runs[-1]} of {case.treatment}"):
+        estimates = case.solve([recording for recording, _ in drawn])
     rows = [
         {"scene": case.scene, "treatment": case.treatment, "run": run, **run_row(estimate, truth)}
         for run, (_, truth), estimate in zip(runs, drawn, estimates, strict=True)
     ]
     return pl.DataFrame(rows, schema=RUN_SCHEMA)
+
+
+@contextmanager
+def _of_the_user(function: Callable[..., object], what: str) -> Iterator[None]:
+    """Refuse what a function raises that is not of this package, with where it did so."""
+    called = function.func if isinstance(function, partial) else function
+    module = getattr(called, "__module__", None) or ""
+    name = f"{module}:{getattr(called, '__qualname__', called)}"
+    try:
+        yield
+    except HandlaserError:
+        raise
+    except Exception as error:
+        if name.startswith(f"{__package__.partition('.')[0]}."):
+            raise
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(place.filename).name}, line {place.lineno}"
+        found = f"{type(error).__name__} in {name}, {what}: {error} ({where})"
+        raise InputError(found, "a function that returns") from error
 
 
 def _digest(study: Study) -> str:
