@@ -44,7 +44,7 @@ def simulated_survey(
     from ..files.survey_writing import table_names, write_simulated
     from ..files.writing import require_outputs
     from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene
-    from ..validation.survey_simulate import simulate_survey, unread_stations
+    from ..validation.survey_simulate import simulate_survey
     from .survey import require_outputs_of
 
     known = read_rig(rig)
@@ -98,5 +98,5 @@ def simulated_survey(
         require_outputs_of(outputs, known)
         write_simulated(folder, survey, truth, tables, zones, stated, sensor)
 
-    unread, of = unread_stations(survey), count(len(stations), "station")
+    unread, of = int((~survey.stations_read()).sum()), count(len(stations), "station")
     return tuple(files), write, f"; at {unread} of {of} no ray hits a target" if unread else ""

@@ -21,7 +21,7 @@ from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
 from ..outliers.snooping import cut, enough, judge, test
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS
-from ..starts import Start, find_start
+from ..starts import find_start
 from .options import CalibrationOptions
 from .solution import Solution
 from .task import SolutionTask, settle
@@ -86,7 +86,7 @@ def select(
         kept = np.isfinite(residuals(start, part))
         if taken is not None:
             kept &= taken[rows]
-        first = Consensus(Start(start, "given", ()), kept, start, "given", _scale(part, start))
+        first = Consensus((), kept, start, "given", _scale(part, start))
     used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
     used[rows] = first.kept
 
@@ -117,7 +117,7 @@ def select(
             used = before
             break
         settled = again
-    return Selection(used, ~inside, flat, first.method, first.start.tried, settled.finished())
+    return Selection(used, ~inside, flat, first.method, first.tried, settled.finished())
 
 
 def _needs_what_was_rejected(before: Solution, after: Solution, noise: Noise) -> bool:
@@ -141,10 +141,10 @@ def _first(readings: Readings, noise: Noise, options: CalibrationOptions) -> Con
     else:
         start = find_start(readings, sigma, terms, certain=certain)
         everything = np.ones(len(readings), dtype=bool)
-        consensus = Consensus(start, everything, start.parameters, start.method, None)
+        consensus = Consensus(start.tried, everything, start.parameters, start.method, None)
     steep = np.isfinite(residuals(consensus.parameters, readings))
     scale = consensus.range_sigma or _scale(readings, consensus.parameters)
-    return replace(consensus, kept=consensus.kept & steep, range_sigma=scale)
+    return consensus._replace(kept=consensus.kept & steep, range_sigma=scale)
 
 
 def _scale(readings: Readings, parameters: Parameters) -> float | None:

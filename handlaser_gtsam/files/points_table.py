@@ -113,7 +113,8 @@ def read_points(
             continue  # the sensor saw nothing there
         table = _read_table(path, kind, name)
         titles += [one.message for one in table.warnings]
-        if len(table.frame) and _used(table.frame.columns[-1], kind, station_column):
+        last = table.frame.columns[-1] if len(table.frame) else ""
+        if plain(last) in ("station", *COLUMNS[kind]) or (last and last == station_column):
             table.refuse_cut()
         if name:
             _require_station(table, name, station_of)
@@ -273,11 +274,6 @@ def _of_echoes(station: IntArray, numbers: FloatArray, echo: Echo) -> Points:
         kept = np.sort(order[one_a_zone])
         station, numbers, before = station[kept], numbers[kept], before[kept]
     return station, numbers, before
-
-
-def _used(column: str, kind: str, station_column: str) -> bool:
-    """Tell whether a column of a table of points is read."""
-    return plain(column) in ("station", *COLUMNS[kind]) or column == station_column
 
 
 def _column(table: Table, name: str) -> str:

@@ -93,11 +93,7 @@ def check_motion(recording: Recording) -> MotionCheck:
         R, t = recording.world_R_hand[rows], recording.world_t_hand[rows]
         planes.append(motion_before(name, R, t, stations, read))
     readings, order = sorted_readings(recording)
-    beams, numbers = np.argsort(order.beams), np.argsort(order.planes)
-    names = BeamAndPlaneNames(
-        tuple((name, int(beams[i])) for i, name in enumerate(recording.beam_names)),
-        tuple((name, int(numbers[p])) for p, name in enumerate(recording.plane_names)),
-    )
+    names = BeamAndPlaneNames.of(recording, order)
     readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
     parts, leans, unknowns = _open_in_general(readings, names), True, count_unknowns(readings, 0)
     motion = poor_motion(readings)

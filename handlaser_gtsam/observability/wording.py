@@ -10,6 +10,7 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
+from ..data.recording import Order, Recording
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR
@@ -42,6 +43,15 @@ class BeamAndPlaneNames(NamedTuple):
 
     beams: tuple[tuple[str, int], ...]
     planes: tuple[tuple[str, int], ...]
+
+    @classmethod
+    def of(cls, recording: Recording, order: Order) -> "BeamAndPlaneNames":
+        """Return the names in the order of a recording, with their numbers in sorted readings."""
+        beams, planes = np.argsort(order.beams).tolist(), np.argsort(order.planes).tolist()
+        return cls(
+            tuple(zip(recording.beam_names, beams, strict=True)),
+            tuple(zip(recording.plane_names, planes, strict=True)),
+        )
 
     def sorted_beams(self) -> tuple[str, ...]:
         """Return the names of the beams in the order of their indices."""

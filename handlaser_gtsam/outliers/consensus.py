@@ -6,6 +6,7 @@ settle the matter, and a thorough plain search only where nothing else fits, but
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gammaln
@@ -40,14 +41,13 @@ FEW_REJECTED = 0.2
 nothing: that beam or plane may have followed its outliers, and the good readings are rejected."""
 
 
-@dataclass(frozen=True, slots=True)
-class Consensus:
+class Consensus(NamedTuple):
     """The readings that agree, the parameters and sigma [m] they agree on, and the method.
 
-    The `start` is the result of the plain search, as if all readings were good.
+    What was `tried` is of the plain search, as if all readings were good.
     """
 
-    start: Start
+    tried: tuple[tuple[str, float], ...]
     kept: BoolArray
     parameters: Parameters
     method: str
@@ -194,7 +194,7 @@ def find_consensus(
         plain = judge.screened(last.parameters)
         screenings += [] if plain is None else [(last.method, plain)]
     if not screenings:
-        return Consensus(start, everything, last.parameters, last.method, None)
+        return Consensus(start.tried, everything, last.parameters, last.method, None)
     method, screening = min(screenings, key=lambda one: one[1].evidence)
     # The rejected readings may be the ones that contradict a beam in a wrong minimum.
     better = with_better_beams(screening.parameters, readings, MISFIT * screening.range_sigma)
@@ -204,8 +204,9 @@ def find_consensus(
     # A choice among few readings makes any of them agree.
     sigma = sigma_of(readings, residuals(start.parameters, readings), usable, range_sigma)
     if evidence(readings, everything, start.parameters, usable, sigma) < screening.evidence:
-        return Consensus(start, everything, start.parameters, start.method, None)
-    return Consensus(start, screening.kept, screening.parameters, method, screening.range_sigma)
+        return Consensus(start.tried, everything, start.parameters, start.method, None)
+    kept, parameters, sigma, _ = screening
+    return Consensus(start.tried, kept, parameters, method, sigma)
 
 
 def _robust(

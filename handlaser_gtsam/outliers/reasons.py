@@ -52,11 +52,6 @@ class Reasons(NamedTuple):
     warnings: tuple[CalibrationWarning, ...]
     residual: FloatArray
 
-    def residual_of(self, row: int) -> float | None:
-        """Return the residual of a row [m]; None where it has none."""
-        e = float(self.residual[row])
-        return e if np.isfinite(e) else None
-
 
 def reasons(
     readings: Readings,

@@ -21,7 +21,7 @@ from .goal import Goal
 from .information import station_rows
 from .route import Plan
 from .task import Task, planning_task
-from .workspace import Workspace, joined
+from .workspace import Workspace, inside, joined, reached
 
 if TYPE_CHECKING:
     from ..results.survey import SurveyCalibration
@@ -181,8 +181,10 @@ def _refined(task: Task, stations: Stations, rng: np.random.Generator) -> Statio
             near.world_t_hand + 0.5 * step,
             near.plane,
         )
+        near = near[inside(workspace, near)]
         try:
-            near = task.safe_and_reached(near)
+            near = near[task.safe(near)]
+            near = near[reached(workspace, near, belief.plates())]
         except (GrazingBeamError, InputError):  # a move too far; the next round moves less
             continue
         pool = joined([stations, near])

@@ -82,12 +82,6 @@ class Task(NamedTuple):
         readable = self.sensor.can_read(near) & self.sensor.can_read(far)
         return np.asarray((readable & steep).all(axis=1))
 
-    def safe_and_reached(self, stations: Stations) -> Stations:
-        """Return the stations in the workspace that are safe and that the arm, if any, reaches."""
-        stations = stations[inside(self.workspace, stations)]
-        stations = stations[self.safe(stations)]
-        return stations[reached(self.workspace, stations, self.belief.plates())]
-
     def candidates(self, plane: int, count: int, rng: np.random.Generator) -> Stations:
         """Return up to `count` stations before a plane at which every beam can read it safely.
 

@@ -93,7 +93,10 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
         if free and not solution.observability.full and poor_motion(used) is not None:
             wrong = None
     if wrong is None and determined.undetermined:
-        if _is_misfit(used, solution, fit):
+        # Readings that scatter as much as is stated of them do fit, however little they spread. Others
+        # do not fit where readings that fitted would determine everything.
+        expected = fit.range_sigma_given and fit.sigma0 <= TEN_TIMES
+        if not expected and suspicious(used, fit) and _motion_determines(used, solution):
             wrong = poor_fit(used, fit)
     elif wrong is None:
         wrong = implausible_mounts(used, solution.best, names)
@@ -293,15 +296,6 @@ def _motion_determines(used: Readings, solution: Solution) -> bool:
     """Tell whether readings without noise would determine everything."""
     at, terms = solution.parameters, solution.observability.terms
     return observability(at, used, terms, range_sigma=0.0, prior=solution.prior).full
-
-
-def _is_misfit(used: Readings, solution: Solution, fit: Fit) -> bool:
-    """Tell whether readings that fitted would determine everything, and these do not fit.
-
-    Readings that scatter as much as is stated of them do fit, however little they spread.
-    """
-    expected = fit.range_sigma_given and fit.sigma0 <= TEN_TIMES
-    return not expected and suspicious(used, fit) and _motion_determines(used, solution)
 
 
 def _status_of(

@@ -116,7 +116,8 @@ def dependence(
     for draws, far in ((LEAST_DRAWS, 0.5 * FAR_SIGMAS), (count, FAR_SIGMAS)):
         white = np.random.default_rng(20).standard_normal((len(rows.readings), draws))
         quiet = chains.squares(left(how.coloured(white)))
-        if not _stand_out(seen, quiet, far):
+        shares, share = np.cbrt(quiet / quiet[0]), np.cbrt(seen / seen[0])
+        if not (share > shares.mean(axis=1) + far * shares.std(axis=1))[1:].any():
             return INDEPENDENT
     lengths = chains.lengths
     drawn = [left(how.coloured(chains.coloured(white, length))) for length in lengths]
@@ -127,7 +128,10 @@ def dependence(
     lost = 1.0 if known else float(parts.sum() * means[0, 0] / seen[0])
     parts = parts / parts.sum()
     growth = _growth(rows, projection, chains, parts)
-    means_growth = float(parts @ [1.0, *(chains.growth_of_means(length) for length in lengths)])
+    # The variance of the mean of the longest chain relative to white noise, by the length.
+    lags = np.arange(1, chains.longest)
+    of_means = 1.0 + 2.0 * np.exp(-lags / lengths[:, None]) @ (1.0 - lags / chains.longest)
+    means_growth = float(parts @ [1.0, *of_means])
     growth, plane_growth = np.sqrt([lost * growth, lost * means_growth]).tolist()
     # No digit that is shown changes by less.
     if max(growth, plane_growth) < 1.02:
@@ -139,12 +143,6 @@ def dependence(
         max(1.0, growth),
         max(1.0, plane_growth, growth),
     )
-
-
-def _stand_out(seen: FloatArray, quiet: FloatArray, far: float) -> bool:
-    """Tell whether squares of sums (s,) are `far` sigmas above white noise (s, q)."""
-    shares, share = np.cbrt(quiet / quiet[0]), np.cbrt(seen / seen[0])
-    return bool((share > shares.mean(axis=1) + far * shares.std(axis=1))[1:].any())
 
 
 def _growth(
@@ -217,11 +215,6 @@ class _Chains:
             past = _discounted_sums(gain[rows], rho)
             variances += (gain[rows] * (2.0 * past - gain[rows])).sum(axis=0)
         return variances
-
-    def growth_of_means(self, length: float) -> float:
-        """Return the variance of the mean of the longest chain relative to white noise."""
-        lags = np.arange(1, self.longest)
-        return 1.0 + 2.0 * float(((1.0 - lags / self.longest) * np.exp(-lags / length)).sum())
 
 
 def _discounted_sums(x: FloatArray, rho: float) -> FloatArray:

@@ -208,7 +208,7 @@ def _unit_changes(recording: Recording) -> Iterator[Rereading]:
             words = f"the ranges of beam {name} look like {unit}, and the others like metres"
             factors = np.where(np.arange(len(typical)) == i, UNITS[unit], 1.0)
             values: Values = {"lengths": f"the ranges of beam {name}", "unit": unit}
-            yield Rereading(words, partial(_scaled, ranges=factors), "quick", values)
+            yield Rereading(words, partial(scaled, ranges=factors), "quick", values)
     every = np.ones(len(recording.beam_names), dtype=bool)
     beams = [("the ranges", every)]
     if len(every) > 1:
@@ -219,10 +219,10 @@ def _unit_changes(recording: Recording) -> Iterator[Rereading]:
     for what, own in beams:
         for words, factor, values in _changes_of(np.abs(recording.ranges[:, own]), what, recording):
             whole = np.where(own, factor[:, None], 1.0)
-            yield Rereading(words, partial(_scaled, ranges=whole), "quick", values)
+            yield Rereading(words, partial(scaled, ranges=whole), "quick", values)
     distance = np.linalg.norm(recording.world_t_hand, axis=1, keepdims=True)
     for words, factor, values in _changes_of(distance, "the positions", recording):
-        yield Rereading(words, partial(_scaled, positions=factor[:, None]), "quick", values)
+        yield Rereading(words, partial(scaled, positions=factor[:, None]), "quick", values)
 
 
 def _changes_of(
@@ -369,11 +369,7 @@ def _inverted(recording: Recording) -> Recording:
     return replace(recording, world_R_hand=R, world_t_hand=t)
 
 
-def _transposed(recording: Recording) -> Recording:
-    return replace(recording, world_R_hand=np.swapaxes(recording.world_R_hand, 1, 2))
-
-
-def _scaled(
+def scaled(
     recording: Recording, positions: FloatArray | float = 1.0, ranges: FloatArray | float = 1.0
 ) -> Recording:
     """Return a recording in other units; as it is where that is beyond what a recording may hold."""
@@ -383,23 +379,17 @@ def _scaled(
     return replace(recording, world_t_hand=t, ranges=d)
 
 
-def _shifted(recording: Recording, rows: int) -> Recording:
-    """Return a recording with the ranges of another row, without the stations that then have none."""
-    count = len(recording.ranges)
-    kept = np.arange(max(-rows, 0), count - max(rows, 0))
-    return replace(recording.part(kept), ranges=recording.ranges[kept + rows], samples=None)
-
-
 def without_mistake(recording: Recording, what: str, how: str | int | list[int]) -> Recording:
     """Return a recording without one of the `MISTAKES`.
 
     Axes that are exchanged or negated are given as numbers: [-1, 3, 2] is -x, z, y.
     """
-    if isinstance(how, int):
-        return _shifted(recording, how)
+    if isinstance(how, int):  # the ranges of another row; stations that then have none are dropped
+        kept = np.arange(max(-how, 0), len(recording.ranges) - max(how, 0))
+        return replace(recording.part(kept), ranges=recording.ranges[kept + how], samples=None)
     if isinstance(how, str):
         unit = {"mm": MM, "inch": INCH}[how]
-        return _scaled(recording, **{what: unit})
+        return scaled(recording, **{what: unit})
     order, signs = np.abs(how) - 1, np.sign(how)
     if what == "positions":
         return replace(recording, world_t_hand=recording.world_t_hand[:, order] * signs)
@@ -429,7 +419,9 @@ def _read_as(written: Convention, read: Convention) -> tuple[str, Change]:
 
 HYPOTHESES: dict[str, Change] = {
     f"the poses look inverted: {INVERTED}": _inverted,
-    "the rotations look inverted (hand_R_world instead of world_R_hand)": _transposed,
+    "the rotations look inverted (hand_R_world instead of world_R_hand)": lambda recording: replace(
+        recording, world_R_hand=np.swapaxes(recording.world_R_hand, 1, 2)
+    ),
     **{
         words: partial(without_mistake, what=what, how=how)
         for words, mistake in MISTAKES.items()
@@ -442,7 +434,7 @@ HYPOTHESES: dict[str, Change] = {
 }
 """Mistakes in words, and what undoes them."""
 ALL_LENGTHS: dict[str, Change] = {
-    f"all lengths look like {words}": partial(_scaled, positions=unit, ranges=unit)
+    f"all lengths look like {words}": partial(scaled, positions=unit, ranges=unit)
     for words, unit in UNITS.items()
 }
 """The same of positions and ranges alike, which only beams that are known can tell."""

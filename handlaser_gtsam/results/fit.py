@@ -170,13 +170,14 @@ def _rejected(problem: Problem, selection: Selection, why: Reasons) -> tuple[Rej
     station, beam = order.stations[readings.station], order.beams[readings.beam]
     rows = np.flatnonzero(~selection.used)
     rows = rows[np.lexsort((beam[rows], station[rows]))]
+    known = np.isfinite(why.residual) & ~selection.outside
     return tuple(
         Rejected(
             recording.station_names[station[row]],
             recording.beam_names[beam[row]],
             recording.plane_labels[station[row]],
             str(words[row]),
-            None if selection.outside[row] else why.residual_of(int(row)),
+            float(why.residual[row]) if known[row] else None,
         )
         for row in rows
     )

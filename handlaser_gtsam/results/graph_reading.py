@@ -134,7 +134,9 @@ def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
         e = np.atleast_1d(factor.unwhitenedError(own.values))
         label = key_name(last) if posed else f"factor {number}"
         labels += [label] if len(e) == 1 else [f"{label} row {i + 1}" for i in range(len(e))]
-        sigma = _sigmas(factor.noiseModel(), len(e))
+        model = factor.noiseModel()
+        inner = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
+        sigma = np.asarray(inner.sigmas() if hasattr(inner, "sigmas") else np.ones(len(e)), float)
         rows.append((np.full(len(e), beam), e, sigma, _ranges(factor, own.values)))
     for i, name in enumerate(own.beams):
         if all(beam[0] != i for beam, *_ in rows):
@@ -173,13 +175,6 @@ def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
     product = (by_direction * across).sum(axis=1)
     found: FloatArray = np.where(seen, product / np.where(seen, square, 1.0), np.nan)
     return found
-
-
-def _sigmas(model: gtsam.noiseModel.Base, rows: int) -> FloatArray:
-    """Return the standard deviations of a noise model, of the inner model where it is robust."""
-    inner = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
-    sigmas = inner.sigmas() if hasattr(inner, "sigmas") else np.ones(rows)
-    return np.asarray(sigmas, dtype=np.float64)
 
 
 def read_graph(

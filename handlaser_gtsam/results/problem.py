@@ -57,11 +57,7 @@ class Problem(NamedTuple):
     @property
     def names(self) -> BeamAndPlaneNames:
         """Beams and planes with their numbers in the readings, in the order of the recording."""
-        beams, planes = np.argsort(self.order.beams), np.argsort(self.order.planes)
-        return BeamAndPlaneNames(
-            tuple(zip(self.recording.beam_names, beams.tolist(), strict=True)),
-            tuple(zip(self.recording.plane_names, planes.tolist(), strict=True)),
-        )
+        return BeamAndPlaneNames.of(self.recording, self.order)
 
     def chosen(self, rows: BoolArray) -> Readings:
         """Return some readings, every plane in its own frame."""

@@ -262,10 +262,10 @@ def rival_warnings(
     size = float(np.sqrt(e @ e / solution.redundancy))
     if size <= EXACT * used.largest_range():
         return
-    found = beam_minima(at, used)
-    turned = np.linalg.norm(found.directions - at.directions[:, None], axis=2)
-    each = np.maximum(np.bincount(used.beam, minlength=used.beams) / found.readings, 1.0)
-    worse = each[:, None] * (found.cost - found.now[:, None]) / size**2
+    locations, directions, squares, now = beam_minima(at, used)
+    turned = np.linalg.norm(directions - at.directions[:, None], axis=2)
+    each = np.bincount(used.beam, minlength=used.beams)
+    worse = each[:, None] * (squares - now[:, None]) / size**2
     worse = np.where(turned > SAME_DIRECTION, worse, np.inf)
     least, listed = worse.min(axis=1), {i: name for name, i in names.beams}
     # Standard deviations of each direction, along its least certain axis.
@@ -279,13 +279,13 @@ def rival_warnings(
             break
         one = int(np.argmin(worse[beam]))
         r, v = at.locations.copy(), at.directions.copy()
-        r[beam], v[beam] = found.locations[beam, one], found.directions[beam, one]
-        now = refine(at, used, solution.terms, LAST_STEPS)
+        r[beam], v[beam] = locations[beam, one], directions[beam, one]
+        best = refine(at, used, solution.terms, LAST_STEPS)
         other = refine(replace(at, locations=r, directions=v), used, solution.terms, LAST_STEPS)
-        if now is None or other is None:
+        if best is None or other is None:
             continue
         turn = float(np.linalg.norm(other.parameters.directions[beam] - at.directions[beam]))
-        chi2 = (other.squares - now.squares) / size**2
+        chi2 = (other.squares - best.squares) / size**2
         if chi2 > UNLIKELY_EXCESS or turn < FAR_SIGMAS * sigma[beam]:
             continue
         values: Values = {"beam": listed[beam], "turn_deg": float(np.degrees(turn)), "chi2": chi2}

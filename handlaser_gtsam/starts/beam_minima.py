@@ -12,13 +12,13 @@ and errs in the range by that over a'v. So the best r and its cost follow for ma
 minimum.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from .. import model
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.search import LevenbergOptions
@@ -32,30 +32,20 @@ MINIMUM_READINGS = 24
 """Readings of a beam, evenly chosen, that show its minima: three times as many as it has unknowns."""
 
 
-@dataclass(frozen=True, slots=True)
-class BeamMinima:
-    """The minima of each of B beams by itself, F of them, not all different.
+def beam_minima(
+    parameters: Parameters, readings: Readings
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the minima of each of B beams by itself, F of them, for the planes as they are.
 
-    Attributes
-    ----------
+    Returns
+    -------
     locations, directions : (B, F, 3)
-    cost : (B, F)
-        Sums of squares [m^2] of at most `MINIMUM_READINGS` readings.
+        Not all different.
+    squares : (B, F)
+        Mean squares [m^2] of at most `MINIMUM_READINGS` readings.
     now : (B,)
         The same for the present direction, with the best location.
-    readings : (B,) of int
-        Number of readings of each beam in these sums.
     """
-
-    locations: FloatArray
-    directions: FloatArray
-    cost: FloatArray
-    now: FloatArray
-    readings: IntArray
-
-
-def beam_minima(parameters: Parameters, readings: Readings) -> BeamMinima:
-    """Return the minima of every beam for the planes as they are."""
     # Rows (B, n) of the readings of each beam, and which of them count.
     order = np.argsort(readings.beam, kind="stable")
     ends = np.searchsorted(readings.beam[order], np.arange(readings.beams + 1))
@@ -79,8 +69,9 @@ def beam_minima(parameters: Parameters, readings: Readings) -> BeamMinima:
         directions = beams.minima(v[some])
         locations, cost = beams.cost(directions)
         parts.append((locations, directions, cost, beams.cost(v[some, None])[1][:, 0]))
-    both = [np.concatenate(part) for part in zip(*parts, strict=True)]
-    return BeamMinima(both[0], both[1], both[2], both[3], counted.sum(axis=1))
+    locations, directions, cost, now = (np.concatenate(part) for part in zip(*parts, strict=True))
+    number = np.maximum(counted.sum(axis=1), 1)
+    return locations, directions, cost / number[:, None], now / number
 
 
 def with_better_beams(
@@ -90,18 +81,17 @@ def with_better_beams(
 
     Minima in which the readings of a beam have an rms residual above `most` [m] do not count.
     """
-    minima = beam_minima(parameters, readings)
-    best = np.arange(len(minima.now)), minima.cost.argmin(axis=1)
-    v = minima.directions[best]
+    locations, directions, squares, now = beam_minima(parameters, readings)
+    best = np.arange(len(now)), squares.argmin(axis=1)
+    v, least = directions[best], squares[best]
     turned = np.linalg.norm(v - parameters.directions, axis=1)
-    better = (minima.cost[best] < minima.now) & (turned > SAME_DIRECTION)
-    better &= minima.cost[best] <= minima.readings * most**2
+    better = (least < now) & (turned > SAME_DIRECTION) & (least <= most**2)
     if not better.any():
         return None
     chosen = better[:, None]
     return replace(
         parameters,
-        locations=np.where(chosen, minima.locations[best], parameters.locations),
+        locations=np.where(chosen, locations[best], parameters.locations),
         directions=np.where(chosen, v, parameters.directions),
     )
 

@@ -5,11 +5,10 @@ the given range sigma says, or when several starts agree on an optimum that is n
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from operator import itemgetter
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -50,8 +49,7 @@ Accepts = Callable[[Parameters, bool], bool]
 starts agree on it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
+class Start(NamedTuple):
     """The start that was chosen.
 
     Attributes

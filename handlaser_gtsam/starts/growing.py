@@ -8,6 +8,7 @@ others grow from it.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -169,8 +170,7 @@ def _meeting(start: PartialStart, readings: Readings) -> tuple[FloatArray, Float
     return v_world, np.einsum("ni,ni->n", v_world, start.normals[readings.plane])
 
 
-@dataclass(frozen=True, slots=True)
-class Excerpt:
+class Excerpt(NamedTuple):
     """Some planes and beams of a recording, and some of very many stations.
 
     Attributes

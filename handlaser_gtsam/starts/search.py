@@ -5,7 +5,7 @@ losses that let go of outliers, and compares evidence. What they share is here.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,7 @@ SAME_DIRECTION = 0.02
 """Beam directions that differ by less than this [rad] belong to one minimum."""
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
+class Candidate(NamedTuple):
     """A refined start.
 
     Attributes
@@ -45,8 +44,7 @@ class Candidate:
     scale: float
 
 
-@dataclass(frozen=True, slots=True)
-class Round:
+class Round(NamedTuple):
     """Starts that are tried together.
 
     Attributes

@@ -19,7 +19,8 @@ poor, so this start competes with the plain one.
 Planes and beams that satisfy no lemma stay unknown here and are grown afterwards.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,8 +34,7 @@ SPANNING = 1e-4
 """Least ratio of squared spreads at which translations, or normals seen from the hand, span space."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Series:
+class _Series(NamedTuple):
     """Plane, beam and rotation of S series, and the second moments of what varies in each.
 
     `moments` (S, 5, 5) are of translations t (3), readings d and their squares q, about their means.

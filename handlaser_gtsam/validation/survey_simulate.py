@@ -60,7 +60,7 @@ def simulate_survey(
 ) -> Survey:
     """Read every sensor and beam at every station; what does not look at the target reads nothing.
 
-    A station at which nothing is read stays among the stations: `unread_stations` counts them.
+    A station at which nothing is read stays among the stations: `Survey.stations_read` tells which.
 
     Parameters
     ----------
@@ -134,16 +134,6 @@ def simulate_survey(
         good = np.isfinite(ranges)
         ranges[good] = read(ranges[good], errors.range_sigma)
     return Survey(stations, tuple(shots), ranges, tuple(truth.beams), half_angle=half_angle)
-
-
-def unread_stations(survey: Survey) -> int:
-    """Return the number of stations at which no ray of any sensor or beam hits a target."""
-    read = np.zeros(len(survey.stations), dtype=bool)
-    for shots in survey.shots:
-        read[shots.station] = True
-    if survey.ranges is not None:
-        read |= ~np.isnan(survey.ranges).all(axis=1)
-    return int((~read).sum())
 
 
 def _ranges_of_rays(

@@ -98,14 +98,6 @@ def _groups(labels: Sequence[str]) -> tuple[list[str], IntArray]:
     return list(number), np.array([number[name] for name in labels], dtype=np.intp)
 
 
-def _labels_at(*tables: tuple[LogRows, IntArray]) -> list[str] | None:
-    """Return the planes of stations from the first table that has any, at a row of it for each."""
-    for rows, at in tables:
-        if rows.planes is not None:
-            return [rows.planes[i] for i in at.tolist()]
-    return None
-
-
 def _refuse_other_pose(
     poses: LogRows,
     given: LogFormat,
@@ -258,7 +250,11 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
             path,
         )
     station = np.where(near, station, -1).astype(np.intp)
-    planes = _labels_at(*labels)
+    # The planes of stations are those of the first table that has any, at a row of it for each.
+    of_rows = (
+        [rows.planes[i] for i in at.tolist()] for rows, at in labels if rows.planes is not None
+    )
+    planes = next(of_rows, None)
     return Stations(poses, readings, way, names, planes, times, station, warnings, words, lag)
 
 

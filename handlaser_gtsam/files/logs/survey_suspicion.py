@@ -27,7 +27,7 @@ from ...model.families import pose_of
 from ...model.sensors.mounted import SENSOR
 from ...model.shots import Mixed
 from ...quantities import INCH, MM, TINY, UNIT_SIGMA
-from ...results.file_mistakes import without_mistake
+from ...results.file_mistakes import scaled, without_mistake
 from ...results.messages import MISTAKES
 from ...results.rereading import Rereading, misfits
 from ...results.warnings import FAR_BEAM
@@ -107,11 +107,7 @@ def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
                 factor = np.where(np.arange(3) == axis, times, 1.0)
                 said = f"the {name} coordinates of the positions are {times:.3g} times as large"
                 said += f" ({unit} among millimetres)"
-                yield Rereading(said, partial(_stretched, factor=factor), "glance")
-
-
-def _stretched(recording: Recording, factor: FloatArray) -> Recording:
-    return replace(recording, world_t_hand=recording.world_t_hand * factor)
+                yield Rereading(said, partial(scaled, positions=factor), "glance")
 
 
 def _other_orders(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Rereading]:

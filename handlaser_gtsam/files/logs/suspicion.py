@@ -33,6 +33,7 @@ from ...model.conventions import (
 from ...model.distributions import gaussian_quantile
 from ...model.equation import plausible_range_errors, residuals_or_infinite
 from ...quantities import IN_PERCENT, TINY
+from ...results.file_mistakes import scaled
 from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort, find_start
@@ -192,7 +193,7 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
     terms = RANGE_ERROR_TERMS["auto"]
     whole = [one.parameters for one in find_start(readings, None, 0, effort=effort).candidates]
     latest = next(rounds(readings, whole, terms, np.random.default_rng(0)))
-    latest = replace(latest, good=GOOD)
+    latest = latest._replace(good=GOOD)
     residuals = [
         good_square(residuals_or_infinite(one.parameters, readings))
         for _, one in refined_starts(latest, readings, terms, least_scale(readings, None))
@@ -210,15 +211,11 @@ def good_square(residuals: FloatArray) -> float:
 
 def other_lengths(stated: str, words: str) -> Iterator[Rereading]:
     """Yield other units of the ranges than the one stated, in `words` with {name} and {unit}."""
-
-    def scaled(factor: float, recording: Recording) -> Recording:
-        return replace(recording, ranges=factor * recording.ranges)
-
     for unit in LENGTHS:
         if unit != stated:
             factor = LENGTHS[unit] / LENGTHS[stated]
             called_so = words.format(name=UNIT_WORDS[unit], unit=unit)
-            yield Rereading(called_so, partial(scaled, factor), "glance")
+            yield Rereading(called_so, partial(scaled, ranges=factor), "glance")
 
 
 def alternatives(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Rereading]:

@@ -281,8 +281,11 @@ def range_error_words(result: CalibrationData) -> str:
     listed = []
     for index, term in enumerate(BEAM.coordinates[RANGE_ERROR]):
         names = [name for name, found in excluded.items() if found[index]]
+        whose = f" of beam{'s' * (len(names) > 1)} {some(names, NAMES_IN_LINE)}"
+        if len(names) == len(excluded):
+            whose = " of all beams" if len(names) > 1 else ""
         if names:
-            listed.append(f"{term}{_beams(names, len(excluded))}")
+            listed.append(f"{term}{whose}")
     words = "zero is not excluded"
     if listed:
         words = f"zero is excluded (95 %) for {' and '.join(listed)}"
@@ -304,9 +307,3 @@ def effect_words(result: CalibrationData) -> str:
     words = [some(determined, NAMES_IN_LINE)] if determined else []
     words += [f"undetermined: {some(others, NAMES_IN_LINE)}"] if others else []
     return "; ".join(words)
-
-
-def _beams(names: list[str], beams: int) -> str:
-    if len(names) == beams:
-        return " of all beams" if beams > 1 else ""
-    return f" of beam{'s' if len(names) > 1 else ''} {some(names, NAMES_IN_LINE)}"
