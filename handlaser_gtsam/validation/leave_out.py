@@ -1,4 +1,4 @@
-"""Parts of a recording that are left out, and predicted from the rest.
+"""Parts of a recording that the rest of it predicts.
 
 A part is a plane or another target, or a random choice of the stations. The same types hold what was
 found of beams before planes and of surveys.
@@ -18,7 +18,7 @@ from .hold_out import HoldOut
 from .prediction import Prediction, SurveyPrediction
 
 PART_LEFT_OUT = 0.3
-"""Part of the stations that a random split predicts: of beams before planes, those of every plane."""
+"""Part of the stations that a random split predicts; before planes, of the stations of every plane."""
 USUAL_SPLITS = 5
 """Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
 Predicted = HoldOut | Prediction | SurveyPrediction
