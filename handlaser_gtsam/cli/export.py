@@ -109,22 +109,21 @@ def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     """Return what a format takes of a file: stations, a calibration or the result of a survey."""
     from ..errors import InputError
     from ..files.calibration_file import read_calibration
+    from ..files.checked_text import read_text
     from ..files.recording_csv import read_stations
 
     stations = to in STATIONS
     try:
         return read_stations(file) if stations else read_calibration(file)
     except InputError as error:
-        with suppress(OSError), file.open("rb") as opened:
-            beginning = opened.read(9).lstrip()
-            if beginning.startswith(b"{") == stations:  # calibrations are JSON, and stations CSV
-                found, other = (
-                    f"no JSON, and {to} takes a calibration: of calibrate --out",
-                    STATIONS,
-                )
-                if stations:
-                    found, other = f"a calibration, and {to} takes stations: of plan --out", BEAMS
-                raise InputError(found, f"that, or --to {' | '.join(other)}", file) from error
+        text = ""
+        with suppress(InputError):
+            text = read_text(file, "stations or a calibration").lstrip()
+        if text and text.startswith("{") == stations:  # calibrations are JSON, and stations CSV
+            found, other = f"no JSON, and {to} takes a calibration: of calibrate --out", STATIONS
+            if stations:
+                found, other = f"a calibration, and {to} takes stations: of plan --out", BEAMS
+            raise InputError(found, f"that, or --to {' | '.join(other)}", file) from error
         raise
 
 

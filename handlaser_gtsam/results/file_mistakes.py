@@ -196,7 +196,7 @@ def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Reread
 def _unit_changes(recording: Recording) -> Iterator[Rereading]:
     """Lengths of another unit, throughout or from some station on: they differ by a large factor.
 
-    They are the ranges of one beam throughout, or from a station on all ranges, those of one beam, or
+    They are the ranges of one beam throughout, or from a station on all ranges, ranges of one beam, or
     the positions.
     """
     typical = np.nanmedian(np.abs(recording.ranges), axis=0)

@@ -8,7 +8,7 @@ without what all other unknowns explain and weighed by the noise, a move makes c
 with q the rank of A'A. A plate that was moved and a tool frame that changed are compared by the same
 test, and so are systematic errors that were found: a beam has moved only if it explains more, by
 Schwarz's criterion (Annals of Statistics 6(2), 1978). Readings that were rejected count again, because
-those of one side of a large move do not fit the other.
+readings before a large move do not fit the readings after it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -252,7 +252,7 @@ class Verdict:
         return f"{self.opening}{confirmed}: {words}."
 
     def says(self, message: str) -> bool:
-        """Tell whether its sentence holds that of a warning."""
+        """Tell whether its sentence says what a warning says."""
         return clause(message) in self.sentence
 
     @property

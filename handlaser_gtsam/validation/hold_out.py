@@ -92,8 +92,8 @@ class HoldOut(Value):
     rms, max_residual : float
         Of the residuals with the calibrated beams and the planes fitted [m].
     chi2, dof : float, int
-        Of noise and model, the beams free: near dof if they are right. Of a range sigma that is not
-        given, with that of the calibration.
+        Of noise and model, the beams free: near dof if they are right. Where no range sigma is given,
+        in units of the one that the calibration found.
     noise_p_value : float
         Probability of a larger chi2 then; NaN where the range sigma was estimated from it.
     drift, drift_dof : float, int
