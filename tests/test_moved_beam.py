@@ -141,3 +141,9 @@ def test_good_readings_are_not_left_out_until_few_agree(seed):
     """Noise of a millimetre at 15 stations: with 30 unknowns, any choice of 41 of 45 fits better."""
     found = hl.calibrate(recorded(seed, stations=15, noise=1e-3))
     assert len(found.fit.rejected) <= 1
+
+
+def test_too_few_stations_to_have_moved_amid_them():
+    whole = recorded(3)
+    few = hl.calibrate(whole.part(np.arange(12)))
+    assert not any(one.code == DISPLACED for one in few.warnings)

@@ -174,7 +174,7 @@ def _likely_move(rows: LinearRows, dof: int) -> Move | None:
     # Alone it explains no more than with the others: most good recordings, whose best of all tests is
     # what chance makes of their number, end here.
     most, tests = max(one.fall for one in promising), sum(one.tests for one in promising)
-    if chi2_sf(MOUNT_DIM * most * dof / total, MOUNT_DIM) * tests > 1.0:
+    if not tests or chi2_sf(MOUNT_DIM * most * dof / total, MOUNT_DIM) * tests > 1.0:
         return None
     promising += map(falls, _others(rows))
     tests = sum(one.tests for one in promising)
