@@ -584,7 +584,10 @@ def written_wrong(how):
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ("late", "times better if the shots are one row late; "),
+        (
+            "late",
+            "one row late: each belongs to the pose of the row before its own; expected that to",
+        ),
         ("sign", "times better if the y coordinates of the positions are negated; "),
         ("unit", "if the y coordinates of the positions are 10 times as large"),
         ("order", "are in another order: columns 2, 1, 3 of them; "),

@@ -97,6 +97,9 @@ def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
             )
             if what == "rows" or (what == "positions" and 2 * negated + moved == 2):
                 said = words.replace("ranges", "shots").replace(" look ", " are ", 1)
+                if what == "rows":
+                    other = "before" if how == 1 else "after"
+                    said += f": each belongs to the pose of the row {other} its own"
                 yield Rereading(said, partial(without_mistake, what=what, how=how), "glance")
     spread = stations.world_t_hand.std(axis=0)
     others = {"centimetres": 10.0, "inches": INCH / MM, "metres": 1.0 / MM}

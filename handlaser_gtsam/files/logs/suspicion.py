@@ -160,7 +160,7 @@ def accused(
     message = f"the readings fit {times:.3g} times better if {other}"
     if ratio >= MUCH_BETTER and not given.as_stated:
         found_so = f"poses that do not fit as {stated}; {message}"
-        raise InputError(found_so, "that, or --as-stated if it is right")
+        raise InputError(found_so, "that to be stated or corrected, or --as-stated if it is right")
     words = f"{message}; stated: {stated}"
     values: dict[str, float | str] = {"times": times, "better": other, "stated": stated}
     return (CalibrationWarning("pose-convention", words, values),)
