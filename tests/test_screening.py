@@ -149,6 +149,27 @@ def test_a_column_twice_with_noise_of_its_own_is_warned_of(recording):
     assert judged.sentence.count("lie in one place") == 1
 
 
+@pytest.mark.parametrize(
+    ("label", "found"), [("plate a", True), ("Plat_A", True), ("plate 2", False), ("other", False)]
+)
+def test_a_misspelt_label_is_named(recording, label, found):
+    """Of one station, which stays a plane of its own; numbers and other words tell labels apart."""
+    first = recording.plane_labels[0]
+    whole = ["Plate A" if one == first else one for one in recording.plane_labels]
+    labels = (label, *whole[1:])
+    calibration = hl.calibrate(replace(recording, plane_labels=labels), hl.Noise(SIGMA, 0.0, 0.0))
+    named = [one.values for one in calibration.warnings if one.code == "misspelt-label"]
+    assert named == ([{"target": label, "other": "Plate A"}] if found else [])
+
+
+def test_a_misspelt_name_of_another_plane_is_none(recording):
+    labels = [f"plate {label}" for label in recording.plane_labels]
+    few = np.flatnonzero(recording.plane_of_station == 1)
+    part = replace(recording, plane_labels=tuple(labels))
+    part = part.part(np.setdiff1d(np.arange(len(labels)), few[3:]))
+    assert "misspelt-label" not in codes(hl.calibrate(part, hl.Noise(SIGMA, 0.0, 0.0)))
+
+
 def test_parallel_beams_side_by_side_are_two_beams(recording):
     """20 mm apart, on a hand that tilts by a degree: readings differ by a fraction of a millimetre."""
     rng = np.random.default_rng(1)

@@ -3,8 +3,10 @@
 The covariance grows here by what errors that are correlated in time make of it.
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from ..estimation.posterior import covariance_of_determined
 from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
+from ..model.equation import residuals_or_infinite
+from ..model.families import PLANE
 from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.sensor import BY_LIMITS
@@ -32,13 +36,14 @@ from ..observability.wording import (
 )
 from ..outliers.reasons import Reasons
 from ..progress import tell
-from ..quantities import NEGLIGIBLE
+from ..quantities import FAR_SIGMAS, NEGLIGIBLE
+from ..text import count
 from .calibration import Calibration
 from .dependence import INDEPENDENT, Dependence
 from .fit import fit_of, linear_rows, unit_sigma
 from .freed import Freed
 from .lines import NAMES_IN_LINE
-from .messages import said, warned
+from .messages import Values, said, warned
 from .moved_beam import moved_beam
 from .problem import Problem, named_estimates
 from .projection import LinearRows
@@ -131,7 +136,8 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
         if determined.undetermined:
             # Scales of range errors are not learned then, and count in chi2.
             of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
-        signs = (*_wrong_labels(problem, why), *why.warnings, *of_fit)
+        misspelt = _misspelt_labels(problem, solution, fit)
+        signs = (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit)
     whole = joint if determined.rank == determined.unknowns else None
     beams_and_planes = _estimates(problem, solution, joint)
     moved = None
@@ -221,6 +227,32 @@ def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, .
     if len(wrong) >= NAMES_IN_LINE:
         return (warned("file-mistake:labels", {"stations": len(wrong), **wrong[0]}),)
     return tuple(warned("wrong-label", values) for values in wrong)
+
+
+def _misspelt_labels(
+    problem: Problem, solution: Solution, fit: Fit
+) -> Iterator[CalibrationWarning]:
+    """Warn of a label that few stations have, much like another one whose plane their readings fit.
+
+    These are no more stations than a plane has unknowns. Numbers tell labels apart: plate 1 is no
+    misspelt plate 2.
+    """
+    recording, readings = problem.recording, problem.recording.readings()
+    names, stations = recording.plane_names, np.bincount(recording.plane_of_station)
+    plain = [re.sub(r"[\s_-]", "", name).casefold() for name in names]
+    numbers = [re.findall(r"\d+", name) for name in names]
+    at = problem.in_world(solution.best)
+    for few in np.flatnonzero(stations <= PLANE.dim).tolist():
+        rows = np.flatnonzero(readings.plane == few)
+        for other in np.flatnonzero(stations > stations[few]).tolist():
+            if numbers[few] != numbers[other] or not get_close_matches(plain[few], [plain[other]]):
+                continue
+            own = replace(readings.subset(rows), plane=np.full(len(rows), other))
+            e = residuals_or_infinite(at, own)
+            if np.sqrt(np.mean(e**2)) < FAR_SIGMAS * fit.rms:
+                values: Values = {"target": names[few], "other": names[other]}
+                how_many = count(int(stations[few]), "station")
+                yield warned("misspelt-label:beams", values, stations=how_many)
 
 
 def _way(
