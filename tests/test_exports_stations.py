@@ -261,7 +261,7 @@ def test_the_command_writes_programs_of_planned_stations(handlaser, tmp_path):
         (("--to", "krl", "--beam", "1"), "beams with the format krl"),
         (("--to", "krl", "--signal", "-1"), "signal"),
         (("--to", "tp", "--pause-s", "1000"), "pause"),
-        (("--to", "kuka"), "a calibration of handlaser"),
+        (("--to", "kuka"), "kuka takes a calibration"),
     ],
 )
 def test_what_stations_cannot_be_is_said_in_one_line(refusal, tmp_path, options, words):
