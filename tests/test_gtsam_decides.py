@@ -28,6 +28,8 @@ def test_a_calibration_ends_with_gtsams_factors_and_marginals(monkeypatch, given
     found = hl.calibrate(recording, noise)
     assert calls, "no factor was called"
     problem = found.problem()
+    # The step and the covariance come from one linearisation.
+    assert len(calls) == len(problem.blocks)
     values = problem.values
     # GTSAM by itself: its own linearisation of every factor, its own elimination of all variables.
     linear = problem.graph.linearize(values)

@@ -18,6 +18,7 @@ from handlaser_gtsam.solvers.beam_problem import linearized
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters, start_values
 from handlaser_gtsam.solvers.levenberg import (
     LevenbergOptions,
+    damped_step,
     levenberg_marquardt,
     linearize,
     of_calibration,
@@ -66,8 +67,21 @@ def test_gauss_newton_converges_from_the_start(problem):
     result = levenberg_marquardt(problem[3])
     assert result.status == "converged"
     assert result.iterations <= 10  # the paper: mostly within 10
-    assert result.cost == pytest.approx(0.5 * (result.residual**2).sum() / SIGMA**2)
+    assert result.cost == pytest.approx(0.5 * (result.residuals()[0] ** 2).sum() / SIGMA**2)
     assert problem[3].graph.error(result.values) == pytest.approx(result.cost, rel=1e-12)
+
+
+def test_a_last_step_that_does_not_show_is_evaluated_for_its_residuals_only(monkeypatch, problem):
+    calls, evaluate = [], SharedEvaluation.evaluate
+    monkeypatch.setattr(
+        SharedEvaluation, "evaluate", lambda self, at: calls.append(1) or evaluate(self, at)
+    )
+    graph = problem[3]
+    result = levenberg_marquardt(graph)
+    assert len(calls) == result.iterations  # the start, and all steps but the last
+    ended = evaluate(graph.shared, result.values)
+    assert np.array_equal(result.residuals()[1][graph.rows], ended.white)
+    assert len(calls) == result.iterations + 1
 
 
 def test_the_gradient_vanishes_at_the_solution(problem):
@@ -248,7 +262,7 @@ def test_the_step_is_that_of_gtsams_elimination_of_all_factors(case):
     )
     point = of_calibration(problem).evaluate(problem.values)
     assert problem.graph.error(problem.values) == pytest.approx(point.cost, rel=1e-12)
-    delta, decrement = point.linearized()(0.0)
+    delta, decrement = damped_step(point.linear(), problem.ordering, point.squares, 0.0)
     linear = problem.graph.linearize(problem.values)
     theirs = linear.optimize(problem.ordering)
     assert decrement == pytest.approx(-linear.gradientAtZero().dot(theirs), rel=1e-9)

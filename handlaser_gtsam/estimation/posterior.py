@@ -32,7 +32,11 @@ from .learning_scales import LearnedScales, ScaleProblem, integrated_over
 from .scales import NoiseComponent
 
 
-def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovariance:
+def covariance(
+    problem: CalibrationGraph,
+    values: gtsam.Values,
+    linear: gtsam.GaussianFactorGraph | None = None,
+) -> JointCovariance:
     """Return the covariance of beams and planes by elimination in GTSAM, in its tangent bases.
 
     Offsets are in the frames of the readings.
@@ -42,6 +46,8 @@ def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovarian
     problem : CalibrationGraph
     values : gtsam.Values
         The solution.
+    linear : gtsam.GaussianFactorGraph, optional
+        The graph linearised there, if it has been.
 
     Raises
     ------
@@ -49,7 +55,8 @@ def covariance(problem: CalibrationGraph, values: gtsam.Values) -> JointCovarian
         The system is indeterminate; the variable that GTSAM names may have nothing to do with it.
     """
     first = gtsam.Ordering([*problem.poses, *problem.planes])
-    net, rest = linearize(problem, values).eliminatePartialSequential(first)
+    linear = linearize(problem, values) if linear is None else linear
+    net, rest = linear.eliminatePartialSequential(first)
     # The rows of each variable of the beams in a stack of all.
     columns: dict[int, IntArray] = {}
     size = 0
@@ -103,10 +110,14 @@ def numbered(
     )
 
 
-def covariance_by_gtsam(problem: CalibrationGraph, values: gtsam.Values) -> JointCovariance | None:
+def covariance_by_gtsam(
+    problem: CalibrationGraph,
+    values: gtsam.Values,
+    linear: gtsam.GaussianFactorGraph | None = None,
+) -> JointCovariance | None:
     """Return `covariance`, or None where GTSAM calls the system indeterminate."""
     try:
-        return covariance(problem, values)
+        return covariance(problem, values, linear)
     except (RuntimeError, np.linalg.LinAlgError):
         return None
 

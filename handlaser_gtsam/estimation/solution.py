@@ -76,8 +76,7 @@ class Minimum:
             result.cost,
             result.iterations,
             result.history[0].step if result.history else 0.0,
-            result.residual,
-            result.white,
+            *result.residuals(),
             graph,
             result.values,
         )

@@ -30,7 +30,7 @@ from ..progress import Trial, tell_trial
 from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
 from ..solvers.beam_problem import beam_problem, require_steep
 from ..solvers.graph import PosePriors, build_graph, pose_priors
-from ..solvers.levenberg import Status, levenberg_marquardt
+from ..solvers.levenberg import LevenbergResult, Status, levenberg_marquardt
 from ..solvers.sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
@@ -251,7 +251,7 @@ class SolutionTask:
         readings, _ = self.weighed(parameters, variances)
         how = whitening(parameters, readings, variances.without_poses())
         priors = pose_priors(readings, variances.pose)
-        ended = self._by_gtsam(readings, parameters, how, self._solver(parameters), priors)
+        ended, _ = self._by_gtsam(readings, parameters, how, self._solver(parameters), priors)
         marginal = whitening(ended.parameters, readings, variances)
         diagnosed = self.diagnosed(ended, marginal.sigma, marginal)
         return replace(diagnosed, variances=variances)
@@ -276,7 +276,7 @@ class SolutionTask:
         if most is not None:
             solver = replace(solver, max_iterations=min(solver.max_iterations, most))
         if isinstance(noise, Whitening) and noise.is_coupled and self.loss != GAUSSIAN:
-            return self._by_gtsam(readings, start, noise, solver)
+            return self._by_gtsam(readings, start, noise, solver)[0]
         used = np.arange(2) < self.terms
         start = replace(start, range_errors=start.range_errors * used)
         require_steep(start, readings)
@@ -328,7 +328,7 @@ class SolutionTask:
         width = BEAM.dim * (at.readings.beams if coupled else 1) + PLANE.dim
         if at.loss == GAUSSIAN and len(at.readings) * width > MOST_NUMBERS:
             return self._finished_on_sums(solution, noise)
-        last = self._by_gtsam(at.readings, at.parameters, noise, self.options.solver)
+        last, result = self._by_gtsam(at.readings, at.parameters, noise, self.options.solver)
         steps = at.iterations + last.iterations
         if last.status == "interrupted":
             return replace(solution, at=replace(last, iterations=steps))
@@ -338,7 +338,9 @@ class SolutionTask:
         at = replace(last, message=words, iterations=steps, first_step=at.first_step)
         joint = None
         if at.loss == GAUSSIAN:
-            joint = covariance_by_gtsam(last.graph, last.values)
+            # A single step was too short to change derivatives.
+            linear = result.linear if result.iterations <= 1 else None
+            joint = covariance_by_gtsam(last.graph, last.values, linear)
         return replace(solution, at=at, joint=joint)
 
     def _finished_on_sums(self, solution: Solution, noise: float | Whitening) -> Solution:
@@ -383,10 +385,11 @@ class SolutionTask:
         noise: float | Whitening,
         solver: LevenbergOptions,
         priors: PosePriors | None = None,
-    ) -> Minimum:
+    ) -> tuple[Minimum, LevenbergResult]:
         """Minimise the factor graph, hand poses being variables where they have priors."""
         graph = build_graph(readings, start, self.terms, noise, self.loss, priors, self.prior)
-        return Minimum.of_graph(graph, levenberg_marquardt(graph, solver, tell_trial))
+        result = levenberg_marquardt(graph, solver, tell_trial)
+        return Minimum.of_graph(graph, result), result
 
     def _solver(self, start: Parameters) -> LevenbergOptions:
         """Return the solver's options: damped throughout where something is undetermined.

@@ -10,7 +10,7 @@ and linearised there to (H + lambda diag(H)) delta = -g, which GTSAM eliminates 
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import gtsam
@@ -26,8 +26,8 @@ from ..text import count
 from .graph import CalibrationGraph
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
-Squares = Callable[[], dict[int, FloatArray]]
-"""Returns, for every key, the squared lengths of its Jacobian columns [standard deviations]."""
+Squares = dict[int, FloatArray]
+"""For every key, the squared lengths of its Jacobian columns [standard deviations]."""
 Step = tuple[gtsam.VectorValues, float]
 """A step of all variables, and its decrement -g . delta: twice the cost that it should save, in squared
 standard deviations."""
@@ -44,14 +44,17 @@ class Point:
     residuals : callable
         Returns the residuals (N,) of the readings [m], plain and whitened, in their order; none where
         they are unknown.
-    linearized : callable
-        Linearises here, and returns what solves for the step at a damping; None for a singular system.
+    linear : callable
+        Linearises here.
+    squares : callable
+        Returns the squares of the columns of what `linear` returns.
     """
 
     values: gtsam.Values
     cost: float
     residuals: Callable[[], tuple[FloatArray, FloatArray]]
-    linearized: Callable[[], Callable[[float], Step | None]]
+    linear: Callable[[], gtsam.GaussianFactorGraph]
+    squares: Callable[[gtsam.GaussianFactorGraph], Squares]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,7 @@ class Objective:
     start : gtsam.Values
     evaluate : callable
         Returns the point at values; raises GrazingBeamError.
+    ordering : gtsam.Ordering
     rounding : float
         What rounding of the residuals adds to the cost [squared standard deviations].
     dof : int
@@ -71,6 +75,7 @@ class Objective:
 
     start: gtsam.Values
     evaluate: Callable[[gtsam.Values], Point]
+    ordering: gtsam.Ordering
     rounding: float
     dof: int
 
@@ -94,21 +99,20 @@ def of_calibration(problem: CalibrationGraph) -> Objective:
             residual[problem.rows], white[problem.rows] = point.residual, point.white
             return residual, white
 
-        def squares() -> dict[int, FloatArray]:
+        def squares(_linear: gtsam.GaussianFactorGraph) -> Squares:
             columns = shared.squared_columns(point)
             return {key: column / sigma**2 for key, column in columns.items()}
 
-        def linearized() -> Callable[[float], Step | None]:
+        def linear() -> gtsam.GaussianFactorGraph:
             with shared.handed_out(point):
-                linear = problem.graph.linearize(values)
-            return lambda damping: damped_step(linear, problem.ordering, squares, damping)
+                return problem.graph.linearize(values)
 
-        return Point(values, cost + others.error(values), residuals, linearized)
+        return Point(values, cost + others.error(values), residuals, linear, squares)
 
     rows = len(problem.readings)
     rounding = 4.0 * np.finfo(float).eps * shared.reach() / sigma
     free = max(rows + problem.prior_rows - problem.values.dim(), 1)
-    return Objective(problem.values, evaluate, rows * rounding**2, free)
+    return Objective(problem.values, evaluate, problem.ordering, rows * rounding**2, free)
 
 
 def of_graph(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Objective:
@@ -116,31 +120,29 @@ def of_graph(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Objecti
 
     A change of `ROUNDING` standard deviations of every residual counts as rounding.
     """
-    ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
 
     def evaluate(values: gtsam.Values) -> Point:
-        def linearized() -> Callable[[float], Step | None]:
-            linear = graph.linearize(values)
-            return lambda damping: damped_step(
-                linear, ordering, lambda: squared_columns(linear), damping
-            )
-
-        return Point(values, graph.error(values), lambda: (np.empty(0), np.empty(0)), linearized)
+        cost, none = graph.error(values), (np.empty(0), np.empty(0))
+        return Point(values, cost, lambda: none, lambda: graph.linearize(values), squared_columns)
 
     factors = (graph.at(i) for i in range(graph.size()) if graph.exists(i))
     rows = sum(factor.dim() for factor in factors)
-    return Objective(values, evaluate, rows * ROUNDING**2, max(rows - values.dim(), 1))
+    ordering = gtsam.Ordering.ColamdNonlinearFactorGraph(graph)
+    return Objective(values, evaluate, ordering, rows * ROUNDING**2, max(rows - values.dim(), 1))
 
 
 def damped_step(
-    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, squares: Squares, damping: float
+    linear: gtsam.GaussianFactorGraph,
+    ordering: gtsam.Ordering,
+    squares: Callable[[gtsam.GaussianFactorGraph], Squares],
+    damping: float,
 ) -> Step | None:
     """Return the step of a linear graph at a damping; None where the system is singular."""
     damped = linear
     if damping > 0.0:
         damped = gtsam.GaussianFactorGraph()
         damped.push_back(linear)
-        for key, columns in squares().items():
+        for key, columns in squares(linear).items():
             # Marquardt's damping needs at least a trace where a column is empty.
             size, dim = np.maximum(columns, SINGULAR * columns.max()), len(columns)
             unit = gtsam.noiseModel.Unit.Create(dim)
@@ -155,10 +157,10 @@ def damped_step(
     return (delta, decrement) if np.isfinite(decrement) else None
 
 
-def squared_columns(linear: gtsam.GaussianFactorGraph) -> dict[int, FloatArray]:
+def squared_columns(linear: gtsam.GaussianFactorGraph) -> Squares:
     """Return, for every key, the squared lengths of its whitened Jacobian columns."""
     sizes = linear.gradientAtZero()
-    total: dict[int, FloatArray] = {}
+    total: Squares = {}
     for factor in (linear.at(i) for i in range(linear.size()) if linear.exists(i)):
         first, squares = 0, (factor.jacobian()[0] ** 2).sum(axis=0)
         for key in factor.keys():  # noqa: SIM118
@@ -185,10 +187,11 @@ class LevenbergResult:
         Accepted steps.
     history : tuple of Trial
         Every trial step.
-    residual : (N,)
-        Residuals [m] at `values`, in the order of the readings.
-    white : (N,)
-        The same whitened, in units of the problem's range sigma [m].
+    residuals : callable
+        Returns the residuals (N,) [m] of the readings at `values`, in their order, and the same
+        whitened, in units of the problem's range sigma [m].
+    linear : gtsam.GaussianFactorGraph
+        What the last step solved: linearised where it began.
     """
 
     values: gtsam.Values
@@ -197,8 +200,8 @@ class LevenbergResult:
     cost: float
     iterations: int
     history: tuple[Trial, ...]
-    residual: FloatArray
-    white: FloatArray
+    residuals: Callable[[], tuple[FloatArray, FloatArray]]
+    linear: gtsam.GaussianFactorGraph
 
 
 def levenberg_marquardt(
@@ -296,14 +299,19 @@ def _minimised(
     accepted, damping = 0, np.array(options.least_damping)
     status: Status = "max_iterations"
     message = f"not converged within {count(options.max_iterations, 'trial step')}"
+    linear = gtsam.GaussianFactorGraph()
     try:
-        solver = point.linearized()
+        linear = point.linear()
         while len(history) < options.max_iterations:
-            step = solver(float(damping))
+            step = damped_step(linear, objective.ordering, point.squares, float(damping))
             decrement = np.array(-1.0 if step is None else step[1])  # negative for no step
-            trial = None if step is None else _tried(objective, point.values.retract(step[0]))
+            before, arrived, trial = np.array(point.cost), False, None
+            if step is not None:
+                arrived = bool(stopping.little_left(decrement, damping, before))
+                hidden = bool(decrement <= stopping.resolution(before))
+                trial = _tried(objective, point, step, last=arrived and hidden)
             cost = np.array(np.inf if trial is None else trial.cost)
-            gain = stopping.gain(decrement, np.array(point.cost), cost)
+            gain = stopping.gain(decrement, before, cost)
             better = trial is not None and bool(gain > 0.0)
             length = np.inf if step is None else float(np.sqrt(decrement))
             history.append(Trial(len(history) + 1, float(cost), float(damping), length, better))
@@ -312,10 +320,8 @@ def _minimised(
             if better and trial is not None:
                 point = trial
                 accepted += 1
-            reason = "the cost is level" if stopping.is_level() else None
-            if step is not None and stopping.little_left(decrement, damping, np.array(point.cost)):
-                reason = "converged"
-            if reason is not None:
+            if arrived or stopping.is_level():
+                reason = "converged" if arrived else "the cost is level"
                 status, message = "converged", f"{reason} after {count(accepted, 'step')}"
                 break
             damping = options.adapted(damping, gain)
@@ -324,7 +330,7 @@ def _minimised(
                 message = f"no step lowers the cost after {count(accepted, 'step')}"
                 break
             if better:
-                solver = point.linearized()
+                linear = point.linear()
     except KeyboardInterrupt:
         status, message = "interrupted", f"stopped by Ctrl-C after {count(accepted, 'step')}"
     return LevenbergResult(
@@ -334,12 +340,20 @@ def _minimised(
         point.cost,
         accepted,
         tuple(history),
-        *point.residuals(),
+        point.residuals,
+        linear,
     )
 
 
-def _tried(objective: Objective, values: gtsam.Values) -> Point | None:
-    """Return the point at values; None where a beam grazes its plane there."""
+def _tried(objective: Objective, point: Point, step: Step, last: bool) -> Point | None:
+    """Return the point after a step; None where a beam grazes its plane there.
+
+    A last step that is too short to show in the cost is evaluated when its residuals are asked for.
+    """
+    values = point.values.retract(step[0])
+    if last:
+        cost, there = max(point.cost - 0.5 * step[1], 0.0), objective.evaluate
+        return replace(point, values=values, cost=cost, residuals=lambda: there(values).residuals())
     try:
         trial = objective.evaluate(values)
     except GrazingBeamError:
