@@ -7,6 +7,7 @@ Every solver gets the same recordings (11 stations x 4 beams a plane, k1 and k2)
 start, and must reach the same optimum. Times are medians and include building the problem:
 
 graph      levenberg_marquardt of this package on its factor graph
+sums       the reduction, of which GTSAM eliminates the sums at every step
 reduction  the same minimum in NumPy, planes eliminated, without a graph
 reference  scipy.optimize.least_squares, derivatives by differences (sparse above 200 unknowns)
 gtsam-lm   gtsam.LevenbergMarquardtOptimizer on the same graph
@@ -15,7 +16,7 @@ ceres      a program in C++ that solves the same problem with Ceres, where the e
            HANDLASER_CERES_PEER names it; it is called with a text file and a number of repetitions
            and prints a row of JSON (seconds, cost, iterations)
 
-`reduction / ceres`: in CPU time, which other processes do not change; alone, and 8 problems at once.
+`over Ceres`: in CPU time, which other processes change less; of the reduction 8 problems at once, too.
 `together`: 1000 problems of 4 planes at once by the reduction, over the time of one after the other.
 `start to covariances` is find_start, graph and marginals together; `calibrate` is everything, with the
 noise given as it was simulated. Its CPU time over that of `graph` is printed below the table.
@@ -40,18 +41,22 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings, Recording
 from handlaser_gtsam.estimation.posterior import covariance
 from handlaser_gtsam.estimation.solution import Solution
 from handlaser_gtsam.estimation.task import SolutionTask
+from handlaser_gtsam.model import search
+from handlaser_gtsam.model.reduction import Normal
 from handlaser_gtsam.model.weighting import Variances
 from handlaser_gtsam.pipeline import calibrate
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.solvers.reference.problem import Residuals, minimize
+from handlaser_gtsam.solvers.sums import eliminated_sums
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.translations import translation_start
@@ -106,6 +111,20 @@ def solve_reduction(readings: Readings, start: Parameters) -> tuple[float, int]:
     """Solve by the reduction alone; return cost and iterations."""
     found = solve_together([readings], [start], TERMS, SIGMA)
     return float(found.cost[0]), int(found.iterations[0])
+
+
+def step_by_gtsam(normal: Normal, damping: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the step of the only problem, whose sums GTSAM eliminates."""
+    if damping.any():
+        raise SystemExit("the benchmark's problems need no damping")
+    sums = eliminated_sums(normal, SIGMA)
+    return sums.step[None], sums.local_step[None]
+
+
+def solve_sums(readings: Readings, start: Parameters) -> tuple[float, int]:
+    """Solve by the reduction with the steps of GTSAM; return cost and iterations."""
+    with mock.patch.object(search, "damped_step", step_by_gtsam):
+        return solve_reduction(readings, start)
 
 
 def together_ratio(count: int) -> float:
@@ -178,32 +197,41 @@ def run_ceres(path: Path, repeat: int) -> tuple[dict[str, Any], float]:
     return json.loads(run.stdout), seconds
 
 
-def ceres_ratios(planes: int, together: int, repeat: int) -> tuple[float, float]:
-    """Return the CPU time of the reduction over that of Ceres: alone, and a problem of many at once.
+def ceres_ratios(planes: int, together: int, repeat: int) -> dict[str, float]:
+    """Return the CPU time of solvers over that of Ceres; of the reduction also for many at once.
 
-    Both take turns. Of three shares of runs the first does not count: of Ceres it is taken off as the
+    All take turns. Of three shares of runs the first does not count: of Ceres it is taken off as the
     time of a run of its own, with what the program reads.
     """
     readings = problem(planes).readings()
     start = closed_form(readings)
-    alone: list[float] = []
-    many: list[float] = []
+    many = [readings] * together, [start] * together
+    runs: dict[str, tuple[Callable[[], object], int]] = {
+        "graph": (lambda: solve_graph(readings, start), 1),
+        "sums": (lambda: solve_sums(readings, start), 1),
+        "reduction": (lambda: solve_reduction(readings, start), 1),
+        f"reduction of {together} at once": (
+            lambda: solve_together(*many, TERMS, SIGMA),
+            together,
+        ),
+    }
+    seconds: dict[str, list[float]] = {name: [] for name in runs}
     peer: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "problem.txt")
         path.write_text(problem_text(readings, start))
         for _ in range(TURNS + 2):
-            for count, each in ((1, alone), (together, many)):
+            for name, (run, count) in runs.items():
                 ends = []
-                for run in range(3 * repeat):
-                    solve_together([readings] * count, [start] * count, TERMS, SIGMA)
-                    if run + 1 in (repeat, 3 * repeat):
+                for number in range(3 * repeat):
+                    run()
+                    if number + 1 in (repeat, 3 * repeat):
                         ends.append(time.process_time())
-                each.append((ends[1] - ends[0]) / (2 * repeat * count))
+                seconds[name].append((ends[1] - ends[0]) / (2 * repeat * count))
             short, long = run_ceres(path, repeat)[1], run_ceres(path, 3 * repeat)[1]
             peer.append((long - short) / (2 * repeat))
     median = statistics.median(peer)
-    return statistics.median(alone) / median, statistics.median(many) / median
+    return {name: statistics.median(each) / median for name, each in seconds.items()}
 
 
 def problem_text(readings: Readings, start: Parameters) -> str:
@@ -266,6 +294,7 @@ def measure(planes: int, repeat: int) -> tuple[list[Row], float]:
     slow = max(1, repeat // 5) if planes >= 100 else repeat
     runs: list[tuple[str, Callable[[], tuple[float, int]], int]] = [
         ("graph", lambda: solve_graph(readings, start), repeat),
+        ("sums", lambda: solve_sums(readings, start), repeat),
         ("reduction", lambda: solve_reduction(readings, start), repeat),
         ("reference", lambda: solve_reference(recording, start), slow),
         ("gtsam-lm", lambda: solve_gtsam(readings, start), slow),
@@ -331,11 +360,10 @@ def main() -> None:
             f"{shares[1]:.1%} with nothing given (CPU time)"
         )
     for planes in arguments.planes if os.environ.get(PEER) else ():
-        one, many = ceres_ratios(planes, ABREAST, arguments.repeat)
-        print(
-            f"{planes} planes: reduction / ceres = {one:.2f}, {ABREAST} problems at once {many:.2f} a "
-            "problem (CPU time)"
-        )
+        few = arguments.repeat if planes < 100 else max(1, arguments.repeat // 5)
+        ratios = ceres_ratios(planes, ABREAST, few)
+        words = ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items())
+        print(f"{planes} planes: over Ceres, a problem: {words} (CPU time)")
     ratio = together_ratio(arguments.together)
     print(f"{arguments.together} problems together / one by one = {ratio:.2f} (CPU time)")
     if arguments.out is not None:

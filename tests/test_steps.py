@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
 from helpers import bench, motion, recording_of
@@ -10,9 +11,10 @@ from handlaser_gtsam import model
 from handlaser_gtsam.model.beams_on_planes import CENTRE, values_of
 from handlaser_gtsam.model.elimination import inverse_stack, solve_definite
 from handlaser_gtsam.model.families import BEAM, PLANE
-from handlaser_gtsam.model.reduction import damped_step
+from handlaser_gtsam.model.reduction import Normal, damped_step
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.solvers.beam_problem import beam_problem, jacobian_columns, moved
+from handlaser_gtsam.solvers.sums import eliminated_sums
 
 DAMPED = {"planes first": (3, 3, False), "beams first": (1, 9, False), "coupled": (2, 9, True)}
 
@@ -89,3 +91,36 @@ def test_a_plane_of_which_no_reading_counts_stays():
     found = inverse_stack(np.array([[empty, full]]))
     assert (found[0, 0] == 0.0).all()
     assert np.allclose(found[0, 1], np.diag([0.25, 1.0, 0.5]))
+
+
+@pytest.mark.parametrize(("planes", "beams"), [(1, 3), (7, 3), (7, 0)])
+def test_gtsam_eliminates_sums_of_a_few_members_at_once(monkeypatch, planes, beams):
+    """Step and covariance are those of the dense equations; some keys have idle members."""
+    rng, n, d = np.random.default_rng(0), 5 * beams, 3
+    J = rng.normal(size=(40 * planes, n + d * planes))
+    for p in range(planes):
+        others = np.delete(np.arange(planes), p)
+        J[40 * p : 40 * (p + 1), n:].reshape(40, planes, d)[:, others] = 0.0
+    J, e = J * 10.0 ** rng.uniform(-3, 3, J.shape[1]), rng.normal(size=len(J))
+    H, g = J.T @ J, J.T @ e
+    members = np.arange(planes)
+    local = H[n:, n:].reshape(planes, d, planes, d)[members, :, members]
+    border = H[n:, :n].reshape(planes, d, n)
+    own = g[n:].reshape(planes, d)
+    normal = Normal(*(x[None] for x in (H[:n, :n], g[:n], local, border, own, e @ e)))
+    factors, make = [], gtsam.HessianFactor
+    monkeypatch.setattr(gtsam, "HessianFactor", lambda *of: factors.append(1) or make(*of))
+    found = eliminated_sums(normal, 0.5)
+    assert len(factors) == (beams > 0) + int(np.ceil(planes / max(np.floor(np.sqrt(n)), 1)))
+    dense = np.linalg.solve(H, -g)
+    step = np.concatenate((found.step, found.local_step.ravel()))
+    assert np.sqrt((step - dense) @ H @ (step - dense)) < 1e-9 * np.sqrt(dense @ H @ dense)
+    known, response = found.local_members()
+    follow = np.vstack((np.eye(n), -response.reshape(planes * d, n)))
+    whole = follow @ found.covariance() @ follow.T
+    for p in range(planes):
+        whole[n + d * p : n + d * (p + 1), n + d * p : n + d * (p + 1)] += known[p]
+    scale = np.sqrt(np.diagonal(whole))
+    assert np.allclose(
+        whole / scale / scale[:, None], 0.25 * np.linalg.inv(H) / scale / scale[:, None], atol=1e-9
+    )

@@ -530,9 +530,10 @@ def _finished(
     sums = eliminated_sums(task.normal(values), 1.0)
     moved = task.reduction.moved(values, sums.step[None], sums.local_step[None])
     n, d = of.size, of.width
-    follow = np.vstack((np.eye(n), -sums.response.reshape(of.members * d, n)))
-    whole = follow @ sums.covariance @ follow.T
-    whole += block_diag(np.zeros((n, n)), *sums.known)
+    known, response = sums.local_members()
+    follow = np.vstack((np.eye(n), -response.reshape(of.members * d, n)))
+    whole = follow @ sums.covariance() @ follow.T
+    whole += block_diag(np.zeros((n, n)), *known)
     order = []
     for family, columns in of.free.items():
         stays = of.place[family] >= 0

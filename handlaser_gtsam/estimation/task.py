@@ -356,6 +356,7 @@ class SolutionTask:
         normal = problem.normal(values)
         try:
             sums = eliminated_sums(normal, at.sigma)
+            covariance, (known, response) = sums.covariance(), sums.local_members()
         except (RuntimeError, np.linalg.LinAlgError):
             return solution
         saved = -float(normal.gradient[0] @ sums.step)
@@ -367,9 +368,9 @@ class SolutionTask:
         joint = numbered(
             parameters,
             at.terms,
-            sums.covariance,
-            sums.response,
-            sums.known,
+            covariance,
+            response,
+            known,
             there[PLANE.name][0, :, CENTRE],
         )
         e = residuals(scene(parameters, at.readings), at.readings.measured)

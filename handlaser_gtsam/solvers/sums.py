@@ -2,14 +2,16 @@
 
 A graph with a factor a plane and beam has every row once more in GTSAM. Where there are tens of
 thousands of rows, or hundreds of beams that errors of the hand couple, their sums go to GTSAM instead:
-one key for all that stays, and a `HessianFactor` between it and each local member.
+one key for all that stays, one for a few local members, and a `HessianFactor` between the two.
 """
 
 from dataclasses import dataclass
+from math import isqrt
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, X
+from gtsam.symbol_shorthand import X
+from scipy.linalg.lapack import dposv
 
 from ..arrays import FloatArray
 from ..model.elimination import inverse_of
@@ -25,19 +27,49 @@ class EliminatedSums:
     ----------
     step : (n,), local_step : (m, d)
         The step to the minimum.
-    covariance : (n, n)
+    unit : (n,), local_unit : (m, d)
+        Units of the unknowns in the following.
+    information : (n, n)
         Of what stays.
-    known : (m, d, d)
-        Covariances of the local members, were all else known.
-    response : (m, d, n)
-        A step x of what stays moves a local member by -response x.
+    net : gtsam.GaussianBayesNet
+        A conditional for a few local members each.
     """
 
     step: FloatArray
     local_step: FloatArray
-    covariance: FloatArray
-    known: FloatArray
-    response: FloatArray
+    unit: FloatArray
+    local_unit: FloatArray
+    information: FloatArray
+    net: gtsam.GaussianBayesNet
+
+    def covariance(self) -> FloatArray:
+        """Return the covariance (n, n) of what stays."""
+        if not self.unit.size:
+            return self.information
+        return inverse_of(self.information) * (self.unit[:, None] * self.unit)
+
+    def local_members(self) -> tuple[FloatArray, FloatArray]:
+        """Return covariances (m, d, d) of the local members, were all else known, and their response.
+
+        A step x of what stays moves a local member by -response x, (m, d, n).
+        """
+        (m, d), n = self.local_unit.shape, len(self.unit)
+        conditionals = [self.net.at(key) for key in range(self.net.size())]
+        together, number = members_of_key(n), np.arange(m)
+        size = together * len(conditionals)
+        R = np.array([one.R() for one in conditionals]).reshape(size, d, together, d)
+        R = R[number, :, number % together]
+        S = np.array([one.S() for one in conditionals]).reshape(size, d, n)[:m]
+        root = self.local_unit[..., None] * np.linalg.inv(R)
+        return root @ root.swapaxes(1, 2), root @ (S / self.unit)
+
+
+def members_of_key(n: int) -> int:
+    """Return how many local members share a key where n unknowns stay.
+
+    A factor costs n^2 numbers whatever it has of local members, and several cost zeros between them.
+    """
+    return max(isqrt(n), 1)
 
 
 def eliminated_sums(normal: Normal, unit: float) -> EliminatedSums:
@@ -54,39 +86,43 @@ def eliminated_sums(normal: Normal, unit: float) -> EliminatedSums:
     RuntimeError, numpy.linalg.LinAlgError
         The system is indeterminate.
     """
-    H, g, local, border, own = (array[0] / unit**2 for array in normal.arrays()[:5])
-    n, m = len(g), len(local)
+    H, g, L, h = normal.matrix[0], normal.gradient[0], normal.local[0], normal.local_gradient[0]
+    n, (m, d) = len(g), h.shape
     # GTSAM compares pivots: every unknown in the unit of its own information.
-    u = 1.0 / np.sqrt(np.maximum(np.diagonal(H), TINY))
-    w = 1.0 / np.sqrt(np.maximum(np.einsum("mii->mi", local), TINY))
-    H, g = H * u[:, None] * u, g * u
-    local, own = local * w[:, :, None] * w[:, None], own * w
-    border = border * w[..., None] * u
-    graph, order = gtsam.GaussianFactorGraph(), [L(i) for i in range(m)]
-    if n:
-        graph.add(gtsam.HessianFactor(X(0), H, -g, 0.0))
-    nothing, zero = np.zeros((n, n)), np.zeros(n)
-    for i in range(m):
-        if n:
-            E = np.asfortranarray(border[i].T)
-            factor = gtsam.HessianFactor(X(0), L(i), nothing, E, zero, local[i], -own[i], 0.0)
-        else:
-            factor = gtsam.HessianFactor(L(i), local[i], -own[i], 0.0)
-        graph.add(factor)
-    net, rest = graph.eliminatePartialSequential(gtsam.Ordering(order))
-    conditionals = [net.at(i) for i in range(net.size())]
-    d = local.shape[1]
-    root = np.array([conditional.R() for conditional in conditionals]).reshape(m, d, d)
-    root = w[..., None] * np.linalg.inv(root)
-    S = np.array([conditional.S() for conditional in conditionals]).reshape(m, d, n)
-    alone = np.array([conditional.d() for conditional in conditionals]).reshape(m, d, 1)
-    response, alone = root @ S / u, (root @ alone)[..., 0]
-    covariance = np.zeros((n, n))
-    step = np.zeros(n)
-    if n:
-        information, vector = rest.hessian(gtsam.Ordering([X(0)]))
-        inverse = inverse_of(information)
-        covariance, step = inverse * u[:, None] * u, u * (inverse @ vector)
-    return EliminatedSums(
-        step, alone - response @ step, covariance, root @ root.swapaxes(1, 2), response
+    u = 1.0 / np.sqrt(np.maximum(np.einsum("ii->i", H), TINY))
+    w = 1.0 / np.sqrt(np.maximum(np.einsum("mii->mi", L), TINY))
+    together, number = members_of_key(n), np.arange(m)
+    keys = -(-m // together)  # the last one has idle members, with a one on the diagonal
+    size, width = keys * together, together * d
+    local, border, own = (
+        np.zeros((size, d, together, d)),
+        np.zeros((size, d, n)),
+        np.zeros((size, d)),
     )
+    np.einsum("kii->ki", local.reshape(keys, width, width))[-1:] = 1.0
+    local[number, :, number % together] = L * (w[:, :, None] * w[:, None])
+    np.multiply(normal.border[0], w[..., None] * u, out=border[:m])
+    np.multiply(h, -w, out=own[:m])
+    local, own = local.reshape(keys, width, width), own.reshape(keys, width)
+    border = border.reshape(keys, width, n).swapaxes(1, 2)
+    stays = X(0)  # the others have numbers
+    graph, nothing, zero = gtsam.GaussianFactorGraph(), np.zeros((n, n)), np.zeros(n)
+    if n:
+        graph.add(gtsam.HessianFactor(stays, H * (u[:, None] * u), -g * u, 0.0))
+    for key in range(keys):
+        if n:
+            pair = stays, key, nothing, border[key], zero, local[key], own[key], 0.0
+            graph.add(gtsam.HessianFactor(*pair))
+        else:
+            graph.add(gtsam.HessianFactor(key, local[key], own[key], 0.0))
+    net, rest = graph.eliminatePartialSequential(gtsam.Ordering(list(range(keys))))
+    information, step, known = nothing, zero, gtsam.VectorValues()
+    if n:
+        information, vector = rest.hessian(gtsam.Ordering([stays]))
+        _, step, failed = dposv(information, vector)
+        if failed:
+            raise np.linalg.LinAlgError("the information is singular")
+        known.insert(stays, step)
+    moved = net.optimize(known)
+    local_step = np.array([moved.at(key) for key in range(keys)]).reshape(size, d)[:m]
+    return EliminatedSums(u * step, w * local_step, unit * u, unit * w, information, net)
