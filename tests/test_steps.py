@@ -1,5 +1,6 @@
 """Single steps: against dense equations, and what they do to beams and planes."""
 
+from copy import copy
 from dataclasses import replace
 
 import gtsam
@@ -124,3 +125,19 @@ def test_gtsam_eliminates_sums_of_a_few_members_at_once(monkeypatch, planes, bea
     assert np.allclose(
         whole / scale / scale[:, None], 0.25 * np.linalg.inv(H) / scale / scale[:, None], atol=1e-9
     )
+
+
+def test_patterns_that_tile_what_stays_are_added_at_once():
+    """As one after the other: the normal equations are the same."""
+    truth = bench(3, 2)
+    readings = recording_of(truth, *motion("free", 36), [0, 1, 2] * 12, 1e-4).readings()
+    problem, block = beam_problem([readings] * 2, 1, 1e-4)
+    structure = problem.reduction.structure
+    rows = [block.evaluate(block.begun([truth, truth])).columns]
+    assert all(plan.tiled for plan in structure.plans)
+    at_once = problem.reduction.normal(rows)
+    each = copy(structure)
+    each.plans = [replace(plan, tiled=False) for plan in structure.plans]
+    problem.reduction.structure = each
+    for one, other in zip(at_once.arrays(), problem.reduction.normal(rows).arrays(), strict=True):
+        assert np.array_equal(one, other)

@@ -92,7 +92,7 @@ class BeamsOnPlanes:
         self.weights = Weights() if whitenings is None else self._weights(whitenings)
         by_chunk = self.plane[:: self.slots_of_chunk]
         beam = np.repeat(np.arange(self.beams), len(by_chunk))
-        plane = np.tile(by_chunk, self.beams)
+        plane = np.concatenate([by_chunk] * self.beams)
         self._slots = (
             Slot(BEAM.name, beam, slice(0, BEAM.dim)),
             Slot(PLANE.name, plane, slice(BEAM.dim, BEAM.dim + PLANE.dim)),
@@ -172,7 +172,7 @@ class BeamsOnPlanes:
         hands = np.add.reduceat(self.poses[:, :, 3], self.first, axis=2) / self._stations
         planes[..., CENTRE] = hands.transpose(0, 2, 1)
         planes[..., HEIGHT] += np.einsum("kpi,kpi->kp", planes[..., OF_NORMAL], planes[..., CENTRE])
-        planes[..., CENTRE] -= planes[..., [HEIGHT]] * planes[..., OF_NORMAL]
+        planes[..., CENTRE] -= planes[..., HEIGHT, None] * planes[..., OF_NORMAL]
         planes[..., HEIGHT] = 0.0
         return values
 
@@ -272,8 +272,11 @@ class BeamsOnPlanes:
 
 def values_of(problems: Sequence[Parameters]) -> dict[str, FloatArray]:
     """Return the beams and planes of K problems of one shape as values, planes about the origin."""
-    beams = np.stack([np.hstack(p.beams) for p in problems])
+    beams = np.empty((len(problems), len(problems[0].locations), BEAM.size))
     planes = np.zeros((len(problems), len(problems[0].offsets), PLANE.size))
+    beams[..., OF_LOCATION] = [p.locations for p in problems]
+    beams[..., OF_DIRECTION] = [p.directions for p in problems]
+    beams[..., OF_RANGE_ERROR] = [p.range_errors for p in problems]
     planes[..., OF_NORMAL] = [p.normals for p in problems]
     planes[..., HEIGHT] = [p.offsets for p in problems]
     return {BEAM.name: beams, PLANE.name: planes}

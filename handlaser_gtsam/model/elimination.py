@@ -151,7 +151,7 @@ def _inverse_of_root(root: NDArray[np.floating]) -> FloatArray:
     if failed:
         raise np.linalg.LinAlgError("the information is singular")
     whole: FloatArray = inverse + inverse.T  # the other triangle is zero, as in the root
-    whole[np.diag_indices(len(whole))] = np.diagonal(inverse)
+    np.einsum("ii->i", whole)[:] *= 0.5
     return whole
 
 

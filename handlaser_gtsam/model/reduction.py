@@ -152,6 +152,9 @@ class _GroupPlan:
         Groups that see the same of what stays.
     places : list of Index
         Rows of H of each such pattern.
+    tiled : bool
+        Whether the patterns share out all that stays, one run after the other, and see the same local
+        members: then all are added at once.
     own : Index or None
         Columns by the local member.
     by_member : SumsByKey, optional
@@ -173,6 +176,7 @@ class _GroupPlan:
     columns: Index
     by_pattern: SumsByKey
     places: list[Index]
+    tiled: bool
     own: Index | None
     by_member: SumsByKey | None
     members: Index
@@ -242,13 +246,12 @@ class Structure:
     def gathered(self, name: str, step: FloatArray, local_step: FloatArray) -> FloatArray:
         """Return the steps (K, members, unknown coordinates) of a family, given all steps."""
         place, number, width = self.place[name], self.number[name], len(self.free[name])
-        stays = place >= 0
-        shape = len(step), -1, width
-        if stays.all():
+        if name != self.local:
             first = int(place[0])
-            return step[:, first : first + len(place) * width].reshape(shape)
-        if not stays.any():
+            return step[:, first : first + len(place) * width].reshape(len(step), -1, width)
+        if self.members == len(place):
             return local_step
+        stays = place >= 0
         delta = np.empty((len(step), len(place), width))
         delta[:, stays] = step[:, place[stays][:, None] + np.arange(width)]
         delta[:, ~stays] = local_step[:, number[~stays]]
@@ -312,6 +315,9 @@ class Structure:
                 (slice(a, b), _sliced(by_both.keys[a:b] - u * self.members))
                 for u, (a, b) in enumerate(pairwise(edges))
             ]
+        tiled = of_pattern.size > 0 and np.array_equal(of_pattern.ravel(), np.arange(self.size))
+        if by_member is not None and by_both is not None:
+            tiled = tiled and len(by_both.keys) == len(first) * len(by_member.keys)
         groups, by_station = np.flatnonzero(which), []
         seen_by_station = np.zeros(0, dtype=np.intp)
         if station is not None:
@@ -326,6 +332,7 @@ class Structure:
             _sliced(np.concatenate(columns)) if columns else slice(0, 0),
             SumsByKey(pattern),
             [_sliced(place) for place in of_pattern],
+            tiled,
             own,
             by_member,
             slice(0, 0) if by_member is None else _sliced(by_member.keys),
@@ -361,10 +368,10 @@ class Reduction:
     ) -> None:
         self.blocks = tuple(blocks)
         free = {
-            name: np.flatnonzero(np.broadcast_to(mask, FAMILIES[name].dim))
+            name: np.flatnonzero(np.ones(FAMILIES[name].dim, dtype=bool) & mask)
             for name, mask in unknown.items()
-            if np.any(mask)
         }
+        free = {name: columns for name, columns in free.items() if len(columns)}
         key = (
             tuple(structure_of(block) for block in blocks),
             tuple(counts.items()),
@@ -440,10 +447,15 @@ def _add(total: Normal, plan: _GroupPlan, columns: FloatArray) -> None:
     P = x @ x.swapaxes(2, 3)
     kept = plan.by_pattern(P[:, :, plan.columns])
     gradient, kept = kept[..., -1], kept[..., plan.columns]
-    for u, place in enumerate(plan.places):
-        rows = place if isinstance(place, slice) else place[:, None]
-        total.matrix[:, rows, place] += kept[:, u]
-        total.gradient[:, place] += gradient[:, u]
+    if plan.tiled:
+        K, U, w = gradient.shape
+        np.einsum("kuiuj->kuij", total.matrix.reshape(K, U, w, U, w))[:] += kept
+        total.gradient.reshape(K, U, w)[:] += gradient
+    else:
+        for u, place in enumerate(plan.places):
+            rows = place if isinstance(place, slice) else place[:, None]
+            total.matrix[:, rows, place] += kept[:, u]
+            total.gradient[:, place] += gradient[:, u]
     if plan.own is None or plan.by_member is None or plan.by_both is None:
         return
     own = P[:, :, plan.own]
@@ -451,6 +463,10 @@ def _add(total: Normal, plan: _GroupPlan, columns: FloatArray) -> None:
     total.local[:, plan.members] += rest[..., plan.own]
     total.local_gradient[:, plan.members] += rest[..., -1]
     border = plan.by_both(own[..., plan.columns])
+    if plan.tiled:
+        by_pattern = border.reshape(K, U, -1, *border.shape[2:]).transpose(0, 2, 3, 1, 4)
+        total.border.reshape(*total.border.shape[:3], U, w)[:, plan.members] += by_pattern
+        return
     for (sums, members), place in zip(plan.pairs, plan.places, strict=True):
         if isinstance(members, slice) or isinstance(place, slice):
             total.border[:, members, :, place] += border[:, sums]

@@ -403,7 +403,8 @@ class _Search:
             normal = problem.reduction.normal(white)
             cost = 0.5 * normal.squares / variance
             for r, block in zip(rows, problem.blocks, strict=True):
-                cost[impossible(r, block)] = np.inf
+                if r.impossible is not None:
+                    cost[impossible(r, block)] = np.inf
             cost[np.isnan(cost)] = np.inf
             none = np.empty((len(cost), 0))
             return _Point(dict(values), cost, normal, [], none, problem.unit)

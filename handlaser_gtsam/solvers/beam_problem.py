@@ -12,7 +12,7 @@ from ..errors import GrazingBeamError
 from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tangent_columns
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
 from ..model.block import Block, VectorPrior, whitened
-from ..model.families import BEAM, PLANE, count_unknowns, modelled
+from ..model.families import BEAM, MOUNT_DIM, PLANE, count_unknowns, modelled
 from ..model.reduction import Normal, Reduction, damped_step
 from ..model.search import LeastSquares, RobustLoss
 from ..model.weighting import Whitening
@@ -59,16 +59,12 @@ def beam_problem(
     if robust is not None:
         real = block.spread(np.ones((1, block.size))).reshape(-1, block.slots_of_chunk) > 0.0
         robust = replace(robust, real=real)
+    unknown: dict[str, BoolArray | bool] = {BEAM.name: modelled([terms])[0], PLANE.name: True}
     if local is None:
-        free = int(modelled([terms])[0].sum()) * block.beams, PLANE.dim * block.planes
+        free = (MOUNT_DIM + terms) * block.beams, PLANE.dim * block.planes
         apart = block.weights.common is None and free[0] > UNKNOWNS_RATIO * free[1]
         local = BEAM.name if apart else PLANE.name
-    reduction = Reduction(
-        blocks,
-        block.counts,
-        {BEAM.name: modelled([terms])[0], PLANE.name: True},
-        local,
-    )
+    reduction = Reduction(blocks, block.counts, unknown, local)
     dof = max(block.size - count_unknowns(readings[0], terms), 1)
     return LeastSquares(tuple(blocks), reduction, unit, rounding, dof, robust), block
 
