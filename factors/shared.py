@@ -147,23 +147,17 @@ class SharedEvaluation:
     ) -> None:
         self.blocks, self.whitening = tuple(blocks), whitening
         sizes = np.array([len(block.distance) for block in blocks])
-        ends = np.cumsum(sizes)
-        self.first = ends - sizes
+        self.first = np.cumsum(sizes) - sizes
         self.distance = np.concatenate([block.distance for block in blocks])
         self.measured: FloatArray | Regressors = self.distance if measured is None else measured
         if measured is None and any(isinstance(block.measured, Regressors) for block in blocks):
             self.measured = Regressors.joined([block.measured for block in blocks])
         self._R = np.asfortranarray(np.concatenate([block.world_R_hand for block in blocks]))
         self._t = np.asfortranarray(np.concatenate([block.world_t_hand for block in blocks]))
-        beams = [beam for block in blocks for beam in block.beams]
         counts = np.array([len(block.beams) for block in blocks])
         self.slot = np.concatenate([block.beam_of for block in blocks])
-        beam_of = np.repeat(np.cumsum(counts) - counts, sizes) + self.slot
-        self.locations, location = _unique([beam.location for beam in beams])
-        self.directions, direction = _unique([beam.direction for beam in beams])
-        self.range_errors, error = _unique([beam.range_error for beam in beams])
-        self.location_of, self.direction_of = location[beam_of], direction[beam_of]
-        self.range_error_of = error[beam_of]
+        self.beams, beam_of = _unique([beam for block in blocks for beam in block.beams])
+        self.beam_of = beam_of[np.repeat(np.cumsum(counts) - counts, sizes) + self.slot]
         self.planes, plane_of = _unique([block.plane for block in blocks])
         self.poses, pose_of = _unique([block.pose for block in blocks])
         self.plane_of, self.pose_of = np.repeat(plane_of, sizes), np.repeat(pose_of, sizes)
@@ -175,11 +169,8 @@ class SharedEvaluation:
 
     def evaluate(self, values: gtsam.Values) -> Evaluation:
         """Return every row at `values`; raises like `RangeBlock.evaluate`."""
-        directions = [values.atUnit3(key).point3() for key in self.directions]
-        planes = [values.atOrientedPlane3(key).planeCoefficients() for key in self.planes]
-        r = np.array([values.atPoint3(key) for key in self.locations])
-        k, (R, t) = self._range_errors(values), self._hand_poses(values)
-        v, plane = np.array(directions), np.array(planes)
+        (r, v, k), (R, t) = self._beams(values), self._hand_poses(values)
+        plane = np.array([values.atOrientedPlane3(p).planeCoefficients() for p in self.planes])
         n, b = plane[:, :3], plane[:, 3]
         basis = model.tangent_basis(np.concatenate((v, n)))
         v_basis, n_basis = basis[: len(v)], basis[len(v) :]
@@ -188,18 +179,18 @@ class SharedEvaluation:
         residual = np.empty(size)
         for first in range(0, size, SLAB):
             rows = slice(first, min(first + SLAB, size))
-            of_direction, of_plane = self.direction_of[rows], self.plane_of[rows]
+            of_beam, of_plane = self.beam_of[rows], self.plane_of[rows]
             x = model.Scene(
                 R[rows],
                 t[rows],
-                gathered(r, self.location_of[rows]),
-                gathered(v, of_direction),
+                gathered(r, of_beam),
+                gathered(v, of_beam),
                 gathered(n, of_plane),
                 b.take(of_plane),
-                gathered(k, self.range_error_of[rows]),
+                gathered(k, of_beam),
             )
             linear = model.linearize(x, self.measured[rows], with_pose=with_pose)
-            bases_of_rows = gathered(v_basis, of_direction), gathered(n_basis, of_plane)
+            bases_of_rows = gathered(v_basis, of_beam), gathered(n_basis, of_plane)
             columns = model.tangent_columns(linear, *bases_of_rows, None, 2)
             jacobian[rows, : PLANE_COLUMNS.stop] = columns[:-1].T
             residual[rows] = columns[-1]
@@ -271,29 +262,29 @@ class SharedEvaluation:
         """Return, for every key, the squared lengths of its Jacobian columns."""
         total: dict[int, FloatArray] = {}
         for keys, index, columns in (
-            (self.locations, self.location_of, LOCATION),
-            (self.directions, self.direction_of, DIRECTION),
-            (self.range_errors, self.range_error_of, RANGE_ERROR),
+            ([beam.location for beam in self.beams], self.beam_of, LOCATION),
+            ([beam.direction for beam in self.beams], self.beam_of, DIRECTION),
+            ([beam.range_error for beam in self.beams], self.beam_of, RANGE_ERROR),
             (self.planes, self.plane_of, PLANE_COLUMNS),
             (self.poses, self.pose_of, POSE_COLUMNS),
         ):
             block = evaluation.jacobian[:, columns]
             sums = np.zeros((len(keys), block.shape[1]))
             np.add.at(sums, index, block**2)
-            total |= {
-                key: sums[i, : self._terms.get(key)]
-                for i, key in enumerate(keys)
-                if key is not None
-            }
+            for key, squares in zip(keys, sums, strict=True):
+                if key is not None:  # beams may share it
+                    total[key] = total.get(key, 0.0) + squares[: self._terms.get(key)]
         return total
 
-    def _range_errors(self, values: gtsam.Values) -> FloatArray:
-        k, terms = np.zeros((len(self.range_errors), 2)), {}
-        for i, key in enumerate(self.range_errors):
-            terms[key], k[i] = range_error(values, key)
+    def _beams(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return locations, directions and range errors of the beams."""
+        k, terms = np.zeros((len(self.beams), 2)), {}
+        for i, beam in enumerate(self.beams):
+            terms[beam.range_error], k[i] = range_error(values, beam.range_error)
         if terms != self._terms:  # what blocks hand out has another shape
             self._terms, self._shares, self._alike = terms, {}, []
-        return k
+        v = [values.atUnit3(beam.direction).point3() for beam in self.beams]
+        return np.array([values.atPoint3(beam.location) for beam in self.beams]), np.array(v), k
 
     def _hand_poses(self, values: gtsam.Values) -> tuple[FloatArray, FloatArray]:
         if not self._posed.size:

@@ -239,8 +239,9 @@ def start_values(
         values.insert(beam.direction, unit3=gtsam.Unit3(start.directions[i]))
         if beam.range_error is not None:
             values.insert(beam.range_error, start.range_errors[i, : counts[i]])
-    for key, normal, offset in zip(planes, start.normals, start.offsets, strict=True):
-        values.insert(key, plane=gtsam.OrientedPlane3(gtsam.Unit3(normal), offset))
+    coefficients = np.column_stack((start.normals, start.offsets)).tolist()
+    for key, plane in zip(planes, coefficients, strict=True):
+        values.insert(key, plane=gtsam.OrientedPlane3(*plane))
     return values
 
 
@@ -282,8 +283,9 @@ def grouped_blocks(
     A group is a plane with one beam, a plane, or a station with its pose.
     """
     beams, planes, priors = names
-    starts = np.flatnonzero(np.diff(group[rows], prepend=-1))
-    run = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(rows)))
+    group = group[rows]
+    new = np.concatenate(([True], group[1:] != group[:-1]))
+    starts, run = np.flatnonzero(new), np.cumsum(new) - 1
     # The beams of each run, in their order, and which of them each row is of.
     pair = run * len(beams) + readings.beam[rows]
     pairs = np.flatnonzero(np.bincount(pair))
