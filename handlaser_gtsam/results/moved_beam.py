@@ -8,7 +8,9 @@ without what all other unknowns explain and weighed by the noise, a move makes c
 with q the rank of A'A. A plate that was moved and a tool frame that changed are compared by the same
 test, and so are systematic errors that were found: a beam has moved only if it explains more, by
 Schwarz's criterion (Annals of Statistics 6(2), 1978). Readings that were rejected count again, because
-readings before a large move do not fit the readings after it.
+readings before a large move do not fit the readings after it. Where what a move leaves is correlated in
+time, N readings tell what N / g independent ones do, with g the growth of the variance of a mean: what
+varies slowly looks like a step, too.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,6 +29,7 @@ from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..model.weighting import Variances, whitening
 from ..quantities import KNOWN, NEGLIGIBLE, TINY
+from .dependence import dependence
 from .messages import warned
 from .problem import Problem
 from .projection import LinearRows, Projection
@@ -75,21 +78,43 @@ class Move(NamedTuple):
     position : int
         Of the first station after the move, in the recording.
     size : (c,)
-    p_value : float
-        Without a correction for how many were looked for.
-    criterion : float
-        Schwarz's, beside no move: the lowest explains best.
+    rank : int
+        How many coordinates of the move the readings tell.
     share, left : float
-        Part of chi2 that it explains, and variance of a whitened residual that remains [m^2].
+        Part of the squares of the residuals that it explains, and what of them remains [m^2].
+    columns : (N, c)
+        Derivatives of all residuals by the move.
+    dof : float
+        Degrees of freedom of the residuals without the move.
+    tests : int
+        How many stations were tried, of everything that may have moved.
     """
 
     beam: int
     position: int
     size: FloatArray
-    p_value: float
-    criterion: float
+    rank: int
     share: float
     left: float
+    columns: FloatArray
+    dof: float = 0.0
+    tests: int = 0
+
+    @property
+    def p_value(self) -> float:
+        """Of the F test, without a correction for how many were looked for."""
+        rank, rest = max(self.rank, 1), max(self.dof - self.rank, 1.0)
+        return float(f_sf(self.share / rank / max(1.0 - self.share, NEGLIGIBLE) * rest, rank, rest))
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's, beside no move: the lowest explains best."""
+        return _criterion(self.share, self.dof, self.rank)
+
+    @property
+    def clear(self) -> bool:
+        """Whether it is no chance of one among the stations, beams and plates that were looked at."""
+        return self.p_value * self.tests < SINGLE_LEVEL
 
 
 def moved_beam(
@@ -116,14 +141,16 @@ def moved_beam(
     move, out = None, selection.outliers()
     if out.any() and not rows.freed.codes:
         with suppress(GrazingBeamError):
-            move = _likely_move(_with_rejected(rows, problem, selection), fit.dof + int(out.sum()))
+            every = _with_rejected(rows, problem, selection)
+            move = _likely_move(every, fit.dof + int(out.sum()), fit.range_sigma_given)
         # What remains must be noise, twice the other at most, or little of what there was (of a large
         # move the derivatives leave some): gross errors, or another cause, are neither.
         noise = float(rows.residual @ rows.how.weighed(rows.residual[:, None])[:, 0])
-        if move is not None and move.left * fit.dof > 4.0 * noise and move.share < 1.0 - KNOWN:
-            move = None
+        if move is not None and move.share < 1.0 - KNOWN:
+            counted = fit.dof / (fit.dof + int(out.sum()) - move.rank)
+            move = None if move.left * counted > 4.0 * noise else move
     if move is None:
-        move = _likely_move(rows, fit.dof)
+        move = _likely_move(rows, fit.dof, fit.range_sigma_given)
         clearest = max(((one.size / one.sigma) ** 2 for one in found if one.found), default=0.0)
         if move is not None and move.criterion > _criterion(
             clearest / (clearest + max(fit.dof - 1, 1)), fit.dof, 1
@@ -163,8 +190,11 @@ def _with_rejected(rows: LinearRows, problem: Problem, selection: Selection) -> 
     return LinearRows(rows.at, readings, how, rows.prior, position, rows.channel)
 
 
-def _likely_move(rows: LinearRows, dof: int) -> Move | None:
-    """Return the move that explains most of the residuals; None where a beam hardly has moved."""
+def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
+    """Return the move that explains most of the residuals; None where a beam hardly has moved.
+
+    `known` tells whether the size of the noise was given.
+    """
     heavy = rows.how.weighed(rows.residual[:, None])[:, 0]
     weight, total = rows.how.squares(), float(rows.residual @ heavy)
     if dof <= BEAM.dim or not total > 0.0:
@@ -182,15 +212,22 @@ def _likely_move(rows: LinearRows, dof: int) -> Move | None:
     projection = Projection(rows, rows.prior)
     priors = projection.prior_residuals(rows.at)
     _, left, squares, _ = projection.perpendicular(rows.residual[:, None], priors)
-    rest = left[:, 0], float(squares[0]), dof
+    rest = left[:, 0], float(squares[0])
+
+    def tried(one: Candidate, split: int) -> Move:
+        return _tried(one, split, rows, projection, rest)._replace(dof=float(dof), tests=tests)
+
     # The others explain less even without other unknowns.
-    moves = [_tried(by.one, by.split, rows, projection, rest) for by in promising[:4] if by.tests]
+    moves = [tried(by.one, by.split) for by in promising[:4] if by.tests]
     best_move = min(moves, key=lambda move: move.criterion)
-    if best_move.p_value * tests >= SINGLE_LEVEL:
+    if not best_move.clear:
         return None
     # Or the beam reads something else than one of the planes, wherever and whenever it is measured.
-    of_plane = (_tried(one, 0, rows, projection, rest) for one in _on_planes(rows, best_move.beam))
-    return min((best_move, *of_plane), key=lambda move: move.criterion)
+    moves = [best_move, *(tried(one, 0) for one in _on_planes(rows, best_move.beam))]
+    best_move = min(moves, key=lambda move: move.criterion)
+    together = dependence(rows, projection, known=known, found=best_move.columns)
+    best_move = best_move._replace(dof=dof / together.plane_growth**2)
+    return best_move if best_move.clear else None
 
 
 def _beams(rows: LinearRows) -> Iterator[Candidate]:
@@ -260,13 +297,13 @@ def _tried(
     split: int,
     rows: LinearRows,
     projection: Projection,
-    rest: tuple[FloatArray, float, int],
+    rest: tuple[FloatArray, float],
 ) -> Move:
     """Return what a move explains beside all unknowns.
 
-    `rest` are the weighed residuals without what these explain, their square, and degrees of freedom.
+    `rest` are the weighed residuals without what these explain, and their square.
     """
-    heavy, total, dof = rest
+    heavy, total = rest
     columns = np.zeros((len(rows.readings), one.J.shape[1]))
     columns[one.rows] = one.J * (rows.position[one.rows] >= split)[:, None]
     unit = np.maximum(np.sqrt((columns**2).sum(axis=0)), TINY)
@@ -276,14 +313,12 @@ def _tried(
     kept = values > NEGLIGIBLE  # columns of length 1: the unknowns explain the rest
     along = (columns.T @ heavy) @ axes
     size = -(axes[:, kept] @ (along[kept] / values[kept])) / unit
-    fall, q = float((along[kept] ** 2 / values[kept]).sum()), int(kept.sum())
-    remains = max(total - fall, NEGLIGIBLE * total) / max(dof - q, 1)
-    p = float(f_sf(fall / max(q, 1) / remains, max(q, 1), max(dof - q, 1)))
-    share = fall / total
-    return Move(one.beam, split, size, p, _criterion(share, dof, q), share, remains)
+    fall = float((along[kept] ** 2 / values[kept]).sum())
+    rank, by = int(kept.sum()), columns @ axes[:, kept]
+    return Move(one.beam, split, size, rank, fall / total, total - fall, by)
 
 
-def _criterion(share: float, dof: int, unknowns: int) -> float:
+def _criterion(share: float, dof: float, unknowns: int) -> float:
     """Return Schwarz's criterion for unknowns that explain a share of chi2, beside none."""
     rest = max(1.0 - share, NEGLIGIBLE)
-    return float(dof * np.log(rest) + unknowns * np.log(max(dof, 1)))
+    return float(dof * np.log(rest) + unknowns * np.log(max(dof, 1.0)))
