@@ -75,6 +75,14 @@ def test_more_shots_of_a_stop_do_not_lessen_the_error_of_the_hand(jitter):
     assert np.linalg.norm(three.location - one.location) < one.spot_error
 
 
+def test_a_hand_that_comes_back_less_well_than_readings_are_known_contradicts_nothing():
+    """Arms repeat a pose to some hundredths of a millimetre; readings of a shot tell micrometres."""
+    found = hl.calibrate(survey_of(rig_of(3), 3, jitter=1.5e-5))
+    assert found.usable
+    assert not found.rejected
+    assert 0.1 < found._found.noise.again < 1.0
+
+
 @pytest.mark.slow
 def test_errors_are_as_large_as_stated_with_four_shots_a_stop():
     squares = []

@@ -5,6 +5,8 @@ import pytest
 
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_rays
+from handlaser_gtsam.estimation.survey import estimate_survey
+from handlaser_gtsam.estimation.survey_trials import try_free
 
 
 def rig_of(seed, **options):
@@ -59,6 +61,27 @@ def test_a_sensor_that_was_moved_is_named():
     (warning,) = [one for one in found.warnings if one.code == "displaced"]
     assert warning.values["target"] == "sensor p"
     assert warning.values["shift"] == pytest.approx(float(np.linalg.norm(move)), rel=0.15)
+
+
+def test_what_no_row_tells_is_held_in_a_trial():
+    """It ended the trial: the covariance of such unknowns is singular."""
+    state = estimate_survey(rigs.survey_of(rig_of(1)), rigs.STATED).learning()
+
+    place = state.rows.places().place["sensor"][0] + np.array([3, 4])
+
+    def columns(more):
+        def of(at, pose_errors):
+            rows, owner = at.dense(pose_errors=pose_errors)
+            late = rows.derivatives[:, place] * (owner >= 10)[:, None]
+            return np.column_stack((late, 0.0 * late[:, 0], late[:, 1]))[:, : 2 + more]
+
+        return of
+
+    two, four = (try_free(state, columns(more)) for more in (0, 2))
+    assert (two.rank, four.rank) == (2, 2)
+    assert four.chi2 == pytest.approx(two.chi2, rel=1e-6)
+    assert four.size[2] == 0.0
+    assert four.size[1] + four.size[3] == pytest.approx(two.size[1], rel=1e-6)
 
 
 def test_a_profiler_both_of_whose_axes_err_alike_is_named():

@@ -12,6 +12,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..model.block import Block, Values, whitened
 from ..model.families import FAMILIES, POSE
+from ..model.shots import Mixed
 from ..model.weighting import Whitening, covariance_roots
 from ..quantities import SINGULAR, TINY
 
@@ -122,38 +123,62 @@ def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRo
 
 
 def with_pose_errors(
-    blocks: Sequence[Block], values: Values, covariance: FloatArray
+    blocks: Sequence[Block],
+    values: Values,
+    covariance: FloatArray,
+    own: FloatArray | None = None,
 ) -> list[Block]:
     """Return blocks whose rows count errors of the hand poses (M, 6, 6), which a station's rows share.
 
     With A the derivatives by a pose times a root of its covariance, in standard deviations of the
-    readings, the weight matrix of the station's rows is I - A inv(I + A'A) A'.
+    readings, the weight matrix of the station's rows is I - A inv(I + A'A) A'. Where several poses are
+    one station of the weights, covariances `own` (M, 6, 6) beside that are of each pose by itself: rows
+    of a group of mixed ones become independent of them, and of single rows they are noise.
     """
     if not covariance.any():
         return list(blocks)
     root = covariance_roots(covariance)
+    own_root = None if own is None or not own.any() else covariance_roots(own)
     found: list[tuple[int, FloatArray, IntArray]] = []
     sums = np.zeros((len(covariance), 6, 6))
+    new = list(blocks)
     for index, block in enumerate(blocks):
         slot = next((slot for slot in block.slots() if slot.family == POSE.name), None)
         if slot is None:
             continue
         columns = whitened(block.evaluate(values), block.weights)[slot.columns, 0]
         A = np.einsum("cgs,gcd->gsd", columns, root[slot.member])
+        if own_root is not None:
+            own_A = np.einsum("cgs,gcd->gsd", columns, own_root[slot.member])
+            new[index], white = _with_own_errors(block, own_A)
+            A = white @ A
         station = slot.member if block.weights.station is None else block.weights.station[:, 0]
         np.add.at(sums, station, np.swapaxes(A, 1, 2) @ A)
         found.append((index, A, station))
     # A root of inv(I + A'A), which rounding cannot make indefinite.
     squares, axes = np.linalg.eigh(sums)
     inverse = np.swapaxes(axes / np.sqrt(1.0 + np.maximum(squares, 0.0))[:, None], 1, 2)
-    new = list(blocks)
     for index, A, station in found:
         U = np.einsum("gsd,gcd->cgs", A, inverse[station])[:, None]
         new[index] = replace(
-            blocks[index],
-            weights=replace(blocks[index].weights, common=U),  # type: ignore[type-var]
+            new[index],
+            weights=replace(new[index].weights, common=U),  # type: ignore[type-var]
         )
     return new
+
+
+def _with_own_errors(block: Block, A: FloatArray) -> tuple[Block, FloatArray]:
+    """Return a block whose groups count errors A (G, S, 6), and what its rows are multiplied by."""
+    V = A @ np.swapaxes(A, 1, 2)
+    if not isinstance(block, Mixed):
+        V = np.eye(V.shape[1]) * V
+    variances, axes = np.linalg.eigh(V)
+    white = (axes / np.sqrt(1.0 + np.maximum(variances, 0.0))[:, None]) @ np.swapaxes(axes, 1, 2)
+    if isinstance(block, Mixed):
+        return replace(block, mix=block.mix @ white), white
+    root = np.einsum("gss->gs", white)[None]
+    root = root if block.weights.root is None else block.weights.root * root
+    return replace(block, weights=replace(block.weights, root=root)), white  # type: ignore[type-var]
 
 
 def filled(rows: FloatArray, group: IntArray) -> FloatArray:

@@ -31,7 +31,7 @@ from ..quantities import IN_PERCENT, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import DenseRows, dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, descended, judged, minimum
 from .survey_mirror import best_image, numbers_of, with_images
-from .survey_noise import Components, Inside, components
+from .survey_noise import USUALLY_AGAIN, Components, Inside, components
 from .survey_rows import (
     AIMING,
     AIMING_SIGMA,
@@ -146,8 +146,10 @@ class SurveyEstimate:
         hand poses may be other ones, by a factor.
         """
         values = {name: x[None] for name, x in self.estimate.values.items()}
-        turn, shift = (float(np.sqrt(pose_variances)) * size for size in self.noise.pose)
-        return self.at(values, replace(self.noise, pose=(turn, shift))).problem()[0]
+        root = float(np.sqrt(pose_variances))
+        turn, shift, again = (root * size for size in (*self.noise.pose, self.noise.again))
+        sizes = replace(self.noise, pose=(turn, shift), again=again)
+        return self.at(values, sizes).problem()[0]
 
     def redundancy(self) -> FloatArray:
         """Return how many numbers beyond the unknowns tell the noise of each sensor, beams and aiming.
@@ -215,7 +217,8 @@ class SurveyState:
         items = [self.rows.items[i] for i in used]
         blocks, owner = blocks_of(items, self.sigmas(), self.values)
         if pose_errors:
-            blocks = with_pose_errors(blocks, self.values, self.pose_covariance())
+            own = self.own_covariance() if self.sizes.again else None
+            blocks = with_pose_errors(blocks, self.values, self.pose_covariance(), own)
         more: list[Block] = [*priors_of(self.rows), *self._held()]
         more += [relation for _, relation in self.relations]
         unknown, length = self.rows.unknown(), self.rows.length
@@ -264,7 +267,16 @@ class SurveyState:
 
     def pose_covariance(self) -> FloatArray:
         """Return the covariance (M, 6, 6) of the hand poses."""
-        count, size = len(self.rows.survey.stations), np.repeat(self.sizes.pose, 3)
+        return self._of_poses(self.sizes.pose)
+
+    def own_covariance(self) -> FloatArray:
+        """Return the covariance (M, 6, 6) that poses of one stop have beside, each by itself."""
+        turn, shift = _own_sizes(self.noise)
+        C = self._of_poses((self.sizes.again * turn, self.sizes.again * shift))
+        return np.where(self.rows.shared[:, None, None], C, 0.0)
+
+    def _of_poses(self, sizes: tuple[float, float]) -> FloatArray:
+        count, size = len(self.rows.survey.stations), np.repeat(sizes, 3)
         stated = self.noise.pose_covariance is not None
         C = self.noise.pose_covariances(count) if stated else np.eye(6)
         return np.broadcast_to(C * np.outer(size, size), (count, 6, 6))
@@ -285,6 +297,10 @@ class SurveyState:
         # Of a spot on a point the first row is along the ray.
         aimed = (owner == np.roll(owner, 1)) & on_point[owner]
         return np.where(owner < 0, -1, np.where(aimed, beams + 1, np.array(source)[owner]))
+
+
+Columns = Callable[[SurveyState, bool], FloatArray]
+"""Makes derivatives (R, q) of the rows of a state by further unknowns, pose errors counted or not."""
 
 
 def estimate_survey(
@@ -383,7 +399,8 @@ def first_state(rows: Rows, noise: Noise, earlier: SurveyEstimate | None = None)
     usual = usual_noise(rows, noise)
     own = np.where(dof > 0.0, within, usual.sigma)
     sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
-    sizes = Components(sigma, _pose_sizes(stated, usual))
+    again = usual.again if np.isnan(stated.again) else 0.0
+    sizes = Components(sigma, _pose_sizes(stated, usual), again)
     used = np.ones(len(rows.items), dtype=bool)
     state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), stated)
     if earlier is not None and earlier.estimate.status == "converged":
@@ -460,14 +477,22 @@ def _stated(rows: Rows, noise: Noise) -> Components:
     if noise.pose_covariance is not None:
         turn = shift = 1.0
     pose = np.nan if turn is None else turn, np.nan if shift is None else shift
-    return Components(np.array(sigma), pose)
+    again = np.nan if any(_own_sizes(noise)) and rows.shared.any() else 0.0
+    return Components(np.array(sigma), pose, again)
+
+
+def _own_sizes(noise: Noise) -> tuple[float, float]:
+    """Return the sizes (rotation, translation) that `Components.again` is a part of."""
+    shift, turn = noise.standstill
+    return (turn, shift) if noise.pose_covariance is None else (1.0, 1.0)
 
 
 def usual_noise(rows: Rows, noise: Noise) -> Components:
     """Return the sizes that noise usually has: the scales of the priors of what is not stated."""
     sigma = np.full(len(rows.survey.shots) + 2, FIRST_SIGMA)
     sigma[-1] = AIMING_SIGMA
-    return Components(sigma, (noise.pose_rotation_prior, noise.pose_translation_prior))
+    pose = noise.pose_rotation_prior, noise.pose_translation_prior
+    return Components(sigma, pose, USUALLY_AGAIN)
 
 
 def _pose_sizes(stated: Components, usual: Components) -> tuple[float, float]:
@@ -549,7 +574,8 @@ def grazing(rows: Rows) -> BoolArray:
 def misfits(state: SurveyState) -> FloatArray:
     """Return the root mean square misfit of every item, used or not, in standard deviations."""
     blocks, owner = blocks_of(state.rows.items, state.sigmas(), state.values)
-    blocks = with_pose_errors(blocks, state.values, state.pose_covariance())
+    own = state.own_covariance() if state.sizes.again else None
+    blocks = with_pose_errors(blocks, state.values, state.pose_covariance(), own)
     rows = dense_rows(blocks, state.values, BlockProblem([], state.values, {}).places())
     square = rows.whitened()[1] ** 2
     total, count = (np.bincount(owner, x, len(state.used)) for x in (square, square > 0.0))
@@ -632,27 +658,28 @@ def _by_hand(state: SurveyState) -> float:
     return float(np.sqrt(shift + turn * state.rows.length**2))
 
 
-def learned_sizes(
-    state: SurveyState, beside: Callable[[SurveyState], FloatArray] | None = None
-) -> Components:
+def learned_sizes(state: SurveyState, beside: Columns | None = None) -> Components:
     """Return the sizes of the noise at the values of a state: as stated, or learned.
 
-    Derivatives (R, q) of its rows by further unknowns may stand beside its own derivatives.
+    Derivatives of its rows by further unknowns may stand beside its own derivatives.
     """
-    if not state.learning:
+    if not np.isnan(state.stated.vector()).any():
         return state.sizes
     rows, owner = state.dense(pose_errors=False)
     if beside is not None:
-        rows = replace(rows, derivatives=np.column_stack((rows.derivatives, beside(state))))
+        rows = replace(rows, derivatives=np.column_stack((rows.derivatives, beside(state, False))))
     if state.noise.pose_covariance is not None:  # in standard deviations of what is stated
         root = covariance_roots(state.pose_covariance())[state.stations(owner)]
         rows.by_pose[:] = np.einsum("ri,rij->rj", rows.by_pose, root)
     finest = np.full(len(state.sizes.vector()), FINEST)
     # The likelihood has no bound where all spots are aimed exactly.
     finest[len(state.sizes.sigma) - 1] = 1e-6
+    finest[-1] = SAME_OPTIMUM
     source, inside = state.sources(owner), _inside(state.rows)
     usual = usual_noise(state.rows, state.noise)
-    return components(rows, source, inside, state.sizes, state.stated, usual, finest)
+    again = np.where(state.rows.shared[state.stations(owner)], owner, -1)
+    noise = state.sizes, state.stated, usual, finest
+    return components(rows, source, inside, *noise, again, _own_sizes(state.noise))
 
 
 def _learned(state: SurveyState) -> bool:

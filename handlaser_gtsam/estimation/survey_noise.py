@@ -36,6 +36,9 @@ WELL_KNOWN = 0.1
 """A size is not integrated over where its logarithm has a smaller standard deviation: it follows from
 fifty numbers, and the mean of its variance is within two per cent of the most probable one."""
 
+USUALLY_AGAIN = 0.3
+"""Part of the standard deviations of a pose that is usually new where the hand comes back to a stop:
+arms repeat a pose three to ten times better than they know it."""
 
 Inside = tuple[FloatArray, FloatArray]
 """What shots tell of the noise inside them, by source of noise: sums of squares (n,) [m^2], and degrees
@@ -52,34 +55,49 @@ class Components:
         Standard deviation of a reading of each sensor, of all beams, and of the aiming at points [m].
     pose : (rotation, translation)
         Standard deviations of the hand pose an axis [rad], [m].
+    again : float
+        By how much each pose of one stop errs beside what all have in common, in parts of the standard
+        deviations that are stated of the pose, or usual.
     """
 
     sigma: FloatArray
     pose: tuple[float, float]
+    again: float = 0.0
 
     def vector(self) -> FloatArray:
-        """Return all sizes (n + 2,), those of the pose last."""
-        return np.array([*self.sigma, *self.pose])
+        """Return all sizes (n + 3,), those of the pose last."""
+        return np.array([*self.sigma, *self.pose, self.again])
 
 
 class _Likelihood:
     """-2 log of the restricted likelihood, over stations that are filled up to one number of rows."""
 
-    def __init__(self, rows: DenseRows, source: IntArray, inside: Inside) -> None:
+    def __init__(
+        self,
+        rows: DenseRows,
+        source: IntArray,
+        inside: Inside,
+        again: IntArray,
+        own: tuple[float, float],
+    ) -> None:
         self.inside = inside
         scale = np.sqrt((rows.derivatives**2).sum(axis=0))
         scale = np.where(scale > 0.0, scale, 1.0)
         X: FloatArray = np.column_stack((rows.derivatives / scale, rows.residuals))
         self.X, self.P = filled(X, rows.station), filled(rows.by_pose, rows.station)
-        # Rows that fill up have no source.
-        self.source = (
-            filled(source.astype(np.float64)[:, None] + 1.0, rows.station)[..., 0].astype(int) - 1
-        )
+        # Rows that fill up have no source, and are of no item.
+        numbered: FloatArray = np.column_stack((source, again)).astype(np.float64) + 1.0
+        numbers = filled(numbered, rows.station).astype(int) - 1
+        self.source, item = numbers[..., 0], numbers[..., 1]
+        same = (item[..., None] == item[:, None]) & (item >= 0)[:, None]
+        self.own = (self.P * np.repeat(own, 3) ** 2) @ np.swapaxes(self.P, 1, 2) * same
 
-    def __call__(self, factor: FloatArray, rotation: float, translation: float) -> float:
-        """Return it for factors on the variances of the rows, and for pose sigmas."""
+    def __call__(
+        self, factor: FloatArray, rotation: float, translation: float, again: float
+    ) -> float:
+        """Return it for factors on the variances of the rows, and for sizes of pose errors."""
         S = np.array([rotation**2] * 3 + [translation**2] * 3)
-        V = (self.P * S) @ np.swapaxes(self.P, 1, 2)
+        V = (self.P * S) @ np.swapaxes(self.P, 1, 2) + again**2 * self.own
         # Rounding, at most so large (Higham 2002, theorem 10.7), must not make a factor impossible
         # where errors of the hand are far above those of readings.
         rounding = V.shape[1] * np.finfo(np.float64).eps * np.einsum("sii->s", V)
@@ -110,6 +128,8 @@ def components(
     stated: Components,
     usual: Components,
     finest: FloatArray,
+    again: IntArray | None = None,
+    own: tuple[float, float] = (0.0, 0.0),
 ) -> Components:
     """Return the sizes of all parts of the noise: roots of mean variances where they are not stated.
 
@@ -124,35 +144,53 @@ def components(
         NaN in `stated` is what is not.
     usual : Components
         Sizes about which the priors are.
-    finest : (n + 2,)
+    finest : (n + 3,)
         No size is below it: where rows of one kind fit exactly, the likelihood has no bound.
+    again : (R,), optional
+        The item of each row whose stop has several poses; -1 of other rows.
+    own : (rotation, translation)
+        What `Components.again` is a part of [rad], [m].
     """
     squares, dof = inside
-    likelihood = _Likelihood(rows, source, (squares / now.sigma**2, dof))
+    again = np.full(len(source), -1) if again is None else again
+    likelihood = _Likelihood(rows, source, (squares / now.sigma**2, dof), again, own)
     learned = np.flatnonzero(np.isnan(stated.vector()))
     if not len(learned):
         return stated
-    names = [*[RANGE] * len(stated.sigma), ROTATION, TRANSLATION]
+    names = [*[RANGE] * len(stated.sigma), ROTATION, TRANSLATION, TRANSLATION]
     scales = [Scale(names[i], None, 1.0, float(usual.vector()[i])) for i in learned]
     prior = np.array([math.log(scale.prior) for scale in scales])
 
     def with_sizes(values: FloatArray) -> Components:
         sizes = stated.vector()
         sizes[learned] = values
-        return Components(sizes[:-2], (float(sizes[-2]), float(sizes[-1])))
+        *sigma, rotation, translation, anew = sizes.tolist()
+        return Components(np.array(sigma), (rotation, translation), anew)
 
     def log_posterior(points: FloatArray) -> FloatArray:
         """Return it for logarithms (J, d) of the sizes that are learned."""
         density = [scale.log_prior(u) for scale, u in zip(scales, points.T, strict=True)]
         sizes = [with_sizes(values) for values in np.exp(points)]
-        minus_twice = [likelihood((one.sigma / now.sigma) ** 2, *one.pose) for one in sizes]
+        minus_twice = [
+            likelihood((one.sigma / now.sigma) ** 2, *one.pose, one.again) for one in sizes
+        ]
         return np.asarray(np.sum(density, axis=0) - 0.5 * np.array(minus_twice))
 
     start = np.log(now.vector()[learned])
     bounds = np.column_stack((np.log(finest[learned]), prior + LARGEST))
     mode = find_mode(log_posterior, start, bounds)
     bounds[:, 1] = np.minimum(np.maximum(mode, prior) + WIDEST, prior + LARGEST)
-    points, log_weight, _ = design(log_posterior, mode, bounds, WELL_KNOWN)
+    # What is new of a pose is as large as is most probable: the other sizes have as many points an
+    # axis as without it.
+    others = learned < len(stated.sigma) + 2
+
+    def beside(points: FloatArray) -> FloatArray:
+        return np.column_stack((points, np.tile(mode[~others], (len(points), 1))))
+
+    points, log_weight, _ = design(
+        lambda points: log_posterior(beside(points)), mode[others], bounds[others], WELL_KNOWN
+    )
+    points = beside(points)
     log_weight = log_weight + log_posterior(points)
     weight = np.exp(log_weight - log_weight.max())
     return with_sizes(np.sqrt(weight @ np.exp(2.0 * points) / weight.sum()))

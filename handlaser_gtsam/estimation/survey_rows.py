@@ -146,6 +146,12 @@ class Rows:
         lost = sorted({labels[at] for _, at in self.lost} - seen)
         return tuple(label for label in lost if kind_of(label) == "groove")
 
+    @property
+    def shared(self) -> BoolArray:
+        """Which stations (M,) with readings are of one stop with others."""
+        read = np.isin(np.arange(len(self.stops)), [item.station for item in self.items])
+        return np.asarray(read & (np.bincount(self.stops, read)[self.stops] > 1.0))
+
     def counts(self) -> dict[str, int]:
         """Return the members of each family."""
         counts = {name: len(labels) for name, labels in self.targets.items()}

@@ -44,8 +44,6 @@ SWEPT = 400
 """Normals that are tried."""
 RANDOM = 300
 """Random mounts that are tried where nothing else leads to a good fit."""
-MOST_STEPS = 60
-"""Steps of a search from all starts of a sensor or beam; most have arrived within twenty."""
 TRIMMED = 0.75
 """Part of the shots, those that fit best, by which the ends of searches are compared."""
 HARMLESS = {SENSOR.name: [0, 4, 8], BEAM.name: [5], PLANE.name: [2], SPHERE.name: [3]}
@@ -464,7 +462,7 @@ def _searched(
     every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
     task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
-    steps = MOST_STEPS if thorough else FIRST_STEPS
+    steps = LAST_STEPS if thorough else FIRST_STEPS
     ended = search(task, values, LevenbergOptions(steps, least_damping=SINGULAR))
     if not thorough:  # the promising ones to the end
         some = np.argsort(ended.cost, kind="stable")[: max(FINALISTS, K // 4)]

@@ -8,10 +8,10 @@ additional unknowns x (q of them), whose least squares solution in standard devi
     x,  C = cov(x),  F = x' inv(C) x / q,
 
 is tested against an F distribution of q over S - q - 1 degrees of freedom at S stops, as if each said
-one number of the noise; with noise that is stated by chi2.
+one number of the noise; with noise that is stated by chi2. What no row tells of x is held.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -28,11 +28,10 @@ from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..quantities import NEGLIGIBLE, TINY
 from .dense import DenseRows
-from .survey import SurveyEstimate, SurveyState, learned_sizes
+from .survey import GROSS, Columns, SurveyEstimate, SurveyState, grazing, learned_sizes
 from .survey_rows import Entity
+from .task import STEPS_IN_VAIN
 
-Columns = Callable[[SurveyState], FloatArray]
-"""Makes derivatives (R, q) of the rows of a state by further unknowns."""
 PLACES_OF = dict.fromkeys((PLANE.name, SPHERE.name, BEAM.name), (0, 1, 2)) | {
     SENSOR.name: (3, 4, 5)
 }
@@ -48,22 +47,27 @@ class Tried(Value):
     Attributes
     ----------
     size : (q,)
+        Zero along what no row tells, which is held.
     covariance : (q, q)
+    chi2 : float
+        By how much chi2 falls with them.
+    rank : int
+        How many of them, or of their combinations, rows determine.
     p_value : float
         Probability of sizes that are as large by chance.
     moved : (N,)
         By how much the other unknowns are elsewhere then.
+    left : (R,)
+        Residuals that stay, in standard deviations.
     """
 
     size: FloatArray
     covariance: FloatArray
+    chi2: float
+    rank: int
     p_value: float
     moved: FloatArray
-
-    @property
-    def chi2(self) -> float:
-        """The square of the sizes in their covariance."""
-        return float(self.size @ np.linalg.solve(self.covariance, self.size))
+    left: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -88,17 +92,12 @@ def try_free(state: SurveyState, columns: Columns) -> Tried:
     """Return further unknowns of a state at its minimum, as free ones."""
     state = replace(state, sizes=learned_sizes(state, columns))
     rows, owner = state.dense()
-    own = rows.derivatives.shape[1]
-    wider = np.column_stack((rows.derivatives, columns(state)))
-    J, e = replace(rows, derivatives=wider).whitened()
-    scale = np.maximum(np.sqrt((J**2).sum(axis=0)), TINY)
-    inverse = np.asarray(np.linalg.pinv(J / scale, rcond=NEGLIGIBLE) / scale[:, None])
-    x, C = -inverse @ e, inverse @ inverse.T
-    size, C = x[own:], C[own:, own:]
-    chi2, q = float(size @ np.linalg.solve(C, size)), len(size)
-    left = len(np.unique(state.stops(owner[owner >= 0]))) - q - 1
-    p = f_sf(chi2 / q, q, max(left, 1)) if state.learning else chi2_sf(chi2, q)
-    return Tried(size, C, float(p), x[:own])
+    tried = _Trial(rows)(columns(state, True))
+    left = len(np.unique(state.stops(owner[owner >= 0]))) - tried.rank - 1
+    some = max(tried.rank, 1)
+    by_f = f_sf(tried.chi2 / some, some, max(left, 1))
+    p = by_f if state.learning else chi2_sf(tried.chi2, some)
+    return replace(tried, p_value=float(p))
 
 
 def too_small_alike(found: SurveyEstimate, member: int) -> Tried:
@@ -108,8 +107,8 @@ def too_small_alike(found: SurveyEstimate, member: int) -> Tried:
     whole = replace(problem, unknown={**problem.unknown, SENSOR.name: True}).places()
     place = whole.place[SENSOR.name][member] + [POSE.dim + RAY_ERRORS.index(one) for one in ALIKE]
 
-    def columns(at: SurveyState) -> FloatArray:
-        rows, _ = at.dense(pose_errors=False, range_errors=True)
+    def columns(at: SurveyState, pose_errors: bool) -> FloatArray:
+        rows, _ = at.dense(pose_errors=pose_errors, range_errors=True)
         return np.asarray(rows.derivatives[:, place].sum(axis=1, keepdims=True))
 
     return try_free(state, columns)
@@ -119,29 +118,49 @@ def displacement(found: SurveyEstimate) -> Displacement | None:
     """Return the target, sensor or beam that most surely was moved amid the survey; None for none.
 
     Where a target may be what was moved, it is: a hand of which all targets seem to move takes more.
+    Stations of one stop may lie before and after: what was moved between two rounds of a program shows
+    best where its poses repeat. Where shots do not fit each other, all count, and it is what was moved
+    only if most that misfit do no more.
     """
     state, looked_for = found.learning(), 0
+    converged = found.estimate.status == "converged"
+    if not converged:
+        state = replace(state, used=~grazing(state.rows), sizes=found.first.noise)
+        if not state.minimize(STEPS_IN_VAIN):
+            return None
     rows, owner = state.dense()
-    gain, stops = _Gain(rows), state.stops(owner)
-    promising: list[tuple[Entity, int]] = []
+    trial, stations = _Trial(rows), _stations(state, owner)
+    best: list[tuple[Entity, int, Tried]] = []
     for entity, splits in _splits(state):
         looked_for += len(splits)
         columns = rows.derivatives[:, _place(state, entity)]
-        chi2 = [gain(columns * (stops >= station)[:, None]) for station in splits]
-        best = int(np.argmax(chi2))
-        if chi2_sf(chi2[best], columns.shape[1]) < FAMILY_LEVEL:
-            promising.append((entity, splits[best]))
+        tried = [trial(columns * (stations >= station)[:, None]) for station in splits]
+        which = int(np.argmax([one.chi2 for one in tried]))
+        best.append((entity, splits[which], tried[which]))
     moves = []
-    for entity, station in promising:
-        one = try_free(state, partial(_since, entity, station))
-        p = min(one.p_value * looked_for, 1.0)
-        if p < FAMILY_LEVEL:
-            moves.append(Displacement(entity, station, replace(one, p_value=p)))
+    for entity, station, one in best:
+        if not (converged or _explained(owner, trial.residuals, one.left)):
+            continue
+        if chi2_sf(one.chi2, max(one.rank, 1)) < FAMILY_LEVEL:
+            free = try_free(state, partial(_since, entity, station))
+            p = min(free.p_value * looked_for, 1.0)
+            if p < FAMILY_LEVEL:
+                moves.append(Displacement(entity, station, replace(free, p_value=p)))
     if not moves:
         return None
     surest = max(one.tried.chi2 for one in moves)
     alike = [one for one in moves if one.tried.chi2 > surest - UNLIKELY_EXCESS]
     return next((one for one in alike if one.entity[0] in (PLANE.name, SPHERE.name)), alike[0])
+
+
+def _explained(owner: IntArray, before: FloatArray, left: FloatArray) -> bool:
+    """Tell whether most items whose residuals (R,) misfit before, by the item of each, fit then."""
+    own = owner >= 0
+    count = np.bincount(owner[own])
+    squares = [np.bincount(owner[own], e[own] ** 2) for e in (before, left)]
+    first, then = (np.sqrt(one[count > 0] / count[count > 0]) for one in squares)
+    wrong = first > GROSS
+    return not wrong.any() or bool(np.median(then[wrong]) <= GROSS)
 
 
 def _splits(state: SurveyState) -> Iterator[tuple[Entity, list[int]]]:
@@ -153,12 +172,17 @@ def _splits(state: SurveyState) -> Iterator[tuple[Entity, list[int]]]:
     for item, used in zip(state.rows.items, state.used, strict=True):
         if used and item.target[0] != POINT.name:
             for entity in (item.target, item.mount):
-                seen.setdefault(entity, set()).add(item.stop)
-    for entity, stops in seen.items():
-        splits = sorted(stops)[LEAST_STATIONS : len(stops) - LEAST_STATIONS + 1]
+                seen.setdefault(entity, set()).add(item.station)
+    for entity, stations in seen.items():
+        splits = sorted(stations)[LEAST_STATIONS : len(stations) - LEAST_STATIONS + 1]
         if entity[0] in PLACES_OF and splits:
             evenly = np.linspace(0, len(splits) - 1, min(len(splits), MOST_SPLITS))
             yield entity, [splits[i] for i in evenly.round().astype(int)]
+
+
+def _stations(state: SurveyState, owner: IntArray) -> IntArray:
+    """Return the stations of rows of items; -1 of rows that have none."""
+    return np.where(owner < 0, -1, state.stations(owner))
 
 
 def _place(state: SurveyState, entity: Entity) -> IntArray:
@@ -167,25 +191,37 @@ def _place(state: SurveyState, entity: Entity) -> IntArray:
     return np.asarray(state.rows.places().place[family][member] + np.array(PLACES_OF[family]))
 
 
-def _since(entity: Entity, station: int, state: SurveyState) -> FloatArray:
+def _since(entity: Entity, station: int, state: SurveyState, pose_errors: bool) -> FloatArray:
     """Return the derivatives (R, 3) by the place of an entity from a station on."""
-    rows, owner = state.dense(pose_errors=False)
-    return np.asarray(
-        rows.derivatives[:, _place(state, entity)] * (state.stops(owner) >= station)[:, None]
-    )
+    rows, owner = state.dense(pose_errors=pose_errors)
+    late = _stations(state, owner) >= station
+    return np.asarray(rows.derivatives[:, _place(state, entity)] * late[:, None])
 
 
-class _Gain:
-    """By how much chi2 would fall with some further unknowns, noise as it is."""
+class _Trial:
+    """Further unknowns of some rows, noise as it is."""
 
     def __init__(self, rows: DenseRows) -> None:
-        J, self._e = rows.whitened()
+        J, e = rows.whitened()
         scale = np.maximum(np.sqrt((J**2).sum(axis=0)), TINY)
-        U, size, _ = np.linalg.svd(J / scale, full_matrices=False)
-        self._rows, self._known = rows, U[:, size > NEGLIGIBLE * size[0]]
+        U, size, V = np.linalg.svd(J / scale, full_matrices=False)
+        some = size > NEGLIGIBLE * size[0]
+        self._rows, self._known = rows, U[:, some]
+        self._inverse = (V[some].T / size[some] / scale[:, None]) @ self._known.T
+        self.residuals = e
 
-    def __call__(self, columns: FloatArray) -> float:
-        """Return it for derivatives (R, q) by the further unknowns."""
+    def __call__(self, columns: FloatArray) -> Tried:
+        """Return them for their derivatives (R, q), with a p-value of one.
+
+        What the others explain, or no row tells, is held: a trial with more is one of the rest.
+        """
         A, _ = replace(self._rows, derivatives=columns).whitened()
-        rest = A - self._known @ (self._known.T @ A)
-        return float(np.linalg.lstsq(rest, self._e, rcond=NEGLIGIBLE)[0] @ rest.T @ self._e)
+        scale = np.maximum(np.sqrt((A**2).sum(axis=0)), TINY)
+        rest = (A - self._known @ (self._known.T @ A)) / scale
+        U, size, V = np.linalg.svd(rest, full_matrices=False)
+        known = size > NEGLIGIBLE
+        along, root = U[:, known].T @ self.residuals, V[known].T / size[known] / scale[:, None]
+        x = -root @ along
+        moved, left = -self._inverse @ (self.residuals + A @ x), self.residuals + A @ x
+        left -= self._known @ (self._known.T @ left)
+        return Tried(x, root @ root.T, float(along @ along), int(known.sum()), 1.0, moved, left)

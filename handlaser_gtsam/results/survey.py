@@ -51,6 +51,7 @@ from .survey_motion import counts_of, open_words, opening
 from .survey_verdict import survey_verdict
 from .survey_warnings import survey_warnings
 from .verdict import Verdict
+from .warnings import DISPLACED
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 
@@ -360,6 +361,8 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     relations = found.tests
     warnings = tuple(survey_warnings(found, sensors, beams, relations, rejected))
     wrong = next((one.message for one in warnings if one.code in (NO_FIT, *MISREAD)), None)
+    causes = {"range-error", DISPLACED} if restless else {DISPLACED}
+    cause = next((one.message for one in warnings if one.code in causes), None)
     status, message = estimate.status, estimate.message
     undetermined, advice = tuple[str, ...](), tuple[str, ...]()
     if wrong is not None:
@@ -369,8 +372,8 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         # Labels and noise may be right, and rows do not fit because of the relation.
         status = "contradicted"
         message = next(one.message for one in warnings if one.code == FALSE_RELATION)
-    elif restless and any(one.code == "range-error" for one in warnings):
-        message = next(one.message for one in warnings if one.code == "range-error")
+    elif status != "converged" and cause is not None:
+        message = cause
     elif status == "contradicted":
         message = "; ".join((message, *_rejected_since(found)))
     elif estimate.undetermined or found.images:

@@ -45,7 +45,7 @@ from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
 from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
-from .warnings import IMPLAUSIBLE
+from .warnings import DISPLACED, IMPLAUSIBLE
 
 CONVENTION = "convention"
 """Code of the warning that an array reads in the other way."""
@@ -184,7 +184,8 @@ def no_fit(
     rows: Rows, fit: FirstFit, causes: Sequence[CalibrationWarning], given: Noise
 ) -> CalibrationWarning:
     """Say by how much shots miss their targets, in lengths and against the noise, and what to do."""
-    what = "; ".join(one.message for one in causes if one.code in MISREAD) or CHECKS
+    known = [one.message for one in causes if one.code in (*MISREAD, DISPLACED)]
+    what = "; ".join(known) or CHECKS
     plain = [one for one in dict.fromkeys(rows.survey.stations.plane_labels) if ":" not in one]
     if what is CHECKS and plain:
         what += (

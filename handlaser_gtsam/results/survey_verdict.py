@@ -42,10 +42,10 @@ FEW = "few-readings"
 """Code of the warning that hardly more readings than unknowns tell the noise."""
 TOO_FEW = "too-few-readings"
 """Code of the warning that a beam has fewer readings than unknowns: another mount may fit as well."""
-CAUSES = (*MISREAD, FALSE_RELATION, "sigmas-too-small", "range-error")
+CAUSES = (*MISREAD, FALSE_RELATION, DISPLACED, "sigmas-too-small", "range-error")
 """Codes of warnings that say why shots do not fit each other.
 
-A false relation looks like errors of readings, too, so that the last two are no causes beside it.
+A false relation looks like errors of readings, too, so that the last three are no causes beside it.
 """
 
 

@@ -57,8 +57,13 @@ def survey_warnings(
     values = {name: x[None] for name, x in found.estimate.values.items()}
     causes += tuple(mislabelled(found.at(values, found.noise), found.estimate))
     unread = tuple(unread_stations(found.rows))
+    moved: tuple[CalibrationWarning, ...] = ()
+    if found.estimate.status == "converged" or not (
+        causes or any(r.contradicted for r in relations)
+    ):
+        moved = tuple(_displaced(found, [*sensors.values(), *beams.values()]))
     if not found.fits:
-        yield no_fit(found.rows, found.first, causes, found.given)
+        yield no_fit(found.rows, found.first, causes or moved, found.given)
     elif not causes:
         yield from unconfirmed(found.rows, unread)
     yield from causes
@@ -80,7 +85,7 @@ def survey_warnings(
             which = {"sensor": sensor.name, "code": first.code, "alike": alike, "free": free}
             sizes = {"size": first.size, "sigma": first.sigma, "p": p}
             yield warned("range-error", {**which, **sizes}, likely=p_words(p, 1), also=also)
-    yield from _displaced(found, [*sensors.values(), *beams.values()])
+    yield from moved
     out = [one for one in rejected if one.reason == "contradicted"]
     if len(out) > MANY_OUTLIERS * len(found.rows.items):
         names = some([rejected_shot(one, tuple(beams)) for one in out], NAMES_IN_LINE)
@@ -92,7 +97,7 @@ def survey_warnings(
 
 def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[CalibrationWarning]:
     """Warn of a target, sensor or beam that was moved amid the survey."""
-    moved = displacement(found) if found.estimate.status == "converged" else None
+    moved = displacement(found) if found.estimate.status != "undetermined" else None
     if moved is None:
         return
     (family, member), size, sensors = moved.entity, moved.tried.size, len(found.rows.survey.shots)

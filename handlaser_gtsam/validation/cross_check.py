@@ -279,6 +279,7 @@ def _problem(found: SurveyEstimate) -> Problem:
         known,
         beside=0.005,
         stops=rows.stops,
+        own=state.own_covariance() if state.sizes.again else None,
     )
 
 

@@ -55,6 +55,8 @@ class Problem:
         All unknowns begin so far [m], [rad] from the start, to either side.
     stops : (M,), optional
         The first station with the error of each pose, where several have one.
+    own : (M, 6, 6), optional
+        Covariance that the error of such a pose has beside by itself.
     """
 
     observed: Sequence[Observed]
@@ -67,6 +69,7 @@ class Problem:
     errors: SystematicErrors | None = None
     beside: float = 0.0
     stops: IntArray | None = None
+    own: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,8 +113,9 @@ class Residuals:
         self._station = np.concatenate(
             [np.tile(one.station[one.solved], one.rows) for one in problem.observed]
         )
+        self._pose = self._station
         if problem.stops is not None:
-            self._station = problem.stops[self._station]
+            self._station = problem.stops[self._pose]
         self._weights: list[tuple[IntArray, FloatArray, FloatArray]] = []
         self._known = np.flatnonzero(np.isfinite(self.unknowns.sigma))
         self.weigh(self.unknowns.x0)
@@ -142,9 +146,11 @@ class Residuals:
             stations, first = np.unique(self._station[order], return_index=True)
             self._weights = []
             for station, rows in zip(stations, np.split(order, first[1:]), strict=True):
-                variances, axes = np.linalg.eigh(problem.pose[station])
-                root = axes * np.sqrt(np.maximum(variances, 0.0))
-                U, size, _ = np.linalg.svd(A[rows] @ root, full_matrices=False)
+                parts, pose = [A[rows] @ _root(problem.pose[station])], self._pose[rows]
+                if problem.own is not None:
+                    for one in np.unique(pose):
+                        parts.append(A[rows] @ _root(problem.own[one]) * (pose == one)[:, None])
+                U, size, _ = np.linalg.svd(np.hstack(parts), full_matrices=False)
                 self._weights.append((rows, U, 1.0 - 1.0 / np.sqrt(1.0 + size**2)))
         heavy = self._whitened(self._whitened(self._readings(at, R, t)))
         end = 0
@@ -192,6 +198,11 @@ class Residuals:
         for rows, U, shrink in self._weights:
             e[rows] -= U @ (shrink * (U.T @ e[rows]))
         return e
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    variances, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(variances, 0.0)))
 
 
 def _pattern(columns: Sequence[IntArray] | IntArray, count: int) -> csr_array:
