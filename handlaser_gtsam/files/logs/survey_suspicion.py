@@ -101,12 +101,10 @@ def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
                     other = "before" if how == 1 else "after"
                     said += f": each belongs to the pose of the row {other} its own"
                 yield Rereading(said, partial(without_mistake, what=what, how=how), "glance")
-    spread = stations.world_t_hand.std(axis=0)
     others = {"centimetres": 10.0, "inches": INCH / MM, "metres": 1.0 / MM}
     for axis, name in enumerate("xyz"):
-        ratio = max(float(np.delete(spread, axis).mean()), TINY) / max(float(spread[axis]), TINY)
         for unit, times in others.items():
-            if abs(np.log(ratio / times)) < abs(np.log(ratio)):
+            if _likelier(stations.world_t_hand, axis, times):
                 factor = np.where(np.arange(3) == axis, times, 1.0)
                 said = f"the {name} coordinates of the positions are {times:.3g} times as large"
                 said += f" ({unit} among millimetres)"
@@ -194,6 +192,8 @@ def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]
         enumerate("xz" if profiler else "xyz"), permutations(LENGTHS, 2)
     ):
         numbers, times = columns.copy(), LENGTHS[unit] / LENGTHS[among]
+        if not _likelier(columns, at, times):  # points that hardly spread fit nearly anything
+            continue
         numbers[:, at] *= times
         if profiler:
             other = Shots.profiler(shots.name, shots.station, *numbers.T)
@@ -206,6 +206,13 @@ def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]
             words = f"the column {name} of {shots.name} is {times:.4g} times as large ({words})"
             found.append((max(_misfit(rows, 1.0) / variance, TINY), words))
     return found
+
+
+def _likelier(columns: FloatArray, at: int, times: float) -> bool:
+    """Return whether a column of (n, c), so many times as large, spreads more as the others do."""
+    spread = np.maximum(columns.std(axis=0), TINY)
+    ratio = float(np.delete(spread, at).mean() / spread[at])
+    return bool(abs(np.log(ratio / times)) < abs(np.log(ratio)))
 
 
 def _variance(rows: Rows) -> float:
