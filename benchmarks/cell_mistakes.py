@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.arrays import FloatArray, IntArray
-from handlaser_gtsam.results.spot_error import spot_at
+from handlaser_gtsam.results.spots import spot_at
 from handlaser_gtsam.results.verdict import verdict
 
 OUTCOMES = "refused", "unusable", "care", "silent"

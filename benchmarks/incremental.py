@@ -18,7 +18,7 @@ import numpy as np
 from rich.progress import track
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.estimation.task import settle
+from handlaser_gtsam.estimation.joint_solution import settle
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 

@@ -22,7 +22,7 @@ from handlaser_gtsam.estimation.estimate import BlockProblem, minimum
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.estimation.survey_rows import Rows, blocks_of, rows_of
 from handlaser_gtsam.model.block import Weights
-from handlaser_gtsam.model.ranges import PoseVariables, Ranges
+from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import Mounted
 from handlaser_gtsam.model.targets.plane import Plane

@@ -13,8 +13,8 @@ import time
 import numpy as np
 
 from handlaser_gtsam.data.noise import Noise
+from handlaser_gtsam.estimation.joint_solution import settle
 from handlaser_gtsam.estimation.options import CalibrationOptions, Poses
-from handlaser_gtsam.estimation.task import settle
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate

@@ -22,8 +22,8 @@ from benchmarks.studies import Studies, add_options
 from handlaser_gtsam import model
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.estimation.joint_solution import settle
 from handlaser_gtsam.estimation.options import RangeError
-from handlaser_gtsam.estimation.task import settle
 from handlaser_gtsam.results.calibration import Calibration
 
 from .problems import Problem, solvable

@@ -45,18 +45,18 @@ from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings, Recording
+from handlaser_gtsam.estimation.joint_solution import SolutionTask
 from handlaser_gtsam.estimation.posterior import covariance
 from handlaser_gtsam.estimation.solution import Solution
-from handlaser_gtsam.estimation.task import SolutionTask
-from handlaser_gtsam.model import search
+from handlaser_gtsam.model import damped_search
 from handlaser_gtsam.model.reduction import Normal
 from handlaser_gtsam.model.weighting import Variances
 from handlaser_gtsam.pipeline import calibrate
 from handlaser_gtsam.solvers.graph import build_graph
-from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
+from handlaser_gtsam.solvers.gtsam_sums import eliminated_sums
 from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.solvers.reference.problem import Residuals, minimize
-from handlaser_gtsam.solvers.sums import eliminated_sums
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.translations import translation_start
@@ -123,7 +123,7 @@ def step_by_gtsam(normal: Normal, damping: FloatArray) -> tuple[FloatArray, Floa
 
 def solve_sums(readings: Readings, start: Parameters) -> tuple[float, int]:
     """Solve by the reduction with the steps of GTSAM; return cost and iterations."""
-    with mock.patch.object(search, "damped_step", step_by_gtsam):
+    with mock.patch.object(damped_search, "damped_step", step_by_gtsam):
         return solve_reduction(readings, start)
 
 

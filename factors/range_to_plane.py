@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike
 
 from handlaser_gtsam.errors import InputError
 
-from .block import Noise, checked_block, range_factor
 from .keys import BeamKeys
+from .range_block import Noise, checked_block, range_factor
 
 
 def range_to_plane(

@@ -11,8 +11,8 @@ with x the laser spot in the hand frame.
 from gtsam import CustomFactor
 from numpy.typing import ArrayLike
 
-from .block import Noise, checked_block, range_factor
 from .keys import BeamKeys
+from .range_block import Noise, checked_block, range_factor
 
 
 def range_to_plane_from_pose(

@@ -71,9 +71,9 @@ if TYPE_CHECKING:
     from .errors import NotConvergedError as NotConvergedError
     from .errors import SolverError as SolverError
     from .estimation.options import CalibrationOptions as CalibrationOptions
-    from .files.calibration_file import read_calibration as read_calibration
-    from .files.calibration_file import read_mounts as read_mounts
-    from .files.calibration_json import write_calibration as write_calibration
+    from .files.calibration_reading import read_calibration as read_calibration
+    from .files.calibration_reading import read_mounts as read_mounts
+    from .files.calibration_writing import write_calibration as write_calibration
     from .files.exports.export import ExportOptions as ExportOptions
     from .files.exports.export import export_text as export_text
     from .files.exports.export import write_export as write_export
@@ -93,22 +93,22 @@ if TYPE_CHECKING:
     from .files.study_toml import read_study as read_study
     from .files.survey_reading import read_survey as read_survey
     from .model.effects.plausible import Plausible as Plausible
-    from .model.sensor import Sensor as Sensor
+    from .model.sensor_limits import Sensor as Sensor
     from .pipeline import calibrate as calibrate
     from .planning.plan import plan as plan
     from .results.calibration import Calibration as Calibration
     from .results.graph_reading import read_graph as read_graph
     from .results.limits import Limits as Limits
     from .results.mounts import Mounts as Mounts
-    from .results.spot_error import measured_plane as measured_plane
-    from .results.spot_error import spot as spot
+    from .results.spots import measured_plane as measured_plane
+    from .results.spots import spot as spot
     from .session.session import Session as Session
     from .session.survey import SurveySession as SurveySession
-    from .solvers.levenberg import optimize as optimize
+    from .solvers.graph_levenberg import optimize as optimize
     from .validation import scenes as scenes
     from .validation import simulate as simulate
     from .validation.cross_check import cross_check as cross_check
-    from .validation.hold_out import hold_out as hold_out
+    from .validation.other_recording import hold_out as hold_out
     from .validation.study import run_study as run_study
     from .validation.validate import validate as validate
 else:

@@ -9,7 +9,7 @@ from .checks import require_kind
 from .data.noise import Noise
 from .data.parameters import Parameters
 from .data.recording import Recording, sorted_readings
-from .data.screen import screened
+from .data.screening import screened
 from .data.survey import Survey, beyond_planes
 from .errors import CalibrationWarning, InputError
 from .estimation.estimate import BlockProblem, Estimate, estimate
@@ -19,7 +19,7 @@ from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.freed import prior_sizes, with_freed
-from .results.problem import Problem
+from .results.named_problem import Problem
 
 if TYPE_CHECKING:
     from .results.survey import SurveyCalibration

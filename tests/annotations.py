@@ -18,7 +18,7 @@ def is_inside(kind: type) -> bool:
     """Tell of what evaluations share and blocks are made of: its users import it from there."""
     module = kind.__module__
     return ".factors." in module or module.endswith(
-        ("model.block", "model.ranges", "estimation.dense")
+        ("model.block", "model.range_blocks", "estimation.dense")
     )
 
 

@@ -24,9 +24,9 @@ from scipy.stats import chi2
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.files.rig_toml import read_rig
-from handlaser_gtsam.model.search import LevenbergOptions
+from handlaser_gtsam.model.damped_search import LevenbergOptions
 from handlaser_gtsam.solvers.graph import build_graph, start_values
-from handlaser_gtsam.solvers.levenberg import levenberg_marquardt, linearize
+from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt, linearize
 from handlaser_gtsam.validation.scenes import Layout
 
 SIGMA = 3e-5

@@ -242,7 +242,7 @@ def test_ctrl_c_ends_with_130_and_no_traceback(tmp_path):
     write_recording(tmp_path / "recording.csv", recording)
     interrupt = (
         "import signal, sys, threading, os\n"
-        "import handlaser_gtsam.estimation.task as solver\n"
+        "import handlaser_gtsam.estimation.joint_solution as solver\n"
         "tell = solver.tell_trial\n"
         "def interrupted(*rest):\n"
         "    tell(*rest)\n"
@@ -299,7 +299,7 @@ def test_calibrating_beams_imports_nothing_for_plans_logs_and_surveys(tmp_path):
         [sys.executable, "-c", program, *arguments], capture_output=True, text=True, check=True
     )
     imported = {name.partition(".")[2] for name in ended.stdout.split()}
-    assert "estimation.task" in imported
+    assert "estimation.joint_solution" in imported
     unused = ("planning.", "validation.", "session.")
     unused += ("files.logs.reading", "files.points_table", "estimation.survey")
     assert not [name for name in imported if name.startswith(unused)]

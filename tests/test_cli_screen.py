@@ -12,13 +12,13 @@ from helpers import GRIPPER, degenerate, error_of
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.answer import Answer
 from handlaser_gtsam.cli.words import hold_out_lines
-from handlaser_gtsam.model.sensor import Rejected
+from handlaser_gtsam.model.sensor_limits import Rejected
 from handlaser_gtsam.results.description.description import Description
-from handlaser_gtsam.results.description.screen import LINES, full_lines, screen_lines
+from handlaser_gtsam.results.description.terminal import LINES, full_lines, screen_lines
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.lines import WIDTH, decimals, wrapped
 from handlaser_gtsam.results.verdict import verdict
-from handlaser_gtsam.validation.hold_out import HoldOut
+from handlaser_gtsam.validation.other_recording import HoldOut
 
 RECORDING, RIG = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
 OPENINGS = ("Usable", "Usable with care", "Not usable")

@@ -15,10 +15,10 @@ from scipy.stats import chi2
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.files.rig_reading import read_any_kind
+from handlaser_gtsam.files.input_reading import read_any_kind
 from handlaser_gtsam.files.rig_toml import read_rig
 from handlaser_gtsam.model.families import BEAM, FAMILIES, PLANE, POSE
-from handlaser_gtsam.model.ranges import PoseVariables, Ranges
+from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.cone import Cone
 from handlaser_gtsam.model.targets.plane import Plane
 from handlaser_gtsam.model.targets.sphere import SPHERE, Sphere

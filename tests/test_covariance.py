@@ -12,7 +12,7 @@ from handlaser_gtsam.estimation.posterior import covariance, covariance_of_deter
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.solvers.graph import build_graph, pose_priors, read_parameters
-from handlaser_gtsam.solvers.levenberg import levenberg_marquardt, linearize
+from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt, linearize
 from handlaser_gtsam.validation.scenes import Layout
 
 SIGMA = 3e-5

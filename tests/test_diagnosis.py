@@ -9,7 +9,7 @@ from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
-from handlaser_gtsam.model.search import LEVEL_STEPS, StoppingRule
+from handlaser_gtsam.model.damped_search import LEVEL_STEPS, StoppingRule
 from handlaser_gtsam.observability.other_solutions import mirror_image_fits
 from handlaser_gtsam.observability.rank import observability, open_axes
 from handlaser_gtsam.observability.wording import (

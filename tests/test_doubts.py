@@ -9,7 +9,7 @@ import pytest
 from helpers import codes, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.calibration_json import calibration_text
+from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.model.distributions import chi2_cdf
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.validation.scenes import SCENES, Layout

@@ -13,7 +13,7 @@ from handlaser_gtsam.estimation.estimate import _kept
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.block import Weights
 from handlaser_gtsam.model.families import FAMILIES, Family, Vector, register
-from handlaser_gtsam.model.ranges import GivenPoses, PoseVariables, Ranges
+from handlaser_gtsam.model.range_blocks import GivenPoses, PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.beam import Beam
 from handlaser_gtsam.model.targets.plane import Plane
 

@@ -12,7 +12,7 @@ import pytest
 from helpers import GRIPPER
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.calibration_json import calibration_text, write_calibration
+from handlaser_gtsam.files.calibration_writing import calibration_text, write_calibration
 from handlaser_gtsam.files.rig_toml import read_rig, write_rig
 from handlaser_gtsam.files.writing import write_bytes, write_text
 

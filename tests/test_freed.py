@@ -16,7 +16,7 @@ from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.choice import updated
 from handlaser_gtsam.planning.information import station_rows
 from handlaser_gtsam.results.description.description import Description
-from handlaser_gtsam.results.description.screen import LINES, screen_lines
+from handlaser_gtsam.results.description.terminal import LINES, screen_lines
 from handlaser_gtsam.results.freed import MOST_FREED
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.projection import FreedColumns, LinearRows, Projection

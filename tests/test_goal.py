@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.model.sensor import Sensor
+from handlaser_gtsam.model.sensor_limits import Sensor
 from handlaser_gtsam.planning.choice import choose, updated
 from handlaser_gtsam.planning.goal import Aim, Forecast, Goal, Mount, goal_rows
 from handlaser_gtsam.planning.route import planned, visited
 from handlaser_gtsam.planning.workspace import Workspace
 from handlaser_gtsam.results.limits import Limits
-from handlaser_gtsam.results.spot_error import radius
+from handlaser_gtsam.results.spots import radius
 from handlaser_gtsam.validation.simulate import Stations
 
 UNKNOWNS = 7

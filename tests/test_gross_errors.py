@@ -8,14 +8,14 @@ import pytest
 from benchmarks.gross_errors import Case, made, run_once
 from benchmarks.right_angles import Scene, coded, plates, relabelled
 from handlaser_gtsam import model
+from handlaser_gtsam.model.damped_search import RobustLoss
 from handlaser_gtsam.model.losses import Loss
-from handlaser_gtsam.model.search import RobustLoss
 from handlaser_gtsam.outliers.consensus import ConsensusJudge
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts.directions import direction_starts, subset_starts
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import mended
-from handlaser_gtsam.starts.search import Candidate
+from handlaser_gtsam.starts.rounds import Candidate
 
 EXACT = Scene(joint_sigma_deg=0.0, range_sigma=0.0, k1=0.0, k2=0.0)
 

@@ -8,8 +8,8 @@ import pytest
 from helpers import GRIPPER, simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.estimation import task
-from handlaser_gtsam.estimation.task import settle
+from handlaser_gtsam.estimation import joint_solution
+from handlaser_gtsam.estimation.joint_solution import settle
 from handlaser_gtsam.factors import RangeBlock
 from handlaser_gtsam.validation.scenes import Layout
 
@@ -63,7 +63,7 @@ def test_the_sums_give_what_the_factors_give(monkeypatch, poses):
     readings = readings.seen_from(origins)
     start = hl.starts.find_start(readings).parameters
     by_factors = settle(readings, start, noise, options).finished()
-    monkeypatch.setattr(task, "MOST_NUMBERS", 0)
+    monkeypatch.setattr(joint_solution, "MOST_NUMBERS", 0)
     by_sums = settle(readings, start, noise, options).finished()
     assert by_factors.at.graph is not None
     assert by_sums.at.graph is None

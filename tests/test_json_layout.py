@@ -12,7 +12,7 @@ from helpers import GRIPPER, ROOT
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
-from handlaser_gtsam.files.calibration_json import calibration_text
+from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.files.plan_json import plan_text
 from handlaser_gtsam.planning import Forecast, Plan, Plate
 

@@ -11,7 +11,7 @@ from helpers import codes, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.losses import Loss, LossName
 from handlaser_gtsam.solvers.graph import build_graph
-from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
 from handlaser_gtsam.validation.scenes import Layout
 
 NAMES = get_args(LossName)

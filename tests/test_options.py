@@ -5,8 +5,8 @@ import pytest
 from helpers import GRIPPER
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.model.damped_search import LevenbergOptions
 from handlaser_gtsam.model.losses import Loss
-from handlaser_gtsam.model.search import LevenbergOptions
 from handlaser_gtsam.observability.rank import ObservabilityOptions
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.validation.scenes import Layout

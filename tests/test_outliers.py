@@ -11,8 +11,8 @@ import handlaser_gtsam as hl
 from benchmarks.garbage import distance, with_garbage
 from handlaser_gtsam import model
 from handlaser_gtsam.observability.rank import observability
-from handlaser_gtsam.outliers import snooping
-from handlaser_gtsam.outliers.snooping import judge, leverages, screen, standardized
+from handlaser_gtsam.outliers import reading_tests
+from handlaser_gtsam.outliers.reading_tests import judge, leverages, screen, standardized
 from handlaser_gtsam.starts.directions import direction_starts
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import robust_search
@@ -146,7 +146,7 @@ def test_standardized_residuals_know_who_was_used():
 
 def test_a_reading_that_grazes_its_plane_is_an_outlier_and_sets_no_scale(monkeypatch):
     """Such a reading of a long recording has no residual: the scale is that of the others."""
-    monkeypatch.setattr(snooping, "LARGEST_LEVERAGES", 0)
+    monkeypatch.setattr(reading_tests, "LARGEST_LEVERAGES", 0)
     recording, truth = simulated("arm", Layout(2, 2, 12), SIGMA["arm"])
     readings = recording.readings()
     R, n = readings.world_R_hand.copy(), truth.normals[readings.plane[7]]

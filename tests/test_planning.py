@@ -25,7 +25,7 @@ from handlaser_gtsam.planning.task import Task
 from handlaser_gtsam.planning.way import divided, shortest
 from handlaser_gtsam.planning.workspace import inside, joined
 from handlaser_gtsam.results.mounts import Mounts
-from handlaser_gtsam.results.spot_error import spot
+from handlaser_gtsam.results.spots import spot
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Stations, simulate
 

@@ -12,7 +12,7 @@ from benchmarks.cell_mistakes import make_cell
 from handlaser_gtsam.model.effects import EFFECTS
 from handlaser_gtsam.model.effects.plausible import CODES, KINDS
 from handlaser_gtsam.results.limits import Limits
-from handlaser_gtsam.results.spot_error import spot_at
+from handlaser_gtsam.results.spots import spot_at
 from handlaser_gtsam.results.verdict import verdict
 
 EXACT = hl.Noise(2e-5, pose_translation_sigma=0.0, pose_rotation_sigma=0.0)

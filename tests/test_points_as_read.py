@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.data.screen import codes_of_shots
+from handlaser_gtsam.data.screening import codes_of_shots
 from handlaser_gtsam.files.watch.watched import Watched
 from handlaser_gtsam.files.watch.worker import Calibrator
 

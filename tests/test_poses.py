@@ -14,7 +14,7 @@ from handlaser_gtsam import model
 from handlaser_gtsam.factors import range_factor
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.solvers.graph import build_graph, pose_priors, read_parameters
-from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.results.spot_error import measured_plane, spot
+from handlaser_gtsam.results.spots import measured_plane, spot
 
 READING = 0.015
 

@@ -15,7 +15,7 @@ from helpers import GRIPPER, simulated
 from scipy.stats import binom, norm
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.calibration_json import calibration_text
+from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.files.report.page import safe_json
 from handlaser_gtsam.files.report.report import report_text
 from handlaser_gtsam.model.joint import correlation_matrix

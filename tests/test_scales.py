@@ -15,7 +15,6 @@ from handlaser_gtsam import model
 from handlaser_gtsam.estimation import learning_scales as learned
 from handlaser_gtsam.estimation.information import Information, LinearReadings
 from handlaser_gtsam.estimation.learning_scales import ScaleProblem
-from handlaser_gtsam.estimation.mixture import BeamPosterior
 from handlaser_gtsam.estimation.posterior import posterior
 from handlaser_gtsam.estimation.range_error_grid import (
     GRID_POINTS,
@@ -26,6 +25,7 @@ from handlaser_gtsam.estimation.range_error_grid import (
     widest_grids,
     worst_known,
 )
+from handlaser_gtsam.estimation.scale_mixture import BeamPosterior
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
 from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS
 from handlaser_gtsam.estimation.scales import TRANSLATION as TRANSLATIONS

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.odd_readings import logged
-from handlaser_gtsam.data.screen import (
+from handlaser_gtsam.data.screening import (
     RepeatedColumnError,
     merged_stations,
     pose_groups,

@@ -9,15 +9,15 @@ from helpers import GRIPPER, bench, motion, recording_of, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
-from handlaser_gtsam.model import search as damped
+from handlaser_gtsam.model import damped_search as damped
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers import consensus
-from handlaser_gtsam.outliers.snooping import leverages, price
+from handlaser_gtsam.outliers.reading_tests import leverages, price
 from handlaser_gtsam.results import rereading
 from handlaser_gtsam.solvers.refine import Refined
 from handlaser_gtsam.starts import choice, robust
 from handlaser_gtsam.starts.growing import excerpt_of
-from handlaser_gtsam.starts.search import Candidate, Round, search
+from handlaser_gtsam.starts.rounds import Candidate, Round, search
 from handlaser_gtsam.validation.scenes import Layout
 
 NOISE = hl.Noise(3e-5, 0.0, 0.0)

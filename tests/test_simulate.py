@@ -5,7 +5,7 @@ import pytest
 from helpers import simulated
 
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.model.sensor import Sensor
+from handlaser_gtsam.model.sensor_limits import Sensor
 from handlaser_gtsam.validation import scenes
 from handlaser_gtsam.validation.scenes import ERRORS, SENSORS, Layout
 from handlaser_gtsam.validation.simulate import Errors, plane_name, read_back, simulate

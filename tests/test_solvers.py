@@ -11,12 +11,12 @@ from handlaser_gtsam.errors import GrazingBeamError
 from handlaser_gtsam.estimation.posterior import covariance
 from handlaser_gtsam.factors import SharedEvaluation
 from handlaser_gtsam.files.recording_csv import read_recording
+from handlaser_gtsam.model.damped_search import COST_RESOLUTION
 from handlaser_gtsam.model.losses import GAUSSIAN, Loss
-from handlaser_gtsam.model.search import COST_RESOLUTION
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.solvers.beam_problem import linearized
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters, start_values
-from handlaser_gtsam.solvers.levenberg import (
+from handlaser_gtsam.solvers.graph_levenberg import (
     LevenbergOptions,
     damped_step,
     levenberg_marquardt,

@@ -11,18 +11,18 @@ from benchmarks.odd_files import shuffled
 from handlaser_gtsam import model
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.estimation.joint_solution import STEPS_IN_VAIN
 from handlaser_gtsam.estimation.options import CalibrationOptions
-from handlaser_gtsam.estimation.task import STEPS_IN_VAIN
 from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.pipeline import calibrate
 from handlaser_gtsam.solvers.graph import build_graph
-from handlaser_gtsam.solvers.levenberg import levenberg_marquardt
+from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start
-from handlaser_gtsam.starts.blocks import lifted_starts, sweep_starts
 from handlaser_gtsam.starts.choice import mean_squares_at_a_glance
 from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
 from handlaser_gtsam.starts.growing import PartialStart, excerpt_of, grow
+from handlaser_gtsam.starts.one_beam_one_plane import lifted_starts, sweep_starts
 from handlaser_gtsam.starts.translations import (
     translation_start,
     translation_start_with_range_errors,

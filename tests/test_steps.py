@@ -15,7 +15,7 @@ from handlaser_gtsam.model.families import BEAM, PLANE
 from handlaser_gtsam.model.reduction import Normal, damped_step
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.solvers.beam_problem import beam_problem, jacobian_columns, moved
-from handlaser_gtsam.solvers.sums import eliminated_sums
+from handlaser_gtsam.solvers.gtsam_sums import eliminated_sums
 
 DAMPED = {"planes first": (3, 3, False), "beams first": (1, 9, False), "coupled": (2, 9, True)}
 

@@ -18,11 +18,11 @@ from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, TARGETS, normal_labe
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.files.logs.bag_points import READ_FROM
 from handlaser_gtsam.files.points_table import COLUMNS
-from handlaser_gtsam.model import known
+from handlaser_gtsam.model import known_relations as known
 from handlaser_gtsam.model.families import FAMILIES, PLANE
-from handlaser_gtsam.model.ranges import PoseVariables, Ranges
-from handlaser_gtsam.model.relations import Relation
-from handlaser_gtsam.model.sensor import Rejected
+from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
+from handlaser_gtsam.model.relation import Relation
+from handlaser_gtsam.model.sensor_limits import Rejected
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
 from handlaser_gtsam.model.shots import condensed_shots

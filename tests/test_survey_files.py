@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_distance, rigs_by_rays
 from handlaser_gtsam.files.points_table import read_points
-from handlaser_gtsam.files.rig_survey import SensorTable, SurveyTables, _refuse_exchanged
+from handlaser_gtsam.files.sensor_tables import SensorTable, SurveyTables, _refuse_exchanged
 
 FOLDER = ROOT / "examples" / "profiler"
 

@@ -15,7 +15,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.files.logs.format_checks import convention_of
 from handlaser_gtsam.files.logs.motion import Way
-from handlaser_gtsam.files.logs.survey_suspicion import refuse_wrong_reading
+from handlaser_gtsam.files.logs.survey_conventions import refuse_wrong_reading
 from handlaser_gtsam.model.conventions import numbers_of, poses_of
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
 from handlaser_gtsam.results.survey_misfit import better_kinds

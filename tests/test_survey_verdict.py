@@ -9,7 +9,7 @@ import pytest
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
-from handlaser_gtsam.files.calibration_json import calibration_text
+from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.survey_verdict import survey_verdict
 

@@ -9,7 +9,7 @@ from test_survey_files import in_files
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.options import CalibrationOptions
-from handlaser_gtsam.files.rig_survey import SurveyTables
+from handlaser_gtsam.files.sensor_tables import SurveyTables
 from handlaser_gtsam.files.watch.watched import Watched
 from handlaser_gtsam.files.watch.worker import Calibrator
 

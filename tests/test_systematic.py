@@ -11,8 +11,8 @@ from handlaser_gtsam import model
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings
+from handlaser_gtsam.estimation.joint_solution import settle
 from handlaser_gtsam.estimation.options import CalibrationOptions
-from handlaser_gtsam.estimation.task import settle
 from handlaser_gtsam.model.distributions import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.model.distributions import holm, needed, two_sided
 from handlaser_gtsam.model.effects import EFFECTS

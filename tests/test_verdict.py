@@ -10,12 +10,12 @@ from helpers import GRIPPER, degenerate, error_of, simulated
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.errors import CalibrationWarning
-from handlaser_gtsam.files.calibration_json import calibration_text
+from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.model.distributions import chance, contradicted
 from handlaser_gtsam.model.effects import EFFECTS
-from handlaser_gtsam.model.sensor import Rejected
+from handlaser_gtsam.model.sensor_limits import Rejected
 from handlaser_gtsam.results.limits import LimitCheck, Limits, checked, worst_of_each
-from handlaser_gtsam.results.spot_error import VarianceShares, radius, spot, variance_shares
+from handlaser_gtsam.results.spots import VarianceShares, radius, spot, variance_shares
 from handlaser_gtsam.results.verdict import improvement, verdict
 from handlaser_gtsam.validation.cross_check import CrossCheck
 from handlaser_gtsam.validation.scenes import Layout

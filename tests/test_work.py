@@ -14,7 +14,7 @@ MOST = {"levenberg_marquardt": 4, "build_graph": 4, "observability": 7, "lineari
 """On the recording that ships; `linearize` is that of the model, of the reduction and of the graph. The
 rank is judged in every round in which weights settle."""
 HOMES = {
-    "levenberg_marquardt": "solvers.levenberg",
+    "levenberg_marquardt": "solvers.graph_levenberg",
     "build_graph": "solvers.graph",
     "observability": "observability.rank",
     "linearize": "model.equation",

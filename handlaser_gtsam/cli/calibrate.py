@@ -104,7 +104,7 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
         --range-sigma-mm 0.03 --poses exact
     """
     from ..data.survey import Survey
-    from ..files.rig_reading import read_any_kind
+    from ..files.input_reading import read_any_kind
     from ..files.writing import require_outputs
     from .survey import refuse_of_beams, require_outputs_of
 
@@ -135,7 +135,7 @@ def _answer(
 ) -> Answer:
     """Calibrate, write the result where it is asked for, and return what is said."""
     from ..data.survey import Survey
-    from ..files.calibration_json import calibration_text
+    from ..files.calibration_writing import calibration_text
     from ..files.writing import write_text
     from ..quantities import SAME_OPTIMUM
     from ..results.calibration import Calibration
@@ -233,7 +233,7 @@ def _lines(
     from ..results.calibration import Calibration
     from ..results.description.description import Description
     from ..results.description.rendering import full_table
-    from ..results.description.screen import LINES, full_lines, screen_lines
+    from ..results.description.terminal import LINES, full_lines, screen_lines
     from ..results.lines import as_many, wrapped
 
     width, next_best = text_width(), list[str]()

@@ -36,7 +36,7 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     handlaser check recording.csv --rig rig.toml
     """
     from ..data.survey import Survey
-    from ..files.rig_reading import read_any_kind
+    from ..files.input_reading import read_any_kind
     from ..files.rig_toml import known_rig
     from .survey import refuse_of_beams
 
@@ -54,7 +54,7 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
 
 def _of_survey(survey: "Survey", rig: "Rig") -> Answer:
     """Check a survey: what it holds, and what its motion leaves undetermined."""
-    from ..files.calibration_json import check_text
+    from ..files.calibration_writing import check_text
     from ..results.survey_check import check_lines, check_survey
 
     found = check_survey(survey, rig.noise)
@@ -70,7 +70,7 @@ def _of_survey(survey: "Survey", rig: "Rig") -> Answer:
 
 def _of_beams(read: "Recording", rig: "Rig", *, advise: bool) -> Answer:
     """Check a recording of beams before planes; name the next stations where that is asked for."""
-    from ..files.calibration_json import check_text
+    from ..files.calibration_writing import check_text
     from ..observability.motion import check_motion, lemma_words
 
     found = check_motion(read)

@@ -14,7 +14,7 @@ from .options import OutOption, QuietOption
 
 if TYPE_CHECKING:
     from ..data.station_list import StationList
-    from ..files.calibration_file import CalibrationFile, SurveyFile
+    from ..files.calibration_reading import CalibrationFile, SurveyFile
 
 FormatChoice = StrEnum("FormatChoice", FORMATS)  # type: ignore[misc]
 LISTED = f"{', '.join(BEAMS)} (structured text); of stations {', '.join(STATIONS)}."
@@ -108,7 +108,7 @@ def export(
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     """Return what a format takes of a file: stations, a calibration or the result of a survey."""
     from ..errors import InputError
-    from ..files.calibration_file import read_calibration
+    from ..files.calibration_reading import read_calibration
     from ..files.checked_text import read_text
     from ..files.recording_csv import read_stations
 

@@ -23,7 +23,7 @@ from ..results.survey import SurveyCalibration
 from ..session.reports import Comparison, Update
 from ..session.session import Session
 from ..session.survey import SurveySession
-from ..validation.hold_out import BeamDrift
+from ..validation.other_recording import BeamDrift
 
 
 def plane_by_plane(

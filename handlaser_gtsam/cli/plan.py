@@ -123,7 +123,7 @@ def _planned(
 
     from ..data.survey import Survey
     from ..errors import InputError, SolverError
-    from ..files.rig_reading import read_any_kind
+    from ..files.input_reading import read_any_kind
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
@@ -190,7 +190,7 @@ def _gaps(planned: "Plan") -> tuple[list[str], tuple[int, str] | None]:
 
 def _uncounted(path: Path) -> list[str]:
     """Say which freed errors of a result a plan does not count at the stations to come."""
-    from ..files.calibration_file import read_of_beams
+    from ..files.calibration_reading import read_of_beams
 
     codes = dict.fromkeys(effect.code for effect in read_of_beams(path).effects)
     if not codes:
@@ -205,7 +205,7 @@ def _uncounted(path: Path) -> list[str]:
 def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
     """Return the mounts of a result, and its planes as plates that are known as well as it says."""
     from ..errors import InputError
-    from ..files.calibration_file import read_mounts, read_of_beams
+    from ..files.calibration_reading import read_mounts, read_of_beams
     from ..planning.bounds import plate_of
 
     mounts = read_mounts(path)

@@ -33,9 +33,9 @@ def plot(
     handlaser plot recording.csv --rig rig.toml \
         --out pictures
     """
+    from ..files.input_reading import read_with
     from ..files.report.options import ReportOptions
     from ..files.report.pictures import write_pictures
-    from ..files.rig_reading import read_with
     from ..pipeline import calibrate
 
     with Working():

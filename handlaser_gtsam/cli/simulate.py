@@ -136,7 +136,7 @@ def _of_scene(
     table: "SceneTable", rng: "np.random.Generator"
 ) -> tuple[tuple[str, ...], Callable[[Path], None]]:
     """Return the files of a scene of beams before planes, and what writes them to a folder."""
-    from ..files.calibration_json import write_truth
+    from ..files.calibration_writing import write_truth
     from ..files.recording_csv import write_recording
     from ..files.rig_toml import write_rig
     from ..validation.scenes import SCENES, SENSORS

@@ -39,8 +39,8 @@ def simulated_survey(
     InputError
         A rig file without sensors, or with relations; or names of files that are not different.
     """
-    from ..files.rig_survey import directions_of
     from ..files.rig_toml import read_rig
+    from ..files.sensor_tables import directions_of
     from ..files.survey_writing import table_names, write_simulated
     from ..files.writing import require_outputs
     from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene

@@ -57,7 +57,7 @@ def validate(
     """
     from ..data.survey import Survey
     from ..errors import InputError
-    from ..files.rig_reading import read_any_kind
+    from ..files.input_reading import read_any_kind
     from .survey import refuse_of_beams
 
     with Working():
@@ -117,15 +117,15 @@ def _tested(
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
     from ..errors import SolverError
-    from ..files.calibration_file import read_mounts
-    from ..files.rig_reading import read_with
+    from ..files.calibration_reading import read_mounts
+    from ..files.input_reading import read_with
     from ..files.validation_json import hold_out_text
     from ..model.distributions import p_words
-    from ..model.sensor import within
+    from ..model.sensor_limits import within
     from ..pipeline import calibrate
     from ..results.messages import said
     from ..results.mounts import Mounts
-    from ..validation.hold_out import hold_out
+    from ..validation.other_recording import hold_out
     from .words import hold_out_lines
 
     noise, exact = rig.noise, {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..planning.robot import Robot
     from ..planning.route import Plan
     from ..results.verdict import Verdict
-    from ..validation.hold_out import HoldOut
+    from ..validation.other_recording import HoldOut
     from ..validation.validation import Validation
 
 SHOWN_ROWS = 10

@@ -1,8 +1,8 @@
 r"""An estimate over any blocks of rows: solved, judged, and finished by GTSAM.
 
-Sensors, targets and relations of one's own are blocks (`model.ranges`, `model.relations`). Here such
-blocks get what beams on planes have: a search from many starts, the rank with names, rejected outliers,
-covariances that GTSAM eliminates, score tests for what the model leaves out, and JSON.
+Sensors, targets and relations of one's own are blocks (`model.range_blocks`, `model.relation`).
+Here such blocks get what beams on planes have: a search from many starts, the rank with names, rejected
+outliers, covariances that GTSAM eliminates, score tests for what the model leaves out, and JSON.
 
 Rows are in standard deviations. The derivatives of all rows are formed as one dense matrix for the
 tests, so that a problem may have some thousand rows and some hundred unknowns.
@@ -20,14 +20,14 @@ from ..arrays import BoolArray, FloatArray
 from ..data.value import Value
 from ..errors import InputError
 from ..model.block import Block, Values, impossible
+from ..model.damped_search import LeastSquares, LevenbergOptions, Searched, search
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, gaussian_quantile, needed
 from ..model.families import FAMILIES
-from ..model.ranges import Ranges
+from ..model.range_blocks import Ranges
 from ..model.reduction import Reduction
-from ..model.search import LeastSquares, LevenbergOptions, Searched, search
 from ..observability.rank import ObservabilityOptions
 from ..quantities import NEGLIGIBLE, ROWS_AT_ONCE, SINGULAR
-from ..solvers.sums import eliminated_sums
+from ..solvers.gtsam_sums import eliminated_sums
 from .block_checks import require_blocks, require_start
 from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
 

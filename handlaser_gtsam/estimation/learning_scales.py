@@ -14,7 +14,6 @@ from ..model.elimination import ReducedInformation
 from ..model.weighting import Variances
 from ..quantities import REPRESENTATIVE_BEAMS
 from .information import Information, LinearReadings
-from .mixture import BeamPosterior
 from .range_error_grid import (
     RangeErrorGrid,
     near_largest,
@@ -22,6 +21,7 @@ from .range_error_grid import (
     widest_grids,
     widest_scale,
 )
+from .scale_mixture import BeamPosterior
 from .scales import Scales, design, find_mode, with_scales
 
 SCALE_READINGS = 3000

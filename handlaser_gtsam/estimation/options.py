@@ -7,10 +7,10 @@ from ..arrays import IntArray
 from ..checks import require_bool, require_kind, require_names, require_word
 from ..data.noise import Noise
 from ..errors import InputError
+from ..model.damped_search import LevenbergOptions
 from ..model.effects import EFFECTS
 from ..model.losses import TUNING, LossName
-from ..model.search import LevenbergOptions
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..observability.rank import ObservabilityOptions
 
 Poses = Literal["auto", "exact", "marginalised", "estimated"]

@@ -1,16 +1,16 @@
 """What the readings and the priors of all scales say of the beams, about a solution.
 
 The solution stands at the most probable scales; here the scales are integrated over (`scales`,
-`mixture`), at the linearisation of the solution. Planes follow the beams.
+`scale_mixture`), at the linearisation of the solution. Planes follow the beams.
 
 The joint covariance at the most probable scales, the stated one where no scale is learned, comes from
 GTSAM where everything is determined and the loss is least squares: poses and planes are eliminated from
-the linear graph, or from the sums of the reduction where that would be very large (`solvers.sums`), and
-what is left is the information of the beams. What a calibration states is the mean over all scales and
-the scatter between them. Where rank is short or the loss robust, or where GTSAM's Cholesky calls a
-sound system indeterminate (it compares pivots of different units), it comes from the reduced
-information of `observability.rank`, restricted to what is determined: the covariance of a determined
-coordinate does not depend on how the undetermined ones are fixed.
+the linear graph, or from the sums of the reduction where that would be very large
+(`solvers.gtsam_sums`), and what is left is the information of the beams. What a calibration states is
+the mean over all scales and the scatter between them. Where rank is short or the loss robust, or where
+GTSAM's Cholesky calls a sound system indeterminate (it compares pivots of different units), it comes
+from the reduced information of `observability.rank`, restricted to what is determined: the covariance
+of a determined coordinate does not depend on how the undetermined ones are fixed.
 """
 
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from ..model.joint import JointCovariance
 from ..observability.rank import Observability
 from ..solvers.beam_problem import moved
 from ..solvers.graph import CalibrationGraph, read_parameters
-from ..solvers.levenberg import linearize
+from ..solvers.graph_levenberg import linearize
 from .learning_scales import LearnedScales, ScaleProblem, integrated_over
 from .scales import NoiseComponent
 

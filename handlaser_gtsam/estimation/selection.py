@@ -13,18 +13,18 @@ from ..arrays import BoolArray, IntArray
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
-from ..model import sensor as limits
+from ..model import sensor_limits as limits
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, gaussian_sf, student_quantile
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import count_unknowns
 from ..model.weighting import reading_sigmas
 from ..outliers.consensus import Consensus, find_consensus
-from ..outliers.snooping import cut, enough, judge, test
+from ..outliers.reading_tests import cut, enough, judge, test
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS
 from ..starts import find_start
+from .joint_solution import SolutionTask, settle
 from .options import CalibrationOptions
 from .solution import Solution
-from .task import SolutionTask, settle
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Variances, Whitening
 from ..observability.rank import Observability
 from ..solvers.graph import CalibrationGraph, read_parameters
-from ..solvers.levenberg import LevenbergResult, Status
+from ..solvers.graph_levenberg import LevenbergResult, Status
 from .posterior import Posterior
 from .scales import NoiseComponent
 

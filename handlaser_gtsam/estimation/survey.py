@@ -20,8 +20,8 @@ from ..errors import InputError
 from ..model.block import Block
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
 from ..model.families import BEAM
-from ..model.known import BODY, held
-from ..model.relations import Relation
+from ..model.known_relations import BODY, held
+from ..model.relation import Relation
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import Mixed, Unexplained
 from ..model.targets.point import POINT
@@ -30,6 +30,7 @@ from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import DenseRows, dense_rows, tests_of, with_pose_errors
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, descended, judged, minimum
+from .joint_solution import STEPS_IN_VAIN
 from .survey_mirror import best_image, numbers_of, with_images
 from .survey_noise import USUALLY_AGAIN, Components, Inside, components
 from .survey_rows import (
@@ -44,9 +45,8 @@ from .survey_rows import (
     rows_of,
     without_grazing,
 )
-from .survey_sorting import OF_OTHERS, of_others, slackness, sortable, sorted_again
 from .survey_starts import TRIMMED, start_beside, start_of
-from .task import STEPS_IN_VAIN
+from .survey_zones import OF_OTHERS, of_others, slackness, sortable, sorted_again
 
 GROSS = 6.0
 """Shots farther than this many times the typical misfit are rejected before anything is learned."""

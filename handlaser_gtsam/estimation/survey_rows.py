@@ -10,12 +10,12 @@ from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices, ga
 from ..data.noise import Noise
 from ..data.readings import Readings
 from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
-from ..model import known as relations
+from ..model import known_relations as relations
 from ..model.block import Block, Values, VectorPrior, Weights
 from ..model.block import Rows as BlockRows
 from ..model.families import BEAM, PLANE
-from ..model.ranges import PoseVariables, Ranges
-from ..model.relations import Relation
+from ..model.range_blocks import PoseVariables, Ranges
+from ..model.relation import Relation
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS, Rayset

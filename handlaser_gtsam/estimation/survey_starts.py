@@ -21,11 +21,11 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..errors import HandlaserError
 from ..model.block import Values, whitened
+from ..model.damped_search import LeastSquares, LevenbergOptions, search
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE, pose_of
 from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
-from ..model.search import LeastSquares, LevenbergOptions, search
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import shape_of
@@ -35,7 +35,7 @@ from ..outliers.consensus import find_consensus
 from ..quantities import NEGLIGIBLE, SINGULAR
 from ..starts import find_start
 from ..starts.directions import least_squares
-from ..starts.search import FINALISTS, FIRST_STEPS, LAST_STEPS
+from ..starts.rounds import FINALISTS, FIRST_STEPS, LAST_STEPS
 from .survey_rows import Entity, Item, Rows, blocks_of, priors_of, relations_of
 
 VIRTUAL = 3

@@ -28,9 +28,9 @@ from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..quantities import NEGLIGIBLE, TINY
 from .dense import DenseRows
+from .joint_solution import STEPS_IN_VAIN
 from .survey import GROSS, Columns, SurveyEstimate, SurveyState, grazing, learned_sizes
 from .survey_rows import Entity
-from .task import STEPS_IN_VAIN
 
 PLACES_OF = dict.fromkeys((PLANE.name, SPHERE.name, BEAM.name), (0, 1, 2)) | {
     SENSOR.name: (3, 4, 5)

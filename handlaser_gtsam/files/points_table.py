@@ -3,7 +3,7 @@
 Columns, by the kind of the sensor: `station`, and `x, z` (profiler); `angle, reading` (scanner);
 `zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty
 cells and codes for no reading (not finite, zero, or beyond `FARTHEST`) are passed over; other numbers
-that are codes, by the rule of `data.screen`, are passed over and counted. An array may have a column
+that are codes, by the rule of `data.screening`, are passed over and counted. An array may have a column
 `echo` where a zone has several. Letters of names count in either case.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 from ..arrays import FloatArray, IntArray
-from ..data.screen import codes_of_shots
+from ..data.screening import codes_of_shots
 from ..data.survey import Echo
 from ..errors import InputError
 from ..text import count, shown, some

@@ -28,11 +28,11 @@ from scipy.spatial.transform import Rotation
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
 from ..data.recording import Recording, first_repeated
-from ..data.screen import BY_CHANCE, code_warning, coded_numbers
+from ..data.screening import BY_CHANCE, code_warning, coded_numbers
 from ..data.station_list import StationList
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import LENGTHS, UNIT_WORDS
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import IN_MM, LARGEST_LENGTH, MAJORITY, MM
 from ..text import A_NAME, name_fault
 from .table import Table, column_numbers, labels, read_table

@@ -13,7 +13,7 @@
               translation_scale_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
     [log]     how logs are written, a field for every one of `LogFormat`
-    [[sensors]], [[known]]: sensors of many rays and relations, see `rig_survey`
+    [[sensors]], [[known]]: sensors of many rays and relations, see `sensor_tables`
     [workspace], [robot], [blind], [goal], [placement]: for plans, see `rig_planning`
 
 Every table is optional, and so is every field but those that say where something is.
@@ -35,7 +35,7 @@ from ..checks import require_number
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import FIELDS, Plausible
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH, WIDEST_CONE
 from ..results.limits import Limits
 from .checked_text import (
@@ -52,7 +52,7 @@ from .checked_text import (
 from .logs.format import LogFormat
 from .logs.format_checks import EXCLUSIVE
 from .rig_planning import PlanTables
-from .rig_survey import SurveyRig, SurveyTables
+from .sensor_tables import SurveyRig, SurveyTables
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:  # calibrating needs none of it

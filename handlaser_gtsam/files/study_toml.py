@@ -34,7 +34,7 @@ from pydantic import Discriminator, Field, Tag
 from ..errors import InputError
 from ..estimation.options import RANGE_ERROR_TERMS, CalibrationOptions, Outliers, Poses, RangeError
 from ..model.losses import LossName
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..validation.runs import calibrate_each, reduce_together
 from ..validation.scenes import ERRORS, SENSORS, Layout, draw_scene
 from ..validation.simulate import Errors

@@ -12,7 +12,7 @@ from ..data.station_list import StationList
 from ..data.survey import Survey
 from ..errors import InputError
 from ..model.conventions import numbers_of
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from .checked_text import in_file
 from .logs.bags import is_bag
 from .logs.columns import columns_of
@@ -22,7 +22,7 @@ from .logs.motion import Way
 from .logs.poses import hand_poses
 from .logs.reading import OF_READINGS, is_log, refuse_of_a_bag
 from .logs.rows import LogRows, rows_of
-from .logs.survey_suspicion import refuse_wrong_reading
+from .logs.survey_conventions import refuse_wrong_reading
 from .logs.tables import read_log_table
 from .recording_csv import POSE, PREFIX, range_numbers, read_recording, stations_of
 from .rig_toml import Rig, read_rig

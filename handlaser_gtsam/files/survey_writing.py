@@ -10,15 +10,15 @@ from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of
 from ..model.families import FAMILIES, PLANE
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..model.sensors.kinds import KINDS
 from ..quantities import IN_DEG, IN_MM
 from ..validation.survey_simulate import SurveyTruth
 from .checked_text import Record, json_text, toml_table
 from .points_table import COLUMNS
 from .recording_csv import PREFIX, write_columns
-from .rig_survey import SensorTable
 from .rig_toml import write_rig
+from .sensor_tables import SensorTable
 from .writing import write_text
 
 STATIONS_WRITTEN, RIG_WRITTEN, TRUTH_WRITTEN = "stations.csv", "rig.toml", "truth.json"

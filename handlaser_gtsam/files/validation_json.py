@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 from ..results.survey import SurveyCalibration
 from ..results.verdict import Verdict
-from ..validation.hold_out import HoldOut
 from ..validation.leave_out import LeftOut, Predicted
+from ..validation.other_recording import HoldOut
 from ..validation.prediction import Prediction, SurveyPrediction
 from ..validation.validation import Validation
-from .calibration_json import verdict_record
+from .calibration_writing import verdict_record
 from .checked_text import Record, json_text, record, records
 
 FIELDS: dict[type[Predicted], str] = {

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .geometry import tangent_basis as tangent_basis
     from .joint import JointCovariance as JointCovariance
     from .losses import Loss as Loss
-    from .sensor import Rejected as Rejected
+    from .sensor_limits import Rejected as Rejected
     from .weighting import Variances as Variances
     from .weighting import Whitening as Whitening
     from .weighting import whitening as whitening

@@ -7,7 +7,7 @@ products of these with (r, 1), (v, 0) and the tangent basis of v likewise. With 
 lies at (R'u_i, (t - c) . u_i) . (r + s v, 1) along u_i.
 
 Groups are the readings of a beam in a chunk of stations of one plane, all chunks of one size, so that
-sums over readings are stacked products. Tests compare the rows with the general block (`ranges`)
+sums over readings are stacked products. Tests compare the rows with the general block (`range_blocks`)
 and with `equation`.
 """
 

@@ -25,7 +25,7 @@ from ..data.survey import RAY_ERRORS
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, NEGLIGIBLE, NUMBERS_AT_ONCE, SINGULAR, TINY
 from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
-from .ranges import Ranges
+from .range_blocks import Ranges
 from .sensors.kinds import Kind, Rayset
 from .sensors.mounted import SENSOR
 

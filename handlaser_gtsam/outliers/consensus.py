@@ -14,10 +14,10 @@ from scipy.special import gammaln
 from ..arrays import BoolArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.damped_search import RobustLoss
 from ..model.equation import plausible_range_errors
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import count_unknowns
-from ..model.search import RobustLoss
 from ..quantities import FAR_SIGMAS, KNOWN, MAJORITY
 from ..solvers.refine import Refined, refine_many
 from ..starts import Start, find_start
@@ -25,8 +25,8 @@ from ..starts.beam_minima import with_better_beams
 from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms
 from ..starts.growing import Excerpt, excerpt_of
 from ..starts.robust import CAUCHY, METHOD, SAME_CRITERION, least_scale, robust_search
-from ..starts.search import FINALISTS, LAST_STEPS, Candidate, Round, agreeing
-from .snooping import Screening, enough, evidence, price, screen, sigma_of
+from ..starts.rounds import FINALISTS, LAST_STEPS, Candidate, Round, agreeing
+from .reading_tests import Screening, enough, evidence, price, screen, sigma_of
 
 SUSPICIOUS = 0.35
 """The scale of the better half of the readings over the scale of all, below which there are outliers to

@@ -19,7 +19,7 @@ from ..model.equation import residuals_or_infinite as residuals
 from ..observability.rank import observability
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import FAR_SIGMAS, IN_MM, ROUNDING
-from .snooping import leverages
+from .reading_tests import leverages
 
 OUTLIER = "outlier"
 REPEATED = "pose of another station repeated"

@@ -10,7 +10,7 @@ from ..data.noise import Noise
 from ..data.recording import Recording
 from ..data.station_list import StationList
 from ..errors import HandlaserError
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import IN_MM
 from ..results.calibration import Calibration
 from ..results.lines import wrapped

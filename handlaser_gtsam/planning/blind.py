@@ -23,7 +23,7 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import InputError
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..model.weighting import Variances
 from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, generator, plane_name

@@ -18,10 +18,10 @@ from ..model.families import (
     OF_LOCATION,
     OF_RANGE_ERROR,
 )
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from ..results.limits import Limits
-from ..results.spot_error import radius, spot_of
+from ..results.spots import radius, spot_of
 from .choice import CRITERIA, Criterion, choose, updated, updates
 
 DIRECTION_UNIT = math.radians(0.1)

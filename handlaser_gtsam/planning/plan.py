@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import IntArray
 from ..checks import require_count, require_kind
 from ..errors import GrazingBeamError, InputError
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..validation.simulate import Stations, generator, plane_name

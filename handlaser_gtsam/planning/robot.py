@@ -14,7 +14,7 @@ from ..data.recording_checks import check_poses, numbered, rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
 from ..model.robots.arm import Arm
-from ..model.robots.scene import Scene
+from ..model.robots.collisions import Scene
 from ..quantities import LARGEST_LENGTH
 from .bounds import Plate, vectors
 

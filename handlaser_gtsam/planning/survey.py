@@ -38,7 +38,7 @@ from ..model.families import (
     bases,
 )
 from ..model.geometry import skew
-from ..model.ranges import PoseVariables, Ranges
+from ..model.range_blocks import PoseVariables, Ranges
 from ..model.sensors.beam import Beam
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR, Mounted

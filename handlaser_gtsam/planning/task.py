@@ -9,7 +9,7 @@ import numpy as np
 from .. import model
 from ..arrays import BoolArray
 from ..errors import InputError
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import FAR_SIGMAS
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts

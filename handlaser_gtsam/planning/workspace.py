@@ -15,7 +15,7 @@ from ..data.recording_checks import rotation_matrix
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import LARGEST_LENGTH, MM, ROUNDING
 from ..validation.simulate import Stations
 from .bounds import Plate, vectors

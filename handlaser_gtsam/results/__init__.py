@@ -7,18 +7,18 @@ if TYPE_CHECKING:
     from ..estimation.survey import RelationTest as RelationTest
     from ..model.joint import Coordinate as Coordinate
     from ..model.joint import Correlation as Correlation
+    from .calibration_data import Beam as Beam
+    from .calibration_data import Determined as Determined
+    from .calibration_data import Fit as Fit
+    from .calibration_data import FreedEffect as FreedEffect
+    from .calibration_data import Plane as Plane
+    from .calibration_data import RangeErrorScales as RangeErrorScales
+    from .calibration_data import ScaledSolution as ScaledSolution
+    from .calibration_data import StartReport as StartReport
     from .limits import LimitCheck as LimitCheck
-    from .reports import Beam as Beam
-    from .reports import Determined as Determined
-    from .reports import Fit as Fit
-    from .reports import FreedEffect as FreedEffect
-    from .reports import Plane as Plane
-    from .reports import RangeErrorScales as RangeErrorScales
-    from .reports import ScaledSolution as ScaledSolution
-    from .reports import StartReport as StartReport
-    from .spot_error import MeasuredPlane as MeasuredPlane
-    from .spot_error import Spot as Spot
-    from .spot_error import VarianceShares as VarianceShares
+    from .spots import MeasuredPlane as MeasuredPlane
+    from .spots import Spot as Spot
+    from .spots import VarianceShares as VarianceShares
     from .survey import BeamMount as BeamMount
     from .survey import Mount as Mount
     from .survey import SensorError as SensorError

@@ -21,7 +21,7 @@ from ..model.equation import residuals_or_infinite
 from ..model.families import PLANE
 from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
-from ..model.sensor import BY_LIMITS
+from ..model.sensor_limits import BY_LIMITS
 from ..model.weighting import Variances
 from ..observability.other_solutions import mirror_image_fits
 from ..observability.poor_motion import named, poor_motion, some_plane_leans
@@ -39,15 +39,7 @@ from ..progress import tell
 from ..quantities import FAR_SIGMAS, NEGLIGIBLE
 from ..text import count
 from .calibration import Calibration
-from .dependence import INDEPENDENT, Dependence
-from .fit import fit_of, linear_rows, unit_sigma
-from .freed import Freed
-from .lines import NAMES_IN_LINE
-from .messages import Values, said, warned
-from .moved_beam import moved_beam
-from .problem import Problem, named_estimates
-from .projection import LinearRows
-from .reports import (
+from .calibration_data import (
     Beam,
     Determined,
     Fit,
@@ -58,6 +50,14 @@ from .reports import (
     StartReport,
     Status,
 )
+from .dependence import INDEPENDENT, Dependence
+from .fit import fit_of, linear_rows, unit_sigma
+from .freed import Freed
+from .lines import NAMES_IN_LINE
+from .messages import Values, said, warned
+from .moved_beam import moved_beam
+from .named_problem import Problem, named_estimates
+from .projection import LinearRows
 from .systematic import SystematicError, systematic_errors
 from .warnings import (
     COARSE,

@@ -12,8 +12,8 @@ from ..model.families import BEAM, PLANE, Family
 from ..model.losses import Loss
 from ..model.weighting import whitening
 from ..quantities import UNIT_SIGMA
+from .calibration_data import Beam, CalibrationData, Plane
 from .limits import Limits
-from .reports import Beam, CalibrationData, Plane
 from .verdict import Verdict
 from .verdict import verdict as verdict_on
 
@@ -141,7 +141,7 @@ class Calibration(CalibrationData):
             Working distance at which laser spots are judged [m]; the median reading where not given.
         """
         from .description.description import Description
-        from .description.screen import screen_lines
+        from .description.terminal import screen_lines
 
         return "\n".join(screen_lines(Description(self, self.judged(limits, reading))))
 

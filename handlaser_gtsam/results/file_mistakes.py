@@ -1,7 +1,7 @@
 """Mistakes that people make when they write poses and ranges to a file of beams before planes.
 
 Most stand in tables of `messages.toml`; those that take a search are here. Logs and surveys are tried
-in other conventions by `files.logs.suspicion` and `files.logs.survey_suspicion`.
+in other conventions by `files.logs.other_conventions` and `files.logs.survey_conventions`.
 
 A recording that does not fit as it stands is read as if each mistake were undone (`rereading`).
 """

@@ -12,12 +12,12 @@ from ..estimation.selection import Selection
 from ..estimation.solution import Solution
 from ..model.equation import residuals, scene
 from ..model.losses import GAUSSIAN, LossName
-from ..model.sensor import FLAT, OUTSIDE, Rejected
+from ..model.sensor_limits import FLAT, OUTSIDE, Rejected
 from ..model.weighting import Variances, reading_sigmas, whitening
 from ..outliers.reasons import Reasons, reasons
-from .problem import Problem
+from .calibration_data import Fit
+from .named_problem import Problem
 from .projection import FreedColumns, LinearRows
-from .reports import Fit
 
 
 def fit_of_rows(

@@ -38,14 +38,14 @@ from ..model.equation import residuals_or_infinite
 from ..model.families import BEAM, PLANE, modelled
 from ..model.geometry import skew, tangent_basis
 from ..model.joint import JointCovariance
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import MOST_ROUNDS
 from ..text import count
+from .calibration_data import FreedEffect
 from .fit import linear_rows
 from .messages import warned
-from .problem import Problem
+from .named_problem import Problem
 from .projection import FreedColumns, Projection
-from .reports import FreedEffect
 from .systematic import subject_in_words
 
 MOST_FREED = 200

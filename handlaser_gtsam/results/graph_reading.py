@@ -22,12 +22,12 @@ from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE
 from ..solvers.graph import parameters_of
-from ..solvers.levenberg import require_values
+from ..solvers.graph_levenberg import require_values
 from .calibration import Calibration
+from .calibration_data import Determined, Fit, StartReport, Status
 from .fit import fit_of_rows
 from .messages import warned
-from .problem import named_estimates
-from .reports import Determined, Fit, StartReport, Status
+from .named_problem import named_estimates
 
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""

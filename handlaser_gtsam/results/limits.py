@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import require_number
 from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
-from .reports import CalibrationData
+from .calibration_data import CalibrationData
 from .systematic import SystematicError
 
 Quantity = Literal["rms", "location_sigma", "direction_sigma"]

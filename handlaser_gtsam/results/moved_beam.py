@@ -29,12 +29,12 @@ from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
 from ..model.weighting import Variances, whitening
 from ..quantities import KNOWN, NEGLIGIBLE, TINY
+from .calibration_data import Beam, Fit
 from .dependence import dependence
 from .messages import warned
-from .problem import Problem
+from .named_problem import Problem
 from .projection import LinearRows, Projection
-from .reports import Beam, Fit
-from .spot_error import radius, spot_of
+from .spots import radius, spot_of
 from .systematic import SystematicError
 from .warnings import DISPLACED
 

@@ -39,13 +39,13 @@ from ..model.families import (
     pose_of,
 )
 from ..model.geometry import skew
-from ..model.sensor import Rejected
+from ..model.sensor_limits import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..observability.wording import open_sentence
 from .limits import Limits
 from .messages import said
-from .spot_error import radius, spot_of
+from .spots import radius, spot_of
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
 from .survey_motion import counts_of, open_words, opening
 from .survey_verdict import survey_verdict

@@ -34,7 +34,7 @@ from ..estimation.survey import (
     misfits,
 )
 from ..estimation.survey_rows import Rows, rows_of
-from ..estimation.survey_sorting import OF_OTHERS, misses_of
+from ..estimation.survey_zones import OF_OTHERS, misses_of
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
 from ..model.equation import plausible_factors
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE

@@ -27,7 +27,7 @@ from ..model.families import (
 from ..quantities import FAR_SIGMAS
 from ..starts.beam_minima import MINIMUM_READINGS, MINIMUM_STARTS
 from ..starts.directions import sphere
-from ..starts.search import LAST_STEPS, SAME_DIRECTION
+from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from .messages import Values, warned
 from .warnings import RIVAL, WORTH_REFINING
 

@@ -204,7 +204,7 @@ def _pose_share(result: "SurveyCalibration") -> float:
     """Return the part of the variance of the least certain spot that errors of the hand make.
 
     The variance is homogeneous in the variances of the readings and of the hand poses, so that its
-    logarithmic derivative by the latter is their share, as in `spot_error`.
+    logarithmic derivative by the latter is their share, as in `spots`.
     """
     number = _least_certain(result)
     if not math.isfinite(result.mounts[number].spot_error):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..data.screen import REPEATED, repeated
+from ..data.screening import REPEATED, repeated
 from ..data.survey import kind_of, normal_label
 from ..errors import CalibrationWarning
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
@@ -14,7 +14,7 @@ from ..estimation.survey_rows import Rows
 from ..estimation.survey_trials import displacement
 from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
 from ..model.families import BEAM, FAMILIES, PLANE
-from ..model.sensor import Rejected
+from ..model.sensor_limits import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import condensed_shots

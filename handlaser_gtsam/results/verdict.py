@@ -25,11 +25,11 @@ from ..model.distributions import FEW_DEGREES
 from ..model.effects import EFFECTS, may_also_be
 from ..quantities import IN_MM, IN_PERCENT
 from ..text import count, some
+from .calibration_data import CalibrationData
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import NAMES_IN_LINE
 from .messages import MESSAGES, said
-from .reports import CalibrationData
-from .spot_error import VarianceShares, freedom, spot_radii, variance_shares
+from .spots import VarianceShares, freedom, spot_radii, variance_shares
 from .systematic import SystematicError
 from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, ambiguous
 

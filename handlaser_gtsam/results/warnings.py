@@ -14,11 +14,11 @@ import numpy as np
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
-from ..data.screen import rounding
+from ..data.screening import rounding
 from ..errors import CalibrationWarning
+from ..estimation.joint_solution import NO_FIT
 from ..estimation.scales import RANGE, ROTATION
 from ..estimation.solution import Solution
-from ..estimation.task import NO_FIT
 from ..model.distributions import (
     CONFIDENCE,
     FEW_DEGREES,
@@ -31,17 +31,17 @@ from ..model.equation import cosines, plausible_range_errors, residuals, scene
 from ..model.families import MOUNT_DIM
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
-from ..model.sensor import BY_LIMITS, LONG_RANGE
+from ..model.sensor_limits import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import EXACT, FAR_SIGMAS
 from ..solvers.refine import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.choice import POOR_START
-from ..starts.search import LAST_STEPS, SAME_DIRECTION
+from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count
+from .calibration_data import Fit
 from .dependence import Dependence
 from .messages import Values, warned
-from .reports import Fit
 
 TEN_TIMES = 10.0
 """A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""

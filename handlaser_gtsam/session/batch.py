@@ -9,17 +9,17 @@ from ..arrays import BoolArray, FloatArray
 from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording, join
+from ..estimation.joint_solution import settle
 from ..estimation.learning_scales import LearnedScales, ScaleProblem
 from ..estimation.posterior import covariance_of_determined, posterior
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution
-from ..estimation.task import settle
 from ..model.errors_in_variables import weighed
 from ..model.families import BEAM
-from ..model.sensor import FLAT, OUTSIDE
+from ..model.sensor_limits import FLAT, OUTSIDE
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
-from ..results.problem import Problem
+from ..results.named_problem import Problem
 from .config import SessionConfig
 from .contents import Contents, arranged
 

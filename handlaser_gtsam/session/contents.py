@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import BoolArray
 from ..data.recording import Recording, join
 from ..errors import InputError
-from ..model.sensor import OUTSIDE, Rejected, Sensor
+from ..model.sensor_limits import OUTSIDE, Rejected, Sensor
 from .plane import FittedPlane
 
 

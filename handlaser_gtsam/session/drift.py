@@ -22,7 +22,7 @@ from ..arrays import FloatArray, IntArray
 from ..model.distributions import chi2_sf, f_sf
 from ..model.families import BEAM, MOUNT_DIM
 from ..quantities import KNOWN
-from ..validation.hold_out import BeamDrift
+from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .plane import FittedPlane
 

@@ -18,7 +18,7 @@ from ..model.joint import JointCovariance
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..solvers.isam import BeamState
-from ..validation.hold_out import BeamDrift
+from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .contents import Contents
 from .drift import recent, search

@@ -7,8 +7,8 @@ import numpy as np
 from ..arrays import BoolArray
 from ..data.parameters import Beams
 from ..model.families import MOUNT_DIM
-from ..model.sensor import FLAT, within_incidence
-from ..outliers.snooping import price
+from ..model.sensor_limits import FLAT, within_incidence
+from ..outliers.reading_tests import price
 from ..solvers.isam import BeamState
 from .config import SessionConfig
 from .contents import Contents, PlaneContents

@@ -5,8 +5,8 @@ from typing import Literal
 
 from ..arrays import FloatArray
 from ..data.value import Value
-from ..model.sensor import Rejected
-from ..validation.hold_out import BeamDrift
+from ..model.sensor_limits import Rejected
+from ..validation.other_recording import BeamDrift
 
 ChangeCode = Literal[
     "scales", "range-sigma", "outliers", "excluded-planes", "from-batch", "not-converged"

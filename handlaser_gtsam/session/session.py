@@ -16,17 +16,17 @@ from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
-from ..data.screen import screened
+from ..data.screening import screened
 from ..errors import ArgumentError, CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
-from ..model.sensor import Rejected
+from ..model.sensor_limits import Rejected
 from ..results.calibration import Calibration
 from ..results.freed import prior_sizes
 from ..results.mounts import Mounts
-from ..validation.hold_out import BeamDrift
+from ..validation.other_recording import BeamDrift
+from .changes import UNKNOWN, AnyState, changed, recalibrate, split_beam, started
 from .contents import Contents
 from .reports import Comparison, Update
-from .updating import UNKNOWN, AnyState, changed, recalibrate, split_beam, started
 
 
 class Session:

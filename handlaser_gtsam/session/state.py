@@ -24,7 +24,7 @@ from ..model.joint import beams_lift
 from ..quantities import MOST_ROUNDS
 from ..results.calibration import Calibration
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
-from ..validation.hold_out import BeamDrift
+from ..validation.other_recording import BeamDrift
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..model.search import LevenbergOptions as LevenbergOptions
+    from ..model.damped_search import LevenbergOptions as LevenbergOptions
     from ..progress import Progress as Progress
     from ..progress import Trial as Trial
     from .graph import CalibrationGraph as CalibrationGraph
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .graph import build_graph as build_graph
     from .graph import pose_priors as pose_priors
     from .graph import read_parameters as read_parameters
-    from .levenberg import LevenbergResult as LevenbergResult
+    from .graph_levenberg import LevenbergResult as LevenbergResult
 else:
     from ..lazy import lazy_names
 

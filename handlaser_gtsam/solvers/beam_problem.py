@@ -12,9 +12,9 @@ from ..errors import GrazingBeamError
 from ..model import GRAZING_LIMIT, cosines, linearize, scene, tangent_basis, tangent_columns
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, parameters_of, values_of
 from ..model.block import Block, VectorPrior, whitened
+from ..model.damped_search import LeastSquares, RobustLoss
 from ..model.families import BEAM, MOUNT_DIM, PLANE, count_unknowns, modelled
 from ..model.reduction import Normal, Reduction, damped_step
-from ..model.search import LeastSquares, RobustLoss
 from ..model.weighting import Whitening
 
 UNKNOWNS_RATIO = 4

@@ -10,8 +10,8 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.value import Value
 from ..model.beams_on_planes import parameters_of
+from ..model.damped_search import LevenbergOptions, search
 from ..model.families import BEAM, OF_RANGE_ERROR
-from ..model.search import LevenbergOptions, search
 from ..model.weighting import Whitening
 from ..quantities import ROWS_AT_ONCE
 from .beam_problem import beam_problem

@@ -8,7 +8,7 @@ import numpy as np
 from ..data.parameters import Parameters
 from ..data.readings import Readings
 from ..model.beams_on_planes import parameters_of
-from ..model.search import LevenbergOptions, RobustLoss, search
+from ..model.damped_search import LevenbergOptions, RobustLoss, search
 from ..progress import tell
 from ..quantities import ROWS_AT_ONCE
 from .beam_problem import beam_problem

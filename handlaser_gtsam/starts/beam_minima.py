@@ -21,10 +21,10 @@ from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
-from ..model.search import LevenbergOptions
+from ..model.damped_search import LevenbergOptions
 from ..quantities import NUMBERS_AT_ONCE, ROUNDING, TINY
 from .directions import FLATTEST, sphere
-from .search import FIRST_STEPS, SAME_DIRECTION
+from .rounds import FIRST_STEPS, SAME_DIRECTION
 
 MINIMUM_STARTS = 14
 """Starts over the half sphere: of two minima, each draws about half of them."""

@@ -20,10 +20,10 @@ from ..model.families import count_unknowns
 from ..quantities import MAJORITY, ROUNDING
 from ..solvers.refine import Refined, refine_many
 from .beam_minima import with_better_beams
-from .blocks import lifted_starts, sweep_starts
 from .directions import direction_starts, random_starts
 from .growing import PartialStart, excerpt_of, grow
-from .search import (
+from .one_beam_one_plane import lifted_starts, sweep_starts
+from .rounds import (
     AGREEING,
     FINALISTS,
     FIRST_STEPS,

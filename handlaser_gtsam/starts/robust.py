@@ -22,14 +22,14 @@ from .. import model
 from ..arrays import FloatArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
+from ..model.damped_search import RobustLoss
 from ..model.families import count_unknowns
 from ..model.losses import Loss
-from ..model.search import RobustLoss
 from ..quantities import FAR_SIGMAS, ROUNDING
 from ..solvers.refine import Refined, refine_many
 from .directions import FLATTEST, direction_starts, random_starts, subset_starts
 from .growing import PartialStart, grow
-from .search import AGREEING, FINALISTS, FIRST_STEPS, LAST_STEPS, Candidate, Round, search
+from .rounds import AGREEING, FINALISTS, FIRST_STEPS, LAST_STEPS, Candidate, Round, search
 
 METHOD = "consensus"
 CAUCHY = Loss("cauchy")
@@ -57,7 +57,7 @@ def robust_search(
     terms : int
         Range-error terms of the last steps.
     criterion, convinced : callable
-        Compare candidates by the readings that agree with them; see `search`.
+        Compare candidates by the readings that agree with them; see `rounds`.
     """
     rng = np.random.default_rng(0)
     least = least_scale(readings, range_sigma)

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .cross_check import CrossCheck as CrossCheck
     from .cross_check import cross_check_survey as cross_check_survey
-    from .hold_out import BeamDrift as BeamDrift
-    from .hold_out import HoldOut as HoldOut
     from .leave_out import LeftOut as LeftOut
+    from .other_recording import BeamDrift as BeamDrift
+    from .other_recording import HoldOut as HoldOut
     from .prediction import Prediction as Prediction
     from .prediction import SurveyPrediction as SurveyPrediction
     from .runs import Estimated as Estimated

@@ -14,7 +14,7 @@ from ..arrays import BoolArray, IntArray
 from ..data.value import Value
 from ..errors import HandlaserError
 from ..progress import tell
-from .hold_out import HoldOut
+from .other_recording import HoldOut
 from .prediction import Prediction, SurveyPrediction
 
 PART_LEFT_OUT = 0.3

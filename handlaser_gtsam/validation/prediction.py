@@ -22,7 +22,7 @@ from ..model.families import BEAM, PLANE
 from ..model.joint import JointCovariance
 from ..model.weighting import Variances, reading_sigmas
 from ..results.calibration import Calibration
-from ..results.spot_error import plane_of
+from ..results.spots import plane_of
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

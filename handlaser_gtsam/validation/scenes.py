@@ -25,7 +25,7 @@ from ..checks import require_count, require_number, require_word
 from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import InputError
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import LARGEST_LENGTH
 from .simulate import Errors, Stations, simulate
 

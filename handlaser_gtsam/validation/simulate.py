@@ -16,7 +16,7 @@ from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import InputError
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..quantities import LARGEST_LENGTH
 
 

@@ -20,7 +20,7 @@ from ..model.families import POSE
 from ..pipeline import calibrate
 from ..progress import tell
 from ..quantities import SINGULAR
-from ..results.spot_error import spot_of
+from ..results.spots import spot_of
 from ..results.survey import SurveyCalibration, survey_calibration
 from .cross_check import cross_check_survey, fits
 from .leave_out import drawn, leave_out

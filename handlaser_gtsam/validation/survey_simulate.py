@@ -16,7 +16,7 @@ from ..data.value import Value
 from ..errors import InputError
 from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, missed, rays_before
 from ..model.families import BEAM, PLANE, POSE
-from ..model.ranges import PoseVariables, Ranges
+from ..model.range_blocks import PoseVariables, Ranges
 from ..model.sensors.beam import Beam
 from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS

@@ -18,8 +18,8 @@ from ..pipeline import calibrate, calibrate_from
 from ..progress import Listener, tell, told_to
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from .hold_out import HoldOut, hold_out
 from .leave_out import USUAL_SPLITS, drawn, leave_out
+from .other_recording import HoldOut, hold_out
 from .prediction import Prediction, predict, reconstruction
 from .simulate import generator
 from .survey import validate_survey

@@ -14,8 +14,8 @@ from ..results.survey_verdict import survey_verdict
 from ..results.verdict import Verdict, failures, failures_of, verdict
 from ..text import some
 from .cross_check import CrossCheck
-from .hold_out import HoldOut
 from .leave_out import LeftOut
+from .other_recording import HoldOut
 from .prediction import Prediction
 
 LARGEST_DIFFERENCE = 0.5

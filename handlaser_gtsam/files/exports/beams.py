@@ -19,7 +19,7 @@ from ...model.geometry import normalized
 from ...quantities import IN_DEG, IN_MM, SINGULAR
 from ...results.mounts import Mounts
 from ...text import shown
-from ..calibration_file import SurveyFile
+from ..calibration_reading import SurveyFile
 from .rendering import comment_text, identifiers
 
 Axis = Literal["x", "y", "z"]

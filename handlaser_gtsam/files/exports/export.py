@@ -14,8 +14,8 @@ from ...results.calibration import Calibration
 from ...results.mounts import Mounts
 from ...results.survey import SurveyCalibration
 from ...text import A_NAME, name_fault, shown
-from ..calibration_file import CalibrationFile, SurveyFile, mounts_of
-from ..calibration_json import calibration_text
+from ..calibration_reading import CalibrationFile, SurveyFile, mounts_of
+from ..calibration_writing import calibration_text
 from ..writing import path_of, write_bytes
 from .beams import Axis, exported_beams
 from .formats import FORMATS, LAST_TOOL, LINKED, NEEDED, STATIONS, TAKEN, TOOLS

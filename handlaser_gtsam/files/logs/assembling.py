@@ -19,18 +19,18 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
-from ...data.screen import FINEST_STEP, worth_of_mean
+from ...data.screening import FINEST_STEP, worth_of_mean
 from ...errors import CalibrationWarning, InputError
-from ...model.sensor import Sensor
+from ...model.sensor_limits import Sensor
 from ...quantities import MEDIAN_TO_SIGMA
 from ...text import count
 from ..exports.rendering import environment
 from .format import Average, LogFormat
 from .joining import Stations
+from .other_conventions import held_poses, refuse_wrong_convention
 from .planes import intervals, planes_of
 from .poses import hand_poses
 from .report import LogReport
-from .suspicion import held_poses, refuse_wrong_convention
 
 
 def assembled(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...data.screen import FINEST_STEP
+from ...data.screening import FINEST_STEP
 from ...data.station_list import StationList
 from ...errors import InputError
 from ...quantities import LARGEST_LENGTH, MM

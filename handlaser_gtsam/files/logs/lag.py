@@ -49,9 +49,9 @@ from ...arrays import BoolArray, FloatArray, IntArray, evenly
 from ...data.readings import Readings
 from ...errors import InputError
 from ...estimation.options import RANGE_ERROR_TERMS
+from ...model.damped_search import LevenbergOptions
 from ...model.equation import residuals_or_infinite
 from ...model.families import count_unknowns
-from ...model.search import LevenbergOptions
 from ...model.weighting import Variances, whitening
 from ...quantities import FAR_SIGMAS, MOST_ROUNDS, NUMBERS_AT_ONCE, ROUNDING, SINGULAR
 from ...results.projection import LinearRows, Projection

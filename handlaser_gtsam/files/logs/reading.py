@@ -7,7 +7,7 @@ from pathlib import Path
 from ...checks import require_kind
 from ...data.recording import Recording
 from ...errors import InputError
-from ...model.sensor import Sensor
+from ...model.sensor_limits import Sensor
 from ...text import shown
 from ..checked_text import in_file
 from ..recording_csv import POSE

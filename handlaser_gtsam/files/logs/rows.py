@@ -10,7 +10,7 @@ import polars as pl
 from ...arrays import BoolArray, FloatArray
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import LENGTHS, TIME_UNITS
-from ...model.sensor import Sensor
+from ...model.sensor_limits import Sensor
 from ...quantities import LARGEST_LENGTH
 from ...text import some
 from ..recording_csv import code_warnings, range_numbers

@@ -14,8 +14,8 @@ from ...errors import GrazingBeamError, InputError, SolverError
 from ...model.joint import JointCovariance
 from ...planning.goal import Forecast
 from ...results.calibration import Calibration
-from ...results.spot_error import freedom, radius, spot_at
-from ...validation.held_out import WholeSolution
+from ...results.spots import freedom, radius, spot_at
+from ...validation.predicted_without import WholeSolution
 
 
 def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecast] | None:

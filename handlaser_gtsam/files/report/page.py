@@ -41,10 +41,10 @@ from ...results.description.tables import (
 )
 from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
-from ...validation.hold_out import HoldOut
 from ...validation.leave_out import LeftOut
+from ...validation.other_recording import HoldOut
 from ...validation.prediction import pooled
-from ..calibration_json import calibration_text
+from ..calibration_writing import calibration_text
 from .figure import STYLE, Figure
 from .figures import flat_figures
 from .head import head_of, title_of

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from ...checks import require_kind
 from ...results.calibration import Calibration
-from ..calibration_json import require_result
+from ..calibration_writing import require_result
 from ..writing import path_of, require_writable, write_text
 from .head import title_of
 from .options import ReportOptions

@@ -17,7 +17,7 @@ from ...errors import HandlaserError, InputError
 from ...estimation.options import CalibrationOptions
 from ...pipeline import calibrate
 from ...text import printable
-from ..calibration_json import calibration_text
+from ..calibration_writing import calibration_text
 from ..logs.report import LogReport
 from ..points_table import AWAITED
 from ..report.figure import Figure

@@ -11,7 +11,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ..block import Values
 from ..families import BEAM
-from ..ranges import Rays, by_beam, members
+from ..range_blocks import Rays, by_beam, members
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from ...arrays import FloatArray, IntArray
 from ...quantities import TINY
 from ..block import Values
 from ..families import BEAM
-from ..ranges import Rays, by_beam, dot, members
+from ..range_blocks import Rays, by_beam, dot, members
 from .beam import Beam
 
 

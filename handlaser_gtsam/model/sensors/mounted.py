@@ -14,7 +14,7 @@ from ...arrays import FloatArray, IntArray
 from ...quantities import TINY
 from ..block import Values
 from ..families import Family, Motion, Vector, register
-from ..ranges import Rays, by_motion, members, turned, turned_back
+from ..range_blocks import Rays, by_motion, members, turned, turned_back
 
 LEAST_SLOPE = 0.05
 """A true range grows with its reading by at least this part; below it a search has gone astray."""

@@ -8,7 +8,7 @@ from ...arrays import FloatArray, IntArray
 from ..block import Values
 from ..equation import GRAZING_LIMIT
 from ..families import PLANE, bases
-from ..ranges import Hits, dot, members
+from ..range_blocks import Hits, dot, members
 
 
 @dataclass(frozen=True, slots=True, eq=False)

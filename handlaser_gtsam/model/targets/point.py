@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ..block import Rows, Slot, Values, Weights
 from ..families import Family, Vector, bases, register
-from ..ranges import Robot, Sensor, by_motion, dot, members, slots_of, turned, turned_back
+from ..range_blocks import Robot, Sensor, by_motion, dot, members, slots_of, turned, turned_back
 
 POINT = register(Family("point", Vector("x_m", "y_m", "z_m")))
 """A position, world frame."""

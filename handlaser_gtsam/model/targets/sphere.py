@@ -16,7 +16,7 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...quantities import NEGLIGIBLE, TINY
 from ..block import Values
 from ..families import Family, Vector, register
-from ..ranges import Hits, dot, members
+from ..range_blocks import Hits, dot, members
 
 GRAZING_PART = 0.1
 """Ranges of rays that meet the sphere with less than this cosine, or miss it, are continued. With a

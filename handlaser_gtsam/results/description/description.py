@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from ...text import count
-from ..reports import CalibrationData
+from ..calibration_data import CalibrationData
 from ..verdict import Verdict
 from . import evidence, parameters
 from .tables import sentence

@@ -13,9 +13,9 @@ from ...model.families import BEAM, RANGE_ERROR
 from ...model.joint import STRONG
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
+from ..calibration_data import CalibrationData
 from ..lines import NAMES_IN_LINE, small_mm
 from ..messages import said
-from ..reports import CalibrationData
 from ..systematic import SystematicError
 from ..verdict import WELL_CONDITIONED
 from .tables import (

@@ -9,11 +9,11 @@ import numpy as np
 from ...arrays import FloatArray
 from ...model.families import BEAM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ...quantities import IN_DEG, IN_MM
+from ..calibration_data import Beam, Plane
 from ..limits import LimitCheck
 from ..lines import UNDETERMINED, decimals
 from ..messages import said
-from ..reports import Beam, Plane
-from ..spot_error import spot, spot_radii, typical_plane
+from ..spots import spot, spot_radii, typical_plane
 from .tables import (
     NONE,
     ROWS_ON_PAGE,

@@ -15,9 +15,9 @@ from ..data.recording import Recording
 from ..observability.motion import MotionCheck
 from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
+from ..results.calibration_data import Beam
 from ..results.limits import Limits
-from ..results.reports import Beam
-from ..results.spot_error import spot
+from ..results.spots import spot
 from ..results.verdict import Verdict
 from .checked_text import WARNING, Record, json_text, record, records
 from .writing import path_of, write_text

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..data.survey import Survey, beyond_planes, kind_of
 from ..errors import CalibrationWarning, InputError
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..text import shown
 from .logs.format import LogFormat
 from .logs.report import LogReport

@@ -1,6 +1,6 @@
 """Relations: rows that tie a few variables, such as an angle between two planes that is known.
 
-This is what a relation is; those that `[[known]]` states are in `known`.
+This is what a relation is; those that `[[known]]` states are in `known_relations`.
 
 A relation is its residuals, and nothing else: derivatives follow from a step along an imaginary axis,
 f(x + i h u) = f(x) + i h f'(x) u + O(h^2). No digit is lost, as no difference is formed (Squire and
@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..quantities import SINGULAR
 from .block import Rows, Slot, Values, Weights
 from .families import FAMILIES
-from .ranges import slots_of
+from .range_blocks import slots_of
 
 Numbers = NDArray[np.complex128]
 """Numbers (..., size) of members: real, or with a small imaginary part."""

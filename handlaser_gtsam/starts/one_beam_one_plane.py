@@ -28,7 +28,7 @@ from ..quantities import ROUNDING, TINY
 from ..solvers.refine import refine_many
 from .directions import least_squares, sphere
 from .growing import PartialStart
-from .search import SAME_DIRECTION
+from .rounds import SAME_DIRECTION
 
 LIFTED_READINGS = 24
 """Readings that a block needs: the lifted form has 22 numbers up to one scale."""

@@ -25,12 +25,12 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..checks import require_word
-from ..data.screen import shots_code_warning
+from ..data.screening import shots_code_warning
 from ..data.station_list import StationList
 from ..data.survey import RELATIONS, Convention, Echo, Kind, Known, Shots
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
-from ..model.sensor import LONG_RANGE
+from ..model.sensor_limits import LONG_RANGE
 from ..quantities import DEG, IN_MM, MAJORITY, MM
 from ..text import shown
 from .checked_text import FileRecord, in_file

@@ -57,7 +57,7 @@ from ..model.joint import JointCovariance, beams_lift, plane_lifts
 from ..model.weighting import Variances, whitening
 from ..quantities import LARGEST_LENGTH, NEGLIGIBLE, SINGULAR
 from ..solvers.beam_problem import linearized
-from .reports import Beam, CalibrationData
+from .calibration_data import Beam, CalibrationData
 
 Quantity = Literal["location", "direction", "range error"]
 QUANTITIES: tuple[Quantity, ...] = ("location", "direction", "range error")

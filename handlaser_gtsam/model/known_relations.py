@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray
 from .families import BEAM, OF_DIRECTION, PLANE, Family, Motion, bases, pose_of, register
 from .geometry import skew
-from .relations import Numbers, Relation
+from .relation import Numbers, Relation
 from .sensors.mounted import SENSOR
 from .targets.sphere import SPHERE
 

@@ -25,7 +25,7 @@ from ..model.effects.effect import size_in_words
 from ..model.families import OF_DIRECTION
 from ..model.joint import Correlation, JointCovariance
 from ..model.losses import LossName
-from ..model.sensor import BY_LIMITS, Rejected
+from ..model.sensor_limits import BY_LIMITS, Rejected
 from ..model.weighting import Variances
 from ..observability.rank import Indices
 from ..observability.wording import OpenPart

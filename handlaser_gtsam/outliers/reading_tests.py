@@ -37,7 +37,7 @@ from ..observability.rank import Observability, observability
 from ..quantities import EXACT, FAR_SIGMAS, MAJORITY, MOST_ROUNDS, NEGLIGIBLE
 from ..solvers.beam_problem import jacobian_columns
 from ..solvers.refine import refine
-from ..starts.search import LAST_STEPS
+from ..starts.rounds import LAST_STEPS
 
 LEAST_CUT = 3.0
 """The cut in standard deviations is at least this: Gaussian errors exceed it once in 370. It is

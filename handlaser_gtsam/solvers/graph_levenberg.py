@@ -2,7 +2,7 @@ r"""Levenberg-Marquardt on a factor graph: the loop is here, linearisation and e
 
 GTSAM's own optimizers hand every Python factor a deep copy of all Values, so their cost grows with
 the square of the problem. Here each step evaluates all readings at once, the factors hand out their
-rows of it, and GTSAM eliminates. Damping follows the rules of `model.search`.
+rows of it, and GTSAM eliminates. Damping follows the rules of `model.damped_search`.
 
 What is minimised is an `Objective`: a calibration, or any graph of a user. Each is evaluated at values,
 and linearised there to (H + lambda diag(H)) delta = -g, which GTSAM eliminates for any damping lambda.
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
 from ..errors import GrazingBeamError, InputError
-from ..model.search import LevenbergOptions, StoppingRule
+from ..model.damped_search import LevenbergOptions, StoppingRule
 from ..progress import Trial
 from ..quantities import LARGEST_NUMBER, ROUNDING, SINGULAR
 from ..text import count

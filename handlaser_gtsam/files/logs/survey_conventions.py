@@ -1,9 +1,9 @@
 """Signs that poses, or lengths of the shots, of a survey are not what they are read as.
 
-As for logs of beams (`suspicion`), every other convention with as many numbers a pose is tried where
-the shots of a sensor do not fit, and every other unit of their lengths: a start is found for the shots
-of that sensor, and the residual below which most readings are is compared. Where none of these fits,
-single mistakes are tried: shots one row late, a coordinate of the positions with another sign, in
+As for logs of beams (`other_conventions`), every other convention with as many numbers a pose is tried
+where the shots of a sensor do not fit, and every other unit of their lengths: a start is found for the
+shots of that sensor, and the residual below which most readings are is compared. Where none of these
+fits, single mistakes are tried: shots one row late, a coordinate of the positions with another sign, in
 another unit or in place of another one, numbers of the rotations in another order; at last, one column
 of the points in another unit than the others.
 """
@@ -35,7 +35,7 @@ from ...starts import Effort
 from .format import LogFormat
 from .format_checks import convention_of
 from .motion import Way
-from .suspicion import (
+from .other_conventions import (
     BETTER,
     FITS,
     LEAST_SPARE,

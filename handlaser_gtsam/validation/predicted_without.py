@@ -29,8 +29,8 @@ from ..quantities import MOST_ROUNDS, NEGLIGIBLE
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.beam_problem import newton_step
-from .hold_out import HoldOut, hold_out
 from .leave_out import USUAL_SPLITS, drawn, leave_out
+from .other_recording import HoldOut, hold_out
 from .prediction import Prediction, predicted
 from .validation import Validation
 

@@ -12,9 +12,9 @@ from ..data.parameters import Parameters
 from ..data.recording import Order, Readings, Recording
 from ..model.families import BEAM, PLANE
 from ..model.joint import JointCovariance
-from ..model.sensor import Sensor
+from ..model.sensor_limits import Sensor
 from ..observability.wording import BeamAndPlaneNames
-from .reports import Beam, Plane
+from .calibration_data import Beam, Plane
 
 
 class Problem(NamedTuple):

@@ -17,11 +17,11 @@ from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Parameters, RangeErrorPrior, per_beam
 from ..data.recording import Readings
 from ..model.beams_on_planes import CENTRE, parameters_of, values_of
+from ..model.damped_search import LevenbergOptions, RobustLoss, Searched, search
 from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.errors_in_variables import weighed
 from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
-from ..model.search import LevenbergOptions, RobustLoss, Searched, search
 from ..model.weighting import Variances, Whitening, unequal, whitening
 from ..observability.held import Judge
 from ..observability.other_solutions import least_observed
@@ -30,8 +30,8 @@ from ..progress import Trial, tell_trial
 from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA
 from ..solvers.beam_problem import beam_problem, require_steep
 from ..solvers.graph import PosePriors, build_graph, pose_priors
-from ..solvers.levenberg import LevenbergResult, Status, levenberg_marquardt
-from ..solvers.sums import eliminated_sums
+from ..solvers.graph_levenberg import LevenbergResult, Status, levenberg_marquardt
+from ..solvers.gtsam_sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
 from .options import CalibrationOptions

@@ -35,7 +35,7 @@ from handlaser_gtsam.model.families import (
 from handlaser_gtsam.model.weighting import Whitening, joined
 
 if TYPE_CHECKING:
-    from .block import RangeBlock
+    from .range_block import RangeBlock
 
 Item = TypeVar("Item", bound=Hashable)
 

@@ -1,9 +1,9 @@
 """One block of readings as the error function of one GTSAM factor, and the rows that it is made of.
 
-All readings that share their variables form one block: fifty rows cost hardly more than one. `shared`
-evaluates blocks, one or many. Only here is a `CustomFactor` of ranges made, and are its Jacobians
-filled: a slot that is left empty, one-dimensional or short of rows ends the process, not just the
-solve.
+All readings that share their variables form one block: fifty rows cost hardly more than one.
+`shared_evaluation` evaluates blocks, one or many. Only here is a `CustomFactor` of ranges made, and
+are its Jacobians filled: a slot that is left empty, one-dimensional or short of rows ends the process,
+not just the solve.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from handlaser_gtsam.model.weighting import Whitening
 from handlaser_gtsam.quantities import LARGEST_LENGTH
 
 from .keys import BeamKeys, integer_key
-from .shared import Evaluation, Gathering, Share, SharedEvaluation
+from .shared_evaluation import Evaluation, Gathering, Share, SharedEvaluation
 
 Noise = gtsam.noiseModel.Base | float
 """A noise model of the block's dimension, or one standard deviation [m] for every reading."""
