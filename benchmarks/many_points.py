@@ -20,12 +20,12 @@ from handlaser_gtsam.data.survey import Shots, Survey
 from handlaser_gtsam.estimation.dense import unknowns_of
 from handlaser_gtsam.estimation.estimate import BlockProblem, minimum
 from handlaser_gtsam.estimation.survey import estimate_survey
-from handlaser_gtsam.estimation.survey_rows import Rows, blocks_of, rows_of
+from handlaser_gtsam.estimation.survey_rows import SurveyRows, blocks_of, rows_of
 from handlaser_gtsam.model.block import Weights
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import Mounted
-from handlaser_gtsam.model.targets.plane import Plane
+from handlaser_gtsam.model.targets.plane import PlaneTarget
 
 SIGMA = 1e-4
 """Noise of a reading [m]."""
@@ -60,7 +60,7 @@ def survey_of(shots: int, points: int, rng: np.random.Generator) -> Survey:
     return Survey(StationList(R, t, tuple(f"plane:{'ABC'[p]}" for p in plane)), (table,))
 
 
-def every_point(rows: Rows) -> Ranges:
+def every_point(rows: SurveyRows) -> Ranges:
     """Return every point that was kept as a row of its own."""
     shots = rows.survey.shots[0]
     parts, seen = [], []
@@ -80,7 +80,7 @@ def every_point(rows: Rows) -> Ranges:
     )
     robot = PoseVariables(shots.station[index])
     weights = Weights(np.full((1, len(index), 1), 1.0 / SIGMA))
-    target = Plane(np.concatenate(seen))
+    target = PlaneTarget(np.concatenate(seen))
     return Ranges(sensor, target, robot, shots.reading[index][None, :, None], weights)
 
 

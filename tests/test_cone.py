@@ -20,7 +20,7 @@ from handlaser_gtsam.files.rig_toml import read_rig
 from handlaser_gtsam.model.families import BEAM, FAMILIES, PLANE, POSE
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.cone import Cone
-from handlaser_gtsam.model.targets.plane import Plane
+from handlaser_gtsam.model.targets.plane import PlaneTarget
 from handlaser_gtsam.model.targets.sphere import SPHERE, Sphere
 
 HALF = math.radians(12.0)
@@ -132,7 +132,7 @@ def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
         if kind == "plane":
             target = np.concatenate((n, [0.0], c))
             family: str = PLANE.name
-            seen: Plane | Sphere = Plane(np.array([0]))
+            seen: PlaneTarget | Sphere = PlaneTarget(np.array([0]))
 
             def ahead(o: Array, u: Array) -> float:
                 return float(n @ (c - o) / (n @ u))

@@ -14,8 +14,8 @@ from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.block import Weights
 from handlaser_gtsam.model.families import FAMILIES, Family, Vector, register
 from handlaser_gtsam.model.range_blocks import GivenPoses, PoseVariables, Ranges
-from handlaser_gtsam.model.sensors.beam import Beam
-from handlaser_gtsam.model.targets.plane import Plane
+from handlaser_gtsam.model.sensors.beam import BeamSensor
+from handlaser_gtsam.model.targets.plane import PlaneTarget
 
 PAGE = (ROOT / "docs" / "extending.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
@@ -224,7 +224,9 @@ BAD = {
     "a family without a start": (lambda page: page["blocks"], "no start of sphere"),
     "a member that is not there": (
         lambda page: [
-            Ranges(page["blocks"][0].sensor, Plane(np.array([0, 9])), *parts(page["blocks"][0]))
+            Ranges(
+                page["blocks"][0].sensor, PlaneTarget(np.array([0, 9])), *parts(page["blocks"][0])
+            )
         ],
         "members",
     ),
@@ -289,7 +291,10 @@ def general(readings):
     R, t = readings.world_R_hand[:, None], readings.world_t_hand[:, None]
     robot = GivenPoses.of(R, t)
     return Ranges(
-        Beam(readings.beam), Plane(readings.plane), robot, readings.distance[None, :, None]
+        BeamSensor(readings.beam),
+        PlaneTarget(readings.plane),
+        robot,
+        readings.distance[None, :, None],
     )
 
 
@@ -318,7 +323,10 @@ def test_columns_are_derivatives(page, variable):
         values["pose"] = np.hstack((turned, readings.world_t_hand))[None]
         poses = PoseVariables(np.arange(len(readings)))
         block = Ranges(
-            Beam(readings.beam), Plane(readings.plane), poses, readings.distance[None, :, None]
+            BeamSensor(readings.beam),
+            PlaneTarget(readings.plane),
+            poses,
+            readings.distance[None, :, None],
         )
     slot = next(slot for slot in block.slots() if slot.family == variable)
     columns = block.evaluate(values).columns

@@ -8,7 +8,7 @@ import pytest
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.model.sensor_limits import Sensor
 from handlaser_gtsam.planning.choice import choose, updated
-from handlaser_gtsam.planning.goal import Aim, Forecast, Goal, Mount, goal_rows
+from handlaser_gtsam.planning.goal import Aim, Forecast, Goal, PlannedMount, goal_rows
 from handlaser_gtsam.planning.route import planned, visited
 from handlaser_gtsam.planning.workspace import Workspace
 from handlaser_gtsam.results.limits import Limits
@@ -25,10 +25,10 @@ def drawn(*shape, seed=0):
 def mounts():
     """A beam, whose direction has two axes, and a sensor, which turns about each of three."""
     return [
-        Mount(
+        PlannedMount(
             drawn(3, UNKNOWNS, seed=1), drawn(1, 2, UNKNOWNS, seed=2), drawn(3, UNKNOWNS, seed=3)
         ),
-        Mount(
+        PlannedMount(
             drawn(3, UNKNOWNS, seed=4), drawn(3, 1, UNKNOWNS, seed=5), drawn(3, UNKNOWNS, seed=6)
         ),
     ]

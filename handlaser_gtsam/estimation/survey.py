@@ -37,7 +37,7 @@ from .survey_rows import (
     AIMING,
     AIMING_SIGMA,
     Entity,
-    Rows,
+    SurveyRows,
     blocks_of,
     continued_items,
     priors_of,
@@ -105,7 +105,7 @@ class SurveyEstimate:
 
     Attributes
     ----------
-    rows : Rows
+    rows : SurveyRows
     given : Noise
         What was stated of it.
     estimate : Estimate
@@ -123,7 +123,7 @@ class SurveyEstimate:
         By what the standard deviation of each unknown of `estimate` was multiplied (`_spread`).
     """
 
-    rows: Rows
+    rows: SurveyRows
     given: Noise
     estimate: Estimate
     noise: Components
@@ -184,7 +184,7 @@ class SurveyState:
     `stated` is what is stated of the noise; what is not is NaN.
     """
 
-    rows: Rows
+    rows: SurveyRows
     noise: Noise
     values: dict[str, FloatArray]
     sizes: Components
@@ -377,7 +377,9 @@ def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
     return best_image(state, settle)[1]
 
 
-def first_state(rows: Rows, noise: Noise, earlier: SurveyEstimate | None = None) -> SurveyState:
+def first_state(
+    rows: SurveyRows, noise: Noise, earlier: SurveyEstimate | None = None
+) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
     Sizes of the noise are as stated, else as shots show them inside, or as is usual. Where most shots
@@ -446,11 +448,11 @@ def _blames_relations(state: SurveyState) -> bool:
     return True
 
 
-def _name(rows: Rows, mount: Entity) -> str:
+def _name(rows: SurveyRows, mount: Entity) -> str:
     return f"{mount[0]} {rows.names(mount[0])[mount[1]]}"
 
 
-def _inside(rows: Rows) -> Inside:
+def _inside(rows: SurveyRows) -> Inside:
     """Return what shots tell of the noise inside them; beams and the aiming tell nothing."""
     count = len(rows.survey.shots) + 2
     squares, dof = np.zeros((2, count))
@@ -465,7 +467,7 @@ def _inside(rows: Rows) -> Inside:
     return squares, dof
 
 
-def _stated(rows: Rows, noise: Noise) -> Components:
+def _stated(rows: SurveyRows, noise: Noise) -> Components:
     """Return what is stated of the noise, NaN for what is not."""
     sigma = [np.nan if shots.sigma is None else shots.sigma for shots in rows.survey.shots]
     for used, given, otherwise in (
@@ -487,7 +489,7 @@ def _own_sizes(noise: Noise) -> tuple[float, float]:
     return (turn, shift) if noise.pose_covariance is None else (1.0, 1.0)
 
 
-def usual_noise(rows: Rows, noise: Noise) -> Components:
+def usual_noise(rows: SurveyRows, noise: Noise) -> Components:
     """Return the sizes that noise usually has: the scales of the priors of what is not stated."""
     sigma = np.full(len(rows.survey.shots) + 2, FIRST_SIGMA)
     sigma[-1] = AIMING_SIGMA
@@ -566,7 +568,7 @@ def _started_from_halves(state: SurveyState) -> bool:
     return True
 
 
-def grazing(rows: Rows) -> BoolArray:
+def grazing(rows: SurveyRows) -> BoolArray:
     """Return which items have been found to graze their sphere."""
     return np.array([item.grazing for item in rows.items])
 

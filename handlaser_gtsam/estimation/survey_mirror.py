@@ -28,7 +28,7 @@ from ..observability.poor_motion import COUNTED_TURN, PoorMotion, poor_motion
 from ..observability.rank import ObservabilityOptions
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS
 from .estimate import Estimate, descended
-from .survey_rows import Entity, Rows
+from .survey_rows import Entity, SurveyRows
 
 if TYPE_CHECKING:
     from .survey import SurveyState
@@ -37,12 +37,12 @@ TURNS = {SENSOR.name: slice(0, 3), BEAM.name: DIRECTION, PLANE.name: PLANE.tange
 """Tangent coordinates of rotations, directions and normals, by family."""
 
 
-def numbers_of(rows: Rows) -> dict[Entity, int]:
+def numbers_of(rows: SurveyRows) -> dict[Entity, int]:
     """Return numbers of the targets, in the order in which they are seen."""
     return {x: n for n, x in enumerate(dict.fromkeys(item.target for item in rows.items))}
 
 
-def motion_of(rows: Rows) -> PoorMotion | None:
+def motion_of(rows: SurveyRows) -> PoorMotion | None:
     """Return the kind of a motion that is poor before any targets; None of any other."""
     # A reading for each target and station only says where the hand was before it.
     numbers = numbers_of(rows)
@@ -142,7 +142,7 @@ def _chi2(state: "SurveyState") -> float:
 
 
 def _images(
-    rows: Rows, values: Mapping[str, FloatArray], motion: PoorMotion
+    rows: SurveyRows, values: Mapping[str, FloatArray], motion: PoorMotion
 ) -> Iterator[dict[str, FloatArray]]:
     """Yield the values with every group of mounts, and what they see, reflected."""
     seen: dict[Entity, set[Entity]] = {}

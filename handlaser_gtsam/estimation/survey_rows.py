@@ -10,13 +10,12 @@ from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices, ga
 from ..data.noise import Noise
 from ..data.readings import Readings
 from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
-from ..model import known_relations as relations
-from ..model.block import Block, Values, VectorPrior, Weights
-from ..model.block import Rows as BlockRows
+from ..model import known_relations
+from ..model.block import Block, Rows, Values, VectorPrior, Weights
 from ..model.families import BEAM, PLANE
 from ..model.range_blocks import PoseVariables, Ranges
 from ..model.relation import Relation
-from ..model.sensors.beam import Beam
+from ..model.sensors.beam import BeamSensor
 from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS, Rayset
 from ..model.sensors.mounted import SENSOR, Mounted
@@ -29,13 +28,16 @@ from ..model.shots import (
     of_single_readings,
     some_of,
 )
-from ..model.targets.plane import Plane
+from ..model.targets.plane import PlaneTarget
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere, continued
 from ..quantities import MM, ROUNDING
 from .dense import Unknowns, unknowns_of
 
-TARGETS: dict[str, type[Plane] | type[Sphere]] = {PLANE.name: Plane, SPHERE.name: Sphere}
+TARGETS: dict[str, type[PlaneTarget] | type[Sphere]] = {
+    PLANE.name: PlaneTarget,
+    SPHERE.name: Sphere,
+}
 """Targets that rays meet, by family."""
 LEAST_SEGMENT = 5
 """Points of a profile that each side of a groove has at least."""
@@ -103,7 +105,7 @@ class Item:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class SurveyRows:
     """A survey as items, with the numbers of its variables.
 
     Attributes
@@ -157,7 +159,7 @@ class Rows:
         counts = {name: len(labels) for name, labels in self.targets.items()}
         counts[SENSOR.name] = len(self.survey.shots)
         counts[BEAM.name] = len(self.survey.beam_names)
-        counts[relations.BODY.name] = len(self.bodies)
+        counts[known_relations.BODY.name] = len(self.bodies)
         return {name: number for name, number in counts.items() if number}
 
     def unknown(self) -> dict[str, bool | np.ndarray]:
@@ -214,7 +216,7 @@ class Rows:
         return [numbers[label] for label in known.of]
 
 
-def rows_of(survey: Survey, noise: Noise | None = None) -> Rows:
+def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
     """Return a survey as rows; errors of the hand say which stations are of one stop."""
     labels = survey.stations.plane_labels
     stops = survey.stations.stops(*(noise or Noise()).standstill)
@@ -274,7 +276,7 @@ def rows_of(survey: Survey, noise: Noise | None = None) -> Rows:
         item.reading if item.shot is None else float(np.abs(item.shot.reading).mean())
         for item in items
     ]
-    return Rows(
+    return SurveyRows(
         survey,
         tuple(items),
         {family: tuple(names) for family, names in targets.items()},
@@ -321,7 +323,7 @@ def _parts(shots: Shots, rows: IntArray, label: str) -> list[tuple[str, IntArray
     return [(f"plane:{name}.left", rows[: cut - 1]), (f"plane:{name}.right", rows[cut + 1 :])]
 
 
-def without_grazing(rows: Rows, values: Values) -> Rows | None:
+def without_grazing(rows: SurveyRows, values: Values) -> SurveyRows | None:
     """Return the rows without readings that graze or miss their sphere; None for no change.
 
     These are single readings, of beams and of shots with few readings, whose own shape does not say
@@ -354,7 +356,7 @@ def without_grazing(rows: Rows, values: Values) -> Rows | None:
     return None if same else replace(rows, items=tuple(items))
 
 
-def continued_items(rows: Rows, values: Values) -> BoolArray:
+def continued_items(rows: SurveyRows, values: Values) -> BoolArray:
     """Tell which items have a ray whose range its sphere continues.
 
     Cones do not count: with a wrong half angle their edges miss, and that has a warning of its own.
@@ -417,11 +419,11 @@ def blocks_of(
         reading = np.array([[item.reading] for item in some])[None]
         if target == POINT.name:
             root = np.hstack((root, np.full((len(some), 2), 1.0 / sigmas[AIMING])))
-            axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), Beam(member)
+            axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), BeamSensor(member)
             blocks.append(SpotsOnPoints(beam, robot, seen, reading, axes, weights(root)))
         elif not shots:
             angle = some[0].half_angle
-            sensor = Cone(member, angle) if angle else Beam(member)
+            sensor = Cone(member, angle) if angle else BeamSensor(member)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
             origin = np.stack([s.rays.origin for s in shots])  # (G, r, 3)
@@ -480,12 +482,12 @@ def without_range_errors(values: Values) -> dict[str, FloatArray]:
     return exact
 
 
-def by_place(rows: BlockRows) -> FloatArray:
+def by_place(rows: Rows) -> FloatArray:
     """Return the derivatives (3, G, S) of ranges by the place of the hand."""
     return rows.columns[-4:-1, 0]
 
 
-def missed(target: str, rows: BlockRows) -> BoolArray:
+def missed(target: str, rows: Rows) -> BoolArray:
     """Tell which readings (G, S) before a family of targets graze or miss theirs.
 
     Derivatives are of ranges: the values have to be `without_range_errors`.
@@ -494,7 +496,7 @@ def missed(target: str, rows: BlockRows) -> BoolArray:
     return lost if rows.impossible is None else lost | rows.impossible[0]
 
 
-def relations_of(rows: Rows) -> list[tuple[Known, Relation]]:
+def relations_of(rows: SurveyRows) -> list[tuple[Known, Relation]]:
     """Return the relations of a survey, each face of a body as one."""
     found = []
     for known in rows.known:
@@ -505,7 +507,7 @@ def relations_of(rows: Rows) -> list[tuple[Known, Relation]]:
         body, sigmas = rows.bodies.index(known), (known.sigma, known.sigma_angle)
         assert known.faces is not None
         for (_, plane), (*normal, offset) in zip(of, known.faces, strict=True):
-            face = relations.face(plane, body, np.array(normal), float(offset), *sigmas)
+            face = known_relations.face(plane, body, np.array(normal), float(offset), *sigmas)
             found.append((known, face))
     return found
 
@@ -517,23 +519,23 @@ def _relation(known: Known, of: Sequence[tuple[str, int]]) -> Relation:
     direction = np.zeros(3) if known.direction is None else known.direction
     pose = np.eye(4) if known.pose is None else known.pose
     if known.relation == "mount" and family == BEAM.name:
-        return relations.beam_at(first, pose[:3, 3], pose[:3, 2], sigma, turn)
+        return known_relations.beam_at(first, pose[:3, 3], pose[:3, 2], sigma, turn)
     make = {
-        "angle": lambda: relations.at_an_angle(family, first, second, value, turn),
-        "parallel": lambda: relations.parallel(first, second, value, sigma, turn),
-        "along": lambda: relations.along(first, direction, turn),
-        "upright": lambda: relations.upright(first, direction, turn),
-        "plane": lambda: relations.plane_at(first, direction, value, sigma, turn),
-        "radius": lambda: relations.radius(first, value, sigma),
-        "position": lambda: relations.position(family, first, direction, sigma),
-        "distance": lambda: relations.distance(of[0], of[1], value, sigma),
-        "mount": lambda: relations.mounted_at(first, pose, sigma, turn),
-        "mounts": lambda: relations.mounted_together(first, second, pose, sigma, turn),
+        "angle": lambda: known_relations.at_an_angle(family, first, second, value, turn),
+        "parallel": lambda: known_relations.parallel(first, second, value, sigma, turn),
+        "along": lambda: known_relations.along(first, direction, turn),
+        "upright": lambda: known_relations.upright(first, direction, turn),
+        "plane": lambda: known_relations.plane_at(first, direction, value, sigma, turn),
+        "radius": lambda: known_relations.radius(first, value, sigma),
+        "position": lambda: known_relations.position(family, first, direction, sigma),
+        "distance": lambda: known_relations.distance(of[0], of[1], value, sigma),
+        "mount": lambda: known_relations.mounted_at(first, pose, sigma, turn),
+        "mounts": lambda: known_relations.mounted_together(first, second, pose, sigma, turn),
     }
     return make[known.relation]()
 
 
-def priors_of(rows: Rows) -> list[Block]:
+def priors_of(rows: SurveyRows) -> list[Block]:
     """Return what is known of range errors before any reading: Gaussians about zero."""
     priors: list[Block] = []
     beams, shots, linearity = len(rows.survey.beam_names), rows.survey.shots, rows.survey.linearity

@@ -36,7 +36,7 @@ from ..quantities import NEGLIGIBLE, SINGULAR
 from ..starts import find_start
 from ..starts.directions import least_squares
 from ..starts.rounds import FINALISTS, FIRST_STEPS, LAST_STEPS
-from .survey_rows import Entity, Item, Rows, blocks_of, priors_of, relations_of
+from .survey_rows import Entity, Item, SurveyRows, blocks_of, priors_of, relations_of
 
 VIRTUAL = 3
 """Rays of a flat sensor that serve as beams; a sensor in space has one more."""
@@ -55,7 +55,7 @@ FAR_AND_NEAR = (0.1, 0.9)
 
 
 def start_of(
-    rows: Rows, sigmas: Mapping[Entity, float], *, last_resort: bool = True
+    rows: SurveyRows, sigmas: Mapping[Entity, float], *, last_resort: bool = True
 ) -> tuple[dict[str, FloatArray], tuple[Entity, ...]]:
     """Return the best start of all sensors, beams and targets, and which sensors and beams have none.
 
@@ -101,7 +101,7 @@ def start_of(
 
 
 def start_beside(
-    rows: Rows, earlier: Rows, found: Mapping[str, FloatArray]
+    rows: SurveyRows, earlier: SurveyRows, found: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray] | None:
     """Return a start from the values (n, size) of each family in another survey of the same sensors.
 
@@ -138,7 +138,7 @@ def _redundancy(own: Sequence[Item], there: Iterable[Entity]) -> int:
 
 
 def _search_again(
-    rows: Rows, entity: Entity, values: dict[str, FloatArray], sigmas: Mapping[Entity, float]
+    rows: SurveyRows, entity: Entity, values: dict[str, FloatArray], sigmas: Mapping[Entity, float]
 ) -> None:
     """Search for a sensor or beam with its targets held where others have found them."""
     own = [item for item in rows.items if item.mount == entity]
@@ -152,7 +152,7 @@ def _search_again(
         values[entity[0]][0, entity[1]] = found[1][entity]
 
 
-def _empty(rows: Rows) -> dict[str, FloatArray]:
+def _empty(rows: SurveyRows) -> dict[str, FloatArray]:
     values = {
         name: np.zeros((1, count, FAMILIES[name].size)) for name, count in rows.counts().items()
     }
@@ -166,7 +166,7 @@ def _empty(rows: Rows) -> dict[str, FloatArray]:
 # --- sensors and beams on planes -------------------------------------------------------------------
 
 
-def _from_planes(rows: Rows, *, among_outliers: bool) -> dict[Entity, FloatArray]:
+def _from_planes(rows: SurveyRows, *, among_outliers: bool) -> dict[Entity, FloatArray]:
     """Return starts of what sees planes, by the ordinary search over beams and virtual beams."""
     entries: list[tuple[int, int, int, float]] = []  # plane, beam, station, reading
     virtual: dict[Entity, tuple[list[int], FloatArray, FloatArray]] = {}
@@ -229,7 +229,7 @@ def _virtual_across(across: FloatArray) -> FloatArray:
 # --- all other starts ------------------------------------------------------------------------------
 
 
-def _others(rows: Rows, entity: Entity, own: Sequence[Item]) -> list[FloatArray]:
+def _others(rows: SurveyRows, entity: Entity, own: Sequence[Item]) -> list[FloatArray]:
     """Return starts by other ways."""
     seen = {item.target[0] for item in own}
     if entity[0] == BEAM.name:
@@ -247,7 +247,7 @@ def _shaped(item: Item) -> bool:
     return item.shot is not None and bool(np.isfinite(item.shot.shape).all())
 
 
-def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
+def _swept(rows: SurveyRows, items: Sequence[Item]) -> Iterator[FloatArray]:
     """Yield the mounts that fit best before the plane with most shots, normals tried."""
     items = list(filter(_shaped, items))
     if not items:
@@ -277,7 +277,7 @@ def _swept(rows: Rows, items: Sequence[Item]) -> Iterator[FloatArray]:
         yield _mount(X[k], y[k, :3])
 
 
-def _from_spheres(rows: Rows, member: int, items: Sequence[Item]) -> Iterator[FloatArray]:
+def _from_spheres(rows: SurveyRows, member: int, items: Sequence[Item]) -> Iterator[FloatArray]:
     """Yield mounts from the centres that shots of spheres show."""
     if len(items) < 3:
         return
@@ -346,7 +346,7 @@ def _columns(rows: FloatArray, axes: Sequence[int]) -> FloatArray:
     return found
 
 
-def _beam_on_points(rows: Rows, items: Sequence[Item]) -> FloatArray | None:
+def _beam_on_points(rows: SurveyRows, items: Sequence[Item]) -> FloatArray | None:
     """Return the beam that solves R (r + d v) + t = C linearly, with the points C."""
     R, t = _hand_at(rows, items)
     d = np.array([item.reading for item in items])
@@ -354,7 +354,7 @@ def _beam_on_points(rows: Rows, items: Sequence[Item]) -> FloatArray | None:
 
 
 def _beams_on_spheres(
-    rows: Rows, items: Sequence[Item], spheres: FloatArray
+    rows: SurveyRows, items: Sequence[Item], spheres: FloatArray
 ) -> Iterator[FloatArray]:
     """Yield the beam through the known centres of spheres (n, 4), linearly, and others beside it.
 
@@ -385,7 +385,7 @@ def _beam_through(
     return np.concatenate((x[:3], x[3:6] / length, np.zeros(2))) if length > 0.0 else None
 
 
-def _hand_at(rows: Rows, items: Sequence[Item]) -> tuple[FloatArray, FloatArray]:
+def _hand_at(rows: SurveyRows, items: Sequence[Item]) -> tuple[FloatArray, FloatArray]:
     """Return the rotations (n, 3, 3) and translations (n, 3) of the hand where items were read."""
     of, station = rows.survey.stations, [item.station for item in items]
     return of.world_R_hand[station], of.world_t_hand[station]
@@ -428,7 +428,7 @@ def _hemisphere(count: int) -> FloatArray:
 
 
 def _searched(
-    rows: Rows,
+    rows: SurveyRows,
     entity: Entity,
     own: Sequence[Item],
     candidates: Sequence[FloatArray],
@@ -483,7 +483,7 @@ def _searched(
     return float(cost[k]), {e: ended.values[e[0]][k, e[1]] for e in (entity, *targets)}
 
 
-def _complete(rows: Rows, items: Sequence[Item], values: dict[str, FloatArray]) -> None:
+def _complete(rows: SurveyRows, items: Sequence[Item], values: dict[str, FloatArray]) -> None:
     """Put the target of some items of one sensor or beam where the spots of each start are."""
     (mount, number), (family, member) = items[0].mount, items[0].target
     x = values[mount][:, number]
@@ -539,7 +539,7 @@ def _nodes_of(item: Item) -> FloatArray:
     return np.asarray(rays.origin + item.shot.reading[:, None] * rays.direction)
 
 
-def _complete_bodies(rows: Rows, values: dict[str, FloatArray]) -> None:
+def _complete_bodies(rows: SurveyRows, values: dict[str, FloatArray]) -> None:
     """Put bodies where their planes are: turned by Wahba's rotation, shifted by least squares."""
     for index, known in enumerate(rows.bodies):
         assert known.faces is not None

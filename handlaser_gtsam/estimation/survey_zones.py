@@ -24,9 +24,9 @@ from ..model.families import PLANE, POSE, pose_of
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import MANY, condensed_shots
-from ..model.targets.plane import Plane
+from ..model.targets.plane import PlaneTarget
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
-from .survey_rows import Item, Rows
+from .survey_rows import Item, SurveyRows
 
 OF_OTHERS = 0.15
 """Where sensors and targets are as stated, at most this part of the readings fits no shape: edges of a
@@ -38,12 +38,12 @@ BESIDE_REACH = 0.2
 a tenth of a hundred readings are enough for it."""
 
 
-def sortable(rows: Rows, sigma: FloatArray, by_hand: float) -> list[int]:
+def sortable(rows: SurveyRows, sigma: FloatArray, by_hand: float) -> list[int]:
     """Return the arrays before planes whose readings err more than the hand makes them.
 
     Parameters
     ----------
-    rows : Rows
+    rows : SurveyRows
     sigma : (sensors, ...)
         Standard deviation of a reading of each [m].
     by_hand : float
@@ -54,8 +54,8 @@ def sortable(rows: Rows, sigma: FloatArray, by_hand: float) -> list[int]:
 
 
 def sorted_again(
-    rows: Rows, values: Values, used: BoolArray, members: Sequence[int]
-) -> tuple[Rows, BoolArray] | None:
+    rows: SurveyRows, values: Values, used: BoolArray, members: Sequence[int]
+) -> tuple[SurveyRows, BoolArray] | None:
     """Return the rows with the readings of some arrays before planes sorted by the whole survey.
 
     A shot that was rejected, or had too few readings on its target, counts again where at least half
@@ -63,7 +63,7 @@ def sorted_again(
 
     Parameters
     ----------
-    rows : Rows
+    rows : SurveyRows
     values : mapping
         Of a minimum.
     used : (items,) of bool
@@ -72,7 +72,7 @@ def sorted_again(
 
     Returns
     -------
-    (Rows, (items,) of bool), optional
+    (SurveyRows, (items,) of bool), optional
         None where nothing changes.
     """
     items, lost, counts = list(rows.items), list(rows.lost), used.tolist()
@@ -118,7 +118,7 @@ def sorted_again(
     return replace(rows, items=tuple(items), lost=tuple(lost)), np.array(counts)
 
 
-def of_others(rows: Rows, member: int) -> float:
+def of_others(rows: SurveyRows, member: int) -> float:
     """Return the part of the readings of an array before planes that are not on their plane."""
     tables = {station: table for station, _, table in _small_shots(rows, member)}
     many = sum(map(len, tables.values()))
@@ -130,7 +130,7 @@ def of_others(rows: Rows, member: int) -> float:
     return 1.0 - kept / many if many else 0.0
 
 
-def slackness(rows: Rows, values: Values, member: int) -> float:
+def slackness(rows: SurveyRows, values: Values, member: int) -> float:
     """Return how much farther readings that may be sorted either way let the unknowns go: 1 for none.
 
     Where unknowns move, readings at the reach c of the noise come in on one side and go out on the
@@ -145,7 +145,9 @@ def slackness(rows: Rows, values: Values, member: int) -> float:
     return inside / max(inside - at_reach, 0.5 * inside) if inside else 1.0
 
 
-def _misses_and_reach(rows: Rows, values: Values, member: int) -> tuple[list[FloatArray], float]:
+def _misses_and_reach(
+    rows: SurveyRows, values: Values, member: int
+) -> tuple[list[FloatArray], float]:
     """Return `misses_of` the readings of each small shot of an array, and the reach of their noise."""
     shots = _small_shots(rows, member)
     misses = [misses_of(rows, values, member, plane, table) for _, plane, table in shots]
@@ -178,7 +180,7 @@ def reach_of_noise(e: FloatArray, length: float) -> float:
     return float(sigma * np.sqrt(2.0 * np.log(max(odds, 1.0))))
 
 
-def _small_shots(rows: Rows, member: int) -> Iterator[tuple[int, int, IntArray]]:
+def _small_shots(rows: SurveyRows, member: int) -> Iterator[tuple[int, int, IntArray]]:
     """Yield station, plane and rows (n,) of the table of each small shot of an array before planes."""
     shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
     planes = {label: i for i, label in enumerate(rows.targets.get(PLANE.name, ()))}
@@ -191,14 +193,16 @@ def _small_shots(rows: Rows, member: int) -> Iterator[tuple[int, int, IntArray]]
             yield station, planes[label], table
 
 
-def misses_of(rows: Rows, values: Values, member: int, plane: int, some: IntArray) -> FloatArray:
+def misses_of(
+    rows: SurveyRows, values: Values, member: int, plane: int, some: IntArray
+) -> FloatArray:
     """Return by how much readings of a sensor are longer than the way to a plane [m].
 
     Infinite where a ray does not meet it.
 
     Parameters
     ----------
-    rows : Rows
+    rows : SurveyRows
     values : mapping
         Of a minimum.
     member, plane : int
@@ -214,7 +218,7 @@ def misses_of(rows: Rows, values: Values, member: int, plane: int, some: IntArra
     X, location = pose_of(sensor)
     direction = (rays.direction + scale * rays.direction_by_scale) @ X.T
     direction = np.einsum("nij,nj->ni", R, direction)
-    hits = Plane(np.array([plane])).hit(
+    hits = PlaneTarget(np.array([plane])).hit(
         values, (R @ location + t).T[:, None, None], direction.T[:, None, None]
     )
     s = hits.range[0, 0]

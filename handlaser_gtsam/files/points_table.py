@@ -27,7 +27,7 @@ from .logs.tables import FOREIGN, PARQUET, table_of_values
 from .recording_csv import known_numbers
 from .table import (
     MOST_TITLES,
-    Table,
+    FileTable,
     label_texts,
     table_below_titles,
     table_text,
@@ -215,7 +215,7 @@ def _words(units: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {unit or 'without a unit'}" for name, unit in units.items())
 
 
-def _read_table(path: Path, kind: str, name: str) -> Table:
+def _read_table(path: Path, kind: str, name: str) -> FileTable:
     """Return a table of points, of the station `name` where that is not empty."""
     wanted = COLUMNS[kind]
     expected = "a table of points, CSV with a header or Parquet"
@@ -228,7 +228,7 @@ def _read_table(path: Path, kind: str, name: str) -> Table:
     return table
 
 
-def _require_station(table: Table, name: str, station_of: Callable[[str], str]) -> None:
+def _require_station(table: FileTable, name: str, station_of: Callable[[str], str]) -> None:
     """Refuse a table of one station in whose rows another one is named."""
     for column in [one for one in table.frame.columns if plain(one) == "station"]:
         cells = table.frame[column].cast(pl.String)
@@ -237,7 +237,7 @@ def _require_station(table: Table, name: str, station_of: Callable[[str], str]) 
         table.refuse(cells.is_in(others).fill_null(value=False).to_numpy(), column, expected)
 
 
-def _stations(table: Table, station_column: str) -> tuple[str, pl.Series]:
+def _stations(table: FileTable, station_column: str) -> tuple[str, pl.Series]:
     """Return the column of the stations, and their names."""
     column = station_column
     if not column or column not in table.frame.columns:
@@ -247,7 +247,7 @@ def _stations(table: Table, station_column: str) -> tuple[str, pl.Series]:
 
 
 def _points(
-    table: Table, kind: str, station: IntArray
+    table: FileTable, kind: str, station: IntArray
 ) -> tuple[tuple[IntArray, FloatArray], dict[str, str]]:
     """Return stations and numbers of the points of a table, and the units of its columns."""
     wanted = COLUMNS[kind]
@@ -276,7 +276,7 @@ def _of_echoes(station: IntArray, numbers: FloatArray, echo: Echo) -> Points:
     return station, numbers, before
 
 
-def _column(table: Table, name: str) -> str:
+def _column(table: FileTable, name: str) -> str:
     """Return the column of a name, in letters of either case; behind it a unit may stand."""
     alike = [one for one in table.frame.columns if plain(one) == name]
     if not alike:
@@ -287,7 +287,7 @@ def _column(table: Table, name: str) -> str:
     return alike[0]
 
 
-def read_frame(path: Path, expected: str, header: str) -> Table:
+def read_frame(path: Path, expected: str, header: str) -> FileTable:
     """Return a table as it stands: of CSV the texts of the cells, of Parquet what they are.
 
     Semicolons or tabs in most of its first lines separate the cells; then commas in these are decimal.

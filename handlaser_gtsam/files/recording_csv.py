@@ -35,7 +35,7 @@ from ..model.conventions import LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import Sensor
 from ..quantities import IN_MM, LARGEST_LENGTH, MAJORITY, MM
 from ..text import A_NAME, name_fault
-from .table import Table, column_numbers, labels, read_table
+from .table import FileTable, column_numbers, labels, read_table
 from .writing import path_of, write_text
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -135,7 +135,7 @@ def station_columns(stations: Recording | StationList) -> pl.DataFrame:
     return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
 
 
-def stations_of(table: Table, *prefixes: str) -> StationList:
+def stations_of(table: FileTable, *prefixes: str) -> StationList:
     """Return the hand poses, plane labels and station names of the rows of a table.
 
     Columns whose names begin with one of the `prefixes` are read, too.
@@ -170,7 +170,7 @@ def stations_of(table: Table, *prefixes: str) -> StationList:
     return StationList(Rotation.from_quat(x[:, 3:]).as_matrix(), x[:, :3], planes, stations)
 
 
-def _check_header(table: Table) -> list[str]:
+def _check_header(table: FileTable) -> list[str]:
     """Return the beam names; refuse a header without all columns, or with a misspelt beam."""
     columns = table.frame.columns
     table.require("plane", *POSE)
@@ -197,7 +197,7 @@ def _used(column: str, *prefixes: str) -> bool:
     return column in ("plane", "station", *POSE) or column.startswith(prefixes)
 
 
-def _samples(table: Table, beams: list[str], ranges: FloatArray) -> FloatArray:
+def _samples(table: FileTable, beams: list[str], ranges: FloatArray) -> FloatArray:
     """Return how many readings each is worth: one where the cell or the column is missing."""
     found = np.ones(ranges.shape)
     for i, name in enumerate(SAMPLES + beam for beam in beams):
@@ -247,13 +247,13 @@ def read_stations(path: Path | str) -> StationList:
 
 
 def range_numbers(
-    table: Table, columns: Sequence[str], sensor: Sensor, unit: float = 1.0
+    table: FileTable, columns: Sequence[str], sensor: Sensor, unit: float = 1.0
 ) -> tuple[FloatArray, BoolArray]:
     """Return the ranges (M, C) of columns [m], NaN where there is no reading, and which were codes.
 
     Parameters
     ----------
-    table : Table
+    table : FileTable
     columns : C names
     sensor : Sensor
         Its range, where it is stated, tells codes from readings.
@@ -289,7 +289,7 @@ def range_numbers(
     return d, np.asarray(coded | words)
 
 
-def _refuse_other_unit(table: Table, name: str, d: FloatArray, sensor: Sensor) -> None:
+def _refuse_other_unit(table: FileTable, name: str, d: FloatArray, sensor: Sensor) -> None:
     """Refuse readings (M,) [m] that are all beyond the stated range, and mostly within in another unit.
 
     Raises
@@ -312,7 +312,7 @@ def _refuse_other_unit(table: Table, name: str, d: FloatArray, sensor: Sensor) -
             raise table.fault(found, expected, name)
 
 
-def known_numbers(table: Table, name: str) -> tuple[FloatArray, BoolArray]:
+def known_numbers(table: FileTable, name: str) -> tuple[FloatArray, BoolArray]:
     """Return a column as numbers (M,), NaN where there is none, and where a word says so.
 
     Raises
@@ -327,7 +327,7 @@ def known_numbers(table: Table, name: str) -> tuple[FloatArray, BoolArray]:
 
 
 def code_warnings(
-    table: Table, whose: Mapping[str, Sequence[str]], coded: BoolArray
+    table: FileTable, whose: Mapping[str, Sequence[str]], coded: BoolArray
 ) -> tuple[CalibrationWarning, ...]:
     """Return a warning for every code, as it is written, with its beams and its count.
 
@@ -335,7 +335,7 @@ def code_warnings(
 
     Parameters
     ----------
-    table : Table
+    table : FileTable
     whose : {column: names}
         The beams of each of C columns: of every cell, or one that holds for the column.
     coded : (M, C)

@@ -52,7 +52,7 @@ A_HEADER = "names of columns in the first line, or from `handlaser convert LOG -
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class FileTable:
     """The rows of a file as text without blanks around it, null where a cell is empty.
 
     Attributes
@@ -86,7 +86,7 @@ class Table:
             found = _cell(self.frame[column][row]) if found is None else found
             raise InputError(found, expected, self.path, int(self.lines[row]), column)
 
-    def where(self, kept: BoolArray) -> "Table":
+    def where(self, kept: BoolArray) -> "FileTable":
         """Return the table of the rows (M,) that are `kept`."""
         return replace(self, frame=self.frame.filter(kept), lines=self.lines[kept])
 
@@ -131,7 +131,7 @@ def _cell(content: object) -> str:
     return "an empty cell" if content is None else shown(content)
 
 
-def read_table(path: Path, known: Collection[str] = ()) -> Table:
+def read_table(path: Path, known: Collection[str] = ()) -> FileTable:
     """Read a table from a file; columns of the `known` names tell its separator.
 
     Raises
@@ -161,7 +161,7 @@ def without_separator_line(text: str) -> tuple[str, str | None]:
 
 def table_below_titles(
     text: str, path: Path, separator: str, *, header: str = A_HEADER, may_be_empty: bool = False
-) -> Table:
+) -> FileTable:
     """Take a text apart as `table_of` does, without the titles above its header, of which it warns.
 
     Raises
@@ -209,7 +209,7 @@ def titles_warning(titles: Sequence[str], path: Path) -> tuple[CalibrationWarnin
 
 def table_of(
     text: str, path: Path, separator: str, *, header: str = A_HEADER, may_be_empty: bool = False
-) -> Table:
+) -> FileTable:
     """Take a text apart as `read_table` does, at a separator.
 
     Parameters
@@ -269,7 +269,7 @@ def table_of(
         cells = cells.str.strip_chars(BLANK)
     frame = frame.select(pl.when(cells != "").then(cells))
     open_ended = not ended and not last.rstrip(BLANK).endswith('"')
-    return Table(frame, path, int(numbers[0]), numbers[1:], open_ended)
+    return FileTable(frame, path, int(numbers[0]), numbers[1:], open_ended)
 
 
 def require_columns(names: Sequence[str], path: Path, line: int | None) -> None:
@@ -288,7 +288,7 @@ def require_columns(names: Sequence[str], path: Path, line: int | None) -> None:
 
 
 def column_numbers(
-    table: Table, name: str, *, empty: bool = False, but: BoolArray | None = None
+    table: FileTable, name: str, *, empty: bool = False, but: BoolArray | None = None
 ) -> FloatArray:
     """Return a column as finite floats, `but` some; NaN where a cell is empty and may be."""
     cells = table.frame[name]
@@ -305,7 +305,7 @@ def column_numbers(
     return values
 
 
-def label_texts(table: Table, column: str) -> pl.Series:
+def label_texts(table: FileTable, column: str) -> pl.Series:
     """Return the cells of a column of labels as text, numbers without decimals as whole ones.
 
     Raises
@@ -321,7 +321,7 @@ def label_texts(table: Table, column: str) -> pl.Series:
     return cells.cast(pl.String)
 
 
-def labels(table: Table, column: str) -> tuple[str, ...]:
+def labels(table: FileTable, column: str) -> tuple[str, ...]:
     """Return the labels in a column, numbers as text.
 
     Raises

@@ -96,7 +96,7 @@ class OfVariable(Protocol):
         """Which member each group of readings has (G,)."""
 
 
-class Sensor(OfVariable, Protocol):
+class SensorModel(OfVariable, Protocol):
     """Rays in the hand."""
 
     def rays(self, values: Values, reading: FloatArray) -> Rays:
@@ -109,7 +109,7 @@ class Sensor(OfVariable, Protocol):
         """
 
 
-class Target(OfVariable, Protocol):
+class TargetModel(OfVariable, Protocol):
     """What rays meet."""
 
     def hit(self, values: Values, origin: FloatArray, direction: FloatArray) -> Hits:
@@ -119,7 +119,7 @@ class Target(OfVariable, Protocol):
         """Return the directions (3, K, G, S) in which it is nearest to points in the world."""
 
 
-class Robot(OfVariable, Protocol):
+class RobotModel(OfVariable, Protocol):
     """Where the hand is; `family` is empty where its poses are given."""
 
     def pose(self, values: Values) -> tuple[FloatArray, FloatArray]:
@@ -142,9 +142,9 @@ class Ranges:
         Zero for what is no reading.
     """
 
-    sensor: Sensor
-    target: Target
-    robot: Robot
+    sensor: SensorModel
+    target: TargetModel
+    robot: RobotModel
     reading: FloatArray
     weights: Weights = field(default_factory=Weights)
 

@@ -19,7 +19,7 @@ from ..model.weighting import Variances, covariance_roots
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from .bounds import Plate, plate_of
-from .goal import Mount, beam_mount
+from .goal import PlannedMount, beam_mount
 
 UNKNOWN_LENGTH = 0.1
 """Standard deviation of a length that the readings alone have to determine [m]: too large to say
@@ -94,7 +94,7 @@ class Belief:
         """The number of unknowns of errors and beams, before the planes."""
         return self.first_beam + BEAM.dim * self.beams
 
-    def mounts(self, reading: float) -> list[Mount]:
+    def mounts(self, reading: float) -> list[PlannedMount]:
         """Return what a goal asks of every beam, its spot at a reading [m]."""
         beams = zip(np.hstack(self.mean.beams), self.beam_bases, strict=True)
         return [

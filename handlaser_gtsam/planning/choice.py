@@ -55,7 +55,7 @@ def choose(
     start : (count,), optional
         Candidates to start the exchange from, instead of those that greedy choice takes.
     """
-    search = _Search(rows, covariance, weight, criterion)
+    search = _Exchange(rows, covariance, weight, criterion)
     for step in range(min(count, rows.shape[1])):
         search.take(search.best() if start is None else int(start[step]))
     for _ in range(3 if exchange else 0):  # the first brings nearly all of the gain
@@ -68,13 +68,13 @@ def choose(
             break
     taken = np.array(search.chosen, dtype=np.intp)
     first = covariance if covariance.ndim == 2 else covariance[0]
-    again = _Search(rows[:1, taken], first, weight, criterion)
+    again = _Exchange(rows[:1, taken], first, weight, criterion)
     for _ in taken:
         again.take(again.best())
     return taken[again.chosen]
 
 
-class _Search:
+class _Exchange:
     """The covariance, and what its products with the candidates' rows say, as stations come and go.
 
     With A the rows of a candidate and W the weight, S = I + A C A' and T = A C W' at the mean of the

@@ -28,7 +28,7 @@ DIRECTION_UNIT = math.radians(0.1)
 """[rad]"""
 
 
-class Mount(NamedTuple):
+class PlannedMount(NamedTuple):
     """Derivatives by all U unknowns of what a goal asks of one beam or sensor.
 
     Attributes
@@ -49,7 +49,7 @@ class Mount(NamedTuple):
 
 def beam_mount(
     first: int, unknowns: int, beam: FloatArray, basis: FloatArray, reading: float
-) -> Mount:
+) -> PlannedMount:
     """Return the derivatives of a beam whose coordinates begin at the unknown `first`.
 
     Parameters
@@ -64,7 +64,7 @@ def beam_mount(
     """
     own, (_, J) = np.eye(BEAM.dim, unknowns, first), spot_of(beam, reading)
     spot = np.hstack((J[:, OF_LOCATION], J[:, OF_DIRECTION] @ basis, J[:, OF_RANGE_ERROR]))
-    return Mount(own[LOCATION], own[DIRECTION][None], spot @ own)
+    return PlannedMount(own[LOCATION], own[DIRECTION][None], spot @ own)
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +184,7 @@ class Forecast(Value):
         )
 
 
-def goal_rows(goal: Goal, mounts: Sequence[Mount]) -> FloatArray:
+def goal_rows(goal: Goal, mounts: Sequence[PlannedMount]) -> FloatArray:
     """Return what is to become small (W, U): mounts in units of the goal, or their spots [m]."""
     if goal.criterion == "spot":
         return np.concatenate([mount.spot for mount in mounts])
@@ -200,7 +200,7 @@ class Aim:
     ----------
     covariance : (U, U)
         Of all unknowns, before the first station.
-    mounts : sequence of Mount
+    mounts : sequence of PlannedMount
         Of all beams and sensors that count.
     goal : Goal
     distance : float
@@ -210,7 +210,7 @@ class Aim:
     """
 
     def __init__(
-        self, covariance: FloatArray, mounts: Sequence[Mount], goal: Goal, distance: float
+        self, covariance: FloatArray, mounts: Sequence[PlannedMount], goal: Goal, distance: float
     ) -> None:
         self.covariance, self.mounts = covariance, mounts
         self.goal, self.distance = goal, distance

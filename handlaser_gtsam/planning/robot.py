@@ -14,7 +14,7 @@ from ..data.recording_checks import check_poses, numbered, rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
 from ..model.robots.arm import Arm
-from ..model.robots.collisions import Scene
+from ..model.robots.collisions import CollisionScene
 from ..quantities import LARGEST_LENGTH
 from .bounds import Plate, vectors
 
@@ -208,14 +208,14 @@ class Robot(Value):
         scene, front = self._scene(), None if plate is None else (plate.point, plate.normal)
         return lambda q: scene.touches(q, front)
 
-    def _scene(self) -> Scene:
+    def _scene(self) -> CollisionScene:
         """Return the arm among bodies; loaded again when the file has changed."""
         path = Path(self.urdf)
         return _loaded(pickle.dumps(self), path.stat().st_mtime_ns if path.is_file() else 0)
 
 
 @lru_cache  # loading takes a second
-def _loaded(pickled: bytes, changed: int) -> Scene:  # noqa: ARG001  a changed file is another arm
+def _loaded(pickled: bytes, changed: int) -> CollisionScene:  # noqa: ARG001  a changed file is another arm
     """Return the scene of a robot, which is pickled because arrays are no keys of a cache."""
     robot: Robot = pickle.loads(pickled)
     arm = Arm(robot.urdf, robot.frame, robot.base_R, robot.base_t)
@@ -223,4 +223,6 @@ def _loaded(pickled: bytes, changed: int) -> Scene:  # noqa: ARG001  a changed f
     if start is not None:
         arm.require_joints("start joints", start)
     table = None if robot.table is None else np.array([*robot.base_t[:2], robot.table])
-    return Scene(arm, robot.clearance, (robot.plate_across, robot.plate_thickness), table, start)
+    return CollisionScene(
+        arm, robot.clearance, (robot.plate_across, robot.plate_thickness), table, start
+    )

@@ -39,7 +39,7 @@ from ..model.families import (
 )
 from ..model.geometry import skew
 from ..model.range_blocks import PoseVariables, Ranges
-from ..model.sensors.beam import Beam
+from ..model.sensors.beam import BeamSensor
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.shots import MOST_SLANTED
@@ -47,7 +47,7 @@ from ..model.targets.sphere import SPHERE
 from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations, read_back
 from .bounds import Plate, plate_of
-from .goal import Aim, Forecast, Goal, Mount, beam_mount
+from .goal import Aim, Forecast, Goal, PlannedMount, beam_mount
 from .route import Plan, planned
 from .workspace import (
     Workspace,
@@ -190,7 +190,7 @@ class _Known(Aim):
         )
 
 
-def _mounts(calibration: SurveyCalibration, planned: Container[Entity]) -> Iterator[Mount]:
+def _mounts(calibration: SurveyCalibration, planned: Container[Entity]) -> Iterator[PlannedMount]:
     """Yield what a goal asks of every sensor and beam that stations are planned for."""
     found = calibration._found
     of, values = found.rows.places(), found.estimate.values
@@ -201,7 +201,7 @@ def _mounts(calibration: SurveyCalibration, planned: Container[Entity]) -> Itera
             continue
         turn, shift = np.eye(POSE.dim, unknowns, int(place)).reshape(2, 3, -1)
         spot = shift - skew(sensor.spot) @ turn
-        yield Mount(sensor.rotation @ shift, turn[:, None], spot)
+        yield PlannedMount(sensor.rotation @ shift, turn[:, None], spot)
     for member, place in enumerate(of.place.get(BEAM.name, ())):
         if (BEAM.name, member) not in planned:
             continue
@@ -287,7 +287,10 @@ class _Look:
         if self.first.family == BEAM.name:
             beams = values[BEAM.name].shape[1]
             station, rays, heavier = np.repeat(np.arange(count), beams), 1, 1.0
-            single, zero = Beam(np.tile(np.arange(beams), count)), np.zeros((1, len(station), 1))
+            single, zero = (
+                BeamSensor(np.tile(np.arange(beams), count)),
+                np.zeros((1, len(station), 1)),
+            )
             target = TARGETS[family](np.repeat(seen_at, beams))
             block = Ranges(single, target, PoseVariables(station), zero)
         else:
@@ -304,7 +307,9 @@ class _Look:
         s, sensor = met.columns[-1, 0], block.sensor
         good = (s > 0.8 * d.min()) & (s < 1.2 * d.max())
         good &= ~missed(family, met)
-        if isinstance(sensor, Beam) and family == SPHERE.name:  # a survey counts none that graze it
+        if (
+            isinstance(sensor, BeamSensor) and family == SPHERE.name
+        ):  # a survey counts none that graze it
             good &= np.linalg.norm(by_place(met), axis=0) < MOST_SLANTED
         s = np.where(good, s, 0.0)
         if isinstance(sensor, Mounted):

@@ -39,7 +39,7 @@ from .systematic import SystematicError
 from .warnings import DISPLACED
 
 
-class Candidate(NamedTuple):
+class Suspect(NamedTuple):
     """Rows whose derivatives by some unknowns count from a station on.
 
     Attributes
@@ -63,7 +63,7 @@ class Promise(NamedTuple):
     `tests` counts the stations that were tried.
     """
 
-    one: Candidate
+    one: Suspect
     split: int
     fall: float
     tests: int
@@ -214,7 +214,7 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     _, left, squares, _ = projection.perpendicular(rows.residual[:, None], priors)
     rest = left[:, 0], float(squares[0])
 
-    def tried(one: Candidate, split: int) -> Move:
+    def tried(one: Suspect, split: int) -> Move:
         return _tried(one, split, rows, projection, rest)._replace(dof=float(dof), tests=tests)
 
     # The others explain less even without other unknowns.
@@ -230,28 +230,28 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     return best_move if best_move.clear else None
 
 
-def _beams(rows: LinearRows) -> Iterator[Candidate]:
+def _beams(rows: LinearRows) -> Iterator[Suspect]:
     """Yield every beam, whose mount may change."""
     for beam in range(rows.readings.beams):
         own = np.flatnonzero(rows.readings.beam == beam)
-        yield Candidate(beam, own, rows.J[own, :MOUNT_DIM])
+        yield Suspect(beam, own, rows.J[own, :MOUNT_DIM])
 
 
-def _others(rows: LinearRows) -> Iterator[Candidate]:
+def _others(rows: LinearRows) -> Iterator[Suspect]:
     """Yield what else may have moved: every plate, and the tool frame."""
     for plane in range(rows.readings.planes):
         own = np.flatnonzero(rows.readings.plane == plane)
-        yield Candidate(-1, own, rows.J[own, BEAM.dim :])
+        yield Suspect(-1, own, rows.J[own, BEAM.dim :])
     if rows.readings.beams > 1:  # of a single beam it is the same
-        yield Candidate(-1, np.arange(len(rows.readings)), rows.linear.pose)
+        yield Suspect(-1, np.arange(len(rows.readings)), rows.linear.pose)
 
 
-def _on_planes(rows: LinearRows, beam: int) -> Iterator[Candidate]:
+def _on_planes(rows: LinearRows, beam: int) -> Iterator[Suspect]:
     """Yield the planes that a beam sees, as if it alone saw another one there."""
     own = np.flatnonzero(rows.readings.beam == beam)
     for plane in np.unique(rows.readings.plane[own]).tolist():
         there = own[rows.readings.plane[own] == plane]
-        yield Candidate(-1, there, rows.J[there, BEAM.dim :])
+        yield Suspect(-1, there, rows.J[there, BEAM.dim :])
 
 
 def _splits(position: IntArray, least: int) -> IntArray:
@@ -265,9 +265,7 @@ def _splits(position: IntArray, least: int) -> IntArray:
     return np.asarray(times[evenly.round().astype(np.intp)])
 
 
-def _falls_alone(
-    rows: LinearRows, heavy: FloatArray, weight: FloatArray, one: Candidate
-) -> Promise:
+def _falls_alone(rows: LinearRows, heavy: FloatArray, weight: FloatArray, one: Suspect) -> Promise:
     """Return where most would be explained with no other unknown than the candidate's own.
 
     Rows from a split on count as a sum; the sums of all splits are running totals.
@@ -293,7 +291,7 @@ def _falls_alone(
 
 
 def _tried(
-    one: Candidate,
+    one: Suspect,
     split: int,
     rows: LinearRows,
     projection: Projection,

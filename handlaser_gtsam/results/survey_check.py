@@ -18,7 +18,7 @@ from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
 from ..estimation.survey import estimate_survey, first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
-from ..estimation.survey_rows import Rows, rows_of
+from ..estimation.survey_rows import SurveyRows, rows_of
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, pose_of
 from ..model.sensors.mounted import SENSOR
@@ -208,7 +208,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     )
 
 
-def _held(rows: Rows, found: Estimate | None) -> Iterator[SensorHeld]:
+def _held(rows: SurveyRows, found: Estimate | None) -> Iterator[SensorHeld]:
     """Yield what there is of each sensor and beam; nothing of its mount without an estimate."""
     survey = rows.survey
     entities = [(SENSOR.name, i, one.name, str(one.kind)) for i, one in enumerate(survey.shots)]
@@ -232,7 +232,7 @@ def _held(rows: Rows, found: Estimate | None) -> Iterator[SensorHeld]:
         yield SensorHeld(name, kind, len(own), points, on_target, lost, shift, turn)
 
 
-def _targets(rows: Rows) -> Iterator[PlaneMotion]:
+def _targets(rows: SurveyRows) -> Iterator[PlaneMotion]:
     """Yield the motion before each target that was read."""
     survey, of = rows.survey, rows.survey.stations
     labels = np.array([normal_label(label) for label in of.plane_labels])

@@ -33,7 +33,7 @@ from ..estimation.survey import (
     first_state,
     misfits,
 )
-from ..estimation.survey_rows import Rows, rows_of
+from ..estimation.survey_rows import SurveyRows, rows_of
 from ..estimation.survey_zones import OF_OTHERS, misses_of
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
 from ..model.equation import plausible_factors
@@ -76,7 +76,7 @@ CHECKS = said("survey-checks")
 """What to do where no cause is known."""
 
 
-def misread(rows: Rows, noise: Noise) -> Iterator[CalibrationWarning]:
+def misread(rows: SurveyRows, noise: Noise) -> Iterator[CalibrationWarning]:
     """Warn of arrays that fit the other convention better, and of targets that fit the other kind."""
     labels = rows.survey.stations.plane_labels
     for shots in rows.survey.shots:
@@ -165,7 +165,7 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             yield warned(BEHIND_ECHO, values, size=abs(short), way=way)
 
 
-def _misses(rows: Rows, clear: SurveyEstimate, member: int) -> FloatArray:
+def _misses(rows: SurveyRows, clear: SurveyEstimate, member: int) -> FloatArray:
     """Return by how much all readings of a sensor miss their planes in another estimate (N,) [m].
 
     NaN where the target is no plane, or not known to that estimate.
@@ -181,7 +181,7 @@ def _misses(rows: Rows, clear: SurveyEstimate, member: int) -> FloatArray:
 
 
 def no_fit(
-    rows: Rows, fit: FirstFit, causes: Sequence[CalibrationWarning], given: Noise
+    rows: SurveyRows, fit: FirstFit, causes: Sequence[CalibrationWarning], given: Noise
 ) -> CalibrationWarning:
     """Say by how much shots miss their targets, in lengths and against the noise, and what to do."""
     known = [one.message for one in causes if one.code in (*MISREAD, DISPLACED)]
@@ -205,7 +205,9 @@ def with_causes(error: InputError, causes: Iterable[CalibrationWarning]) -> Inpu
     return InputError(error.found, known or error.expected)
 
 
-def unconfirmed(rows: Rows, causes: Sequence[CalibrationWarning]) -> Iterator[CalibrationWarning]:
+def unconfirmed(
+    rows: SurveyRows, causes: Sequence[CalibrationWarning]
+) -> Iterator[CalibrationWarning]:
     """Warn of sensors that lose more shots than may be rejected, where the rest does not confirm them.
 
     It confirms them where the shots of every target that count say more than the unknowns of that
@@ -262,7 +264,7 @@ def mislabelled(state: SurveyState, found: Estimate) -> Iterator[CalibrationWarn
             yield warned(LABEL, values, stations=count(stations[target], "station"), how=how)
 
 
-def implausible(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[CalibrationWarning]:
+def implausible(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterator[CalibrationWarning]:
     """Warn of single beams that fit only with range errors that no sensor has."""
     ranges = rows.survey.ranges
     for member, name in enumerate(rows.survey.beam_names):
@@ -280,7 +282,7 @@ def contradictions(tests: Sequence[RelationTest]) -> Iterator[CalibrationWarning
             yield warned(FALSE_RELATION, values, likely=p_words(tested.p_value, 1))
 
 
-def first_noise(rows: Rows, fit: FirstFit, given: Noise) -> tuple[str, ...]:
+def first_noise(rows: SurveyRows, fit: FirstFit, given: Noise) -> tuple[str, ...]:
     """Return the standard deviations of readings and hand at a first fit, and where each is from."""
     sigma = fit.noise.sigma.tolist()
     parts = [

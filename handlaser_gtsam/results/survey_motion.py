@@ -8,7 +8,7 @@ from ..arrays import FloatArray
 from ..data.survey import RAY_ERRORS
 from ..estimation.estimate import Estimate
 from ..estimation.survey_mirror import motion_of, numbers_of
-from ..estimation.survey_rows import Rows
+from ..estimation.survey_rows import SurveyRows
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, PLANE, RANGE_ERROR, bases, pose_of
 from ..model.known_relations import BODY
@@ -34,13 +34,13 @@ NOT_OF_MOTION = frozenset((*RAY_ERRORS, *BEAM.coordinates[RANGE_ERROR]))
 
 
 def open_words(
-    rows: Rows, found: Estimate, null: FloatArray, images: Mapping[tuple[str, int], float]
+    rows: SurveyRows, found: Estimate, null: FloatArray, images: Mapping[tuple[str, int], float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Say what moves along directions that are undetermined, and what determines it.
 
     Parameters
     ----------
-    rows : Rows
+    rows : SurveyRows
     found : Estimate
     null : (N, q)
         Orthonormal, in natural units.
@@ -86,14 +86,14 @@ def open_words(
     return (*moving, *what), (*cures, *others)
 
 
-def counts_of(rows: Rows) -> tuple[int, int]:
+def counts_of(rows: SurveyRows) -> tuple[int, int]:
     """Return how many numbers all shots say, and how many unknowns a motion has to determine."""
     names = rows.places().names
     unknowns = sum(name.rpartition(".")[2] not in NOT_OF_MOTION for name in names)
     return sum(item.numbers for item in rows.items), unknowns
 
 
-def unconfirmed_mount(rows: Rows) -> str:
+def unconfirmed_mount(rows: SurveyRows) -> str:
     """Say that no shot can be spared, so that nothing tells the mount from another one; else empty.
 
     Far from the truth there are minima that fit as many numbers as there are unknowns. The numbers of
@@ -114,7 +114,7 @@ def opening(numbers: int, unknowns: int, advice: Sequence[str]) -> str:
 
 
 def _words_of_images(
-    rows: Rows, images: Mapping[tuple[str, int], float]
+    rows: SurveyRows, images: Mapping[tuple[str, int], float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Say what has a mirror image in the plane of the motion, and what tells the two apart."""
     names = {}
@@ -136,7 +136,7 @@ def _words_of_images(
 
 
 def _level(
-    rows: Rows,
+    rows: SurveyRows,
     found: Estimate,
     motion: PoorMotion,
     images: Mapping[tuple[str, int], float],
@@ -180,7 +180,7 @@ def _of_level_sensors(
 
 
 def _leans(
-    rows: Rows,
+    rows: SurveyRows,
     found: Estimate,
     motion: PoorMotion,
     images: Mapping[tuple[str, int], float],
@@ -199,7 +199,9 @@ def _leans(
     return False
 
 
-def _parts(rows: Rows, values: Mapping[str, FloatArray], null: FloatArray) -> Iterator[OpenPart]:
+def _parts(
+    rows: SurveyRows, values: Mapping[str, FloatArray], null: FloatArray
+) -> Iterator[OpenPart]:
     """Yield what directions (N, q), orthonormal in natural units, move of every mount and target."""
     of = rows.places()
     for family, place in of.place.items():
@@ -216,7 +218,7 @@ def _parts(rows: Rows, values: Mapping[str, FloatArray], null: FloatArray) -> It
 
 
 def _quantities(
-    rows: Rows, family: str, member: int, x: FloatArray, moved: FloatArray
+    rows: SurveyRows, family: str, member: int, x: FloatArray, moved: FloatArray
 ) -> tuple[Kind, str, dict[str, FloatArray]]:
     """Return kind and name of a variable, and what steps (dim, q) of it are, by quantity."""
     if family == SENSOR.name:
@@ -237,12 +239,12 @@ def _quantities(
     return kind, _name_of(rows, family, member), parts
 
 
-def _name_of(rows: Rows, family: str, member: int) -> str:
+def _name_of(rows: SurveyRows, family: str, member: int) -> str:
     """Return the name of a target without its kind."""
     return rows.label((family, member)).partition(":")[2]
 
 
-def _on_one_circle(rows: Rows, values: Mapping[str, FloatArray]) -> Iterator[str]:
+def _on_one_circle(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterator[str]:
     """Yield the shifts of sensors that saw one plane whose normals lie on one circle for them."""
     stations = rows.survey.stations
     for member, shots in enumerate(rows.survey.shots):

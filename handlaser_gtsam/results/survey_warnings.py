@@ -10,7 +10,7 @@ from ..data.screening import REPEATED, repeated
 from ..data.survey import kind_of, normal_label
 from ..errors import CalibrationWarning
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
-from ..estimation.survey_rows import Rows
+from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_trials import displacement
 from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
 from ..model.families import BEAM, FAMILIES, PLANE
@@ -129,7 +129,7 @@ def rejected_shot(one: Rejected, beams: Container[str]) -> str:
     return f"{kind} {one.sensor} at station {one.station}"
 
 
-def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
+def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
     """Warn of stations without a reading, of grooves without an edge, and of lost shots."""
     survey, stations = rows.survey, len(rows.survey.stations)
     names = survey.stations.station_names
@@ -171,7 +171,7 @@ def unread_stations(rows: Rows) -> Iterator[CalibrationWarning]:
         yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)
 
 
-def _counted_towards(rows: Rows) -> Iterator[str]:
+def _counted_towards(rows: SurveyRows) -> Iterator[str]:
     """Yield what to try of profilers whose shots show balls only where z grows towards the sensor.
 
     A shape in a profile is the same wherever it is along z, so that z is reversed about its own middle.

@@ -14,7 +14,7 @@ from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..errors import InputError
 from ..estimation.survey import SurveyEstimate
-from ..estimation.survey_rows import Item, Rows
+from ..estimation.survey_rows import Item, SurveyRows
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE, POSE
 from ..model.known_relations import BODY
 from ..model.sensors.mounted import SENSOR
@@ -27,8 +27,8 @@ from ..results.survey import SurveyCalibration
 from ..solvers.reference.errors import ERRORS, SystematicErrors
 from ..solvers.reference.problem import (
     ERRORS_BEFORE,
-    Problem,
-    Solution,
+    ReferenceProblem,
+    ReferenceSolution,
     solve,
 )
 from ..solvers.reference.readings import Observed
@@ -141,7 +141,7 @@ def recording_problem(
     *,
     of_reading: bool = False,
     used: BoolArray | None = None,
-) -> Problem:
+) -> ReferenceProblem:
     """Return what SciPy solves of beams before planes.
 
     Parameters
@@ -184,7 +184,7 @@ def recording_problem(
     beams[:, OF_RANGE_ERROR] = np.where([[n > 0, n > 1] for n in terms], known, 0.0)
     sizes = np.zeros((0, 1)) if errors is None else errors.sigma[:, None]
     zero = np.zeros_like(start.normals)
-    return Problem(
+    return ReferenceProblem(
         [observed],
         (recording.world_R_hand, recording.world_t_hand),
         {
@@ -221,7 +221,7 @@ def fits(calibration: SurveyCalibration) -> bool:
     return calibration.status in FITS and calibration._found.estimate.status in FITS
 
 
-def _problem(found: SurveyEstimate) -> Problem:
+def _problem(found: SurveyEstimate) -> ReferenceProblem:
     """Return what SciPy solves of a survey: every point that counts, of the shots that count."""
     rows, values, survey = found.rows, found.estimate.values, found.rows.survey
     state = found.at({name: x[None] for name, x in values.items()}, found.noise)
@@ -266,7 +266,7 @@ def _problem(found: SurveyEstimate) -> Problem:
     pose = state.pose_covariance()
     # SciPy solves surveys from so far [m], [rad] beside their solution: far more than their
     # standard deviations.
-    return Problem(
+    return ReferenceProblem(
         observed,
         (survey.stations.world_R_hand, survey.stations.world_t_hand),
         values,
@@ -283,7 +283,7 @@ def _problem(found: SurveyEstimate) -> Problem:
     )
 
 
-def _free(rows: Rows) -> BoolArray:
+def _free(rows: SurveyRows) -> BoolArray:
     """Return which range errors of each sensor are unknown (n, 4)."""
     free = [error in shots.free for shots in rows.survey.shots for error in RAY_ERRORS]
     return np.array(free, dtype=bool).reshape(-1, len(RAY_ERRORS))
@@ -319,14 +319,15 @@ def _variables(
 
 
 def compared(
-    variables: Iterable[tuple[tuple[str, int], str, FloatArray, FloatArray]], reference: Solution
+    variables: Iterable[tuple[tuple[str, int], str, FloatArray, FloatArray]],
+    reference: ReferenceSolution,
 ) -> CrossCheck:
     """Return the largest disagreement.
 
     Parameters
     ----------
     variables : iterable of (kind and number, name, numbers, covariance)
-    reference : Solution
+    reference : ReferenceSolution
         With the same numbers of each.
     """
     rows = []

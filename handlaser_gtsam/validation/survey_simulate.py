@@ -17,7 +17,7 @@ from ..errors import InputError
 from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, missed, rays_before
 from ..model.families import BEAM, PLANE, POSE
 from ..model.range_blocks import PoseVariables, Ranges
-from ..model.sensors.beam import Beam
+from ..model.sensors.beam import BeamSensor
 from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -172,13 +172,13 @@ def _ranges_of_beams(
         if family == POINT.name:
             axes = axes_along(values[BEAM.name][0, beam, 3:6])
             # Of a reading of zero: minus the range with its sign turned, and how far the ray passes.
-            spots = SpotsOnPoints(Beam(beam), robot, target, zero, axes)
+            spots = SpotsOnPoints(BeamSensor(beam), robot, target, zero, axes)
             e = spots.evaluate(values).columns[-1, 0]
             passed = np.hypot(e[:, 1], e[:, 2])
             aimed = passed < FAR_SIGMAS * AIMING_SIGMA
             s[station, beam] = np.where(aimed, e[:, 0], np.nan)
             continue
-        sensor = Cone(beam, half_angle) if half_angle else Beam(beam)
+        sensor = Cone(beam, half_angle) if half_angle else BeamSensor(beam)
         rows = Ranges(sensor, TARGETS[family](target), robot, zero).evaluate(values)
         met = np.where(missed(family, rows), np.nan, rows.columns[-1, 0])[:, 0]
         s[station, beam] = np.where(met > 0.0, met, np.nan)

@@ -26,7 +26,7 @@ from ...quantities import MEDIAN_TO_SIGMA
 from ...text import count
 from ..exports.rendering import environment
 from .format import Average, LogFormat
-from .joining import Stations
+from .joining import JoinedStations
 from .other_conventions import held_poses, refuse_wrong_convention
 from .planes import intervals, planes_of
 from .poses import hand_poses
@@ -34,7 +34,7 @@ from .report import LogReport
 
 
 def assembled(
-    log: Stations, given: LogFormat, sensor: Sensor, range_sigma: float | None
+    log: JoinedStations, given: LogFormat, sensor: Sensor, range_sigma: float | None
 ) -> LogReport:
     """Return the recording of stations, once their poses are believed.
 
@@ -111,7 +111,7 @@ def assembled(
 
 
 def targets_of(
-    log: Stations, given: LogFormat
+    log: JoinedStations, given: LogFormat
 ) -> tuple[Sequence[str], BoolArray, tuple[CalibrationWarning, ...]]:
     """Return the plane of each station, which have one, and a warning of those that have none."""
     every, stated = np.ones(len(log.names), dtype=bool), intervals(given)

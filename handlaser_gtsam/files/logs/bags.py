@@ -28,7 +28,7 @@ from ...progress import tell
 from ...quantities import LARGEST_LENGTH, ROWS_AT_ONCE
 from ...text import A_NAME, name_fault, shown, some
 from ..recording_csv import off_unit
-from ..table import Table
+from ..table import FileTable
 from .format import TUM_HEADER, LogFormat
 from .motion import interpolated, neighbours
 from .packed import limit_chunks, refuse_bag_bomb
@@ -193,9 +193,9 @@ def read_messages(
     )
 
 
-def lines_of(path: Path, count: int) -> Table:
+def lines_of(path: Path, count: int) -> FileTable:
     """Return a table without cells, whose rows have the numbers from 1 on."""
-    return Table(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp), False)
+    return FileTable(pl.DataFrame(), path, 0, np.arange(1, count + 1, dtype=np.intp), False)
 
 
 def _readings(numbers: "Mapping[str, array[float]]", path: Path) -> LogRows:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ...model.conventions import ANGLES, FORMATS, LENGTHS, TIME_UNITS
 from ...text import A_NAME, name_fault, shown, some
-from ..table import Table
+from ..table import FileTable
 from .format import LogFormat
 from .format_checks import convention_of
 
@@ -77,7 +77,7 @@ def unit_of(name: str) -> str:
 
 
 def columns_of(
-    table: Table, given: LogFormat, *, poses: bool = True, readings: bool = True
+    table: FileTable, given: LogFormat, *, poses: bool = True, readings: bool = True
 ) -> Columns:
     """Return the columns of a table that has poses, readings, or both.
 
@@ -109,7 +109,7 @@ def columns_of(
     return found
 
 
-def _check_once(table: Table, found: Columns) -> None:
+def _check_once(table: FileTable, found: Columns) -> None:
     """Refuse one column as two things; times may be labels of stations, too."""
     things = [(name, "a number of poses") for name in found.pose]
     things += [(name, f"the readings of beam {shown(beam)}") for beam, name in found.beams.items()]
@@ -122,7 +122,7 @@ def _check_once(table: Table, found: Columns) -> None:
         used[name] = what
 
 
-def _pose_columns(table: Table, given: LogFormat) -> tuple[str, ...]:
+def _pose_columns(table: FileTable, given: LogFormat) -> tuple[str, ...]:
     convention, names = convention_of(given), table.frame.columns
     if given.pose_columns:
         found: list[str] = []
@@ -162,7 +162,7 @@ def formats_in(names: Sequence[str]) -> list[str]:
     ]
 
 
-def _first_found(table: Table, spellings: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
+def _first_found(table: FileTable, spellings: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
     """Return the columns of the first spelling that is there as a whole."""
     names = table.frame.columns
     for spelling in spellings:
@@ -182,14 +182,14 @@ def _alike(names: Sequence[str], wanted: Sequence[str]) -> list[str]:
     return exact or [name for name in names if plain(name) in wanted]
 
 
-def _require(table: Table, name: str, field: str) -> None:
+def _require(table: FileTable, name: str, field: str) -> None:
     """Refuse a column that is not there; the field says who wants it."""
     if name not in table.frame.columns:
         expected = f"the name of a column as the header has it, for --{field.replace('_', '-')}"
         raise table.fault(f"no column {shown(name)} among {table.names}", expected)
 
 
-def _named(table: Table, given: LogFormat, usual: Sequence[str], *fields: str) -> str:
+def _named(table: FileTable, given: LogFormat, usual: Sequence[str], *fields: str) -> str:
     """Return the column that the first field states that does, or the one of a usual name, or none."""
     for one in fields:
         stated: str = getattr(given, one)
@@ -199,7 +199,7 @@ def _named(table: Table, given: LogFormat, usual: Sequence[str], *fields: str) -
     return next(iter(_alike(table.frame.columns, usual)), "")
 
 
-def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
+def _beam_columns(table: FileTable, given: LogFormat) -> dict[str, str]:
     """Return the columns of ranges by the names of beams."""
     found: dict[str, str] = {}
     pairs = []
@@ -226,7 +226,7 @@ def _beam_columns(table: Table, given: LogFormat) -> dict[str, str]:
     return found
 
 
-def _check_units(table: Table, found: Columns, given: LogFormat) -> None:
+def _check_units(table: FileTable, found: Columns, given: LogFormat) -> None:
     """Refuse columns whose names say another unit than is stated."""
     convention = convention_of(given)
     position = () if convention.is_matrix else found.pose[:3]

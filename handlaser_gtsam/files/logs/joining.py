@@ -20,7 +20,7 @@ from .rows import LogRows
 from .stands import Track, find_stands
 
 
-class Stations(NamedTuple):
+class JoinedStations(NamedTuple):
     """Stations of a log, with their poses and readings.
 
     Attributes
@@ -55,7 +55,7 @@ class Stations(NamedTuple):
     lag: tuple[float, float] = (0.0, 0.0)
 
 
-def one_table(rows: LogRows, given: LogFormat) -> Stations:
+def one_table(rows: LogRows, given: LogFormat) -> JoinedStations:
     """Return the stations of a table that has poses and readings.
 
     Raises
@@ -77,7 +77,7 @@ def one_table(rows: LogRows, given: LogFormat) -> Stations:
     of_station = _planes_by_station(rows, group)
     planes = [of_station[i] for i in range(len(names))] if of_station else None
     times = None if rows.times is None else rows.times[first]
-    return Stations(rows, rows, way, names, planes, times, group, words=words)
+    return JoinedStations(rows, rows, way, names, planes, times, group, words=words)
 
 
 def _planes_by_station(rows: LogRows, station: IntArray) -> dict[int, str]:
@@ -120,7 +120,7 @@ def _refuse_other_pose(
     poses.table.refuse(wrong, column, expected, f"{whose[first]} again at a pose {off}")
 
 
-def by_station(poses: LogRows, readings: LogRows) -> Stations:
+def by_station(poses: LogRows, readings: LogRows) -> JoinedStations:
     """Return stations of a table of poses with the readings of another of the same labels.
 
     Raises
@@ -152,7 +152,7 @@ def by_station(poses: LogRows, readings: LogRows) -> Stations:
             expected = "the planes in the table of poses, or --plane"
             raise InputError(found, expected, readings.table.path)
         planes = [of_station[index] for index in range(len(names))]
-    return Stations(
+    return JoinedStations(
         poses,
         readings,
         Way.of_rows(len(names)),
@@ -174,7 +174,7 @@ def _unmatched(near: BoolArray, what: str) -> tuple[CalibrationWarning, ...]:
     return (CalibrationWarning("unmatched-rows", words, {"rows": count, "total": total}),)
 
 
-def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
+def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStations:
     """Return stations of poses and readings in time.
 
     Both may stand in one table, whose readings then belong to the poses of earlier rows if they lag.
@@ -255,7 +255,7 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> Stations:
         [rows.planes[i] for i in at.tolist()] for rows, at in labels if rows.planes is not None
     )
     planes = next(of_rows, None)
-    return Stations(poses, readings, way, names, planes, times, station, warnings, words, lag)
+    return JoinedStations(poses, readings, way, names, planes, times, station, warnings, words, lag)
 
 
 def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from .assembling import assembled
 from .bags import METADATA, is_bag, read_bag
 from .columns import columns_of, formats_in
 from .format import LogFormat
-from .joining import Stations, by_station, by_time, one_table, refuse_other_units
+from .joining import JoinedStations, by_station, by_time, one_table, refuse_other_units
 from .report import LogReport
 from .rows import rows_of
 from .tables import FOREIGN, WORKBOOKS, read_log_table
@@ -138,7 +138,7 @@ def missing_columns_hint(error: InputError) -> str:
     return f"; or --pose-format {'|'.join(formats)}, whose columns are there" if formats else ""
 
 
-def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> Stations:
+def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> JoinedStations:
     _refuse_stated(given, OF_BAGS, "a table", path)
     books = [one for one in (path, given.readings) if one and one.suffix.lower() in WORKBOOKS]
     _refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)

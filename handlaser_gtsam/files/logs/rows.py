@@ -14,7 +14,7 @@ from ...model.sensor_limits import Sensor
 from ...quantities import LARGEST_LENGTH
 from ...text import some
 from ..recording_csv import code_warnings, range_numbers
-from ..table import NUMBER, Table, column_numbers, labels
+from ..table import NUMBER, FileTable, column_numbers, labels
 from .columns import Columns
 from .format import LogFormat
 from .format_checks import convention_of
@@ -31,7 +31,7 @@ class LogRows(NamedTuple):
 
     Attributes
     ----------
-    table : Table
+    table : FileTable
         Where the rows stand; without cells for a bag.
     beams : names
     ranges : (M, B)
@@ -51,7 +51,7 @@ class LogRows(NamedTuple):
         How poses are written, for a person.
     """
 
-    table: Table
+    table: FileTable
     beams: tuple[str, ...]
     ranges: FloatArray
     poses: FloatArray | None = None
@@ -95,7 +95,7 @@ class LogRows(NamedTuple):
 
 
 def rows_of(
-    table: Table, columns: Columns, given: LogFormat, sensor: Sensor, *, in_time: bool = False
+    table: FileTable, columns: Columns, given: LogFormat, sensor: Sensor, *, in_time: bool = False
 ) -> LogRows:
     """Return the rows of a table that has poses, readings, or both.
 
@@ -167,7 +167,7 @@ def rows_of(
     )
 
 
-def _wide(table: Table, columns: Columns, d: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+def _wide(table: FileTable, columns: Columns, d: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
     """Return the beams of a long table, and its readings (M, 1) in a column of their beam (M, B)."""
     whose = labels(table, columns.beam)
     beams = tuple(dict.fromkeys(whose))
@@ -181,7 +181,7 @@ def _wide(table: Table, columns: Columns, d: FloatArray) -> tuple[tuple[str, ...
 
 
 def _pose_numbers(
-    table: Table, columns: tuple[str, ...], given: LogFormat
+    table: FileTable, columns: tuple[str, ...], given: LogFormat
 ) -> tuple[FloatArray, tuple[CalibrationWarning, ...]]:
     """Return the numbers (M, k) of poses, and what was doubtful of them but stated.
 
@@ -206,7 +206,7 @@ def _pose_numbers(
     return x, tuple(found)
 
 
-def _refuse_thousands(table: Table, columns: Sequence[str]) -> None:
+def _refuse_thousands(table: FileTable, columns: Sequence[str]) -> None:
     """Refuse columns in which points may stand between thousands: 1.404 beside 970.
 
     Of 1.404 alone the point is decimal, for such a column has as many decimals everywhere.
@@ -225,7 +225,7 @@ def _refuse_thousands(table: Table, columns: Sequence[str]) -> None:
             table.refuse(grouped.to_numpy(), name, expected)
 
 
-def _times(table: Table, column: str, given: LogFormat) -> FloatArray:
+def _times(table: FileTable, column: str, given: LogFormat) -> FloatArray:
     """Return times (M,) [s]; text in the form of ISO 8601 is read, too."""
     cells = table.frame[column]
     first = cells.drop_nulls().head(1)

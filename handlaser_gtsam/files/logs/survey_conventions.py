@@ -20,7 +20,7 @@ from ...data.recording import Recording
 from ...data.station_list import StationList
 from ...data.survey import Shots, Survey
 from ...errors import CalibrationWarning
-from ...estimation.survey_rows import Rows, blocks_of, rows_of
+from ...estimation.survey_rows import SurveyRows, blocks_of, rows_of
 from ...estimation.survey_starts import start_of
 from ...model.conventions import LENGTHS, UNIT_WORDS
 from ...model.families import pose_of
@@ -215,7 +215,7 @@ def _likelier(columns: FloatArray, at: int, times: float) -> bool:
     return bool(abs(np.log(ratio / times)) < abs(np.log(ratio)))
 
 
-def _variance(rows: Rows) -> float:
+def _variance(rows: SurveyRows) -> float:
     """Return the variance of the readings [m^2]; zero where they are too few to tell anything."""
     read = [item.shot.reading for item in rows.items if item.shot is not None]
     if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
@@ -223,7 +223,7 @@ def _variance(rows: Rows) -> float:
     return max(float(np.concatenate(read).var()), TINY)
 
 
-def _part(survey: Survey, one: Shots) -> Rows:
+def _part(survey: Survey, one: Shots) -> SurveyRows:
     """Return the shots of a sensor, at some stations where these are many."""
     stations = np.unique(one.station)
     if len(stations) > MOST_STATIONS:
@@ -232,7 +232,7 @@ def _part(survey: Survey, one: Shots) -> Rows:
     return rows_of(Survey(survey.stations, (one.part(some),)))
 
 
-def _misfit(rows: Rows, scale: float) -> float:
+def _misfit(rows: SurveyRows, scale: float) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian [m^2].
 
     It is infinite without a start, or where the sensor lies farther from the hand than `FAR_BEAM`, in

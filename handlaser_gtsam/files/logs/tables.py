@@ -33,7 +33,7 @@ from ..table import (
     MOST_TITLES,
     POINT,
     SEPARATORS,
-    Table,
+    FileTable,
     require_columns,
     table_below_titles,
     table_of,
@@ -63,7 +63,7 @@ GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:\.\d{3})+(?:,\d+)?")
 PLACE = re.compile(r"([A-Z]{1,3})(\d{1,7})")
 
 
-def read_log_table(path: Path, given: LogFormat) -> Table:
+def read_log_table(path: Path, given: LogFormat) -> FileTable:
     """Read a table; numbers of text have a decimal point then.
 
     Raises
@@ -89,7 +89,7 @@ def read_log_table(path: Path, given: LogFormat) -> Table:
 # --- text --------------------------------------------------------------------------------------
 
 
-def _of_text(path: Path, given: LogFormat) -> Table:
+def _of_text(path: Path, given: LogFormat) -> FileTable:
     text, names = table_text(path), given.header_given
     if names:
         text = re.sub(r"(?m)^[ \t]*#.*$", "", text)
@@ -134,7 +134,9 @@ def _separator(text: str, path: Path) -> str:
     return max(SEPARATORS, key=lambda one: cells[one][0])
 
 
-def _with_points(table: Table, given: LogFormat, *, numbers_have_points: bool = False) -> Table:
+def _with_points(
+    table: FileTable, given: LogFormat, *, numbers_have_points: bool = False
+) -> FileTable:
     """Return the table with points for decimal commas; the numbers of a workbook have points.
 
     Raises
@@ -179,7 +181,7 @@ def _match(column: pl.Series, pattern: re.Pattern[str]) -> pl.Series:
 # --- tables of values -----------------------------------------------------------------------------
 
 
-def _foreign(path: Path, given: LogFormat) -> Table:
+def _foreign(path: Path, given: LogFormat) -> FileTable:
     """Return a table of another kind."""
     suffix = path.suffix.lower()
     try:
@@ -260,14 +262,14 @@ def _refuse_constant(name: str) -> None:
     raise ValueError(f"{name}, which JSON has not; null is no reading")
 
 
-def table_of_values(frame: pl.DataFrame, path: Path) -> Table:
+def table_of_values(frame: pl.DataFrame, path: Path) -> FileTable:
     """Return a frame as a table of numbers and texts: arrays and structures become columns."""
     flat = [one for column in frame.get_columns() for one in _flat(column)]
     require_columns([column.name for column in flat], path, None)
     table = pl.DataFrame(flat)
     filled = table.select(pl.any_horizontal(pl.all().is_not_null())).to_series().to_numpy()
     rows = np.flatnonzero(filled)
-    return Table(table[rows], path, 0, rows + 1, False)
+    return FileTable(table[rows], path, 0, rows + 1, False)
 
 
 def _flat(column: pl.Series) -> list[pl.Series]:

@@ -12,7 +12,7 @@ from ...arrays import BoolArray, FloatArray
 from .arm import Arm, unreadable
 
 
-class Scene:
+class CollisionScene:
     """An arm among bodies.
 
     Bodies on one link or on neighbouring links do not count as touching each other, nor do those that

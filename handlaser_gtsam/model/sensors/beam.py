@@ -15,7 +15,7 @@ from ..range_blocks import Rays, by_beam, members
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beam:
+class BeamSensor:
     """Beams; `member` (G,) says of which beam each group of readings is."""
 
     member: IntArray

@@ -18,7 +18,7 @@ from ...quantities import TINY
 from ..block import Values
 from ..families import BEAM
 from ..range_blocks import Rays, by_beam, dot, members
-from .beam import Beam
+from .beam import BeamSensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class Cone:
 
     def rays(self, values: Values, reading: FloatArray) -> Rays:
         """Return the axes of readings (K, G, S), and how to turn them to the nearest of a target."""
-        return replace(Beam(self.member).rays(values, reading), towards=self._within)
+        return replace(BeamSensor(self.member).rays(values, reading), towards=self._within)
 
     def _within(self, axis: FloatArray, nearest: FloatArray) -> FloatArray:
         """Return the directions (3, ...) next to `nearest` that a cone about the axis has."""

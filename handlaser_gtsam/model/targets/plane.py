@@ -12,7 +12,7 @@ from ..range_blocks import Hits, dot, members
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plane:
+class PlaneTarget:
     """Planes; `member` (G,) says which plane each group of readings sees.
 
     A ray that grazes its plane (|n . u| below `GRAZING_LIMIT`) is impossible.

@@ -13,7 +13,16 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ..block import Rows, Slot, Values, Weights
 from ..families import Family, Vector, bases, register
-from ..range_blocks import Robot, Sensor, by_motion, dot, members, slots_of, turned, turned_back
+from ..range_blocks import (
+    RobotModel,
+    SensorModel,
+    by_motion,
+    dot,
+    members,
+    slots_of,
+    turned,
+    turned_back,
+)
 
 POINT = register(Family("point", Vector("x_m", "y_m", "z_m")))
 """A position, world frame."""
@@ -35,8 +44,8 @@ class SpotsOnPoints:
     weights : Weights
     """
 
-    sensor: Sensor
-    robot: Robot
+    sensor: SensorModel
+    robot: RobotModel
     member: IntArray
     reading: FloatArray
     axes: FloatArray

@@ -22,7 +22,7 @@ from ...data.survey import Known
 from .errors import SystematicErrors
 from .readings import DIFFERENCE, Observed
 from .relations import relation_residuals
-from .unknowns import At, Unknowns
+from .unknowns import At, ReferenceUnknowns
 
 ERRORS_BEFORE = (0.05, 0.02, 0.1, 0.05)
 """Standard deviations of `RAY_ERRORS` before any reading; stated again, for nothing is shared."""
@@ -33,7 +33,7 @@ TOLERANCE = 1e-11
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Problem:
+class ReferenceProblem:
     """What is solved.
 
     Attributes
@@ -42,7 +42,7 @@ class Problem:
     hands : (M, 3, 3), (M, 3)
         Recorded hand poses.
     start, sigma : mapping of str to (n, ...)
-        As of `Unknowns`, by kinds of variables.
+        As of `ReferenceUnknowns`, by kinds of variables.
     pose : (M, 6, 6), optional
         Covariance of the hand poses (rx, ry, rz, x, y, z), hand frame; None for exact ones.
     aiming_sigma : float
@@ -73,14 +73,14 @@ class Problem:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solution:
+class ReferenceSolution:
     """What SciPy found.
 
     Attributes
     ----------
     values : mapping of (kind, number) to (n,)
         Of each variable: of a sensor or body its turn [rad] and shift [m] from the start in its own
-        frame, and the range errors that are unknown; of others as in `Problem.start`.
+        frame, and the range errors that are unknown; of others as in `ReferenceProblem.start`.
     covariances : mapping of (kind, number) to (n, n)
         Over the same numbers.
     squares : float
@@ -100,16 +100,16 @@ class Residuals:
 
     Parameters
     ----------
-    problem : Problem
+    problem : ReferenceProblem
 
     Attributes
     ----------
-    unknowns : Unknowns
+    unknowns : ReferenceUnknowns
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: ReferenceProblem) -> None:
         self.problem = problem
-        self.unknowns = Unknowns(problem.start, problem.sigma)
+        self.unknowns = ReferenceUnknowns(problem.start, problem.sigma)
         self._station = np.concatenate(
             [np.tile(one.station[one.solved], one.rows) for one in problem.observed]
         )
@@ -249,7 +249,7 @@ def minimize(
     )
 
 
-def solve(problem: Problem) -> Solution:
+def solve(problem: ReferenceProblem) -> ReferenceSolution:
     """Solve a problem, from its start or beside it."""
     residuals = Residuals(problem)
     first = residuals.unknowns.x0
@@ -270,4 +270,4 @@ def solve(problem: Problem) -> Solution:
     step = np.linalg.lstsq(J, np.asarray(found.fun), rcond=1e-12)[0] / scale
     inverse = np.linalg.pinv(J.T @ J, hermitian=True, rcond=1e-15) / np.outer(scale, scale)
     values, covariances = residuals.unknowns.by_variable(np.asarray(found.x - step), inverse)
-    return Solution(values, covariances, 2.0 * float(found.cost), iterations)
+    return ReferenceSolution(values, covariances, 2.0 * float(found.cost), iterations)

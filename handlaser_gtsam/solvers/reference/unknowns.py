@@ -45,7 +45,7 @@ class At(NamedTuple):
     centre: FloatArray
 
 
-class Unknowns:
+class ReferenceUnknowns:
     """Which numbers of which variables are sought.
 
     Parameters
