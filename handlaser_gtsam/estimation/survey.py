@@ -7,51 +7,48 @@ because their points share what made them wrong; points within a shot were sorte
 condensed.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 from ..data.noise import Noise
 from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
-from ..model.block import Block
-from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
-from ..model.families import BEAM
-from ..model.known_relations import BODY, held
-from ..model.relation import Relation
+from ..model.distributions import FAMILY_LEVEL, chi2_sf
 from ..model.sensors.mounted import SENSOR
 from ..model.shots import Mixed, Unexplained
 from ..model.targets.point import POINT
-from ..model.targets.sphere import SPHERE
 from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
-from .dense import DenseRows, dense_rows, tests_of, with_pose_errors
-from .estimate import MOST_REJECTED, BlockProblem, Estimate, descended, judged, minimum
-from .joint_solution import STEPS_IN_VAIN
-from .survey_mirror import best_image, numbers_of, with_images
+from .dense import tests_of
+from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
+from .survey_mirror import best_image, with_images
 from .survey_noise import USUALLY_AGAIN, Components, Inside, components
+from .survey_outliers import (
+    GROSS,
+    leave_out_gross,
+    misfits,
+    most_contradicted,
+    started_from_halves,
+    worst_changed,
+)
 from .survey_rows import (
-    AIMING,
     AIMING_SIGMA,
     Entity,
     SurveyRows,
     blocks_of,
     continued_items,
-    priors_of,
     relations_of,
     rows_of,
     without_grazing,
 )
-from .survey_starts import TRIMMED, start_beside, start_of
+from .survey_starts import start_beside, start_of
+from .survey_state import Columns, SurveyState, grazing, own_sizes
 from .survey_zones import OF_OTHERS, of_others, slackness, sortable, sorted_again
 
-GROSS = 6.0
-"""Shots farther than this many times the typical misfit are rejected before anything is learned."""
-MOST_LEFT_OUT = 0.4
-"""Largest part of the shots, of all and of one target, that may be rejected."""
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
 FINEST = 1e-9
@@ -177,132 +174,6 @@ class SurveyEstimate:
         return SurveyState(self.rows, self.given, known, sizes, self.used, relations, sizes)
 
 
-@dataclass(slots=True)
-class SurveyState:
-    """The values and the sizes of the noise so far, and which items count.
-
-    `stated` is what is stated of the noise; what is not is NaN.
-    """
-
-    rows: SurveyRows
-    noise: Noise
-    values: dict[str, FloatArray]
-    sizes: Components
-    used: BoolArray
-    relations: Sequence[tuple[Known, Relation]]
-    stated: Components
-
-    @property
-    def learning(self) -> bool:
-        """Whether sizes of the noise are learned."""
-        return bool(np.isnan([*self.stated.sigma, *self.stated.pose]).any())
-
-    def dense(
-        self, *, pose_errors: bool = True, range_errors: bool = False
-    ) -> tuple[DenseRows, IntArray]:
-        """Return the rows of the problem, and the number of each one's item: -1 for what has none.
-
-        Where `range_errors` is set, errors of sensors that are held at zero are unknowns, too.
-        """
-        problem, owner = self.problem(pose_errors=pose_errors)
-        if range_errors and SENSOR.name in problem.unknown:
-            problem = replace(problem, unknown={**problem.unknown, SENSOR.name: True})
-        rows = problem.rows(problem.blocks, self.values)
-        more = len(rows.residuals) - len(owner)
-        return rows, np.append(owner, np.full(more, -1))
-
-    def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, IntArray]:
-        """Return the problem of the items that count, and the number of the item of each row."""
-        used = np.flatnonzero(self.used)
-        items = [self.rows.items[i] for i in used]
-        blocks, owner = blocks_of(items, self.sigmas(), self.values)
-        if pose_errors:
-            own = self.own_covariance() if self.sizes.again else None
-            blocks = with_pose_errors(blocks, self.values, self.pose_covariance(), own)
-        more: list[Block] = [*priors_of(self.rows), *self._held()]
-        more += [relation for _, relation in self.relations]
-        unknown, length = self.rows.unknown(), self.rows.length
-        return BlockProblem([*blocks, *more], self.values, unknown, length), used[owner]
-
-    def minimize(self, iterations: int | None = None) -> bool:
-        """Go to the minimum of what counts, or `iterations` steps towards it; say whether one exists.
-
-        Readings of a sphere have the square of its radius only: it is taken above zero.
-        """
-        self.used = self.used & ~grazing(self.rows)
-        problem, _ = self.problem()
-        blocks = problem.blocks
-
-        def ended(values: dict[str, FloatArray]) -> dict[str, FloatArray] | None:
-            if iterations is None:
-                return minimum(problem, blocks, values)
-            return descended(problem, blocks, values, iterations)
-
-        again = ended(self.values)
-        if again is not None and SPHERE.name in again and (again[SPHERE.name][..., 3] < 0.0).any():
-            again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
-            again = ended(again)
-        if again is None:
-            return False
-        self.values = again
-        return True
-
-    def _held(self) -> Iterator[Block]:
-        """Yield what holds bodies along what their faces leave open."""
-        for body, known in enumerate(self.rows.bodies):
-            assert known.faces is not None
-            pose = self.values[BODY.name][0, body]
-            # A body may go this part of the range, or turn so far [rad].
-            sigma = 0.01 * min(self.rows.length, 1.0)
-            relation = held(body, pose, known.faces, sigma)
-            if relation is not None:
-                yield relation
-
-    def sigmas(self) -> dict[tuple[str, int], float]:
-        """Return the standard deviation of a reading of each sensor and beam, and of the aiming."""
-        *sensors, beams, aiming = self.sizes.sigma.tolist()
-        found = {(SENSOR.name, i): sigma for i, sigma in enumerate(sensors)}
-        found |= {(BEAM.name, i): beams for i in range(len(self.rows.survey.beam_names))}
-        return found | {AIMING: aiming}
-
-    def pose_covariance(self) -> FloatArray:
-        """Return the covariance (M, 6, 6) of the hand poses."""
-        return self._of_poses(self.sizes.pose)
-
-    def own_covariance(self) -> FloatArray:
-        """Return the covariance (M, 6, 6) that poses of one stop have beside, each by itself."""
-        turn, shift = _own_sizes(self.noise)
-        C = self._of_poses((self.sizes.again * turn, self.sizes.again * shift))
-        return np.where(self.rows.shared[:, None, None], C, 0.0)
-
-    def _of_poses(self, sizes: tuple[float, float]) -> FloatArray:
-        count, size = len(self.rows.survey.stations), np.repeat(sizes, 3)
-        stated = self.noise.pose_covariance is not None
-        C = self.noise.pose_covariances(count) if stated else np.eye(6)
-        return np.broadcast_to(C * np.outer(size, size), (count, 6, 6))
-
-    def stations(self, owner: IntArray) -> IntArray:
-        """Return the stations of rows of items; any of rows that have none."""
-        return np.array([item.station for item in self.rows.items])[owner]
-
-    def stops(self, owner: IntArray) -> IntArray:
-        """Return the stops of rows of items, as of an `Item`; -1 of rows that have none."""
-        return np.where(owner < 0, -1, self.rows.stops[self.stations(owner)])
-
-    def sources(self, owner: IntArray) -> IntArray:
-        """Return whose noise rows of items have: sensors, beams, then the aiming; -1 of none."""
-        items, beams = self.rows.items, len(self.rows.survey.shots)
-        source = [beams if item.family == BEAM.name else item.member for item in items]
-        on_point = np.array([item.target[0] == POINT.name for item in items])
-        # Of a spot on a point the first row is along the ray.
-        aimed = (owner == np.roll(owner, 1)) & on_point[owner]
-        return np.where(owner < 0, -1, np.where(aimed, beams + 1, np.array(source)[owner]))
-
-
-Columns = Callable[[SurveyState, bool], FloatArray]
-"""Makes derivatives (R, q) of the rows of a state by further unknowns, pose errors counted or not."""
-
-
 def estimate_survey(
     survey: Survey, noise: Noise, earlier: "SurveyEstimate | None" = None
 ) -> SurveyEstimate:
@@ -371,7 +242,7 @@ def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
 
     def settle(image: SurveyState) -> bool:
         image.used = np.ones(len(image.rows.items), dtype=bool)
-        _leave_out_gross(image)
+        leave_out_gross(image)
         return True
 
     return best_image(state, settle)[1]
@@ -409,16 +280,16 @@ def first_state(
         values = start_beside(rows, earlier.rows, earlier.estimate.values)
         if values is not None:
             beside = replace(state, values=values)
-            _leave_out_gross(beside)
+            leave_out_gross(beside)
             if beside.minimize() and np.median(misfits(beside)) <= GROSS:
                 return beside
     state.values, without = start_of(rows, state.sigmas())
     if without:
         names = ", ".join(_name(rows, entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
-    _leave_out_gross(state)
-    if np.median(misfits(state)) > GROSS and _started_from_halves(state):
-        _leave_out_gross(state)
+    leave_out_gross(state)
+    if np.median(misfits(state)) > GROSS and started_from_halves(state):
+        leave_out_gross(state)
     return state
 
 
@@ -437,7 +308,7 @@ def _blames_relations(state: SurveyState) -> bool:
     Tell whether this changed the state: a relation must be contradicted by what is left.
     """
     free = replace(state, relations=[], used=np.ones(len(state.used), dtype=bool))
-    _leave_out_gross(free)
+    leave_out_gross(free)
     if not _settle(free) or free.used.sum() <= state.used.sum():
         return False
     tied = replace(state, values=dict(state.values), sizes=free.sizes, used=free.used)
@@ -479,14 +350,8 @@ def _stated(rows: SurveyRows, noise: Noise) -> Components:
     if noise.pose_covariance is not None:
         turn = shift = 1.0
     pose = np.nan if turn is None else turn, np.nan if shift is None else shift
-    again = np.nan if any(_own_sizes(noise)) and rows.shared.any() else 0.0
+    again = np.nan if any(own_sizes(noise)) and rows.shared.any() else 0.0
     return Components(np.array(sigma), pose, again)
-
-
-def _own_sizes(noise: Noise) -> tuple[float, float]:
-    """Return the sizes (rotation, translation) that `Components.again` is a part of."""
-    shift, turn = noise.standstill
-    return (turn, shift) if noise.pose_covariance is None else (1.0, 1.0)
 
 
 def usual_noise(rows: SurveyRows, noise: Noise) -> Components:
@@ -501,87 +366,6 @@ def _pose_sizes(stated: Components, usual: Components) -> tuple[float, float]:
     """Return the pose sizes as stated, or as is usual."""
     turn, shift = np.where(np.isnan(stated.pose), usual.pose, stated.pose).tolist()
     return turn, shift
-
-
-def _leave_out_gross(state: SurveyState) -> None:
-    """Leave out shots that are far from what most agree on, before sizes are learned.
-
-    While most shots misfit, those that fit worst are rejected and the rest is solved again (the
-    concentration steps of least trimmed squares: Rousseeuw and Van Driessen, 2006).
-    """
-    different = numbers_of(state.rows)
-    target = np.array([different[item.target] for item in state.rows.items])
-    for _ in range(MOST_ROUNDS):
-        if not state.minimize():
-            return
-        misfit = misfits(state)
-        typical = float(np.median(misfit))
-        kept = misfit <= GROSS * max(typical, 1.0)
-        if kept.all() and typical > GROSS:
-            kept = misfit <= np.quantile(misfit, TRIMMED)
-        for own in target == np.arange(len(different))[:, None]:
-            largest = misfit[own & state.used].max(initial=0.0)
-            # Of the shots of a target, those go first whose misfit is at least this part of its
-            # largest: least squares share the error of one among all that see the same target.
-            kept |= own & state.used & (misfit < 0.5 * largest)
-            if kept[own].mean() < 1.0 - MOST_LEFT_OUT:
-                kept[own] = state.used[own]
-        kept &= ~grazing(state.rows)
-        if (kept == state.used).all() or kept.mean() < 1.0 - MOST_LEFT_OUT:
-            return
-        state.used = kept
-
-
-def _started_from_halves(state: SurveyState) -> bool:
-    """Look for a start that most shots agree with, from random halves of the shots of each target.
-
-    A few wrong labels, which pull a start of all shots elsewhere, are in some of these halves only;
-    the others need no random mounts as a last resort. Tell whether one was found.
-    """
-    items, rng = state.rows.items, np.random.default_rng(len(state.rows.items))
-    numbers = numbers_of(state.rows)
-    target = np.array([numbers[item.target] for item in items])
-    least, values = float(np.median(misfits(state))), None
-    # Of eighteen shots with two wrong ones a fifth of the halves has none, and one of twelve with 93 %.
-    for _ in range(12):
-        some = np.zeros(len(items), dtype=bool)
-        for one in np.unique(target):
-            own = rng.permutation(np.flatnonzero(target == one))
-            some[own[: max(len(own) // 2, 3)]] = True
-        half = tuple(item for item, taken in zip(items, some, strict=True) if taken)
-        part = replace(state.rows, items=half)
-        begun, without = start_of(part, state.sigmas(), last_resort=False)
-        if without:
-            continue
-        trial = replace(state, values=begun, used=some)
-        if not trial.minimize(STEPS_IN_VAIN):
-            continue
-        misfit = float(np.median(misfits(trial)))
-        if misfit < least:
-            least, values = misfit, trial.values
-        if misfit < 1.0:
-            break
-    if values is None:
-        return False
-    state.values = values
-    state.used = misfits(state) <= GROSS * max(least, 1.0)
-    return True
-
-
-def grazing(rows: SurveyRows) -> BoolArray:
-    """Return which items have been found to graze their sphere."""
-    return np.array([item.grazing for item in rows.items])
-
-
-def misfits(state: SurveyState) -> FloatArray:
-    """Return the root mean square misfit of every item, used or not, in standard deviations."""
-    blocks, owner = blocks_of(state.rows.items, state.sigmas(), state.values)
-    own = state.own_covariance() if state.sizes.again else None
-    blocks = with_pose_errors(blocks, state.values, state.pose_covariance(), own)
-    rows = dense_rows(blocks, state.values, BlockProblem([], state.values, {}).places())
-    square = rows.whitened()[1] ** 2
-    total, count = (np.bincount(owner, x, len(state.used)) for x in (square, square > 0.0))
-    return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
 
 
 def first_fit(state: SurveyState) -> FirstFit:
@@ -605,7 +389,7 @@ def _settle(state: SurveyState) -> bool:
     for _ in range(MOST_ROUNDS * 4):
         if not state.minimize():
             return False
-        if not _learned(state) and not _worst_changed(state):
+        if not _learned(state) and not worst_changed(state):
             return True
     return False
 
@@ -681,7 +465,7 @@ def learned_sizes(state: SurveyState, beside: Columns | None = None) -> Componen
     usual = usual_noise(state.rows, state.noise)
     again = np.where(state.rows.shared[state.stations(owner)], owner, -1)
     noise = state.sizes, state.stated, usual, finest
-    return components(rows, source, inside, *noise, again, _own_sizes(state.noise))
+    return components(rows, source, inside, *noise, again, own_sizes(state.noise))
 
 
 def _learned(state: SurveyState) -> bool:
@@ -690,51 +474,6 @@ def _learned(state: SurveyState) -> bool:
     before, after = state.sizes.vector(), new.vector()
     state.sizes = new
     return bool((np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any())
-
-
-def _worst_changed(state: SurveyState) -> bool:
-    """Leave out the shot that the others contradict most, or take one back; tell whether any was."""
-    p, chi2, tested = _agreement(state)
-    worst = _most_contradicted(p, chi2)
-    if p[worst] < FAMILY_LEVEL / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
-        state.used = state.used & (np.arange(len(state.used)) != tested[worst])
-        return True
-    misfit = np.where(state.used | grazing(state.rows), np.inf, misfits(state))
-    for best in np.argsort(misfit)[: np.isfinite(misfit).sum()]:
-        # How far it may be off depends on how well the others predict it: one that agrees counts again.
-        trial = replace(state, used=state.used | (np.arange(len(state.used)) == best))
-        p, _, tested = _agreement(trial)
-        if p[tested == best] >= FAMILY_LEVEL:
-            state.used = trial.used
-            return True
-    return False
-
-
-def _agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return how the shots that count agree with all others: p, chi2 and the number of each item."""
-    rows, group = state.dense()
-    tested, number = np.unique(group[group >= 0], return_inverse=True)
-    group[group >= 0] = number
-    chi2, dof = tests_of(rows, group)
-    redundancy = len(rows.residuals) - rows.derivatives.shape[1]
-    return _by_chance(chi2, dof, redundancy, state), chi2, tested
-
-
-def _most_contradicted(p: FloatArray, chi2: FloatArray) -> int:
-    """Return the least probable; if all probabilities are rounded to zero, by the largest chi2."""
-    return int(np.lexsort((-chi2, p))[0])
-
-
-def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: SurveyState) -> FloatArray:
-    """Return the probability that a shot is so far off by chance.
-
-    Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
-    be wrong: the ratio to what the others say of the noise follows an F distribution.
-    """
-    some = np.maximum(dof, 1)
-    by_f = f_sf(chi2 / some, some, max(redundancy, 1))
-    p = by_f if state.learning else chi2_sf(chi2, some)
-    return np.where(dof > 0, p, 1.0)
 
 
 def _spread(state: SurveyState, found: Estimate) -> FloatArray:
@@ -789,7 +528,7 @@ def _tested(state: SurveyState) -> tuple[RelationTest, ...]:
         chi2, dof = tests_of(rows, number_left - 1)
         left = np.flatnonzero(~contradicted)
         p_value[left] = np.where(dof > 0, chi2_sf(chi2, np.maximum(dof, 1)), 1.0)
-        worst = left[_most_contradicted(p_value[left], chi2)]
+        worst = left[most_contradicted(p_value[left], chi2)]
         if p_value[worst] >= FAMILY_LEVEL / len(different):
             break
         contradicted[worst] = True

@@ -31,7 +31,7 @@ from .estimate import Estimate, descended
 from .survey_rows import Entity, SurveyRows
 
 if TYPE_CHECKING:
-    from .survey import SurveyState
+    from .survey_state import SurveyState
 
 TURNS = {SENSOR.name: slice(0, 3), BEAM.name: DIRECTION, PLANE.name: PLANE.tangents[0]}
 """Tangent coordinates of rotations, directions and normals, by family."""

@@ -29,8 +29,10 @@ from ..model.targets.sphere import SPHERE
 from ..quantities import NEGLIGIBLE, TINY
 from .dense import DenseRows
 from .joint_solution import STEPS_IN_VAIN
-from .survey import GROSS, Columns, SurveyEstimate, SurveyState, grazing, learned_sizes
+from .survey import SurveyEstimate, learned_sizes
+from .survey_outliers import GROSS
 from .survey_rows import Entity
+from .survey_state import Columns, SurveyState, grazing
 
 PLACES_OF = dict.fromkeys((PLANE.name, SPHERE.name, BEAM.name), (0, 1, 2)) | {
     SENSOR.name: (3, 4, 5)

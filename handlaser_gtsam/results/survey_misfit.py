@@ -22,18 +22,10 @@ from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import MOST_REJECTED, Estimate
-from ..estimation.survey import (
-    GROSS,
-    MOST_LEFT_OUT,
-    FirstFit,
-    RelationTest,
-    SurveyEstimate,
-    SurveyState,
-    estimate_survey,
-    first_state,
-    misfits,
-)
+from ..estimation.survey import FirstFit, RelationTest, SurveyEstimate, estimate_survey, first_state
+from ..estimation.survey_outliers import GROSS, MOST_LEFT_OUT, misfits
 from ..estimation.survey_rows import SurveyRows, rows_of
+from ..estimation.survey_state import SurveyState
 from ..estimation.survey_zones import OF_OTHERS, misses_of
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
 from ..model.equation import plausible_factors

@@ -14,7 +14,8 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import CalibrationWarning
 from ..estimation.estimate import BlockProblem, descended, search_from
-from ..estimation.survey import SurveyEstimate, SurveyState
+from ..estimation.survey import SurveyEstimate
+from ..estimation.survey_state import SurveyState
 from ..model.distributions import UNLIKELY_EXCESS
 from ..model.families import (
     BEAM,

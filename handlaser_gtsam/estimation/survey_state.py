@@ -1,0 +1,163 @@
+"""Where the estimate of a survey stands: its values, the sizes of its noise, and which shots count."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.noise import Noise
+from ..data.survey import Known
+from ..model.block import Block
+from ..model.families import BEAM
+from ..model.known_relations import BODY, held
+from ..model.relation import Relation
+from ..model.sensors.mounted import SENSOR
+from ..model.targets.point import POINT
+from ..model.targets.sphere import SPHERE
+from .dense import DenseRows, with_pose_errors
+from .estimate import BlockProblem, descended, minimum
+from .survey_noise import Components
+from .survey_rows import (
+    AIMING,
+    SurveyRows,
+    blocks_of,
+    priors_of,
+)
+
+
+@dataclass(slots=True)
+class SurveyState:
+    """The values and the sizes of the noise so far, and which items count.
+
+    `stated` is what is stated of the noise; what is not is NaN.
+    """
+
+    rows: SurveyRows
+    noise: Noise
+    values: dict[str, FloatArray]
+    sizes: Components
+    used: BoolArray
+    relations: Sequence[tuple[Known, Relation]]
+    stated: Components
+
+    @property
+    def learning(self) -> bool:
+        """Whether sizes of the noise are learned."""
+        return bool(np.isnan([*self.stated.sigma, *self.stated.pose]).any())
+
+    def dense(
+        self, *, pose_errors: bool = True, range_errors: bool = False
+    ) -> tuple[DenseRows, IntArray]:
+        """Return the rows of the problem, and the number of each one's item: -1 for what has none.
+
+        Where `range_errors` is set, errors of sensors that are held at zero are unknowns, too.
+        """
+        problem, owner = self.problem(pose_errors=pose_errors)
+        if range_errors and SENSOR.name in problem.unknown:
+            problem = replace(problem, unknown={**problem.unknown, SENSOR.name: True})
+        rows = problem.rows(problem.blocks, self.values)
+        more = len(rows.residuals) - len(owner)
+        return rows, np.append(owner, np.full(more, -1))
+
+    def problem(self, *, pose_errors: bool = True) -> tuple[BlockProblem, IntArray]:
+        """Return the problem of the items that count, and the number of the item of each row."""
+        used = np.flatnonzero(self.used)
+        items = [self.rows.items[i] for i in used]
+        blocks, owner = blocks_of(items, self.sigmas(), self.values)
+        if pose_errors:
+            own = self.own_covariance() if self.sizes.again else None
+            blocks = with_pose_errors(blocks, self.values, self.pose_covariance(), own)
+        more: list[Block] = [*priors_of(self.rows), *self._held()]
+        more += [relation for _, relation in self.relations]
+        unknown, length = self.rows.unknown(), self.rows.length
+        return BlockProblem([*blocks, *more], self.values, unknown, length), used[owner]
+
+    def minimize(self, iterations: int | None = None) -> bool:
+        """Go to the minimum of what counts, or `iterations` steps towards it; say whether one exists.
+
+        Readings of a sphere have the square of its radius only: it is taken above zero.
+        """
+        self.used = self.used & ~grazing(self.rows)
+        problem, _ = self.problem()
+        blocks = problem.blocks
+
+        def ended(values: dict[str, FloatArray]) -> dict[str, FloatArray] | None:
+            if iterations is None:
+                return minimum(problem, blocks, values)
+            return descended(problem, blocks, values, iterations)
+
+        again = ended(self.values)
+        if again is not None and SPHERE.name in again and (again[SPHERE.name][..., 3] < 0.0).any():
+            again[SPHERE.name][..., 3] = np.abs(again[SPHERE.name][..., 3])
+            again = ended(again)
+        if again is None:
+            return False
+        self.values = again
+        return True
+
+    def _held(self) -> Iterator[Block]:
+        """Yield what holds bodies along what their faces leave open."""
+        for body, known in enumerate(self.rows.bodies):
+            assert known.faces is not None
+            pose = self.values[BODY.name][0, body]
+            # A body may go this part of the range, or turn so far [rad].
+            sigma = 0.01 * min(self.rows.length, 1.0)
+            relation = held(body, pose, known.faces, sigma)
+            if relation is not None:
+                yield relation
+
+    def sigmas(self) -> dict[tuple[str, int], float]:
+        """Return the standard deviation of a reading of each sensor and beam, and of the aiming."""
+        *sensors, beams, aiming = self.sizes.sigma.tolist()
+        found = {(SENSOR.name, i): sigma for i, sigma in enumerate(sensors)}
+        found |= {(BEAM.name, i): beams for i in range(len(self.rows.survey.beam_names))}
+        return found | {AIMING: aiming}
+
+    def pose_covariance(self) -> FloatArray:
+        """Return the covariance (M, 6, 6) of the hand poses."""
+        return self._of_poses(self.sizes.pose)
+
+    def own_covariance(self) -> FloatArray:
+        """Return the covariance (M, 6, 6) that poses of one stop have beside, each by itself."""
+        turn, shift = own_sizes(self.noise)
+        C = self._of_poses((self.sizes.again * turn, self.sizes.again * shift))
+        return np.where(self.rows.shared[:, None, None], C, 0.0)
+
+    def _of_poses(self, sizes: tuple[float, float]) -> FloatArray:
+        count, size = len(self.rows.survey.stations), np.repeat(sizes, 3)
+        stated = self.noise.pose_covariance is not None
+        C = self.noise.pose_covariances(count) if stated else np.eye(6)
+        return np.broadcast_to(C * np.outer(size, size), (count, 6, 6))
+
+    def stations(self, owner: IntArray) -> IntArray:
+        """Return the stations of rows of items; any of rows that have none."""
+        return np.array([item.station for item in self.rows.items])[owner]
+
+    def stops(self, owner: IntArray) -> IntArray:
+        """Return the stops of rows of items, as of an `Item`; -1 of rows that have none."""
+        return np.where(owner < 0, -1, self.rows.stops[self.stations(owner)])
+
+    def sources(self, owner: IntArray) -> IntArray:
+        """Return whose noise rows of items have: sensors, beams, then the aiming; -1 of none."""
+        items, beams = self.rows.items, len(self.rows.survey.shots)
+        source = [beams if item.family == BEAM.name else item.member for item in items]
+        on_point = np.array([item.target[0] == POINT.name for item in items])
+        # Of a spot on a point the first row is along the ray.
+        aimed = (owner == np.roll(owner, 1)) & on_point[owner]
+        return np.where(owner < 0, -1, np.where(aimed, beams + 1, np.array(source)[owner]))
+
+
+Columns = Callable[[SurveyState, bool], FloatArray]
+"""Makes derivatives (R, q) of the rows of a state by further unknowns, pose errors counted or not."""
+
+
+def own_sizes(noise: Noise) -> tuple[float, float]:
+    """Return the sizes (rotation, translation) that `Components.again` is a part of."""
+    shift, turn = noise.standstill
+    return (turn, shift) if noise.pose_covariance is None else (1.0, 1.0)
+
+
+def grazing(rows: SurveyRows) -> BoolArray:
+    """Return which items have been found to graze their sphere."""
+    return np.array([item.grazing for item in rows.items])
