@@ -8,6 +8,7 @@ import pytest
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_rays
 from handlaser_gtsam.estimation import survey as estimation
+from handlaser_gtsam.estimation.survey_outliers import worst_changed
 from handlaser_gtsam.estimation.survey_rows import (
     missed,
     rays_before,
@@ -37,9 +38,9 @@ def settled():
 def test_a_good_shot_that_was_rejected_comes_back(settled):
     state = replace(settled, used=settled.used.copy())
     state.used[3] = False
-    assert estimation._worst_changed(state)
+    assert worst_changed(state)
     assert state.used.all()
-    assert not estimation._worst_changed(state)
+    assert not worst_changed(state)
 
 
 def test_a_bad_shot_stays_where_it_is(settled):
@@ -50,9 +51,9 @@ def test_a_bad_shot_stays_where_it_is(settled):
     state = replace(
         settled, rows=replace(settled.rows, items=tuple(items)), used=settled.used.copy()
     )
-    assert estimation._worst_changed(state)
+    assert worst_changed(state)
     assert np.flatnonzero(~state.used).tolist() == [3]
-    assert not estimation._worst_changed(state)
+    assert not worst_changed(state)
 
 
 @pytest.mark.parametrize("k1", [-0.02, 0.0, 0.02])
