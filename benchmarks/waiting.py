@@ -22,7 +22,7 @@ import numpy as np
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.planning.choice import choose
-from handlaser_gtsam.validation.predicted_without import held_out
+from handlaser_gtsam.validation.quick_validation import held_out
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 

@@ -153,7 +153,8 @@ def _calibrated(
     readings, order = sorted_readings(recording)
     origins = readings.plane_means(readings.world_t_hand)
     # 3. Find a start without a guess, leave out what contradicts the rest, and solve jointly: the
-    # search settles weights and scales, GTSAM minimises and eliminates, scales are integrated over.
+    # search settles weights and scales, and GTSAM minimises and eliminates. Where scales were learned,
+    # the covariance that is stated is not GTSAM's at these, but integrated over all.
     with told_to(progress):
         local, ordered = readings.seen_from(origins), noise.reordered(order.stations)
         if start is not None:

@@ -10,7 +10,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.files.report.history import history
 from handlaser_gtsam.solvers import graph_levenberg as levenberg
 from handlaser_gtsam.validation.leave_out import USUAL_SPLITS
-from handlaser_gtsam.validation.predicted_without import WholeSolution, held_out
+from handlaser_gtsam.validation.quick_validation import WholeSolution, held_out
 from handlaser_gtsam.validation.scenes import Layout
 
 EXACT = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}

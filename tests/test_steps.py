@@ -10,8 +10,8 @@ from helpers import bench, motion, recording_of
 
 from handlaser_gtsam import model
 from handlaser_gtsam.model.beams_on_planes import CENTRE, values_of
-from handlaser_gtsam.model.elimination import inverse_stack, solve_definite
 from handlaser_gtsam.model.families import BEAM, PLANE
+from handlaser_gtsam.model.reduced_information import inverse_stack, solve_definite
 from handlaser_gtsam.model.reduction import Normal, damped_step
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.solvers.beam_problem import beam_problem, jacobian_columns, moved

@@ -19,13 +19,13 @@ from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.files.logs.bag_points import READ_FROM
 from handlaser_gtsam.files.points_table import COLUMNS
 from handlaser_gtsam.model import known_relations
+from handlaser_gtsam.model.condensed_shots import condensed_shots
 from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.relation import Relation
 from handlaser_gtsam.model.sensor_limits import Rejected
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
-from handlaser_gtsam.model.shots import condensed_shots
 from handlaser_gtsam.model.targets.plane import PlaneTarget
 from handlaser_gtsam.model.targets.point import POINT
 from handlaser_gtsam.model.targets.sphere import SPHERE

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..model.block import Block, Values, whitened
+from ..model.condensed_shots import Mixed
 from ..model.families import FAMILIES, POSE
-from ..model.shots import Mixed
 from ..model.weighting import Whitening, covariance_roots
 from ..quantities import SINGULAR, TINY
 

@@ -21,8 +21,8 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.beams_on_planes import CENTRE, BeamsOnPlanes, values_of
 from ..model.block import Rows, Weights, whitened
-from ..model.elimination import ReducedInformation, eliminated
 from ..model.families import BEAM, PLANE, POSE, modelled
+from ..model.reduced_information import ReducedInformation, eliminated
 from ..model.reduction import Reduction
 from ..model.weighting import (
     Variances,

@@ -10,7 +10,7 @@ from ..arrays import FloatArray, evenly
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..data.value import Value
-from ..model.elimination import ReducedInformation
+from ..model.reduced_information import ReducedInformation
 from ..model.weighting import Variances
 from ..quantities import REPRESENTATIVE_BEAMS
 from .information import Information, LinearReadings
@@ -108,7 +108,7 @@ def beam_posterior(
 def integrated_over(
     learned: LearnedScales, here: BeamPosterior, every: BeamPosterior
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Integrate over all scales, and count from the solution at the most probable ones.
+    """Integrate over all scales; the mean and the solution are counted from where rows were linearised.
 
     Parameters
     ----------

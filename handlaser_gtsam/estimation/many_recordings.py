@@ -20,10 +20,10 @@ from ..data.recording import Recording
 from ..errors import InputError
 from ..model.beams_on_planes import values_of
 from ..model.damped_search import LevenbergOptions
-from ..model.elimination import eliminated
 from ..model.errors_in_variables import weighed
 from ..model.families import PLANE
 from ..model.joint import beam_lifts
+from ..model.reduced_information import eliminated
 from ..model.weighting import Variances, Whitening, unequal
 from ..solvers.beam_problem import beam_problem
 from ..solvers.many_problems import SolvedMany, solve_together

@@ -21,9 +21,9 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
-from ..model.elimination import inverse_of
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance
+from ..model.reduced_information import inverse_of
 from ..observability.rank import Observability
 from ..solvers.beam_problem import moved
 from ..solvers.graph import CalibrationGraph, read_parameters

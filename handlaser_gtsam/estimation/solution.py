@@ -111,7 +111,8 @@ class Solution:
     joint : JointCovariance or None
         GTSAM's covariance for `at.sigma`, offsets in the frames of the readings; None where GTSAM has
         not eliminated: something is undetermined, the loss is robust, its last search did not
-        converge, or its Cholesky calls a sound system indeterminate.
+        converge, its step on the sums was not short, or its Cholesky calls a sound system
+        indeterminate.
     """
 
     at: Minimum

@@ -17,9 +17,9 @@ from ..data.noise import Noise
 from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
+from ..model.condensed_shots import Mixed, Unexplained
 from ..model.distributions import FAMILY_LEVEL, chi2_sf
 from ..model.sensors.mounted import SENSOR
-from ..model.shots import Mixed, Unexplained
 from ..model.targets.point import POINT
 from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM

@@ -12,14 +12,7 @@ from ..data.readings import Readings
 from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
 from ..model import known_relations
 from ..model.block import Block, Rows, Values, VectorPrior, Weights
-from ..model.families import BEAM, PLANE
-from ..model.range_blocks import PoseVariables, Ranges
-from ..model.relation import Relation
-from ..model.sensors.beam import BeamSensor
-from ..model.sensors.cone import Cone
-from ..model.sensors.kinds import KINDS, Rayset
-from ..model.sensors.mounted import SENSOR, Mounted
-from ..model.shots import (
+from ..model.condensed_shots import (
     MOST_SLANTED,
     Condensed,
     Mixed,
@@ -28,6 +21,13 @@ from ..model.shots import (
     of_single_readings,
     some_of,
 )
+from ..model.families import BEAM, PLANE
+from ..model.range_blocks import PoseVariables, Ranges
+from ..model.relation import Relation
+from ..model.sensors.beam import BeamSensor
+from ..model.sensors.cone import Cone
+from ..model.sensors.kinds import KINDS, Rayset
+from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.targets.plane import PlaneTarget
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere, continued

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..errors import HandlaserError
 from ..model.block import Values, whitened
+from ..model.condensed_shots import shape_of
 from ..model.damped_search import LeastSquares, LevenbergOptions, search
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE, pose_of
@@ -28,7 +29,6 @@ from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..model.shots import shape_of
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..outliers.consensus import find_consensus

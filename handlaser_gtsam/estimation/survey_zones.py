@@ -19,11 +19,11 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import kind_of, normal_label
 from ..model.block import Values
+from ..model.condensed_shots import MANY, condensed_shots
 from ..model.equation import corrected
 from ..model.families import PLANE, POSE, pose_of
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..model.shots import MANY, condensed_shots
 from ..model.targets.plane import PlaneTarget
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
 from .survey_rows import Item, SurveyRows

@@ -24,8 +24,8 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..quantities import SINGULAR, TINY
 from .block import Block, Slot, Values, structure_of
-from .elimination import ReducedInformation, eliminated, inverse_stack, solve_definite
 from .families import FAMILIES
+from .reduced_information import ReducedInformation, eliminated, inverse_stack, solve_definite
 from .sums import SumsByKey
 
 Index = slice | IntArray

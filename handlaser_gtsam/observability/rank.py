@@ -16,8 +16,8 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
-from ..model.elimination import ReducedInformation, spectrum
 from ..model.families import BEAM, MOUNT_DIM, PLANE, modelled
+from ..model.reduced_information import ReducedInformation, spectrum
 from ..model.weighting import Whitening
 from ..quantities import KNOWN, LARGEST_LENGTH, SINGULAR
 from ..solvers.beam_problem import linearized

@@ -27,6 +27,7 @@ from ..estimation.survey_rows import (
     without_range_errors,
 )
 from ..model.block import Weights
+from ..model.condensed_shots import MOST_SLANTED
 from ..model.families import (
     BEAM,
     MOUNT_DIM,
@@ -42,7 +43,6 @@ from ..model.range_blocks import PoseVariables, Ranges
 from ..model.sensors.beam import BeamSensor
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR, Mounted
-from ..model.shots import MOST_SLANTED
 from ..model.targets.sphere import SPHERE
 from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations, read_back

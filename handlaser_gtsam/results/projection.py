@@ -1,6 +1,6 @@
 """Columns of residuals without what the unknowns of a solution explain of them.
 
-Planes are eliminated before beams, as everywhere, so that the cost is linear in readings and planes.
+Planes are eliminated first, then beams, so that the cost is linear in readings and planes.
 Systematic errors that are unknowns come last: they are few.
 """
 
@@ -105,7 +105,7 @@ class LinearRows(SeenStations):
 
 
 class Projection:
-    """Takes out of columns what the unknowns explain; planes are eliminated before beams.
+    """Takes out of columns what the unknowns explain; planes are eliminated first, then beams.
 
     Unknowns are scaled by the square roots of their own information, so that their units do not
     matter. `prior` is the one of the rows, or another one.

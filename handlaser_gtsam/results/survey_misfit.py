@@ -27,11 +27,11 @@ from ..estimation.survey_outliers import GROSS, MOST_LEFT_OUT, misfits
 from ..estimation.survey_rows import SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
 from ..estimation.survey_zones import OF_OTHERS, misses_of
+from ..model.condensed_shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
 from ..model.equation import plausible_factors
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE
 from ..model.sensors.kinds import KINDS
-from ..model.shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
 from ..model.targets.sphere import SPHERE
 from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
 from ..text import count, some

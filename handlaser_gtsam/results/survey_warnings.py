@@ -12,12 +12,12 @@ from ..errors import CalibrationWarning
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_trials import displacement
+from ..model.condensed_shots import condensed_shots
 from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
 from ..model.families import BEAM, FAMILIES, PLANE
 from ..model.sensor_limits import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..model.shots import condensed_shots
 from ..model.targets.sphere import SPHERE
 from ..observability.wording import open_sentence
 from ..quantities import IN_MM

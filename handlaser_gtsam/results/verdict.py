@@ -199,7 +199,8 @@ class Verdict:
         The radius [m] around its stated place that holds that spot with 95 %, from the calibration
         alone.
     harmful : SystematicError or None
-        The systematic error found that moves a laser spot most.
+        The systematic error found that moves a laser spot most, by the radius of 95 % of that spot;
+        none that a clearer one explains.
     hidden : SystematicError or None
         The one that may be there unnoticed and moves a laser spot most, as far as is plausible.
     hidden_error : float or None

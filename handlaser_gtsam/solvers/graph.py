@@ -92,7 +92,7 @@ class CalibrationGraph:
         Standard deviation of a whitened residual [m]; of a reading where all weigh the same.
     ordering : gtsam.Ordering
         Poses, then planes, then beams: Brown's reduction as an elimination order, linear in stations.
-        Beams before planes where there are far more beams: they are independent given the planes.
+        Poses, then beams, then planes where there are far more beams, independent given the planes.
     beams, planes, poses
         Keys in the order of the readings' indices; poses by station, none where they are known.
     terms : tuple of int

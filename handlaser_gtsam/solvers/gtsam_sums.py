@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import X
 from scipy.linalg.lapack import dposv
 
 from ..arrays import FloatArray
-from ..model.elimination import inverse_of
+from ..model.reduced_information import inverse_of
 from ..model.reduction import Normal
 from ..quantities import TINY
 

@@ -34,8 +34,8 @@ class LeftOut(Value):
     name : str
         The label of a target, or the number of a random split.
     result : HoldOut, Prediction, SurveyPrediction or None
-        Of a plane before beams; of a random split of such a recording; of any part of a survey. None
-        where there is no prediction.
+        A `HoldOut` of a plane that beams see, a `Prediction` of a random split of such a recording, a
+        `SurveyPrediction` of any part of a survey. None where there is no prediction.
     message : str
         Why there is none.
     """

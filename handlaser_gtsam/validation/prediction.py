@@ -1,6 +1,7 @@
 """How far predicted ranges are off.
 
-A calibration predicts them, or, of several beams at one station, the plane that the others show.
+A calibration predicts them; of several beams, so does the plane that their readings at another
+station span.
 
 Predictions carry their own standard deviation, from the reading, the pose, and the beams and planes
 behind it.

@@ -15,13 +15,13 @@ from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..data.value import Value
 from ..errors import InputError
 from ..estimation.survey_rows import AIMING_SIGMA, TARGETS, missed, rays_before
+from ..model.condensed_shots import OF_MANY
 from ..model.families import BEAM, PLANE, POSE
 from ..model.range_blocks import PoseVariables, Ranges
 from ..model.sensors.beam import BeamSensor
 from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..model.shots import OF_MANY
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..quantities import FAR_SIGMAS
 from ..text import shown, some

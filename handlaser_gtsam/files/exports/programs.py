@@ -14,8 +14,8 @@ from ...data.station_list import StationList
 from ...model.conventions import FORMATS, numbers_of, spelled_columns
 from ...planning.route import VIA
 from ...quantities import IN_DEG
-from .formats import COLON, IN_JOINTS, PROGRAMS
 from .rendering import REMARK, comment_text, fixed, number, rendered
+from .robot_languages import COLON, IN_JOINTS, PROGRAMS
 
 
 def program_text(stations: StationList, to: str, signal: int, pause: float) -> str:

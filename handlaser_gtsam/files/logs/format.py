@@ -1,8 +1,8 @@
 """How a log is written, as a user states it.
 
 Every field of `LogFormat` is an option of the command line and a field of the table `[log]` of a rig
-file, too; its description in the docstring is what `--help` says of the option. Nothing heavy is
-imported here: the checks are, once there is something to check.
+file (`files.rig_toml`), too; its description in the docstring is what `--help` says of the option.
+Nothing heavy is imported here: the checks are, once there is something to check.
 """
 
 from dataclasses import dataclass

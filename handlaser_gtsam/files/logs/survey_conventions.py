@@ -22,10 +22,10 @@ from ...data.survey import Shots, Survey
 from ...errors import CalibrationWarning
 from ...estimation.survey_rows import SurveyRows, blocks_of, rows_of
 from ...estimation.survey_starts import start_of
+from ...model.condensed_shots import Mixed
 from ...model.conventions import LENGTHS, UNIT_WORDS
 from ...model.families import pose_of
 from ...model.sensors.mounted import SENSOR
-from ...model.shots import Mixed
 from ...quantities import INCH, MM, TINY, UNIT_SIGMA
 from ...results.file_mistakes import scaled, without_mistake
 from ...results.messages import MISTAKES

@@ -15,7 +15,7 @@ from ...model.joint import JointCovariance
 from ...planning.goal import Forecast
 from ...results.calibration import Calibration
 from ...results.spots import freedom, radius, spot_at
-from ...validation.predicted_without import WholeSolution
+from ...validation.quick_validation import WholeSolution
 
 
 def history(calibration: Calibration, reading: float) -> tuple[IntArray, Forecast] | None:

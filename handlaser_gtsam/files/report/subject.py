@@ -16,7 +16,7 @@ from ...planning.route import Plan
 from ...progress import tell
 from ...results.calibration import Calibration
 from ...results.description.description import Description
-from ...validation.predicted_without import held_out
+from ...validation.quick_validation import held_out
 from ...validation.validation import Validation
 from .history import history
 from .options import ReportOptions

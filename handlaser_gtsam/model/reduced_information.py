@@ -1,4 +1,7 @@
-"""What rows say of the unknowns that stay once local members are eliminated; linear algebra alone."""
+"""What rows say of the unknowns that stay once local members are eliminated (`eliminated`).
+
+Linear algebra alone, for ranks and covariances; the steps of a search eliminate in `reduction`.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
