@@ -90,8 +90,8 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
 
     Exit codes: 0 good; 1 a bug; 2 bad input; 3 no calibration: the recording does not determine it, its
     readings do not fit each other, or another solver disagrees; 4 not usable: outside the limits of the
-    rig file, with a mount that no sensor has, or with a systematic error larger than what the result
-    states; 130 stopped by Ctrl-C.
+    rig file, with a mount that no sensor has or another one about as probable, or with a systematic
+    error larger than what the result states; 130 stopped by Ctrl-C.
 
     Examples
     --------

@@ -103,7 +103,8 @@ class NoiseComponent(Value):
         Standard deviation of the estimate, likewise; NaN with a robust loss, under which scales are not
         integrated over.
     usual : float
-        What is expected of such a sensor or robot, likewise.
+        The middle of its prior, likewise: what robots do; of ranges a part of the residuals, below
+        which the prior is flat.
     beam : str, optional
         Name of the beam whose range sigma it is; of all beams where None.
     """

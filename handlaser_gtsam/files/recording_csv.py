@@ -138,7 +138,8 @@ def station_columns(stations: Recording | StationList) -> pl.DataFrame:
 def stations_of(table: FileTable, *prefixes: str) -> StationList:
     """Return the hand poses, plane labels and station names of the rows of a table.
 
-    Columns whose names begin with one of the `prefixes` are read, too.
+    Columns whose names begin with one of the `prefixes` are read elsewhere; is one of them the last, it
+    must not be cut.
 
     Raises
     ------
@@ -210,7 +211,7 @@ def _samples(table: FileTable, beams: list[str], ranges: FloatArray) -> FloatArr
 
 
 def off_unit(q: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the length (M,) of quaternions (M, 4), and which are none."""
+    """Return the length (M,) of quaternions (M, 4), and which of them are not of unit length."""
     with np.errstate(over="ignore"):  # an infinite length is refused like any other
         length = np.linalg.norm(q, axis=1)
     return length, ~(np.abs(length - 1.0) <= QUATERNION_TOLERANCE)

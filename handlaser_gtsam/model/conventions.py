@@ -49,7 +49,7 @@ class Convention:
     Attributes
     ----------
     rotation : str
-        One of `ROTATIONS`.
+        As `ROTATIONS` says.
     units : {"m", "mm", "in"}
     angles : {"rad", "deg"}
         "rad" where there are none.

@@ -126,7 +126,7 @@ class LevenbergOptions:
         lambda is never below it. Raise it where H is singular, so that what is not determined
         stays where it started.
     first_damping, damping_factor, most_damping : float
-        lambda of the first rejected step, its factor up and down, and where the solver gives up.
+        The least lambda after a rejected step, its factor up and down, and where the solver gives up.
     """
 
     max_iterations: int = 1000

@@ -1,6 +1,7 @@
 r"""Which readings to reject: the ones that the others contradict (data snooping, as geodesy has it).
 
-`screen` does so for starts; `estimation.selection` tests the readings of the final solution by `test`.
+`screen` does so for starts; `estimation.selection` tests the readings of the final solution: by `test`
+where one standard deviation holds for all, which may be estimated, else by `judge`.
 
 From a candidate that fits most readings, the far ones are rejected, the rest is fitted again, and all
 readings are tested again against that fit, until nothing changes. Candidates are compared by the

@@ -41,7 +41,7 @@ GROUPS = 4
 def better_way(
     recording: Recording, terms: int, rejected: BoolArray | None = None
 ) -> CalibrationWarning | None:
-    """Say how else the file could be read so that it fits a hundredfold better; None if it cannot.
+    """Say how else the file could be read so that chi2 is a hundredth; None if it cannot.
 
     Where several ways fit alike, as y negated and both x and z do, all of them are named. Nothing is
     said of a recording that is so small that another way may fit by chance.

@@ -55,8 +55,9 @@ class Improvement:
     ----------
     code : str
         `systematic`, `another-mount`, `effect-undetermined`, `hidden`, `outliers`, `sigmas`,
-        `limit-rms`, `stops`, `poses`, `range-span`, `motion`, `more-stations`, `more-motion` or
-        `recording`; of surveys codes of warnings that say what to do, and `file-mistake`, too.
+        `limit-rms`, `stops`, `poses`, `range-span`, `motion`, `more-stations`, `more-motion`,
+        `recording`, `displaced`, `column-twice`, `far-beam` or `file-mistake`; of surveys codes of
+        warnings that say what to do, too.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -183,10 +184,11 @@ class Verdict:
         `usable`; `usable-with-care`: there are warnings, or a systematic error was found or may hide;
         `outside-limits`; `systematic-error`: one was found that moves a laser spot out of the radius
         that holds it with 95 %; `contradicted`: a plane that was
-        left out contradicts the beams found without it, or readings of a survey what is known, or a
-        mount is none that sensors have;
+        left out contradicts the beams found without it, or readings of a survey what is known, or two
+        beams have one mount, or one is farther away than any hand reaches;
         `undetermined`, or another mount is about as probable; `no-fit`: the readings
-        contradict each other, whatever the motion; `not-converged`.
+        contradict each other, whatever the motion, or fit only a mount or a range error that no sensor
+        has, or are too coarse; `not-converged`.
     findings : tuple of str
         The parts of the sentence.
     best : Improvement

@@ -144,8 +144,11 @@ def build_graph(
     terms : int, or one a beam
     noise : float or Whitening
         Standard deviation of every reading [m], or how to whiten them.
+    loss : Loss
     priors : PosePriors, optional
         Makes the hand pose of every station a variable; needs a whitening.
+    range_errors : RangeErrorPrior, optional
+        Of k1 and k2 of every beam.
     """
     require_kind("readings", readings, Readings)
     require_kind("start", start, Parameters)

@@ -81,7 +81,7 @@ class GraphPart:
     Attributes
     ----------
     blocks : RangeBlocks
-        Each with a whitening; none of the beams.
+        Each with a whitening; none in the part of the beams, which has priors alone.
     others : factors
         Priors of the hand poses of a plane; of the range errors of the beams.
     start : gtsam.Values
@@ -136,7 +136,7 @@ class IncrementalGraph:
         self._lock = RLock()
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Return what a copy is made of: GTSAM pickles factors and poses, but no values."""
+        """Return what a copy is made of: GTSAM pickles its own factors and poses, but no values."""
         with self._lock:
             at = parameters_of(self._view, self.beams, [plane_key(n) for n in self._parts])
             poses = {key: self._view.atPose3(key) for key in self._poses()}
