@@ -290,7 +290,7 @@ def require_columns(names: Sequence[str], path: Path, line: int | None) -> None:
 def column_numbers(
     table: FileTable, name: str, *, empty: bool = False, but: BoolArray | None = None
 ) -> FloatArray:
-    """Return a column as floats, finite but where `but` is set; NaN where a cell is empty and may be."""
+    """Return a column as floats, finite except at `but`; NaN where a cell is empty and may be."""
     cells = table.frame[name]
     values = cells.cast(pl.Float64, strict=False).to_numpy().astype(np.float64)
     wrong = ~np.isfinite(values)
