@@ -94,7 +94,7 @@ def calibrate_survey(
 ) -> "SurveyCalibration":
     """Do as `calibrate` of a survey, perhaps from where an earlier one of the same sensors ended.
 
-    Where relations are contradicted, `without` is the calibration without them: it shows what they do.
+    Where relations are contradicted, one without them is made, too (`without` of the result).
     """
     from .estimation.survey import estimate_survey
     from .estimation.survey_rows import rows_of

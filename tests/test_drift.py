@@ -11,7 +11,8 @@ from helpers import first_and_slow, simulated
 import handlaser_gtsam as hl
 from benchmarks.drift import CASES, run_once
 from handlaser_gtsam import model
-from handlaser_gtsam.session import changes, drift
+from handlaser_gtsam.session import changes
+from handlaser_gtsam.session import moved_beam as drift
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 

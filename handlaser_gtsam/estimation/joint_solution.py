@@ -310,7 +310,8 @@ class SolutionTask:
     def last_word(self, solution: Solution) -> Solution:
         """Have GTSAM end the search at the scales as they are; return that with its covariance.
 
-        Where something is undetermined the solution is returned as it is.
+        Where something is undetermined, or a search has not converged, the solution is returned as it
+        is; under a robust loss there is no such covariance.
 
         Levenberg-Marquardt on the factor graph begins where the reduction ended; where the graph would
         be very large, the last step is on the sums of the reduction.

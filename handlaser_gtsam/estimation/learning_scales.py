@@ -55,7 +55,8 @@ class LearnedScales(Value):
     grids : tuple of RangeErrorGrid
         Over their scales, one a prior.
     range_error : (T,)
-        Standard deviations of the range errors of a beam, for the most probable noise.
+        Scales of the prior of a beam's range errors, for the most probable noise: geometric means over
+        what the readings say of them.
     left : (d,)
         Standard deviations of the logarithms of the noise's scales that are not integrated over.
     """
@@ -144,7 +145,8 @@ class ScaleProblem:
     linearity : float or None
         Scale of the prior of the range errors' scales; None where range errors have no prior.
     length : float, optional
-        The typical range [m]; the median of the readings where not given.
+        The typical range [m]; where not given the median of the readings, or half of what most span
+        where the least are negative.
     """
 
     parameters: Parameters

@@ -47,7 +47,7 @@ def covariance(
     values : gtsam.Values
         The solution.
     linear : gtsam.GaussianFactorGraph, optional
-        The graph linearised there, if it has been.
+        The graph linearised there, or where the last step, a short one, began; if it has been.
 
     Raises
     ------
@@ -175,6 +175,8 @@ class Posterior:
 
 def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
     """Return beams and planes with all scales integrated over.
+
+    Those of the noise stay the most probable ones where beams or readings are many (`learning_scales`).
 
     Parameters
     ----------

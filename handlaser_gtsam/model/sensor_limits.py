@@ -30,8 +30,8 @@ class Sensor:
     max_incidence : float
         Largest angle between beam and plane normal at which a reading counts [rad].
     linearity : float
-        Linearity as in its data sheet, as a part of the reading: the scales of the range errors are
-        learned about it.
+        Linearity as in its data sheet, as a part of the reading: the middle of the prior of the scales
+        of the range errors, where these are learned.
     kind : str, optional
         `triangulation`, `time-of-flight`, `confocal`, `ultrasonic` or `other`: how it may err beside
         what is estimated. Where it is not stated, results count random errors only.

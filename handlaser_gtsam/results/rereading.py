@@ -1,8 +1,9 @@
-"""Would the readings fit if the file were read another way? One comparison, for logs and recordings.
+"""Would the readings fit if the file were read another way? For recordings, and first for logs.
 
 Another way to read a file is a change of the recording, in words for the user. A start is found for the
 changed recording, and the residuals are compared. The result is a sentence, never a change of the data.
-Logs try the conventions in which poses are written; calibrations whose readings do not fit try the
+Logs try the conventions in which poses are written (`files.logs.other_conventions`, which compares a
+second, robust measure as well); calibrations whose readings do not fit try the
 mistakes of `file_mistakes`.
 """
 

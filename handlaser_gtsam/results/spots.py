@@ -72,7 +72,7 @@ def spot_at(
     Raises
     ------
     InputError
-        A reading that the sensor cannot give: one that is not positive, for most.
+        A reading below the least that the sensor gives: one that is not positive, for most.
     """
     require_number("a reading of", reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
     least = 0.0 if calibration.recording is None else calibration.recording.range_min

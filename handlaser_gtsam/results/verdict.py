@@ -5,10 +5,10 @@ no sensor has; a systematic error that moves a laser spot by more than the radiu
 with 95 %; another mount that is as probable; a warning, or a systematic error that was found or may
 hide (usable with care); usable.
 
-Of improvements, what makes the stated numbers wrong comes first: a mistake of the file, a systematic
-error, another mount that is as probable, many outliers,
-given sigmas that the residuals contradict, a limit of the residuals, a freed error that the readings do
-not determine, a systematic error that may hide, noise that is correlated in time. Then what the error
+Of improvements, what makes the stated numbers wrong comes first: a mistake of the file, a beam that was
+moved, a systematic error, another mount that is as probable, many outliers, given sigmas that the
+residuals contradict, a limit of the residuals, a freed error that the readings do not determine, a
+systematic error that may hide, noise that is correlated in time. Then what the error
 is made of that exceeds its limit most, or else that of the spot: its largest share, where that is more
 than half; otherwise, and where too few residuals alone say how noisy the readings are, more stations.
 """

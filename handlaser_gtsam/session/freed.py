@@ -21,8 +21,8 @@ from ..solvers.isam import BeamState
 from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .contents import Contents
-from .drift import recent, search
 from .joining import fitted_planes
+from .moved_beam import recent, search
 from .plane import fit_plane
 from .reports import Change, Comparison
 from .state import undetermined

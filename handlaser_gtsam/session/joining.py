@@ -12,7 +12,7 @@ from ..outliers.reading_tests import price
 from ..solvers.isam import BeamState
 from .config import SessionConfig
 from .contents import Contents, PlaneContents
-from .drift import recent, search
+from .moved_beam import recent, search
 from .plane import FittedPlane, fit_plane
 
 CONTRADICTED = "contradicted by the beams and the other readings"

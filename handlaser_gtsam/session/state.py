@@ -28,8 +28,8 @@ from ..validation.other_recording import BeamDrift
 from .batch import BatchProblem
 from .config import SessionConfig
 from .contents import Contents
-from .drift import recent, search
 from .joining import fitted_planes, join_planes
+from .moved_beam import recent, search
 from .reports import Comparison
 
 REWEIGHED_MOVE = 5e-4

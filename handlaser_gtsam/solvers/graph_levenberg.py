@@ -191,7 +191,7 @@ class LevenbergResult:
         Returns the residuals (N,) [m] of the readings at `values`, in their order, and the same
         whitened, in units of the problem's range sigma [m].
     linear : gtsam.GaussianFactorGraph
-        What the last step solved: linearised where it began.
+        What the last step solved, linearised where that began; at `values` where steps ran out.
     """
 
     values: gtsam.Values

@@ -1,4 +1,4 @@
-"""Poses of the hand from the numbers of a log, and signs that these mean something else."""
+"""Poses of the hand from the numbers of a log, and what these numbers alone say against that."""
 
 import math
 from collections.abc import Iterator

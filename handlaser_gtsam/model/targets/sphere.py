@@ -19,8 +19,8 @@ from ..families import Family, Vector, register
 from ..range_blocks import Hits, dot, members
 
 GRAZING_PART = 0.1
-"""Ranges of rays that meet the sphere with less than this cosine, or miss it, are continued. With a
-tenth of it searches stall where the slope changes: 7 of 42 surveys with beams on balls."""
+"""Ranges of rays that meet the sphere with less than this cosine, or miss it, are continued. With
+0.01 searches stall where the slope changes: 7 of 42 surveys with beams on balls."""
 SPHERE = register(Family("sphere", Vector("x_m", "y_m", "z_m", "radius_m")))
 """Centre and radius, world frame."""
 
