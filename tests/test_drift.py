@@ -11,8 +11,7 @@ from helpers import first_and_slow, simulated
 import handlaser_gtsam as hl
 from benchmarks.drift import CASES, run_once
 from handlaser_gtsam import model
-from handlaser_gtsam.session import changes
-from handlaser_gtsam.session import moved_beam as drift
+from handlaser_gtsam.session import changes, moved_beam
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -87,7 +86,7 @@ def test_the_statistic_is_the_fall_of_chi2():
     keep = hl.CalibrationOptions("none", outliers="keep")
     one, two = (hl.calibrate(r, NOISE, keep).fit.chi2 for r in (recording, split))
     M, s = _scores(pieces, 5)
-    own = drift.moves(state.config)[names.index("2")]
+    own = moved_beam.moves(state.config)[names.index("2")]
     statistic = s[own] @ np.linalg.solve(M[np.ix_(own, own)], s[own])
     assert one - two > 20.0
     assert statistic == pytest.approx(one - two, rel=5e-3)  # the model is not quite linear

@@ -207,7 +207,7 @@ class SolutionTask:
         return replace(solution, scales=tuple(scale.estimated(value) for scale, value in values))
 
     def finished(self) -> Solution:
-        """Return what GTSAM ends with (`last_word`); integrate over all scales, linearised there anew.
+        """Return what GTSAM ends with (`last_word`); integrate over all scales, linearised again there.
 
         Nothing is integrated over where something is undetermined, or under a robust loss.
         """

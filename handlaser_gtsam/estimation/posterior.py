@@ -176,7 +176,8 @@ class Posterior:
 def posterior(problem: ScaleProblem, learned: LearnedScales) -> Posterior:
     """Return beams and planes with all scales integrated over.
 
-    Those of the noise stay the most probable ones where beams or readings are many (`learning_scales`).
+    Scales of the noise stay the most probable ones where beams or readings are many
+    (`learning_scales`).
 
     Parameters
     ----------

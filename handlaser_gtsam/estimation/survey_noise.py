@@ -65,7 +65,7 @@ class Components:
     again: float = 0.0
 
     def vector(self) -> FloatArray:
-        """Return all sizes (n + 3,), those of the pose last."""
+        """Return all sizes (n + 3,), of the pose last."""
         return np.array([*self.sigma, *self.pose, self.again])
 
 

@@ -1,4 +1,4 @@
-"""Shots of a survey that the others contradict: left out, and taken back.
+"""Shots of a survey that the others contradict: rejected, and taken back.
 
 Shots are tested as wholes, because their points share what made them wrong; points within a shot were
 sorted out when it was condensed.

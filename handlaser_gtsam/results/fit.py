@@ -97,7 +97,7 @@ def linear_rows(
 
 
 def _chi2_of(problem: Problem, solution: Solution, more: int) -> tuple[float, int]:
-    """Return chi2 and its degrees of freedom, with `more` unknowns beside those of beams and planes."""
+    """Return chi2 and its degrees of freedom, with `more` unknowns beside beams and planes."""
     chi2 = solution.chi2
     if problem.noise.range_sigma is None and not solution.scales_estimated:
         chi2 *= solution.at.sigma**2
@@ -107,7 +107,7 @@ def _chi2_of(problem: Problem, solution: Solution, more: int) -> tuple[float, in
 def fit_of(problem: Problem, selection: Selection, more: int = 0) -> tuple[Fit, Reasons]:
     """Return the fit, and the reasons for what was rejected, in the order of the recording.
 
-    The readings may determine so many `more` unknowns than those of beams and planes.
+    The readings may determine `more` unknowns beside beams and planes.
     """
     solution, recording, order = selection.solution, problem.recording, problem.order
     used = problem.chosen(selection.used)

@@ -209,7 +209,7 @@ def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]
 
 
 def _likelier(columns: FloatArray, at: int, times: float) -> bool:
-    """Return whether a column of (n, c), so many times as large, spreads more as the others do."""
+    """Return whether a column of (n, c), `times` as large, spreads more as the others do."""
     spread = np.maximum(columns.std(axis=0), TINY)
     ratio = float(np.delete(spread, at).mean() / spread[at])
     return bool(abs(np.log(ratio / times)) < abs(np.log(ratio)))
