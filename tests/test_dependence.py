@@ -61,6 +61,17 @@ def test_standard_deviations_cover_correlated_noise():
     assert np.mean(squares) < 1.4
 
 
+@pytest.mark.parametrize("length", [0, 20])
+def test_a_beam_that_is_knocked_is_named_whether_or_not_the_errors_vary_slowly(length):
+    """By its station: those between it and the one that was tried first looked like slow errors."""
+    recording, _, _ = moving_robot.recorded(length, 0)
+    ranges = recording.ranges.copy()
+    ranges[800:, 1] += 3e-3
+    found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise())
+    (moved,) = [one for one in found.warnings if one.code == "displaced"]
+    assert (moved.values["target"], moved.values["station"]) == ("beam 2", "801")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("given", [True, False], ids=["given", "nothing"])
 def test_errors_of_poses_that_change_smoothly_are_named_and_counted(given):

@@ -17,7 +17,7 @@ from functools import partial
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, evenly
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
@@ -178,8 +178,7 @@ def _splits(state: SurveyState) -> Iterator[tuple[Entity, list[int]]]:
     for entity, stations in seen.items():
         splits = sorted(stations)[LEAST_STATIONS : len(stations) - LEAST_STATIONS + 1]
         if entity[0] in PLACES_OF and splits:
-            evenly = np.linspace(0, len(splits) - 1, min(len(splits), MOST_SPLITS))
-            yield entity, [splits[i] for i in evenly.round().astype(int)]
+            yield entity, [splits[i] for i in evenly(len(splits), MOST_SPLITS)]
 
 
 def _stations(state: SurveyState, owner: IntArray) -> IntArray:

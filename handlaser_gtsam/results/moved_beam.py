@@ -13,7 +13,7 @@ time, N readings tell what N / g independent ones do, with g the growth of the v
 varies slowly looks like a step, too.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import model
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, evenly
 from ..errors import CalibrationWarning, GrazingBeamError
 from ..estimation.selection import Selection
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf, p_words
@@ -218,10 +218,13 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
         return _tried(one, split, rows, projection, rest)._replace(dof=float(dof), tests=tests)
 
     # The others explain less even without other unknowns.
-    moves = [tried(by.one, by.split) for by in promising[:4] if by.tests]
-    best_move = min(moves, key=lambda move: move.criterion)
-    if not best_move.clear:
+    near = [(by.one, by.split) for by in promising[:4] if by.tests]
+    moves = [tried(*of) for of in near]
+    if not min(moves, key=lambda move: move.criterion).clear:
         return None
+    found = zip(moves, near, strict=True)
+    moves = [_narrowed(move, one, rows, tried) for move, (one, _) in found]
+    best_move = min(moves, key=lambda move: move.criterion)
     # Or the beam reads something else than one of the planes, wherever and whenever it is measured.
     moves = [best_move, *(tried(one, 0) for one in _on_planes(rows, best_move.beam))]
     best_move = min(moves, key=lambda move: move.criterion)
@@ -254,15 +257,32 @@ def _on_planes(rows: LinearRows, beam: int) -> Iterator[Suspect]:
         yield Suspect(-1, there, rows.J[there, BEAM.dim :])
 
 
-def _splits(position: IntArray, least: int) -> IntArray:
-    """Return the positions of stations from which on there may be a move.
+def _splits(position: IntArray, one: Suspect) -> IntArray:
+    """Return the positions of stations from which on a suspect may have moved.
 
-    Fewer stations than `least` on a side would follow any errors of their readings.
+    Few stations more than coordinates on a side would follow any errors of their readings.
     """
-    times = np.unique(position)
-    times = times[least : len(times) - least + 1]
-    evenly = np.linspace(0, len(times) - 1, min(len(times), MOST_SPLITS))
-    return np.asarray(times[evenly.round().astype(np.intp)])
+    times, least = np.unique(position), one.J.shape[1] + LEAST_STATIONS
+    return times[least : len(times) - least + 1]
+
+
+def _narrowed(
+    move: Move, one: Suspect, rows: LinearRows, tried: Callable[[Suspect, int], Move]
+) -> Move:
+    """Return a move from the station on from which it explains most, near the one that was tried.
+
+    Readings between the two are no part of the move, and would look like noise that varies slowly.
+    """
+    near = _splits(rows.position[one.rows], one)
+    some = evenly(len(near), MOST_SPLITS)
+    best = int(np.searchsorted(near[some], move.position))
+    while len(some) < len(near):
+        near = near[some[max(best - 1, 0)] : some[min(best + 1, len(some) - 1)] + 1]
+        some = evenly(len(near), MOST_SPLITS)
+        moves = [tried(one, split) for split in near[some].tolist()]
+        best = int(np.argmax([one.share for one in moves]))
+        move = moves[best]
+    return move
 
 
 def _falls_alone(rows: LinearRows, heavy: FloatArray, weight: FloatArray, one: Suspect) -> Promise:
@@ -272,7 +292,8 @@ def _falls_alone(rows: LinearRows, heavy: FloatArray, weight: FloatArray, one: S
     """
     position = rows.position[one.rows]
     order = np.argsort(position, kind="stable")
-    splits = _splits(position, one.J.shape[1] + LEAST_STATIONS)
+    splits = _splits(position, one)
+    splits = splits[evenly(len(splits), MOST_SPLITS)]
     if not splits.size:
         return Promise(one, 0, 0.0, 0)
     of, J = one.rows[order], one.J[order]

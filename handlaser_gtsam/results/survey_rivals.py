@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, evenly
 from ..errors import CalibrationWarning
 from ..estimation.estimate import BlockProblem, descended, search_from
 from ..estimation.survey import SurveyEstimate
@@ -67,8 +67,7 @@ def _minima(state: SurveyState, member: int) -> Iterator[FloatArray]:
     """Yield other minima (8,) of a beam, with its targets where they are, from the best on."""
     items, x = state.rows.items, state.values[BEAM.name][0, member]
     own = np.flatnonzero([i.mount == (BEAM.name, member) for i in items] & state.used)
-    evenly = np.linspace(0, len(own) - 1, min(len(own), MINIMUM_READINGS))
-    some = own[np.unique(evenly.round().astype(int))]
+    some = own[evenly(len(own), MINIMUM_READINGS)]
     alone, _ = replace(state, used=np.isin(np.arange(len(items)), some)).problem()
     v, d = x[OF_DIRECTION], float(np.median([items[i].reading for i in some]))
     # Twice as many as before planes: spheres have minima on every side of where a beam meets them.
