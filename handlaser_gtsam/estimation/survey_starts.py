@@ -12,8 +12,7 @@ Each sensor, and each beam, is searched by itself from all its starts together; 
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import chain, product
-from operator import itemgetter
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -287,53 +286,63 @@ def _from_spheres(rows: SurveyRows, member: int, items: Sequence[Item]) -> Itera
     fixed = np.concatenate((R, places), axis=2)
     kind = KINDS[rows.survey.shots[member].kind]
     if not kind.flat:
-        X, y, _ = _linear_mount(R, t, shapes[:, :3], fixed)
-        yield _mount(X, y[:3])
+        X, y, _ = _linear_mounts(R, t, shapes[None, :, :3], fixed)
+        yield _mount(X[0], y[0, :3])
         return
     across, rng = kind.across, np.random.default_rng(len(items))
-    centres = np.zeros((len(items), 3))
-    centres[:, kind.axes] = shapes[:, :2]
-
-    def settled(side: FloatArray, aside: FloatArray) -> tuple[float, FloatArray]:
-        """Return misfit and mount for centres so far `aside`; signs and mount alternate."""
-        # Most settle within ten.
-        for _ in range(30):
-            centres[:, across] = side * aside
-            X, y, e = _linear_mount(R, t, centres, fixed)
-            left = e - (R @ X[:, across]) * (side * aside)[:, None]
-            new = -np.sign(np.einsum("ni,nij,j->n", left, R, X[:, across]))
-            new[new == 0.0] = 1.0
-            if (new == side).all():
-                break
-            side = new
-        return float(np.sqrt((e**2).mean())), _mount(X, y[:3])
-
     # An unknown radius is tried at these times the second largest circle of the shots.
-    for part in (1.0, 1.02, 1.06, 1.12, 1.25, 1.5):
-        square = np.zeros(len(items))
-        for s in np.unique(sphere):
-            radii = np.sort(shapes[sphere == s, 2])
-            largest = radii[max(len(radii) - 2, 0)] * part
-            square[sphere == s] = np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0)
-        # Signs of a profile's distance from the centre of a sphere.
-        drawn = (rng.choice([-1.0, 1.0], len(items)) for _ in range(23))
-        sides = chain([np.ones(len(items))], drawn)
-        yield min((settled(side, np.sqrt(square)) for side in sides), key=itemgetter(0))[1]
+    parts = np.array([1.0, 1.02, 1.06, 1.12, 1.25, 1.5])
+    aside = np.zeros((len(parts), len(items)))
+    for s in np.unique(sphere):
+        radii = np.sort(shapes[sphere == s, 2])
+        largest = radii[max(len(radii) - 2, 0)] * parts[:, None]
+        aside[:, sphere == s] = np.sqrt(np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0))
+    # Signs of a profile's distance from the centre of a sphere, which alternate with the mount.
+    drawn = rng.choice([-1.0, 1.0], (len(parts), 23, len(items)))
+    side = np.concatenate((np.ones((len(parts), 1, len(items))), drawn), axis=1)
+    centres = np.zeros((*side.shape, 3))
+    centres[..., kind.axes] = shapes[:, :2]
+    K = parts.size * side.shape[1]
+    aside = np.broadcast_to(aside[:, None], side.shape).reshape(K, -1)
+    side, centres = side.reshape(K, -1), centres.reshape(K, -1, 3)
+    mounts, misfit = np.zeros((K, SENSOR.size)), np.zeros(K)
+    open_ = np.arange(K)
+    # Most settle within ten.
+    for _ in range(30):
+        centres[open_, :, across] = side[open_] * aside[open_]
+        X, y, e = _linear_mounts(R, t, centres[open_], fixed)
+        mounts[open_] = [_mount(*at) for at in zip(X, y[:, :3], strict=True)]
+        misfit[open_] = np.sqrt((e**2).mean(axis=(1, 2)))
+        ahead = np.einsum("nij,kj->kni", R, X[:, :, across])
+        left = e - ahead * (side[open_] * aside[open_])[..., None]
+        new = np.where(np.einsum("kni,kni->kn", left, ahead) > 0.0, -1.0, 1.0)
+        changed = (new != side[open_]).any(axis=1)
+        side[open_] = new
+        open_ = open_[changed]
+        if not open_.size:
+            break
+    best = misfit.reshape(len(parts), -1).argmin(axis=1)
+    yield from mounts.reshape(len(parts), -1, SENSOR.size)[np.arange(len(parts)), best]
 
 
-def _linear_mount(
+def _linear_mounts(
     R: FloatArray, t: FloatArray, m: FloatArray, fixed: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return R_X, then (t_X, centres), and residuals (n, 3) of R (R_X m + t_X) + t = C."""
-    n = len(R)
-    axes = [a for a in range(3) if m[:, a].any()]
-    rows = np.concatenate((*[m[:, a, None, None] * R for a in axes], fixed), axis=2)
-    x = np.linalg.lstsq(rows.reshape(3 * n, -1), -t.ravel(), rcond=None)[0]
-    X = nearest_rotation(_columns(np.asarray(x[: 3 * len(axes)]).reshape(1, -1, 3), axes))[0]
-    at = np.einsum("nij,nj->ni", R, m @ X.T) + t
+    """Return R_X, then (t_X, centres), and residuals of R (R_X m + t_X) + t = C.
+
+    Points m (K, n, 3) give K mounts: (K, 3, 3), (K, 3 + 3 k) and (K, n, 3).
+    """
+    K, n = m.shape[:2]
+    axes = [a for a in range(3) if m[..., a].any()]
+    known = np.broadcast_to(fixed, (K, *fixed.shape))
+    rows = np.concatenate((*[m[..., a, None, None] * R for a in axes], known), axis=3)
+    right = np.broadcast_to(-t.ravel(), (K, 3 * n))
+    x = least_squares(rows.reshape(K, 3 * n, -1), right, SINGULAR**0.75)
+    X = nearest_rotation(_columns(x[:, : 3 * len(axes)].reshape(K, -1, 3), axes))
+    at = np.einsum("nij,kjl,knl->kni", R, X, m, optimize=True) + t
     flat_fixed = fixed.reshape(3 * n, -1)
-    y = np.linalg.lstsq(flat_fixed, -at.ravel(), rcond=None)[0]
-    return X, y, (flat_fixed @ y).reshape(n, 3) + at
+    y = np.linalg.lstsq(flat_fixed, -at.reshape(K, -1).T, rcond=None)[0].T
+    return X, y, (y @ flat_fixed.T).reshape(K, n, 3) + at
 
 
 def _columns(rows: FloatArray, axes: Sequence[int]) -> FloatArray:

@@ -94,25 +94,38 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         turn, shift = found.noise.pose
         noise = replace(noise, pose_rotation_sigma=turn, pose_translation_sigma=shift)
 
-    def squares(part: float) -> float:
+    def fitted(half_angle: float, beside: SurveyEstimate) -> tuple[SurveyEstimate, float]:
+        other = replace(found.rows.survey, half_angle=half_angle)
         try:
-            again = estimate_survey(replace(found.rows.survey, half_angle=part * stated), noise)
+            again = estimate_survey(other, noise, beside)
         except InputError:  # no start with this angle
-            return np.inf
+            return beside, np.inf
         if again.estimate.status not in ("converged", "contradicted"):
-            return np.inf
-        return again.estimate.chi2 + FAR_SIGMAS**2 * float((~again.used).sum())
+            return beside, np.inf
+        squares = again.estimate.chi2 + FAR_SIGMAS**2 * float((~again.used).sum())
+        return again, squares
 
-    # A datum of a data sheet may be another one, or the whole angle in its place.
-    tried = [part for part in (0.5, 0.6, 0.8, 1.25, 1.6, 2.0) if part * stated <= WIDEST_CONE]
-    found_at = [squares(part) for part in tried]
-    least = min(found_at, default=np.inf)
+    at_stated, squares = fitted(stated, found)
+    least, better, tries = squares, stated, 0
+    # A datum of a data sheet may be another one, or the whole angle in its place. From the stated
+    # angle outwards each begins where the one before ended, until the misfit grows.
+    for outwards in ((0.8, 0.6, 0.5), (1.25, 1.6, 2.0)):
+        before, squares_before = at_stated, squares
+        for half_angle in (part * stated for part in outwards if part * stated <= WIDEST_CONE):
+            tries += 1
+            again, now = fitted(half_angle, before)
+            if not np.isfinite(now):
+                continue
+            if now > squares_before:
+                break
+            before, squares_before = again, now
+            if now < least:
+                least, better = now, half_angle
     dof = found.estimate.dof
-    if not np.isfinite(least) or least <= 0.0 or dof < 1:
+    if better == stated or least <= 0.0 or dof < 1:
         return
-    gain = (squares(1.0) - least) / (least / dof)
-    if np.isfinite(gain) and f_sf(max(gain, 0.0), 1, dof) < FAMILY_LEVEL / len(tried):
-        better = tried[found_at.index(least)] * stated
+    gain = (squares - least) / (least / dof)
+    if np.isfinite(gain) and f_sf(gain, 1, dof) < FAMILY_LEVEL / tries:
         yield warned(HALF_ANGLE, {"half_angle": better}, stated=stated)
 
 
