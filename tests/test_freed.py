@@ -126,7 +126,7 @@ def test_several_errors_are_unknowns_at_once():
 @pytest.mark.slow
 @pytest.mark.parametrize("code", ["lag", "incidence", "drift", "sag"])
 def test_a_simulated_error_is_recovered_with_honest_covariances(code):
-    runs, size = 30, SIZES.get(code, 5e-4)
+    runs, size = 15, SIZES.get(code, 5e-4)
     squares, count, of_size = 0.0, 0, []
     for seed in range(runs):
         scene = Scene(seed)

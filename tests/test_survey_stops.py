@@ -86,13 +86,13 @@ def test_a_hand_that_comes_back_less_well_than_readings_are_known_contradicts_no
 @pytest.mark.slow
 def test_errors_are_as_large_as_stated_with_four_shots_a_stop():
     squares = []
-    for seed in range(8):
+    for seed in range(5):
         rig = rig_of(seed)
         result = hl.calibrate(survey_of(rig, 4), rigs.STATED)
         ((error, C),) = rigs.errors_of(rig, result)
         squares.append(float(error @ np.linalg.solve(C, error)))
-    # 48 numbers of variance one: between these with 99.9 %.
-    assert 0.5 < np.mean(squares) / 6.0 < 1.75
+    # 30 numbers of variance one: between these with 99.9 %.
+    assert 0.36 < np.mean(squares) / 6.0 < 2.07
 
 
 def test_copies_of_a_shot_count_once():
