@@ -17,7 +17,7 @@ from ..checks import number_array, require_kind, require_number, require_word
 from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
-from .recording_checks import first_repeated, names_of, require_once
+from .recording import first_repeated, names_of, require_once
 from .station_list import StationList
 from .value import Value
 

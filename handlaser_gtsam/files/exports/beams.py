@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
-from ...data.recording_checks import require_once
+from ...data.recording import require_once
 from ...errors import InputError
 from ...model.equation import corrected
 from ...model.families import BEAM, OF_DIRECTION

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ...data.recording_checks import first_repeated, numbered
+from ...data.recording import first_repeated, numbered
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import FORMATS, TIME_UNITS, poses_of
 from ...quantities import IN_MM
