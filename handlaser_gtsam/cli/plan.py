@@ -78,8 +78,7 @@ def plan(
     handlaser plan recording.csv --rig rig.toml \
         --stations 5 --picture forecast.svg
     """
-    from ..files.exports.forecast_picture import forecast_svg
-    from ..files.plan_json import plan_text
+    from ..files.plan_json import forecast_svg, plan_text
     from ..files.recording_csv import write_stations
     from ..files.writing import require_outputs, write_text
     from .survey import require_outputs_of

@@ -14,10 +14,9 @@ from ...quantities import IN_MM
 from .format import LogFormat
 from .format_checks import convention_of
 from .lag import estimated_lag
-from .motion import MOVES_M, MOVES_RAD, Way, bracketed, nearest
+from .motion import MOVES_M, MOVES_RAD, Track, Way, bracketed, find_stands, nearest
 from .planes import intervals, planes_in_time, planes_of
 from .rows import LogRows
-from .stands import Track, find_stands
 
 
 class JoinedStations(NamedTuple):

@@ -57,8 +57,7 @@ from ...quantities import FAR_SIGMAS, MOST_ROUNDS, NUMBERS_AT_ONCE, ROUNDING, SI
 from ...results.projection import LinearRows, Projection
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
-from .motion import MOVES_M, MOVES_RAD, interpolated, neighbours
-from .stands import Track
+from .motion import MOVES_M, MOVES_RAD, Track, interpolated, neighbours
 
 REACH = 0.5
 """Lags up to this [s] from an offset are looked for."""

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...text import A_NAME, name_fault, shown
 from ..table import labels, read_table
 from .format import LogFormat
-from .stands import Track, find_stands
+from .motion import Track, find_stands
 
 RANGE = re.compile(r"(.+?)=(.+?)\.\.(.+)", re.DOTALL)
 SECONDS = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*s\s*")
