@@ -105,14 +105,12 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
     """
     from ..data.survey import Survey
     from ..files.input_reading import read_any_kind
-    from ..files.writing import require_outputs
     from .survey import refuse_of_beams, require_outputs_of
 
     with Working():
         rig = given.read()
         outputs = {"--out": output.out, "--report": output.report}
-        require_outputs(outputs, (recording, given.rig, *rig.log.files))
-        require_outputs_of(outputs, rig)
+        require_outputs_of(outputs, rig, (recording, given.rig))
         read = read_any_kind(rig, recording)
         if isinstance(read, Survey):
             stated = [] if output.at_range_mm is None else ["--at-range-mm"]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from .answer import Answer, Working, lines_read
 from .options import JsonOption, RecordingArgument
-from .stopping import UNDETERMINED, left_open
+from .stopping import Exit, left_open
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -58,11 +58,11 @@ def _of_survey(survey: "Survey", rig: "Rig") -> Answer:
     from ..results.survey_check import check_lines, check_survey
 
     found = check_survey(survey, rig.noise)
-    failure = (UNDETERMINED, found.open_sentence) if found.undetermined else None
+    failure = (Exit.UNDETERMINED, found.open_sentence) if found.undetermined else None
     if failure is not None and not found.exactly:
         failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
     if found.doubt is not None:
-        failure = UNDETERMINED, found.doubt
+        failure = Exit.UNDETERMINED, found.doubt
     warnings = [one for one in found.warnings if one.message not in (found.doubt or "")]
     lines = [*check_lines(found), *lines_read("read", survey.lines)]
     return Answer(check_text(found, survey.lines), lines, warnings, failure)

@@ -9,7 +9,7 @@ import typer
 from ..text import count
 from .answer import Answer, Working, wrote
 from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
-from .stopping import UNDETERMINED
+from .stopping import Exit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -80,15 +80,14 @@ def plan(
     """
     from ..files.plan_json import forecast_svg, plan_text
     from ..files.recording_csv import write_stations
-    from ..files.writing import require_outputs, write_text
+    from ..files.writing import write_text
     from .survey import require_outputs_of
     from .words import plan_lines, station_lines
 
     with Working():
         rig = given.read()
         outputs = {"--out": out, "--picture": picture}
-        require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
-        require_outputs_of(outputs, rig)
+        require_outputs_of(outputs, rig, (recording, calibration, given.rig))
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
         warnings, failure = _gaps(planned)
         if calibration is not None:
@@ -181,7 +180,7 @@ def _gaps(planned: "Plan") -> tuple[list[str], tuple[int, str] | None]:
         return [words], None
     stations = count(len(planned.forecast), "station")
     return [words], (
-        UNDETERMINED,
+        Exit.UNDETERMINED,
         f"{stations} would still leave something open: ask for more with --stations, or allow more "
         "room and larger turns in the table [workspace] of the rig file",
     )

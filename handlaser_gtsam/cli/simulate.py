@@ -181,7 +181,6 @@ def simulated_survey(
     from ..files.rig_toml import read_rig
     from ..files.sensor_tables import directions_of
     from ..files.survey_writing import table_names, write_simulated
-    from ..files.writing import require_outputs
     from ..validation.survey_scenes import SURVEY_ERRORS, WORKING, fan_of, survey_scene
     from ..validation.survey_simulate import simulate_survey
     from .survey import require_outputs_of
@@ -233,8 +232,7 @@ def simulated_survey(
 
     def write(folder: Path) -> None:
         outputs = {name: folder / name for name in files}
-        require_outputs(outputs, (rig,))
-        require_outputs_of(outputs, known)
+        require_outputs_of(outputs, known, (rig,))
         write_simulated(folder, survey, truth, tables, zones, stated, sensor)
 
     unread, of = int((~survey.stations_read()).sum()), count(len(stations), "station")

@@ -32,8 +32,10 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
         raise InputError(words, expected, path)
 
 
-def require_outputs_of(outputs: Mapping[str, Path | None], rig: "Rig") -> None:
-    """Refuse files to write, by their options, that the sensors of a rig file read, or would read.
+def require_outputs_of(
+    outputs: Mapping[str, Path | None], rig: "Rig", inputs: Sequence[Path | None]
+) -> None:
+    """Refuse files to write, by their options, that are an input, or that a rig file has read.
 
     Raises
     ------
@@ -42,6 +44,7 @@ def require_outputs_of(outputs: Mapping[str, Path | None], rig: "Rig") -> None:
     """
     from ..files.writing import require_outputs
 
+    require_outputs(outputs, (*inputs, *rig.log.files))
     if rig.survey is None:
         return
     require_outputs(outputs, rig.survey.files)
@@ -70,7 +73,7 @@ def converted_survey(
     if is_bag(path):
         expected = "a log of poses beside tables of points; the other verbs take bags as they are"
         raise InputError("a bag, with sensors of many rays", expected, path)
-    require_outputs_of({"--out": out}, rig)
+    require_outputs_of({"--out": out}, rig, ())
     survey = read_survey(path, rig)
     if survey.beam_names:
         found = "a recording with ranges of beams, which is no log of poses"

@@ -8,7 +8,7 @@ import typer
 
 from .answer import Answer, Working
 from .options import Given, JsonOption, Model, RecordingArgument, Seed
-from .stopping import NOT_USABLE, UNDETERMINED
+from .stopping import Exit
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -103,7 +103,7 @@ def validated(
     if not judged.usable:
         unsolved = result.calibration.status != "converged"
         unsolved |= any(one.code == DISAGREES for one in judged.causes)
-        failure = UNDETERMINED if unsolved else NOT_USABLE, judged.sentence
+        failure = Exit.UNDETERMINED if unsolved else Exit.NOT_USABLE, judged.sentence
     lines = validation_lines(result, judged, text_width())
     return Answer(validation_text(result, judged), lines, failure=failure)
 
@@ -147,5 +147,5 @@ def _tested(
         words = f"the calibration does not hold ({p_words(found.p_value)})"
         if not found.fits:
             words = f"the readings fit no beams, by {found.misfit:.0f} times what the noise says"
-        failure = NOT_USABLE, f"{words}: {likely or said('unexplained')}"
+        failure = Exit.NOT_USABLE, f"{words}: {likely or said('unexplained')}"
     return Answer(hold_out_text(found), hold_out_lines(found), recording.warnings, failure)
