@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import FloatArray, IntArray, frozen, frozen_indices, gathered
 from ..checks import number_array, require_kind, require_names, require_number
 from ..errors import CalibrationWarning, InputError
-from ..quantities import LARGEST_LENGTH
+from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from ..text import shown
 from .readings import Readings, typical_range
 from .value import Value
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from .station_list import StationList
 
 __all__ = ["Readings", "Recording", "join", "typical_range"]
-
-ROTATION_TOLERANCE = 1e-6
-"""Largest entry of R'R - I: what single precision leaves of an orthonormal matrix."""
 
 
 class HasMatrix(Protocol):
@@ -145,14 +142,15 @@ def check_poses(R: FloatArray, t: FloatArray, name: Sequence[str]) -> None:
     if bad.size:
         position = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
         raise InputError(position, f"metres, at most {LARGEST_LENGTH:.0f}")
+    # R'R - I is within `NEGLIGIBLE`: single precision leaves less of an orthonormal matrix.
     bounded = np.clip(R, -2.0, 2.0)  # no entry of a rotation is above 1; squares of 1e308 overflow
     error = np.abs(np.swapaxes(bounded, 1, 2) @ bounded - np.eye(3)).max(axis=(1, 2))
-    bad = np.flatnonzero((error > ROTATION_TOLERANCE) | (np.linalg.det(bounded) < 0.0))
+    bad = np.flatnonzero((error > NEGLIGIBLE) | (np.linalg.det(bounded) < 0.0))
     if bad.size:
         raise InputError(
             f"world_R_hand that is no rotation at station {name[bad[0]]} "
             f"(R'R differs from the identity by {error[bad[0]]:.1e})",
-            f"a right-handed rotation matrix to {ROTATION_TOLERANCE:.0e}",
+            f"a right-handed rotation matrix to {NEGLIGIBLE:.0e}",
         )
 
 
@@ -423,6 +421,18 @@ class Recording(Value):
         return replace(self, beam_names=names)
 
 
+def joined_columns(
+    parts: Sequence[tuple[Sequence[str], FloatArray]], missing: float = np.nan
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the names of all columns of tables (M, n), and the rows of all with what is missing."""
+    names = tuple(dict.fromkeys(name for own, _ in parts for name in own))
+    table, first = np.full((sum(len(rows) for _, rows in parts), len(names)), missing), 0
+    for own, rows in parts:
+        at = slice(first, first := first + len(rows))
+        table[at, [names.index(name) for name in own]] = rows
+    return names, table
+
+
 def join(recordings: Sequence[Recording]) -> Recording:
     """Return one recording of all stations of several; beams and planes are known by their names.
 
@@ -435,15 +445,14 @@ def join(recordings: Sequence[Recording]) -> Recording:
         raise InputError(f"{shown(recordings)} to join", "a sequence of recordings")
     for part in recordings:
         require_kind("one to join", part, Recording)
-    beams = tuple(dict.fromkeys(name for part in recordings for name in part.beam_names))
-    shape = sum(len(part.ranges) for part in recordings), len(beams)
-    ranges, samples, first = np.full(shape, np.nan), np.ones(shape), 0
-    for part in recordings:
-        rows = slice(first, first := first + len(part.ranges))
-        columns = [beams.index(name) for name in part.beam_names]
-        ranges[rows, columns] = part.ranges
-        samples[rows, columns] = 1.0 if part.samples is None else part.samples
-    averaged = any(part.samples is not None for part in recordings)
+    beams, ranges = joined_columns([(part.beam_names, part.ranges) for part in recordings])
+    samples = None
+    if any(part.samples is not None for part in recordings):
+        worth = [
+            (part.beam_names, np.ones(part.ranges.shape) if part.samples is None else part.samples)
+            for part in recordings
+        ]
+        _, samples = joined_columns(worth, 1.0)
     return Recording(
         np.concatenate([part.world_R_hand for part in recordings]),
         np.concatenate([part.world_t_hand for part in recordings]),
@@ -451,7 +460,7 @@ def join(recordings: Sequence[Recording]) -> Recording:
         tuple(label for part in recordings for label in part.plane_labels),
         beams,
         tuple(name for part in recordings for name in part.station_names),
-        samples=samples if averaged else None,
+        samples=samples,
         range_min=min(part.range_min for part in recordings),
     )
 

@@ -17,7 +17,7 @@ from ..checks import number_array, require_kind, require_number, require_word
 from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
-from .recording import first_repeated, names_of, require_once
+from .recording import first_repeated, joined_columns, names_of, require_once
 from .station_list import StationList
 from .value import Value
 
@@ -544,27 +544,17 @@ class Survey(Value):
             later = replace(one, station=one.station + len(self.stations))
             earlier = shots.get(one.name)
             shots[one.name] = later if earlier is None else earlier.joined(later)
-        names = tuple(dict.fromkeys((*self.beam_names, *other.beam_names)))
-        ranges = None
-        if names:
-            tables = [
-                np.stack(
-                    [
-                        np.full(len(of.stations), np.nan)
-                        if of.ranges is None or name not in of.beam_names
-                        else of.ranges[:, of.beam_names.index(name)]
-                        for name in names
-                    ],
-                    axis=1,
-                )
+        names, ranges = joined_columns(
+            [
+                (of.beam_names, np.empty((len(of.stations), 0)) if of.ranges is None else of.ranges)
                 for of in (self, other)
             ]
-            ranges = np.concatenate(tables)
+        )
         return replace(
             self,
             stations=self.stations.joined(other.stations),
             shots=tuple(shots.values()),
-            ranges=ranges,
+            ranges=ranges if names else None,
             beam_names=names,
             known=(*self.known, *(one for one in other.known if one not in self.known)),
             half_angle=of_beams.half_angle,
