@@ -7,7 +7,6 @@ import sqlite3
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from io import DEFAULT_BUFFER_SIZE
 from pathlib import Path
@@ -24,20 +23,11 @@ MCAP_MESSAGE, MCAP_CHUNK = 5, 6
 """Kinds of records (https://mcap.dev/spec)."""
 
 
-@dataclass(slots=True)
 class Allowance:
-    """What may still be unpacked from a file.
+    """What may still be unpacked from a file, by the bytes until now."""
 
-    Attributes
-    ----------
-    path : Path
-    packed, unpacked : int
-        Bytes until now.
-    """
-
-    path: Path
-    packed: int = 0
-    unpacked: int = 0
+    def __init__(self, path: Path) -> None:
+        self.path, self.packed, self.unpacked = path, 0, 0
 
     def take(self, packed: int, unpacked: int) -> None:
         """Count a part of the file.
