@@ -142,11 +142,11 @@ def _answer(
     above, checked, disagreement = list[str](), list[str](), ""
     result, recording, taught, comparison = _solved(read, rig, manner)
     if comparison is not None:
-        from .incremental import comparison_line, disagreement_of
+        from .incremental import comparison_words
 
         what = "target" if isinstance(read, Survey) else "plane"
-        above.append(comparison_line(comparison, what))
-        disagreement = disagreement_of(comparison, what)
+        line, disagreement = comparison_words(comparison, what)
+        above.append(line)
     judged = result.judged(rig.limits, reading)
     text = calibration_text(result, judged)
     if output.out is not None:

@@ -201,17 +201,15 @@ def _hash(script: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
-def packed(text: str) -> str:
-    """Return text compressed (zlib) in base64, of which no letter means anything in HTML."""
-    return base64.b64encode(zlib.compress(text.encode(), 6)).decode()
-
-
 @lru_cache(maxsize=1)
 def packed_plotly() -> str:
-    """Return plotly.js `packed`, which takes longer than all else of a page and is the same in all."""
+    """Return plotly.js compressed (zlib) in base64, of which no letter means anything in HTML.
+
+    That takes longer than all else of a page and is the same in all.
+    """
     from plotly.offline import get_plotlyjs
 
-    return packed(get_plotlyjs())
+    return base64.b64encode(zlib.compress(get_plotlyjs().encode(), 6)).decode()
 
 
 def safe_json(value: object) -> str:
