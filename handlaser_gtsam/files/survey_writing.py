@@ -92,10 +92,8 @@ def _zones(table: SensorTable) -> str:
 def _columns(table: SensorTable, shots: Shots, zones: FloatArray | None) -> FloatArray:
     """Return the numbers (N, c) of a table of points, in millimetres and degrees."""
     d = shots.reading[:, None] * IN_MM
-    if table.kind == "profiler":
-        return np.hstack((shots.across * IN_MM, d))
-    if table.kind == "scanner":
-        return np.hstack((shots.across * IN_DEG, d))
+    if KINDS[table.kind].flat:
+        return np.hstack((shots.across * (IN_DEG if table.kind == "scanner" else IN_MM), d))
     if table.kind == "points":
         return np.asarray(d * KINDS[table.kind].rays(shots.across).direction)
     assert zones is not None
