@@ -26,7 +26,7 @@ from .stopping import failure_of
 if TYPE_CHECKING:
     from ..data.recording import Recording
     from ..data.survey import Survey
-    from ..files.logs.report import LogReport
+    from ..files.logs.format import LogReport
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration

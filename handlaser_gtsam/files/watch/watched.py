@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...estimation.options import CalibrationOptions
 from ..input_reading import read_any_kind
 from ..logs.bags import BAGS, METADATA
-from ..logs.report import LogReport
+from ..logs.format import LogReport
 from ..logs.tables import BOOKS
 from ..rig_toml import Rig
 from ..writing import path_of

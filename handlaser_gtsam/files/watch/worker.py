@@ -18,7 +18,7 @@ from ...estimation.options import CalibrationOptions
 from ...pipeline import calibrate
 from ...text import printable
 from ..calibration_writing import calibration_text
-from ..logs.report import LogReport
+from ..logs.format import LogReport
 from ..points_table import AWAITED
 from ..report.figure import Figure
 from ..report.options import ReportOptions
