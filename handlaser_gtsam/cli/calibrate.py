@@ -104,18 +104,16 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
         --range-sigma-mm 0.03 --poses exact
     """
     from ..data.survey import Survey
-    from ..files.input_reading import read_any_kind
-    from .survey import refuse_of_beams, require_outputs_of
+    from .survey import read_stated, require_outputs_of
 
     with Working():
         rig = given.read()
         outputs = {"--out": output.out, "--report": output.report}
         require_outputs_of(outputs, rig, (recording, given.rig))
-        read = read_any_kind(rig, recording)
+        stated = [] if output.at_range_mm is None else ["--at-range-mm"]
+        stated += replace(manner, incremental=False).stated()
+        read = read_stated(rig, recording, stated)
         if isinstance(read, Survey):
-            stated = [] if output.at_range_mm is None else ["--at-range-mm"]
-            stated += replace(manner, incremental=False).stated()
-            refuse_of_beams(rig, stated, recording)
             answer = _answer(recording, rig, read, manner, output, given.rig)
         else:
             log, rig = read

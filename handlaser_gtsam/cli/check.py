@@ -36,15 +36,13 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     handlaser check recording.csv --rig rig.toml
     """
     from ..data.survey import Survey
-    from ..files.input_reading import read_any_kind
     from ..files.rig_toml import known_rig
-    from .survey import refuse_of_beams
+    from .survey import read_stated
 
     with Working():
         known = known_rig(rig, {})
-        read = read_any_kind(known, recording)
+        read = read_stated(known, recording, [])
         if isinstance(read, Survey):
-            refuse_of_beams(known, [], recording)
             answer = _of_survey(read, known)
         else:
             log, known = read

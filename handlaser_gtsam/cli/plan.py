@@ -121,12 +121,11 @@ def _planned(
 
     from ..data.survey import Survey
     from ..errors import InputError, SolverError
-    from ..files.input_reading import read_any_kind
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
     from ..planning.workspace import require_range
-    from .survey import refuse_of_beams
+    from .survey import read_stated
 
     rng = np.random.default_rng(seed)
     if recording is not None and result is not None:
@@ -144,10 +143,9 @@ def _planned(
         return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
     # Without a goal as many as an hour's work; with one, the plan ends where it is reached.
     most = stations or (100 if rig.goal.stated else 20)
-    read = None if recording is None else read_any_kind(rig, recording)
+    stated = model.stated() + ([] if planes is None else ["--planes"])
+    read = None if recording is None else read_stated(rig, recording, stated)
     if isinstance(read, Survey):
-        stated = model.stated() + ([] if planes is None else ["--planes"])
-        refuse_of_beams(rig, stated, recording or Path())
         found = calibrate(read, rig.noise)
         return planning.plan(found, most, workspace=rig.workspace, goal=rig.goal, rng=rng)
     require_range(rig.sensor)

@@ -9,17 +9,25 @@ from ..errors import InputError
 from ..text import count
 
 if TYPE_CHECKING:
+    from ..data.survey import Survey
     from ..errors import CalibrationWarning
+    from ..files.logs.format import LogReport
     from ..files.rig_toml import Rig
 
 
-def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
-    """Refuse what is stated and does not count with sensors of many rays, other targets or relations.
+def read_stated(rig: "Rig", path: Path, stated: Sequence[str]) -> "Survey | tuple[LogReport, Rig]":
+    """Read a recording or a survey; refuse what is stated and does not count with the latter.
 
     Raises
     ------
     InputError
     """
+    from ..data.survey import Survey
+    from ..files.input_reading import read_any_kind
+
+    read = read_any_kind(rig, path)
+    if not isinstance(read, Survey):
+        return read
     fields = {
         "max_incidence_deg": rig.sensor.max_incidence < math.pi / 2.0,
         "incidence_sigma_mm": rig.noise.incidence_sigma > 0.0,
@@ -30,6 +38,7 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
         words = f"{', '.join(found)}, with sensors of many rays, other targets or relations"
         expected = "it with beams before planes only (errors of a sensor are `free` in [[sensors]])"
         raise InputError(words, expected, path)
+    return read
 
 
 def require_outputs_of(

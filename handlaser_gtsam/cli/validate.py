@@ -57,23 +57,21 @@ def validate(
     """
     from ..data.survey import Survey
     from ..errors import InputError
-    from ..files.input_reading import read_any_kind
-    from .survey import refuse_of_beams
+    from .survey import read_stated
 
     with Working():
         rig = given.read()
         if calibration is not None and hold_out is not None:
             raise InputError("--calibration and --hold-out", "one of the two")
-        read = read_any_kind(rig, recording)
+        against = calibration is not None or hold_out is not None
+        stated = ["--calibration or --hold-out"] if against else []
+        read = read_stated(rig, recording, [*stated, *model.stated()])
         if isinstance(read, Survey):
-            against = calibration is not None or hold_out is not None
-            stated = ["--calibration or --hold-out"] if against else []
-            refuse_of_beams(rig, [*stated, *model.stated()], recording)
             answer = validated(read, rig, None, splits, seed)
         else:
             report, rig = read
             options = model.options(rig)
-            if calibration is None and hold_out is None:
+            if not against:
                 answer = validated(report.recording, rig, options, splits, seed)
             else:
                 answer = _tested(report.recording, rig, options, calibration, hold_out)

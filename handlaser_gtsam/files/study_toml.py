@@ -45,7 +45,7 @@ from ..validation.simulate import Errors
 from ..validation.study import Case, Draw, Solve, Study
 from .checked_text import FileRecord, in_file, in_table, read_checked
 from .rig_toml import NoiseTable, noise_of, toml_value
-from .writing import path_of, require_writable, write_bytes
+from .writing import path_of, readable, require_writable, write_bytes
 
 
 class SceneTable(FileRecord):
@@ -198,10 +198,10 @@ def read_runs(path: Path | str) -> pl.DataFrame:
         No readable file, or no table of runs.
     """
     path = path_of(path)
+    with readable(path, "runs, Parquet"):
+        content = path.read_bytes()
     try:
-        return pl.read_parquet(path.read_bytes()).match_to_schema(pl.Schema(RUN_SCHEMA))
-    except OSError as error:
-        raise InputError(f"no readable file ({error.strerror})", "runs, Parquet", path) from error
+        return pl.read_parquet(content).match_to_schema(pl.Schema(RUN_SCHEMA))
     except pl.exceptions.PolarsError as error:
         found = f"no runs of a study ({str(error).splitlines()[0][:80]})"
         raise InputError(found, "a table that a study wrote, or a new file", path) from error
