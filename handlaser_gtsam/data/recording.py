@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 __all__ = ["Readings", "Recording", "join", "typical_range"]
 
 
+TARGETS = ("plane", "sphere", "point", "groove")
+"""Kinds of targets, as labels have them before a colon."""
+
+
 class HasMatrix(Protocol):
     """A pose with a homogeneous matrix (4, 4): gtsam.Pose3."""
 
@@ -189,6 +193,21 @@ def first_repeated(names: Sequence[str]) -> int | None:
             return index
         seen.add(name)
     return None
+
+
+def beyond_planes(labels: Iterable[str]) -> str:
+    """Return the first label of a target that is no plane, empty where all are planes.
+
+    A colon in the name of a plane is no kind.
+    """
+    kinds = tuple(f"{kind}:" for kind in TARGETS if kind != "plane")
+    return next((label for label in map(stripped_label, labels) if label.startswith(kinds)), "")
+
+
+def stripped_label(label: str) -> str:
+    """Return a label without spaces about the colon: `plane: plate` is `plane:plate`."""
+    kind, colon, name = label.partition(":")
+    return f"{kind.strip()}:{name.strip()}" if colon else label
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

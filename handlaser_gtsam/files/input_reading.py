@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..data.survey import Survey, beyond_planes, kind_of
+from ..data.recording import beyond_planes
+from ..data.survey import Survey, kind_of
 from ..errors import CalibrationWarning, InputError
 from ..model.sensor_limits import Sensor
 from ..text import shown

@@ -77,10 +77,15 @@ class PageServer:
         As it was asked for.
     bound : socket
         It listens already; it is closed at the end.
+
+    Attributes
+    ----------
+    clients : int
+        How many look on.
     """
 
     def __init__(self, host: str, bound: socket.socket) -> None:
-        self._bound = bound
+        self._bound, self.clients = bound, 0
         self._page, name, policy = live_page()
         self._hub = Hub(name)
         routes = [Route("/", self._index), Route("/events", self._events)]
@@ -127,11 +132,6 @@ class PageServer:
         """Whether only this computer reaches the page."""
         return is_loopback(self._bound)
 
-    @property
-    def clients(self) -> int:
-        """How many look on."""
-        return self._hub.clients
-
     def publish(self, messages: Mapping[str, str]) -> None:
         """Send messages by topic, each one line, to all who look on; from any thread.
 
@@ -171,14 +171,14 @@ class PageServer:
 
     async def _news(self, known: int) -> AsyncIterator[bytes]:
         """Yield what is new to a client until it has gone, which cancels this."""
-        self._hub.clients += 1
+        self.clients += 1
         try:
             yield self._hub.hello
             while True:
                 known, news = await self._hub.news(known)
                 yield news
         finally:
-            self._hub.clients -= 1
+            self.clients -= 1
 
 
 class PatientProtocol(H11Protocol):
@@ -214,7 +214,6 @@ class Hub:
     """Holds the newest message of each topic. All methods are for the thread of the event loop."""
 
     def __init__(self, page: str) -> None:
-        self.clients = 0
         self._page = page
         # Another one after a restart, which begins to count again.
         self._server = secrets.token_hex(4)
