@@ -21,7 +21,7 @@ from .options import (
     how,
     metres,
 )
-from .stopping import failure_of
+from .stopping import Exit
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from ..results.survey import SurveyCalibration
     from ..results.verdict import Verdict
     from ..session.reports import Comparison
-    from ..validation.cross_check import CrossCheck
 
 
 OutliersChoice = Literal["reject", "keep"]
@@ -155,7 +154,11 @@ def _answer(
             from ..validation.cross_check import cross_check
 
             check = cross_check(result, recording)
-            checked = [cross_check_line(check)]
+            checked = [
+                f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
+                f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
+                f"({check.sigma_parameter})"
+            ]
             if check.largest > SAME_OPTIMUM:
                 disagreement = f"SciPy disagrees by {check.difference}"
         if output.report is not None or not aloud:
@@ -177,7 +180,7 @@ def _answer(
         text,
         _lines(result, judged, taught, above, plan, after, verbose=output.verbose),
         [*checked, *result.warnings] if aloud else (),
-        failure_of(result, judged, disagreement),
+        _failure_of(result, judged, disagreement),
     )
 
 
@@ -254,10 +257,19 @@ def _lines(
     yield from (*first, *next_best, *last)
 
 
-def cross_check_line(check: "CrossCheck") -> str:
-    """Return the cross-check in one line."""
-    return (
-        f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
-        f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
-        f"({check.sigma_parameter})"
-    )
+def _failure_of(
+    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str = ""
+) -> tuple[int, str] | None:
+    """Return the exit code of the contract and what went wrong; None where nothing did.
+
+    A `disagreement` says that another way led to another optimum.
+    """
+    if result.status != "converged":
+        interrupted = getattr(result, "interrupted", False)  # one of a survey is not handed over
+        return Exit.INTERRUPTED if interrupted else Exit.UNDETERMINED, result.message
+    if disagreement:
+        words = f"{disagreement}; expected the same optimum: do not use this calibration"
+        return Exit.UNDETERMINED, words
+    exceeded = judged.exceeded
+    words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else judged.sentence
+    return None if judged.usable else (Exit.NOT_USABLE, words)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from .answer import Answer, Working, lines_read
 from .options import JsonOption, RecordingArgument
-from .stopping import Exit, left_open
+from .stopping import Exit
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -70,12 +70,15 @@ def _of_beams(read: "Recording", rig: "Rig", *, advise: bool) -> Answer:
     """Check a recording of beams before planes; name the next stations where that is asked for."""
     from ..files.calibration_writing import check_text
     from ..observability.motion import check_motion, lemma_words
+    from ..observability.wording import open_sentence
 
     found = check_motion(read)
     lines = [f"{found.readings} readings for {found.unknowns} unknowns, without range errors"]
     lines += lemma_words(found, read.beam_names)
-    failure = left_open(found.undetermined, found.advice)
-    if failure is None:
+    failure = None
+    if found.undetermined:
+        failure = Exit.UNDETERMINED, open_sentence(found.undetermined, found.advice)
+    else:
         lines.append("the motion determines everything, for beams and planes in general position")
     if advise:
         from ..estimation.options import CalibrationOptions

@@ -10,15 +10,8 @@ import atexit
 import os
 import signal
 import threading
-from collections.abc import Sequence
 from enum import IntEnum
 from types import FrameType
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from ..results.calibration import Calibration
-    from ..results.survey import SurveyCalibration
-    from ..results.verdict import Verdict
 
 
 class Exit(IntEnum):
@@ -39,33 +32,6 @@ WORDS = "stopped by Ctrl-C"
 CLEAR = "\r\x1b[K"
 """Clears the line of a terminal."""
 IMPORTING = "<frozen importlib._bootstrap>"
-
-
-def left_open(undetermined: Sequence[str], advice: Sequence[str]) -> tuple[int, str] | None:
-    """Return the exit code and the words of a motion that leaves something open; None of any other."""
-    if not undetermined:
-        return None
-    from ..observability.wording import open_sentence
-
-    return Exit.UNDETERMINED, open_sentence(undetermined, advice)
-
-
-def failure_of(
-    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str = ""
-) -> tuple[int, str] | None:
-    """Return the exit code of the contract and what went wrong; None where nothing did.
-
-    A `disagreement` says that another way led to another optimum.
-    """
-    if result.status != "converged":
-        interrupted = getattr(result, "interrupted", False)  # one of a survey is not handed over
-        return Exit.INTERRUPTED if interrupted else Exit.UNDETERMINED, result.message
-    if disagreement:
-        words = f"{disagreement}; expected the same optimum: do not use this calibration"
-        return Exit.UNDETERMINED, words
-    exceeded = judged.exceeded
-    words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else judged.sentence
-    return None if judged.usable else (Exit.NOT_USABLE, words)
 
 
 class CtrlC:
