@@ -89,8 +89,8 @@ if TYPE_CHECKING:
     from .files.report.pictures import write_pictures as write_pictures
     from .files.report.report import write_report as write_report
     from .files.rig_toml import read_rig as read_rig
-    from .files.study_results import write_study_picture as write_study_picture
     from .files.study_toml import read_study as read_study
+    from .files.study_toml import write_study_picture as write_study_picture
     from .files.survey_reading import read_survey as read_survey
     from .model.effects.plausible import Plausible as Plausible
     from .model.sensor_limits import Sensor as Sensor

@@ -8,9 +8,9 @@ import numpy as np
 from .checks import require_kind
 from .data.noise import Noise
 from .data.parameters import Parameters
-from .data.recording import Recording, sorted_readings
+from .data.recording import Recording, beyond_planes, sorted_readings
 from .data.screening import screened
-from .data.survey import Survey, beyond_planes
+from .data.survey import Survey
 from .errors import CalibrationWarning, InputError
 from .estimation.estimate import BlockProblem, Estimate, estimate
 from .estimation.options import CalibrationOptions

@@ -7,7 +7,7 @@ import pytest
 from helpers import simulated
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.report.history import history
+from handlaser_gtsam.files.report.subject import history
 from handlaser_gtsam.solvers import graph_levenberg as levenberg
 from handlaser_gtsam.validation.leave_out import USUAL_SPLITS
 from handlaser_gtsam.validation.quick_validation import WholeSolution, held_out

@@ -26,7 +26,7 @@ from benchmarks.log_conventions import (
     numbers,
     study,
 )
-from handlaser_gtsam.cli.log_options import Log
+from handlaser_gtsam.cli.convert import Log
 from handlaser_gtsam.files.rig_toml import LogTable, with_log_table
 from handlaser_gtsam.model.conventions import FORMATS, formats_of
 

@@ -14,7 +14,8 @@ import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import RELATIONS as STATED_RELATIONS
 from benchmarks.rigs import body_of, errors_of, stated_relation, survey_of
-from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, TARGETS, normal_label
+from handlaser_gtsam.data.recording import TARGETS
+from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, normal_label
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.files.logs.bag_points import READ_FROM
 from handlaser_gtsam.files.points_table import COLUMNS

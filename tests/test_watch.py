@@ -29,9 +29,7 @@ from watching import HOSTILE_BEAMS, Client, Sent, answer, until, watching, write
 
 from handlaser_gtsam.files.report.page import SECTIONS
 from handlaser_gtsam.files.watch.follower import Follower
-from handlaser_gtsam.files.watch.guard import Guard
-from handlaser_gtsam.files.watch.hub import Hub
-from handlaser_gtsam.files.watch.server import PageServer, listening
+from handlaser_gtsam.files.watch.server import Guard, Hub, PageServer, listening
 from handlaser_gtsam.files.watch.watched import Watched
 
 LINES = (GRIPPER / "recording.csv").read_text().splitlines(keepends=True)

@@ -5,7 +5,7 @@ import os
 import sys
 from contextlib import suppress
 
-from .stopping import BAD_INPUT, INTERRUPTED, UNDETERMINED, WORDS, CtrlC
+from .stopping import WORDS, CtrlC, Exit
 
 THREADS = "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"
 """Environment variables of the linear algebra under NumPy, which reads them when it is imported."""
@@ -24,7 +24,7 @@ def main() -> None:
             sys.exit(code)
     except KeyboardInterrupt:  # in the first or the last line of the above
         print(f"handlaser: {WORDS}", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        sys.exit(Exit.INTERRUPTED)
 
 
 def _stoppable(stopping: CtrlC) -> tuple[int, str]:
@@ -34,7 +34,7 @@ def _stoppable(stopping: CtrlC) -> tuple[int, str]:
     except BaseException:
         if not stopping.asked:
             raise
-    return (INTERRUPTED, WORDS) if stopping.asked else (code, words)
+    return (Exit.INTERRUPTED, WORDS) if stopping.asked else (code, words)
 
 
 def _run() -> tuple[int, str]:
@@ -51,10 +51,10 @@ def _run() -> tuple[int, str]:
         code = app(sys.argv[1:] or ["--help"], prog_name=NAME, standalone_mode=False)
         sys.stdout.flush()
     except HandlaserError as error:
-        return BAD_INPUT if isinstance(error, InputError) else UNDETERMINED, str(error)
+        return Exit.BAD_INPUT if isinstance(error, InputError) else Exit.UNDETERMINED, str(error)
     except UsageError as error:
-        return BAD_INPUT, usage_words(error)
+        return Exit.BAD_INPUT, usage_words(error)
     except OSError as error:
         print(f"handlaser: no way to write the output ({error.strerror})", file=sys.stderr)
-        os._exit(BAD_INPUT)  # a full stdout would raise again when it is flushed
-    return (BAD_INPUT if code == 1 else code or 0), ""  # 1 is how completion refuses a shell
+        os._exit(Exit.BAD_INPUT)  # a full stdout would raise again when it is flushed
+    return (Exit.BAD_INPUT if code == 1 else code or 0), ""  # 1 is how completion refuses a shell

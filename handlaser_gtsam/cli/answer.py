@@ -17,7 +17,7 @@ from pathlib import Path
 import typer
 
 from ..progress import Progress, told_to
-from .stopping import CLEAR, INTERRUPTED, CtrlC
+from .stopping import CLEAR, CtrlC, Exit
 
 NO_SCREEN = 1000
 """Columns of what is no screen, a pipe or a file: no table is wider."""
@@ -69,7 +69,7 @@ class Answer:
             print_wrapped(self.lines)
         if self.failure is not None:
             code, words = self.failure
-            if code != INTERRUPTED:  # that is said where Ctrl-C ends up
+            if code != Exit.INTERRUPTED:  # that is said where Ctrl-C ends up
                 with suppress(BrokenPipeError):  # whoever read it has gone; the exit code stays
                     print(f"handlaser: {words}", file=sys.stderr, flush=True)
             raise typer.Exit(code)

@@ -21,12 +21,12 @@ from .options import (
     how,
     metres,
 )
-from .stopping import failure_of
+from .stopping import Exit
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
     from ..data.survey import Survey
-    from ..files.logs.report import LogReport
+    from ..files.logs.format import LogReport
     from ..files.rig_toml import Rig
     from ..planning.route import Plan
     from ..results.calibration import Calibration
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from ..results.survey import SurveyCalibration
     from ..results.verdict import Verdict
     from ..session.reports import Comparison
-    from ..validation.cross_check import CrossCheck
 
 
 OutliersChoice = Literal["reject", "keep"]
@@ -104,20 +103,16 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
         --range-sigma-mm 0.03 --poses exact
     """
     from ..data.survey import Survey
-    from ..files.input_reading import read_any_kind
-    from ..files.writing import require_outputs
-    from .survey import refuse_of_beams, require_outputs_of
+    from .survey import read_stated, require_outputs_of
 
     with Working():
         rig = given.read()
         outputs = {"--out": output.out, "--report": output.report}
-        require_outputs(outputs, (recording, given.rig, *rig.log.files))
-        require_outputs_of(outputs, rig)
-        read = read_any_kind(rig, recording)
+        require_outputs_of(outputs, rig, (recording, given.rig))
+        stated = [] if output.at_range_mm is None else ["--at-range-mm"]
+        stated += replace(manner, incremental=False).stated()
+        read = read_stated(rig, recording, stated)
         if isinstance(read, Survey):
-            stated = [] if output.at_range_mm is None else ["--at-range-mm"]
-            stated += replace(manner, incremental=False).stated()
-            refuse_of_beams(rig, stated, recording)
             answer = _answer(recording, rig, read, manner, output, given.rig)
         else:
             log, rig = read
@@ -144,11 +139,11 @@ def _answer(
     above, checked, disagreement = list[str](), list[str](), ""
     result, recording, taught, comparison = _solved(read, rig, manner)
     if comparison is not None:
-        from .incremental import comparison_line, disagreement_of
+        from .incremental import comparison_words
 
         what = "target" if isinstance(read, Survey) else "plane"
-        above.append(comparison_line(comparison, what))
-        disagreement = disagreement_of(comparison, what)
+        line, disagreement = comparison_words(comparison, what)
+        above.append(line)
     judged = result.judged(rig.limits, reading)
     text = calibration_text(result, judged)
     if output.out is not None:
@@ -159,7 +154,11 @@ def _answer(
             from ..validation.cross_check import cross_check
 
             check = cross_check(result, recording)
-            checked = [cross_check_line(check)]
+            checked = [
+                f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
+                f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
+                f"({check.sigma_parameter})"
+            ]
             if check.largest > SAME_OPTIMUM:
                 disagreement = f"SciPy disagrees by {check.difference}"
         if output.report is not None or not aloud:
@@ -181,7 +180,7 @@ def _answer(
         text,
         _lines(result, judged, taught, above, plan, after, verbose=output.verbose),
         [*checked, *result.warnings] if aloud else (),
-        failure_of(result, judged, disagreement),
+        _failure_of(result, judged, disagreement),
     )
 
 
@@ -258,10 +257,19 @@ def _lines(
     yield from (*first, *next_best, *last)
 
 
-def cross_check_line(check: "CrossCheck") -> str:
-    """Return the cross-check in one line."""
-    return (
-        f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
-        f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
-        f"({check.sigma_parameter})"
-    )
+def _failure_of(
+    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str = ""
+) -> tuple[int, str] | None:
+    """Return the exit code of the contract and what went wrong; None where nothing did.
+
+    A `disagreement` says that another way led to another optimum.
+    """
+    if result.status != "converged":
+        interrupted = getattr(result, "interrupted", False)  # one of a survey is not handed over
+        return Exit.INTERRUPTED if interrupted else Exit.UNDETERMINED, result.message
+    if disagreement:
+        words = f"{disagreement}; expected the same optimum: do not use this calibration"
+        return Exit.UNDETERMINED, words
+    exceeded = judged.exceeded
+    words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else judged.sentence
+    return None if judged.usable else (Exit.NOT_USABLE, words)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from .answer import Answer, Working, lines_read
 from .options import JsonOption, RecordingArgument
-from .stopping import UNDETERMINED, left_open
+from .stopping import Exit
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -36,15 +36,13 @@ def check(recording: RecordingArgument, rig: Path | None = None, json_: JsonOpti
     handlaser check recording.csv --rig rig.toml
     """
     from ..data.survey import Survey
-    from ..files.input_reading import read_any_kind
     from ..files.rig_toml import known_rig
-    from .survey import refuse_of_beams
+    from .survey import read_stated
 
     with Working():
         known = known_rig(rig, {})
-        read = read_any_kind(known, recording)
+        read = read_stated(known, recording, [])
         if isinstance(read, Survey):
-            refuse_of_beams(known, [], recording)
             answer = _of_survey(read, known)
         else:
             log, known = read
@@ -58,11 +56,11 @@ def _of_survey(survey: "Survey", rig: "Rig") -> Answer:
     from ..results.survey_check import check_lines, check_survey
 
     found = check_survey(survey, rig.noise)
-    failure = (UNDETERMINED, found.open_sentence) if found.undetermined else None
+    failure = (Exit.UNDETERMINED, found.open_sentence) if found.undetermined else None
     if failure is not None and not found.exactly:
         failure = failure[0], f"{failure[1]}. Some of it is undetermined at this noise only"
     if found.doubt is not None:
-        failure = UNDETERMINED, found.doubt
+        failure = Exit.UNDETERMINED, found.doubt
     warnings = [one for one in found.warnings if one.message not in (found.doubt or "")]
     lines = [*check_lines(found), *lines_read("read", survey.lines)]
     return Answer(check_text(found, survey.lines), lines, warnings, failure)
@@ -72,12 +70,15 @@ def _of_beams(read: "Recording", rig: "Rig", *, advise: bool) -> Answer:
     """Check a recording of beams before planes; name the next stations where that is asked for."""
     from ..files.calibration_writing import check_text
     from ..observability.motion import check_motion, lemma_words
+    from ..observability.wording import open_sentence
 
     found = check_motion(read)
     lines = [f"{found.readings} readings for {found.unknowns} unknowns, without range errors"]
     lines += lemma_words(found, read.beam_names)
-    failure = left_open(found.undetermined, found.advice)
-    if failure is None:
+    failure = None
+    if found.undetermined:
+        failure = Exit.UNDETERMINED, open_sentence(found.undetermined, found.advice)
+    else:
         lines.append("the motion determines everything, for beams and planes in general position")
     if advise:
         from ..estimation.options import CalibrationOptions

@@ -161,21 +161,20 @@ def _row(
     return text(name), *sizes, text(str(rejected or "")), text(remark)
 
 
-def comparison_line(comparison: Comparison, what: str) -> str:
-    """Say how far plane by plane, or target by target, and all at once are apart."""
+def comparison_words(comparison: Comparison, what: str) -> tuple[str, str]:
+    """Say how far plane by plane, or target by target, and all at once are apart.
+
+    And that they are not the same optimum; nothing where they are.
+    """
     if np.isnan(comparison.largest):
-        return f"{what} by {what} and all at once cannot be compared: one has not converged"
-    return (
-        f"{what} by {what} and all at once agree to {comparison.largest:.2g} standard deviations; the "
-        f"standard deviations agree to {IN_PERCENT * comparison.largest_sigma:.2g} %"
+        return f"{what} by {what} and all at once cannot be compared: one has not converged", ""
+    largest = f"{comparison.largest:.2g} standard deviations"
+    line = (
+        f"{what} by {what} and all at once agree to {largest}; the standard deviations agree to "
+        f"{IN_PERCENT * comparison.largest_sigma:.2g} %"
     )
-
-
-def disagreement_of(comparison: Comparison, what: str) -> str:
-    """Say that one by one and all at once are not the same optimum; nothing where they are."""
-    if not comparison.largest > SAME_OPTIMUM:
-        return ""
-    return f"{what} by {what} is {comparison.largest:.2g} standard deviations from all at once"
+    apart = comparison.largest > SAME_OPTIMUM
+    return line, f"{what} by {what} is {largest} from all at once" if apart else ""
 
 
 def _remark(name: str, update: Update) -> str:

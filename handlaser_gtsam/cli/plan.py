@@ -9,7 +9,7 @@ import typer
 from ..text import count
 from .answer import Answer, Working, wrote
 from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
-from .stopping import UNDETERMINED
+from .stopping import Exit
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -78,18 +78,16 @@ def plan(
     handlaser plan recording.csv --rig rig.toml \
         --stations 5 --picture forecast.svg
     """
-    from ..files.exports.forecast_picture import forecast_svg
-    from ..files.plan_json import plan_text
+    from ..files.plan_json import forecast_svg, plan_text
     from ..files.recording_csv import write_stations
-    from ..files.writing import require_outputs, write_text
+    from ..files.writing import write_text
     from .survey import require_outputs_of
     from .words import plan_lines, station_lines
 
     with Working():
         rig = given.read()
         outputs = {"--out": out, "--picture": picture}
-        require_outputs(outputs, (recording, calibration, given.rig, *rig.log.files))
-        require_outputs_of(outputs, rig)
+        require_outputs_of(outputs, rig, (recording, calibration, given.rig))
         planned = _planned(recording, calibration, rig, model, planes, stations, seed)
         warnings, failure = _gaps(planned)
         if calibration is not None:
@@ -123,12 +121,11 @@ def _planned(
 
     from ..data.survey import Survey
     from ..errors import InputError, SolverError
-    from ..files.input_reading import read_any_kind
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
     from ..planning.workspace import require_range
-    from .survey import refuse_of_beams
+    from .survey import read_stated
 
     rng = np.random.default_rng(seed)
     if recording is not None and result is not None:
@@ -146,10 +143,9 @@ def _planned(
         return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
     # Without a goal as many as an hour's work; with one, the plan ends where it is reached.
     most = stations or (100 if rig.goal.stated else 20)
-    read = None if recording is None else read_any_kind(rig, recording)
+    stated = model.stated() + ([] if planes is None else ["--planes"])
+    read = None if recording is None else read_stated(rig, recording, stated)
     if isinstance(read, Survey):
-        stated = model.stated() + ([] if planes is None else ["--planes"])
-        refuse_of_beams(rig, stated, recording or Path())
         found = calibrate(read, rig.noise)
         return planning.plan(found, most, workspace=rig.workspace, goal=rig.goal, rng=rng)
     require_range(rig.sensor)
@@ -182,7 +178,7 @@ def _gaps(planned: "Plan") -> tuple[list[str], tuple[int, str] | None]:
         return [words], None
     stations = count(len(planned.forecast), "station")
     return [words], (
-        UNDETERMINED,
+        Exit.UNDETERMINED,
         f"{stations} would still leave something open: ask for more with --stations, or allow more "
         "room and larger turns in the table [workspace] of the rig file",
     )

@@ -7,7 +7,7 @@ import typer
 
 from .answer import Answer, Working, wrote
 from .options import Given, Model, RecordingArgument
-from .stopping import UNDETERMINED
+from .stopping import Exit
 
 
 def plot(
@@ -43,6 +43,6 @@ def plot(
         report, rig = read_with(rig, recording)
         found = calibrate(report.recording, rig.noise, model.options(rig))
         files = write_pictures(out, found, ReportOptions(rig))
-    failure = None if found.status == "converged" else (UNDETERMINED, found.message)
+    failure = None if found.status == "converged" else (Exit.UNDETERMINED, found.message)
     warnings = [f"WARNING: {one.message}" for one in found.warnings]
     Answer("", wrote(*files), warnings, failure).give(json=False)

@@ -10,55 +10,28 @@ import atexit
 import os
 import signal
 import threading
-from collections.abc import Sequence
+from enum import IntEnum
 from types import FrameType
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from ..results.calibration import Calibration
-    from ..results.survey import SurveyCalibration
-    from ..results.verdict import Verdict
 
-BAD_INPUT = 2
-"""Input, options or files that were refused: the code of shells for a wrong usage."""
-UNDETERMINED = 3
-"""No calibration: the recording does not determine what was asked, its readings do not fit each other,
-or are not what is stated of them, no solver converged, or another solver disagrees."""
-NOT_USABLE = 4
-"""A calibration that is not to be used."""
-INTERRUPTED = 130
-"""Stopped by Ctrl-C: 128 and the number of the signal, as in a shell."""
+class Exit(IntEnum):
+    """How the command ends where it is not good; shells use the first and the last likewise."""
+
+    BAD_INPUT = 2
+    """Input, options or files that were refused."""
+    UNDETERMINED = 3
+    """No calibration: the recording does not determine what was asked, its readings do not fit each
+    other, or are not what is stated of them, no solver converged, or another solver disagrees."""
+    NOT_USABLE = 4
+    """A calibration that is not to be used."""
+    INTERRUPTED = 128 + signal.SIGINT
+    """Stopped by Ctrl-C."""
+
+
 WORDS = "stopped by Ctrl-C"
 CLEAR = "\r\x1b[K"
 """Clears the line of a terminal."""
 IMPORTING = "<frozen importlib._bootstrap>"
-
-
-def left_open(undetermined: Sequence[str], advice: Sequence[str]) -> tuple[int, str] | None:
-    """Return the exit code and the words of a motion that leaves something open; None of any other."""
-    if not undetermined:
-        return None
-    from ..observability.wording import open_sentence
-
-    return UNDETERMINED, open_sentence(undetermined, advice)
-
-
-def failure_of(
-    result: "Calibration | SurveyCalibration", judged: "Verdict", disagreement: str = ""
-) -> tuple[int, str] | None:
-    """Return the exit code of the contract and what went wrong; None where nothing did.
-
-    A `disagreement` says that another way led to another optimum.
-    """
-    if result.status != "converged":
-        interrupted = getattr(result, "interrupted", False)  # one of a survey is not handed over
-        return INTERRUPTED if interrupted else UNDETERMINED, result.message
-    if disagreement:
-        words = f"{disagreement}; expected the same optimum: do not use this calibration"
-        return UNDETERMINED, words
-    exceeded = judged.exceeded
-    words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else judged.sentence
-    return None if judged.usable else (NOT_USABLE, words)
 
 
 class CtrlC:
@@ -95,7 +68,7 @@ class CtrlC:
             raise KeyboardInterrupt
         clear = CLEAR if os.isatty(2) else ""
         os.write(2, f"{clear}handlaser: {WORDS}\n".encode())
-        os._exit(INTERRUPTED)
+        os._exit(Exit.INTERRUPTED)
 
 
 def _importing(frame: FrameType | None) -> bool:

@@ -55,8 +55,7 @@ def study(
     handlaser study study.toml --runs 4 \
         --out runs.parquet --jobs 2
     """
-    from ..files.study_results import read_runs, write_runs, write_study_picture
-    from ..files.study_toml import read_study
+    from ..files.study_toml import read_runs, read_study, write_runs, write_study_picture
     from ..files.writing import require_outputs
     from ..validation.runs import count_warnings, summarize_runs
     from ..validation.study import run_study, workers

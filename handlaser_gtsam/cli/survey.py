@@ -9,17 +9,25 @@ from ..errors import InputError
 from ..text import count
 
 if TYPE_CHECKING:
+    from ..data.survey import Survey
     from ..errors import CalibrationWarning
+    from ..files.logs.format import LogReport
     from ..files.rig_toml import Rig
 
 
-def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
-    """Refuse what is stated and does not count with sensors of many rays, other targets or relations.
+def read_stated(rig: "Rig", path: Path, stated: Sequence[str]) -> "Survey | tuple[LogReport, Rig]":
+    """Read a recording or a survey; refuse what is stated and does not count with the latter.
 
     Raises
     ------
     InputError
     """
+    from ..data.survey import Survey
+    from ..files.input_reading import read_any_kind
+
+    read = read_any_kind(rig, path)
+    if not isinstance(read, Survey):
+        return read
     fields = {
         "max_incidence_deg": rig.sensor.max_incidence < math.pi / 2.0,
         "incidence_sigma_mm": rig.noise.incidence_sigma > 0.0,
@@ -30,10 +38,13 @@ def refuse_of_beams(rig: "Rig", stated: Sequence[str], path: Path) -> None:
         words = f"{', '.join(found)}, with sensors of many rays, other targets or relations"
         expected = "it with beams before planes only (errors of a sensor are `free` in [[sensors]])"
         raise InputError(words, expected, path)
+    return read
 
 
-def require_outputs_of(outputs: Mapping[str, Path | None], rig: "Rig") -> None:
-    """Refuse files to write, by their options, that the sensors of a rig file read, or would read.
+def require_outputs_of(
+    outputs: Mapping[str, Path | None], rig: "Rig", inputs: Sequence[Path | None]
+) -> None:
+    """Refuse files to write, by their options, that are an input, or that a rig file has read.
 
     Raises
     ------
@@ -42,6 +53,7 @@ def require_outputs_of(outputs: Mapping[str, Path | None], rig: "Rig") -> None:
     """
     from ..files.writing import require_outputs
 
+    require_outputs(outputs, (*inputs, *rig.log.files))
     if rig.survey is None:
         return
     require_outputs(outputs, rig.survey.files)
@@ -70,7 +82,7 @@ def converted_survey(
     if is_bag(path):
         expected = "a log of poses beside tables of points; the other verbs take bags as they are"
         raise InputError("a bag, with sensors of many rays", expected, path)
-    require_outputs_of({"--out": out}, rig)
+    require_outputs_of({"--out": out}, rig, ())
     survey = read_survey(path, rig)
     if survey.beam_names:
         found = "a recording with ranges of beams, which is no log of poses"

@@ -8,7 +8,7 @@ import typer
 
 from .answer import Answer, Working
 from .options import Given, JsonOption, Model, RecordingArgument, Seed
-from .stopping import NOT_USABLE, UNDETERMINED
+from .stopping import Exit
 
 if TYPE_CHECKING:
     from ..data.recording import Recording
@@ -57,23 +57,21 @@ def validate(
     """
     from ..data.survey import Survey
     from ..errors import InputError
-    from ..files.input_reading import read_any_kind
-    from .survey import refuse_of_beams
+    from .survey import read_stated
 
     with Working():
         rig = given.read()
         if calibration is not None and hold_out is not None:
             raise InputError("--calibration and --hold-out", "one of the two")
-        read = read_any_kind(rig, recording)
+        against = calibration is not None or hold_out is not None
+        stated = ["--calibration or --hold-out"] if against else []
+        read = read_stated(rig, recording, [*stated, *model.stated()])
         if isinstance(read, Survey):
-            against = calibration is not None or hold_out is not None
-            stated = ["--calibration or --hold-out"] if against else []
-            refuse_of_beams(rig, [*stated, *model.stated()], recording)
             answer = validated(read, rig, None, splits, seed)
         else:
             report, rig = read
             options = model.options(rig)
-            if calibration is None and hold_out is None:
+            if not against:
                 answer = validated(report.recording, rig, options, splits, seed)
             else:
                 answer = _tested(report.recording, rig, options, calibration, hold_out)
@@ -103,7 +101,7 @@ def validated(
     if not judged.usable:
         unsolved = result.calibration.status != "converged"
         unsolved |= any(one.code == DISAGREES for one in judged.causes)
-        failure = UNDETERMINED if unsolved else NOT_USABLE, judged.sentence
+        failure = Exit.UNDETERMINED if unsolved else Exit.NOT_USABLE, judged.sentence
     lines = validation_lines(result, judged, text_width())
     return Answer(validation_text(result, judged), lines, failure=failure)
 
@@ -147,5 +145,5 @@ def _tested(
         words = f"the calibration does not hold ({p_words(found.p_value)})"
         if not found.fits:
             words = f"the readings fit no beams, by {found.misfit:.0f} times what the noise says"
-        failure = NOT_USABLE, f"{words}: {likely or said('unexplained')}"
+        failure = Exit.NOT_USABLE, f"{words}: {likely or said('unexplained')}"
     return Answer(hold_out_text(found), hold_out_lines(found), recording.warnings, failure)

@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from .parameters import RangeErrorPrior as RangeErrorPrior
     from .readings import Readings as Readings
     from .readings import Regressors as Regressors
-    from .recording_checks import HasMatrix as HasMatrix
+    from .recording import HasMatrix as HasMatrix
 else:
     from ..lazy import lazy_names
 

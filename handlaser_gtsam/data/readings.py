@@ -13,7 +13,7 @@ from .value import Value
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Regressors(Value):
-    """Regressors of the range error: constant + k1 level + k2 level^2 stands for the true range.
+    """Regressors: the constant, with the range error at the level, stands for the true range.
 
     Attributes
     ----------

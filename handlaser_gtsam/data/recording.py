@@ -9,30 +9,205 @@ beams by what they read, and planes by their first station; results are named, a
 of the recording again.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import FloatArray, IntArray, frozen, frozen_indices, gathered
-from ..checks import number_array, require_kind
+from ..checks import number_array, require_kind, require_names, require_number
 from ..errors import CalibrationWarning, InputError
+from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from ..text import shown
 from .readings import Readings, typical_range
-from .recording_checks import (
-    NAMES,
-    HasMatrix,
-    check_recording,
-    first_repeated,
-    names_of,
-    numbered,
-    pose_matrices,
-    store_columns,
-)
 from .value import Value
 
-__all__ = ["Readings", "Recording", "first_repeated", "join", "typical_range"]
+if TYPE_CHECKING:
+    from .station_list import StationList
+
+__all__ = ["Readings", "Recording", "join", "typical_range"]
+
+
+TARGETS = ("plane", "sphere", "point", "groove")
+"""Kinds of targets, as labels have them before a colon."""
+
+
+class HasMatrix(Protocol):
+    """A pose with a homogeneous matrix (4, 4): gtsam.Pose3."""
+
+    def matrix(self) -> NDArray[np.float64]:
+        """Return the homogeneous matrix."""
+        ...
+
+
+def pose_matrices(poses: Sequence[HasMatrix] | ArrayLike) -> FloatArray:
+    """Return poses, objects or arrays, as matrices (M, 4, 4).
+
+    Raises
+    ------
+    InputError
+        What is no pose, or the transpose of one.
+    """
+    expected = "a sequence of gtsam.Pose3, or an array (M, 4, 4)"
+    rows: object = poses
+    if isinstance(poses, Sequence):
+        rows = [pose.matrix() if hasattr(pose, "matrix") else pose for pose in poses]
+    T = number_array("poses", cast(ArrayLike, rows), expected)
+    if T.shape[1:] != (4, 4):
+        raise InputError(f"poses of shape {T.shape}", expected)
+    wrong = np.flatnonzero((T[:, 3] != (0.0, 0.0, 0.0, 1.0)).any(axis=1))
+    if wrong.size:
+        last = f"the last row {T[wrong[0], 3].tolist()} in pose {wrong[0] + 1}"
+        raise InputError(last, "[0, 0, 0, 1]: world_T_hand, and not its transpose")
+    return T
+
+
+def names_of(kind: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Return names as a tuple.
+
+    Raises
+    ------
+    InputError
+        A single text, what is no sequence, or a name that cannot be one.
+    """
+    listed = names if isinstance(names, str) or not isinstance(names, Iterable) else tuple(names)
+    require_names(kind, listed)
+    return tuple(listed)
+
+
+def numbered(count: int) -> tuple[str, ...]:
+    """Return the names of what has none: "1", "2", ..."""
+    return tuple(str(index + 1) for index in range(count))
+
+
+NAMES = {
+    "plane_labels": "the label of a plane",
+    "beam_names": "the name of a beam",
+    "station_names": "the name of a station",
+    "ignored_columns": "the name of a column",
+    "joint_names": "the name of a joint",
+}
+"""Fields that hold names."""
+
+
+def store_columns(of: object, *fields: str) -> None:
+    """Store fields of a frozen value as they are kept: names as tuples, numbers as read-only arrays.
+
+    Raises
+    ------
+    InputError
+        What is neither.
+    """
+    for name in fields:
+        given = getattr(of, name)
+        if name in NAMES:
+            object.__setattr__(of, name, names_of(NAMES[name], given))
+        elif given is not None:
+            object.__setattr__(of, name, number_array(name, given))
+
+
+def check_stations(of: "Recording | StationList", shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Give names to stations that have none; refuse what cannot be poses of named stations.
+
+    Other arrays, where they are there, have these `shapes`.
+
+    Raises
+    ------
+    InputError
+    """
+    count = len(of.plane_labels)
+    if not of.station_names:
+        object.__setattr__(of, "station_names", numbered(count))
+    if not count or len(of.station_names) != count:
+        expected = f"{count}, one each" if count else "at least one station"
+        raise InputError(f"{len(of.station_names)} station names", expected)
+    shapes = {"world_R_hand": (count, 3, 3), "world_t_hand": (count, 3), **shapes}
+    for name, shape in shapes.items():
+        array = getattr(of, name)
+        if array is not None and array.shape != shape:
+            raise InputError(f"{name} of shape {array.shape}", f"shape {shape}")
+    require_once("station", of.station_names)
+    check_poses(of.world_R_hand, of.world_t_hand, of.station_names)
+
+
+def check_poses(R: FloatArray, t: FloatArray, name: Sequence[str]) -> None:
+    """Refuse rotations (M, 3, 3) and positions (M, 3) that cannot be hand poses of named stations.
+
+    Raises
+    ------
+    InputError
+    """
+    bad = np.flatnonzero(~(np.isfinite(R).all(axis=(1, 2)) & np.isfinite(t).all(axis=1)))
+    if bad.size:
+        raise InputError(f"a pose that is not finite at station {name[bad[0]]}", "finite numbers")
+    bad = np.flatnonzero((np.abs(t) > LARGEST_LENGTH).any(axis=1))
+    if bad.size:
+        position = f"a position of {np.abs(t[bad[0]]).max():g} m at station {name[bad[0]]}"
+        raise InputError(position, f"metres, at most {LARGEST_LENGTH:.0f}")
+    # R'R - I is within `NEGLIGIBLE`: single precision leaves less of an orthonormal matrix.
+    bounded = np.clip(R, -2.0, 2.0)  # no entry of a rotation is above 1; squares of 1e308 overflow
+    error = np.abs(np.swapaxes(bounded, 1, 2) @ bounded - np.eye(3)).max(axis=(1, 2))
+    bad = np.flatnonzero((error > NEGLIGIBLE) | (np.linalg.det(bounded) < 0.0))
+    if bad.size:
+        raise InputError(
+            f"world_R_hand that is no rotation at station {name[bad[0]]} "
+            f"(R'R differs from the identity by {error[bad[0]]:.1e})",
+            f"a right-handed rotation matrix to {NEGLIGIBLE:.0e}",
+        )
+
+
+def rotation_matrix(name: str, values: ArrayLike) -> FloatArray:
+    """Return one rotation (3, 3).
+
+    Raises
+    ------
+    InputError
+        What is none.
+    """
+    R = number_array(name, values)
+    if R.shape != (3, 3):
+        raise InputError(f"{name} of shape {R.shape}", "a rotation matrix (3, 3)")
+    check_poses(R[None], np.zeros((1, 3)), [name])
+    return R
+
+
+def require_once(kind: str, names: Sequence[str]) -> None:
+    """Refuse names of which one stands twice.
+
+    Raises
+    ------
+    InputError
+    """
+    twice = first_repeated(names)
+    if twice is not None:
+        raise InputError(f"{kind} {names[twice]!r} twice", f"every {kind} name once")
+
+
+def first_repeated(names: Sequence[str]) -> int | None:
+    """Return the index of the first name that stands earlier too, or None."""
+    seen: set[str] = set()
+    for index, name in enumerate(names):
+        if name in seen:
+            return index
+        seen.add(name)
+    return None
+
+
+def beyond_planes(labels: Iterable[str]) -> str:
+    """Return the first label of a target that is no plane, empty where all are planes.
+
+    A colon in the name of a plane is no kind.
+    """
+    kinds = tuple(f"{kind}:" for kind in TARGETS if kind != "plane")
+    return next((label for label in map(stripped_label, labels) if label.startswith(kinds)), "")
+
+
+def stripped_label(label: str) -> str:
+    """Return a label without spaces about the colon: `plane: plate` is `plane:plate`."""
+    kind, colon, name = label.partition(":")
+    return f"{kind.strip()}:{name.strip()}" if colon else label
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -90,7 +265,44 @@ class Recording(Value):
         number = {label: p for p, label in enumerate(dict.fromkeys(self.plane_labels))}
         store(self, "plane_names", tuple(number))
         store(self, "plane_of_station", frozen_indices([number[x] for x in self.plane_labels]))
-        check_recording(self)
+        require_kind("warnings", self.warnings, tuple, "a tuple of CalibrationWarning")
+        for warning in self.warnings:
+            require_kind("a warning", warning, CalibrationWarning)
+        shape = len(self.plane_labels), len(self.beam_names)
+        if not all(shape):
+            raise InputError(f"{shape[0]} stations and {shape[1]} beams", "at least one of each")
+        check_stations(self, {"ranges": shape, "samples": shape})
+        require_once("beam", self.beam_names)
+        self._check_readings()
+
+    def _check_readings(self) -> None:
+        d, samples, name = self.ranges, self.samples, self.station_names
+        require_number("range_min", self.range_min, -LARGEST_LENGTH, 0.0, unit="m")
+        if samples is not None and not ((samples >= 1.0) & (samples <= LARGEST_LENGTH)).all():
+            raise InputError("samples that are not one or more", "1 for a reading that is no mean")
+        with np.errstate(invalid="ignore"):
+            positive = (d > 0.0) if self.range_min == 0.0 else (d >= self.range_min)
+            rows, columns = np.nonzero(~np.isnan(d) & ~(positive & (d <= LARGEST_LENGTH)))
+        if rows.size:
+            least = "a positive range"
+            if self.range_min < 0.0:
+                least = f"a range from {self.range_min:g}"
+            raise InputError(
+                f"range {d[rows[0], columns[0]]:g} of beam {self.beam_names[columns[0]]} "
+                f"at station {name[rows[0]]}",
+                f"{least} in metres up to {LARGEST_LENGTH:.0f}, or NaN for no reading; negative "
+                "readings need the sensor's range_min",
+            )
+        seen = ~np.isnan(d)
+        planes = self.plane_of_station[seen.any(axis=1)]
+        read = np.bincount(planes, minlength=len(self.plane_names))
+        for kind, names, unread, rest in (
+            ("beam", self.beam_names, ~seen.any(axis=0), "the beam"),
+            ("plane", self.plane_names, read == 0, "its stations"),
+        ):
+            if unread.any():
+                expected = f"at least one reading of every {kind}; leave {rest} out"
+                raise InputError(f"{kind} {names[unread.argmax()]} without any reading", expected)
 
     @classmethod
     def from_poses(
@@ -228,6 +440,18 @@ class Recording(Value):
         return replace(self, beam_names=names)
 
 
+def joined_columns(
+    parts: Sequence[tuple[Sequence[str], FloatArray]], missing: float = np.nan
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the names of all columns of tables (M, n), and the rows of all with what is missing."""
+    names = tuple(dict.fromkeys(name for own, _ in parts for name in own))
+    table, first = np.full((sum(len(rows) for _, rows in parts), len(names)), missing), 0
+    for own, rows in parts:
+        at = slice(first, first := first + len(rows))
+        table[at, [names.index(name) for name in own]] = rows
+    return names, table
+
+
 def join(recordings: Sequence[Recording]) -> Recording:
     """Return one recording of all stations of several; beams and planes are known by their names.
 
@@ -240,15 +464,14 @@ def join(recordings: Sequence[Recording]) -> Recording:
         raise InputError(f"{shown(recordings)} to join", "a sequence of recordings")
     for part in recordings:
         require_kind("one to join", part, Recording)
-    beams = tuple(dict.fromkeys(name for part in recordings for name in part.beam_names))
-    shape = sum(len(part.ranges) for part in recordings), len(beams)
-    ranges, samples, first = np.full(shape, np.nan), np.ones(shape), 0
-    for part in recordings:
-        rows = slice(first, first := first + len(part.ranges))
-        columns = [beams.index(name) for name in part.beam_names]
-        ranges[rows, columns] = part.ranges
-        samples[rows, columns] = 1.0 if part.samples is None else part.samples
-    averaged = any(part.samples is not None for part in recordings)
+    beams, ranges = joined_columns([(part.beam_names, part.ranges) for part in recordings])
+    samples = None
+    if any(part.samples is not None for part in recordings):
+        worth = [
+            (part.beam_names, np.ones(part.ranges.shape) if part.samples is None else part.samples)
+            for part in recordings
+        ]
+        _, samples = joined_columns(worth, 1.0)
     return Recording(
         np.concatenate([part.world_R_hand for part in recordings]),
         np.concatenate([part.world_t_hand for part in recordings]),
@@ -256,7 +479,7 @@ def join(recordings: Sequence[Recording]) -> Recording:
         tuple(label for part in recordings for label in part.plane_labels),
         beams,
         tuple(name for part in recordings for name in part.station_names),
-        samples=samples if averaged else None,
+        samples=samples,
         range_min=min(part.range_min for part in recordings),
     )
 

@@ -11,8 +11,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import number_array
 from ..errors import InputError
 from ..quantities import TINY
-from .recording import Recording
-from .recording_checks import check_stations, numbered, require_once, store_columns
+from .recording import Recording, check_stations, numbered, require_once, store_columns
 from .value import Value
 
 

@@ -5,7 +5,7 @@ relations that are known. Labels say what kind of target it is: `plane:A`, `sphe
 `groove:G` for the two planes of a V; without a kind it is a plane.
 """
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -17,12 +17,17 @@ from ..checks import number_array, require_kind, require_number, require_word
 from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
-from .recording_checks import first_repeated, names_of, require_once
+from .recording import (
+    TARGETS,
+    first_repeated,
+    joined_columns,
+    names_of,
+    require_once,
+    stripped_label,
+)
 from .station_list import StationList
 from .value import Value
 
-TARGETS = ("plane", "sphere", "point", "groove")
-"""Kinds of targets, as labels have them before a colon."""
 Kind = Literal["profiler", "scanner", "array", "points"]
 """Kinds of sensors of many rays."""
 Convention = Literal["radial", "perpendicular"]
@@ -544,27 +549,17 @@ class Survey(Value):
             later = replace(one, station=one.station + len(self.stations))
             earlier = shots.get(one.name)
             shots[one.name] = later if earlier is None else earlier.joined(later)
-        names = tuple(dict.fromkeys((*self.beam_names, *other.beam_names)))
-        ranges = None
-        if names:
-            tables = [
-                np.stack(
-                    [
-                        np.full(len(of.stations), np.nan)
-                        if of.ranges is None or name not in of.beam_names
-                        else of.ranges[:, of.beam_names.index(name)]
-                        for name in names
-                    ],
-                    axis=1,
-                )
+        names, ranges = joined_columns(
+            [
+                (of.beam_names, np.empty((len(of.stations), 0)) if of.ranges is None else of.ranges)
                 for of in (self, other)
             ]
-            ranges = np.concatenate(tables)
+        )
         return replace(
             self,
             stations=self.stations.joined(other.stations),
             shots=tuple(shots.values()),
-            ranges=ranges,
+            ranges=ranges if names else None,
             beam_names=names,
             known=(*self.known, *(one for one in other.known if one not in self.known)),
             half_angle=of_beams.half_angle,
@@ -591,21 +586,6 @@ def kind_of(label: str) -> str:
     return kind
 
 
-def beyond_planes(labels: Iterable[str]) -> str:
-    """Return the first label of a target that is no plane, empty where all are planes.
-
-    A colon in the name of a plane is no kind.
-    """
-    kinds = tuple(f"{kind}:" for kind in TARGETS if kind != "plane")
-    return next((label for label in map(stripped_label, labels) if label.startswith(kinds)), "")
-
-
 def normal_label(label: str) -> str:
     """Return a label with its kind, without spaces about the colon."""
     return stripped_label(label) if ":" in label else f"plane:{label}"
-
-
-def stripped_label(label: str) -> str:
-    """Return a label without spaces about the colon: `plane: plate` is `plane:plate`."""
-    kind, colon, name = label.partition(":")
-    return f"{kind.strip()}:{name.strip()}" if colon else label

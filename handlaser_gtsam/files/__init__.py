@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .calibration_reading import CalibrationFile as CalibrationFile
     from .calibration_reading import SurveyFile as SurveyFile
-    from .logs.report import LogReport as LogReport
+    from .logs.format import LogReport as LogReport
     from .rig_toml import Rig as Rig
     from .sensor_tables import SensorTable as SensorTable
     from .sensor_tables import SurveyTables as SurveyTables
-    from .study_results import read_runs as read_runs
-    from .study_results import write_runs as write_runs
+    from .study_toml import read_runs as read_runs
+    from .study_toml import write_runs as write_runs
 else:
     from ..lazy import lazy_names
 

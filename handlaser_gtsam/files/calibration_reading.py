@@ -50,7 +50,7 @@ class VerdictRecord(ObjectRecord):
 
 
 class RangeErrorRecord(ObjectRecord):
-    """k1 [1] and k2 [1/m]."""
+    """The terms of a range error, with their units in their names."""
 
     k1: float
     k2_per_m: float

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from ..checks import require_kind, require_number
 from ..data.parameters import Parameters
 from ..data.recording import Recording
+from ..model.families import BEAM, OF_RANGE_ERROR
 from ..observability.motion import MotionCheck
 from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from ..results.survey import SurveyCalibration
     from ..results.survey_check import SurveyCheck
 
-RANGE_ERROR = "k1 k2_per_m"
+RANGE_ERROR = " ".join(BEAM.keys[OF_RANGE_ERROR])
 MOTION = "name stations orientations translations translating axes readings"
 """What is said of the stations before a plane, or another target."""
 
@@ -97,7 +98,9 @@ def _of_beams(calibration: Calibration, reading: float) -> Record:
             )
             for one in calibration.correlations
         ],
-        "range_error_scales": None if scales is None else record(scales, "k1 k2_per_m linearity"),
+        "range_error_scales": None
+        if scales is None
+        else record(scales, f"{RANGE_ERROR} linearity"),
         "systematic": [
             record(
                 one,

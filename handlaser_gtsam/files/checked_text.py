@@ -19,7 +19,7 @@ from ..data.recording import first_repeated
 from ..errors import ArgumentError, InputError
 from ..quantities import DEG, MM
 from ..text import shown
-from .writing import path_of
+from .writing import path_of, readable
 
 UNITS = {"mm": MM, "deg": DEG, "percent": 0.01}
 """Units that names of fields end with."""
@@ -68,12 +68,12 @@ def read_text(path: Path, expected: str) -> str:
     InputError
         No such file, or bytes that are not UTF-8.
     """
+    with readable(path, expected):
+        data = path.read_bytes()
     try:
-        return path.read_bytes().decode("utf-8")
-    except OSError as error:
-        raise InputError(f"no readable file ({error.strerror})", expected, path) from error
+        return data.decode("utf-8")
     except UnicodeDecodeError as error:
-        data, at = error.object, error.start
+        at = error.start
         if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
             raise InputError("UTF-16 text", "a file saved as UTF-8", path, 1) from error
         line = data.count(b"\n" if b"\n" in data else b"\r", 0, at) + 1

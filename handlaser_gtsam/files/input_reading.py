@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..data.survey import Survey, beyond_planes, kind_of
+from ..data.recording import beyond_planes
+from ..data.survey import Survey, kind_of
 from ..errors import CalibrationWarning, InputError
 from ..model.sensor_limits import Sensor
 from ..text import shown
-from .logs.format import LogFormat
-from .logs.report import LogReport
+from .logs.format import LogFormat, LogReport
 from .recording_csv import read_recording
 from .rig_toml import Rig, as_fields, naming_fields
 

@@ -2,7 +2,7 @@
 
 Columns, by the kind of the sensor: `station`, and `x, z` (profiler); `angle, reading` (scanner);
 `zone, reading` (array); `x, y, z` (points). A unit may stand behind a name: `x_mm`, `z [in]`. Empty
-cells and codes for no reading (not finite, zero, or beyond `FARTHEST`) are passed over; other numbers
+cells and codes for no reading (not finite, zero, or beyond any length) are passed over; other numbers
 that are codes, by the rule of `data.screening`, are passed over and counted. An array may have a column
 `echo` where a zone has several. Letters of names count in either case.
 """
@@ -20,6 +20,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.screening import codes_of_shots
 from ..data.survey import Echo
 from ..errors import InputError
+from ..quantities import IN_MM, LARGEST_LENGTH
 from ..text import count, shown, some
 from .checked_text import in_file
 from .logs.columns import plain, unit_of
@@ -49,8 +50,6 @@ Codes = dict[float, int]
 
 A_NUMBER = r"[0-9]+(\.[0-9]+)?"
 """Names of stations that are compared as numbers where they differ as texts."""
-FARTHEST = 1e9
-"""No reading in any unit: a thousand kilometres in millimetres, or a code such as 3.4e38."""
 AWAITED = "waiting for the poses of"
 """Begins the line that says which stations have points, and no pose yet."""
 DECIMAL_COMMA = r"^([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)$"
@@ -253,7 +252,8 @@ def _points(
     wanted = COLUMNS[kind]
     found = [_column(table, one) for one in wanted]
     numbers = np.column_stack([known_numbers(table, one)[0] for one in found])
-    good = (np.abs(numbers) < FARTHEST).all(axis=1)
+    # No unit of a reading is smaller than a millimetre; a code may be 3.4e38.
+    good = (np.abs(numbers) < IN_MM * LARGEST_LENGTH).all(axis=1)
     if kind != "profiler":
         good &= (numbers[:, -1] > 0.0) if kind != "points" else (numbers != 0.0).any(axis=1)
     units = {one: unit_of(column) for one, column in zip(wanted, found, strict=True)}

@@ -16,7 +16,6 @@ Cells of ranges are readings, or say that there is none: by words, or by numbers
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from difflib import SequenceMatcher
 from itertools import permutations
 from pathlib import Path
@@ -76,12 +75,12 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     table = read_table(path_of(path), ("plane", *POSE))
     beams = _check_header(table)
     samples = [SAMPLES + beam for beam in beams if SAMPLES + beam in table.frame.columns]
-    stations = stations_of(table, PREFIX, *samples)
+    R, t, planes, names = stations_of(table, PREFIX, *samples)
     columns = [PREFIX + beam for beam in beams]
     ranges, coded = range_numbers(table, columns, sensor or Sensor())
     whose = {PREFIX + beam: [beam] for beam in beams}
     warnings = (*table.warnings, *code_warnings(table, whose, coded))
-    seen, planes = ~np.isnan(ranges), stations.plane_labels
+    seen = ~np.isnan(ranges)
     for name in (PREFIX + beams[index] for index in np.flatnonzero(~seen.any(axis=0))):
         expected = "at least one reading of every beam, or no such column"
         raise InputError("no reading at all", expected, table.path, None, name)
@@ -90,12 +89,12 @@ def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
     found = f"plane {planes[unread.argmax()]!r} without any reading"
     table.refuse(unread, "plane", "at least one reading of every plane", found)
     return Recording(
-        stations.world_R_hand,
-        stations.world_t_hand,
+        R,
+        t,
         ranges,
         planes,
         tuple(beams),
-        stations.station_names,
+        names,
         tuple(x for x in table.frame.columns if not _used(x, PREFIX) and x not in samples),
         _samples(table, beams, ranges) if samples else None,
         warnings,
@@ -135,8 +134,10 @@ def station_columns(stations: Recording | StationList) -> pl.DataFrame:
     return text.hstack(pl.DataFrame(numbers, schema=list(POSE), orient="row"))
 
 
-def stations_of(table: FileTable, *prefixes: str) -> StationList:
-    """Return the hand poses, plane labels and station names of the rows of a table.
+def stations_of(
+    table: FileTable, *prefixes: str
+) -> tuple[FloatArray, FloatArray, tuple[str, ...], tuple[str, ...]]:
+    """Return rotations and positions of the hand, plane labels and station names of the rows.
 
     Columns whose names begin with one of the `prefixes` are read elsewhere; is one of them the last, it
     must not be cut.
@@ -168,7 +169,7 @@ def stations_of(table: FileTable, *prefixes: str) -> StationList:
     found = f"a quaternion of length {off:.6g}, {abs(off - 1.0):.2g} off"
     expected = f"length 1 within {QUATERNION_TOLERANCE:g}, in the order qx, qy, qz, qw"
     table.refuse(wrong, "qx, qy, qz, qw", expected, found)
-    return StationList(Rotation.from_quat(x[:, 3:]).as_matrix(), x[:, :3], planes, stations)
+    return Rotation.from_quat(x[:, 3:]).as_matrix(), x[:, :3], planes, stations
 
 
 def _check_header(table: FileTable) -> list[str]:
@@ -240,11 +241,9 @@ def read_stations(path: Path | str) -> StationList:
     table = read_table(path_of(path), ("plane", *POSE))
     stations = stations_of(table, JOINT)
     columns = [name for name in table.frame.columns if name.startswith(JOINT)]
-    if not columns:
-        return stations
-    joints = np.stack([column_numbers(table, name) for name in columns], axis=1)
+    each = [column_numbers(table, name) for name in columns]
     names = tuple(name.removeprefix(JOINT) for name in columns)
-    return replace(stations, joints=joints, joint_names=names)
+    return StationList(*stations, np.stack(each, axis=1) if each else None, names)
 
 
 def range_numbers(

@@ -1,5 +1,7 @@
 """Declared studies: scenes, treatments, and how many runs of each scene by each treatment.
 
+A study leaves its table of runs as a Parquet file, and its summary as a picture.
+
     runs = 1000
     seed = 0
 
@@ -22,6 +24,7 @@
 A function runs with the rights of who starts the study: declare those that you trust.
 """
 
+import io
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -29,19 +32,20 @@ from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import polars as pl
 from pydantic import Discriminator, Field, Tag
 
 from ..errors import InputError
 from ..estimation.options import RANGE_ERROR_TERMS, CalibrationOptions, Outliers, Poses, RangeError
 from ..model.losses import LossName
 from ..model.sensor_limits import Sensor
-from ..validation.runs import calibrate_each, reduce_together
+from ..validation.runs import RUN_SCHEMA, calibrate_each, reduce_together
 from ..validation.scenes import ERRORS, SENSORS, Layout, draw_scene
 from ..validation.simulate import Errors
 from ..validation.study import Case, Draw, Solve, Study
 from .checked_text import FileRecord, in_file, in_table, read_checked
 from .rig_toml import NoiseTable, noise_of, toml_value
-from .writing import path_of
+from .writing import path_of, readable, require_writable, write_bytes
 
 
 class SceneTable(FileRecord):
@@ -174,3 +178,69 @@ def read_study(path: Path | str) -> Study:
         if not cases:
             raise InputError("no scenes or no treatments", "[scenes.NAME] and [treatments.NAME]")
         return Study(cases, declared.runs, declared.seed)
+
+
+PANELS = {
+    "nees": "NEES a degree of freedom",
+    "coverage": "coverage of 95 % intervals, %",
+    "location_mm": "rms error of r, mm",
+    "direction_deg": "rms error of v, deg",
+}
+"""Columns of the summary that are drawn, and their titles."""
+
+
+def read_runs(path: Path | str) -> pl.DataFrame:
+    """Read the table of a study.
+
+    Raises
+    ------
+    InputError
+        No readable file, or no table of runs.
+    """
+    path = path_of(path)
+    with readable(path, "runs, Parquet"):
+        content = path.read_bytes()
+    try:
+        return pl.read_parquet(content).match_to_schema(pl.Schema(RUN_SCHEMA))
+    except pl.exceptions.PolarsError as error:
+        found = f"no runs of a study ({str(error).splitlines()[0][:80]})"
+        raise InputError(found, "a table that a study wrote, or a new file", path) from error
+
+
+def write_runs(path: Path | str, runs: pl.DataFrame) -> None:
+    """Write the table of a study in one step; raises InputError where that is not possible."""
+    buffer = io.BytesIO()
+    runs.write_parquet(buffer)
+    write_bytes(path_of(path), buffer.getvalue())
+
+
+def write_study_picture(path: Path | str, summary: pl.DataFrame) -> None:
+    """Draw a summary: NEES with its standard error, coverage, and rms errors.
+
+    Raises
+    ------
+    InputError
+        No PNG, SVG or PDF, no way to write it, or no matplotlib.
+    """
+    path = path_of(path)
+    require_writable(path)
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        expected = "pip install 'handlaser-gtsam[plots]'"
+        raise InputError("no matplotlib, which draws pictures", expected) from error
+    names = [f"{row['scene']}, {row['treatment']}" for row in summary.iter_rows(named=True)]
+    figure = Figure(figsize=(11.0, 1.6 + 0.35 * len(names)), layout="constrained")
+    axes = figure.subplots(1, len(PANELS), sharey=True)
+    for axis, (column, title) in zip(axes, PANELS.items(), strict=True):
+        errors = summary["standard_error"].fill_null(0.0) if column == "nees" else None
+        axis.errorbar(summary[column], names, xerr=errors, fmt="o", capsize=3)
+        axis.set_title(title, fontsize=9)
+        axis.grid(axis="x", alpha=0.4)
+    axes[0].axvline(1.0, color="green", alpha=0.5)
+    axes[1].axvline(95.0, color="green", alpha=0.5)
+    axes[0].invert_yaxis()
+    try:
+        figure.savefig(path)
+    except ValueError as error:  # a kind of picture that matplotlib does not know
+        raise InputError(f"the picture {path.name}", "a PNG, SVG or PDF file", path) from error

@@ -66,7 +66,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         lines = (rows.words, *lines)
     else:
         table = read_table(path, ("plane", *POSE))
-        stations = stations_of(table, PREFIX)
+        stations = StationList(*stations_of(table, PREFIX))
         columns = [name for name in table.frame.columns if name.startswith(PREFIX)]
         beams = tuple(name.removeprefix(PREFIX) for name in columns)
         ranges = range_numbers(table, columns, rig.sensor)[0] if columns else None

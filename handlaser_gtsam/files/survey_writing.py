@@ -9,7 +9,7 @@ import polars as pl
 from ..arrays import FloatArray
 from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of
-from ..model.families import FAMILIES, PLANE
+from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE
 from ..model.sensor_limits import Sensor
 from ..model.sensors.kinds import KINDS
 from ..quantities import IN_DEG, IN_MM
@@ -92,10 +92,8 @@ def _zones(table: SensorTable) -> str:
 def _columns(table: SensorTable, shots: Shots, zones: FloatArray | None) -> FloatArray:
     """Return the numbers (N, c) of a table of points, in millimetres and degrees."""
     d = shots.reading[:, None] * IN_MM
-    if table.kind == "profiler":
-        return np.hstack((shots.across * IN_MM, d))
-    if table.kind == "scanner":
-        return np.hstack((shots.across * IN_DEG, d))
+    if KINDS[table.kind].flat:
+        return np.hstack((shots.across * (IN_DEG if table.kind == "scanner" else IN_MM), d))
     if table.kind == "points":
         return np.asarray(d * KINDS[table.kind].rays(shots.across).direction)
     assert zones is not None
@@ -124,7 +122,6 @@ def _sensor_text(table: SensorTable) -> str:
 
 
 def _truth(truth: SurveyTruth) -> Record:
-    k1, k2 = truth.range_error
     targets = []
     for label, x in truth.targets.items():
         family = kind_of(label)
@@ -141,5 +138,5 @@ def _truth(truth: SurveyTruth) -> Record:
             for name, x in truth.beams.items()
         ],
         "targets": targets,
-        "range_error": {"k1": k1, "k2": k2},
+        "range_error": dict(zip(BEAM.numbers[OF_RANGE_ERROR], truth.range_error, strict=True)),
     }

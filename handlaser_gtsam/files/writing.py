@@ -133,3 +133,12 @@ def _refused(path: Path) -> Iterator[None]:
     except OSError as error:
         expected = "a writable file in a folder that exists"
         raise InputError(f"no way to write ({error.strerror})", expected, path) from error
+
+
+@contextmanager
+def readable(path: Path, expected: str) -> Iterator[None]:
+    """Let what the system says against reading a file, which is `expected` there, be an InputError."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"no readable file ({error.strerror})", expected, path) from error

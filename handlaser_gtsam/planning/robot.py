@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..checks import number_array, require_number
-from ..data.recording_checks import check_poses, numbered, rotation_matrix
+from ..data.recording import check_poses, numbered, rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
 from ..model.robots.arm import Arm

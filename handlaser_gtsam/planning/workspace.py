@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from .. import model
 from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind, require_number
-from ..data.recording import Recording
-from ..data.recording_checks import rotation_matrix
+from ..data.recording import Recording, rotation_matrix
 from ..data.station_list import StationList
 from ..data.value import Value
 from ..errors import InputError

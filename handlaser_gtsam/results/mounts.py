@@ -14,7 +14,7 @@ from ..checks import (
     require_number,
 )
 from ..data.noise import LEAST_SIGMA, Noise
-from ..data.recording_checks import require_once
+from ..data.recording import require_once
 from ..data.value import Value
 from ..errors import InputError
 from ..model.families import BEAM

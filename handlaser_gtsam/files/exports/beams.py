@@ -11,10 +11,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
-from ...data.recording_checks import require_once
+from ...data.recording import require_once
 from ...errors import InputError
 from ...model.equation import corrected
-from ...model.families import BEAM, OF_DIRECTION
+from ...model.families import BEAM, OF_DIRECTION, OF_RANGE_ERROR
 from ...model.geometry import normalized
 from ...quantities import IN_DEG, IN_MM, SINGULAR
 from ...results.mounts import Mounts
@@ -23,15 +23,13 @@ from ..calibration_reading import SurveyFile
 from .rendering import comment_text, identifiers
 
 Axis = Literal["x", "y", "z"]
-Ray = tuple[FloatArray, FloatArray, FloatArray]
-"""Location, direction and range errors."""
 Beam = dict[str, Any]
 """What templates take of a beam in the hand frame, SI units, and of a frame along which it lies.
 
 `name` and `identifier`; `comment`, its name, standard deviations and range errors, harmless in a
-comment of any format; `location` r [m] and unit vector `direction` v; `k1` and `k2` of the true range
-s = d + k1 d + k2 d^2 of a reading d [m]; of the frame `origin` [m], and `quaternion` (x, y, z, w),
-`angles` (A, B, C) with R = Rz(A) Ry(B) Rx(C) [rad] and `rotation_vector` [rad].
+comment of any format; `location` r [m] and unit vector `direction` v; `range_error`, its two terms, by
+which `model.equation` makes true ranges of readings; of the frame `origin` [m], and `quaternion`
+(x, y, z, w), `angles` (A, B, C) with R = Rz(A) Ry(B) Rx(C) [rad] and `rotation_vector` [rad].
 """
 
 
@@ -72,12 +70,14 @@ def _beams(mounts: Mounts, axis: Axis, reading: float) -> Iterator[Beam]:
         turn = math.sqrt(max(float(np.linalg.eigvalsh(mounts.covariance[np.ix_(at, at)])[-1]), 0.0))
         x, y, z = (f"{value * IN_MM:.3g}" for value in sigma[:3])
         words = [f"location +- {x} {y} {z} mm", f"direction +- {turn * IN_DEG:.3g} deg"]
-        k1, k2 = mounts.range_errors[i]
-        words += [f"k1 {k1:.6g} +- {sigma[6]:.2g}"] if mounts.terms[i] else []
-        words += [f"k2 {k2:.6g} +- {sigma[7]:.2g} per m"] if mounts.terms[i] > 1 else []
-        comment, v = f"beam {comment_text(name)}: {', '.join(words)}", directions[i]
-        ray = mounts.locations[i], v, mounts.range_errors[i]
-        frame = _framed(ray, smallest_rotation(axis, v), reading)
+        v, k = directions[i], mounts.range_errors[i]
+        terms = zip(
+            BEAM.numbers[OF_RANGE_ERROR], k, sigma[OF_RANGE_ERROR], ("", " per m"), strict=True
+        )
+        every = [f"{term} {size:.6g} +- {error:.2g}{unit}" for term, size, error, unit in terms]
+        words += every[: mounts.terms[i]]
+        comment = f"beam {comment_text(name)}: {', '.join(words)}"
+        frame = _framed(mounts.locations[i], v, k, smallest_rotation(axis, v), reading)
         yield {"name": name, "comment": comment, **frame}
 
 
@@ -86,24 +86,21 @@ def _sensors(file: SurveyFile, axis: Axis, reading: float) -> Iterator[Beam]:
     for sensor in file.sensors:
         R = np.array(sensor.rotation)
         ahead = R[:, 0] if sensor.kind == "scanner" else R[:, 2]
-        frame = _framed((np.array(sensor.location_m), ahead, np.zeros(2)), R, reading)
+        frame = _framed(np.array(sensor.location_m), ahead, np.zeros(2), R, reading)
         yield _located(sensor.kind, sensor.name, sensor.location_sigma_m) | frame
     for beam in file.beams:
         r, v, k = map(np.array, (beam.location_m, beam.direction, beam.range_error))
-        frame = _framed((r, v, k), smallest_rotation(axis, v), reading)
+        frame = _framed(r, v, k, smallest_rotation(axis, v), reading)
         yield _located("beam", beam.name, beam.location_sigma_m) | frame
 
 
-def _framed(ray: Ray, R: FloatArray, reading: float) -> Beam:
-    """Return a ray with a frame turned by R where it reads that."""
-    r, v, k = ray
-    k1, k2 = k.tolist()
+def _framed(r: FloatArray, v: FloatArray, k: FloatArray, R: FloatArray, reading: float) -> Beam:
+    """Return a beam with its range error, and a frame turned by R where it reads that."""
     turn = Rotation.from_matrix(R)
     return {
         "location": tuple(r.tolist()),
         "direction": tuple(v.tolist()),
-        "k1": k1,
-        "k2": k2,
+        "range_error": tuple(k.tolist()),
         "origin": tuple((r + corrected(np.array(reading), k) * v).tolist()),
         "quaternion": tuple(turn.as_quat(canonical=True).tolist()),
         "angles": yaw_pitch_roll(R),

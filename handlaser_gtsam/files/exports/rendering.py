@@ -7,7 +7,7 @@ a comment beside it, where every character that could end a comment is replaced 
 import re
 import shlex
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
@@ -68,15 +68,12 @@ def rendered(template: str, **values: object) -> str:
         shell=shlex.quote,
         attribute=quoteattr,
         remarks=lambda text: "\n".join(f"!{line}" for line in textwrap.wrap(text, REMARK)),
-        steps=_steps,
+        # The lines of a FANUC program are numbered.
+        steps=lambda text: "".join(
+            f"{at:4d}:  {line} ;\n" for at, line in enumerate(text.strip("\n").splitlines(), 1)
+        ),
     )
     return templates.get_template(f"{template}.j2").render(**values)
-
-
-def _steps(text: str) -> str:
-    """Return the lines of a FANUC program, numbered."""
-    lines: Iterable[tuple[int, str]] = enumerate(text.strip("\n").splitlines(), 1)
-    return "".join(f"{at:4d}:  {line} ;\n" for at, line in lines)
 
 
 def identifiers(names: Sequence[str]) -> tuple[str, ...]:

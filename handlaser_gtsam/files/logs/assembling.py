@@ -25,12 +25,10 @@ from ...model.sensor_limits import Sensor
 from ...quantities import MEDIAN_TO_SIGMA
 from ...text import count
 from ..exports.rendering import environment
-from .format import Average, LogFormat
-from .joining import JoinedStations
+from .format import Average, LogFormat, LogReport
+from .joining import JoinedStations, intervals, planes_of
 from .other_conventions import held_poses, refuse_wrong_convention
-from .planes import intervals, planes_of
 from .poses import hand_poses
-from .report import LogReport
 
 
 def assembled(

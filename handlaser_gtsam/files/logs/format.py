@@ -1,13 +1,17 @@
-"""How a log is written, as a user states it.
+"""How a log is written, as a user states it, and what was read of one.
 
 Every field of `LogFormat` is an option of the command line and a field of the table `[log]` of a rig
 file (`files.rig_toml`), too; its description in the docstring is what `--help` says of the option.
 Nothing heavy is imported here: the checks are, once there is something to check.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Literal, get_args, get_origin
+
+if TYPE_CHECKING:
+    from ...data.recording import Recording
 
 Units = Literal["m", "mm", "in"]
 AngleUnits = Literal["deg", "rad"]
@@ -185,3 +189,33 @@ class LogFormat:
     def header_given(self) -> tuple[str, ...]:
         """Names of the columns of a file that has no header; TUM files have none."""
         return self.header or (TUM_HEADER if self.pose_format == "tum" else ())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogReport:
+    """A recording, and how it came about.
+
+    Attributes
+    ----------
+    recording : Recording
+    scatter : float or None
+        Standard deviation of one reading, from readings that repeat [m].
+    scatter_of : {beam: sigma}
+        The same of each beam that repeats [m].
+    lag : float
+        How much later readings were taken to be stamped than poses [s].
+    lag_sigma : float or None
+        Its standard deviation where it was estimated [s].
+    lines : texts
+        All of this for a person.
+    beside : paths
+        Files that were read beside the log itself.
+    """
+
+    recording: "Recording"
+    scatter: float | None = None
+    scatter_of: Mapping[str, float] = field(default_factory=dict)
+    lag: float = 0.0
+    lag_sigma: float | None = None
+    lines: tuple[str, ...] = ()
+    beside: tuple[Path, ...] = ()

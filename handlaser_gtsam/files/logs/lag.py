@@ -53,19 +53,23 @@ from ...model.damped_search import LevenbergOptions
 from ...model.equation import residuals_or_infinite
 from ...model.families import count_unknowns
 from ...model.weighting import Variances, whitening
-from ...quantities import FAR_SIGMAS, MOST_ROUNDS, NUMBERS_AT_ONCE, ROUNDING, SINGULAR
+from ...quantities import (
+    FAR_SIGMAS,
+    MOST_ROUNDS,
+    NUMBERS_AT_ONCE,
+    ROUNDING,
+    SAME_OPTIMUM,
+    SINGULAR,
+)
 from ...results.projection import LinearRows, Projection
 from ...solvers.many_problems import solve_together
 from ...starts import find_start
-from .motion import MOVES_M, MOVES_RAD, interpolated, neighbours
-from .stands import Track
+from .motion import MOVES_M, MOVES_RAD, Track, interpolated, neighbours
 
 REACH = 0.5
 """Lags up to this [s] from an offset are looked for."""
 COARSE, FINE = 0.04, 0.002
 """First and last steps of the search [s]."""
-LAG_SETTLED = 0.01
-"""A lag that moves by fewer of its standard deviations has come to rest."""
 WORST_SIGMA = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag."""
 STEPS_APART = 2.0
@@ -118,11 +122,6 @@ class _Candidate(NamedTuple):
         """How much likelier the readings are than if they did not follow the motion: a logarithm."""
         return float(self.covered * np.log(self.variation / self.squares))
 
-    def as_good_as(self, other: "_Candidate") -> bool:
-        """Whether it leaves as little as another one, of readings that are not far fewer."""
-        least = AS_GOOD * other.squares / other.number
-        return self.squares < least * self.number and 2 * self.covered > other.covered
-
 
 def estimated_lag(
     track: Track,
@@ -163,7 +162,8 @@ def estimated_lag(
     # The likeliest; of those as good, the nearest to a stated lag. Where none is stated, and the
     # clocks are not one, those as good far from it are asked, too.
     best, others = max(found, key=lambda one: one.gain), []
-    alike = [one for one in found if one.as_good_as(best)]
+    least, few = AS_GOOD * best.squares / best.number, 0.5 * best.covered
+    alike = [one for one in found if one.squares < least * one.number and one.covered > few]
     if near:
         best = min(alike, key=lambda one: abs(one.lag - near))
     elif abs(best.lag) > REACH:
@@ -267,10 +267,10 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
         # The interpolation between two poses may move the minimum by this much [s].
         sigma = float(np.hypot(np.sqrt(float(e @ e) / max(count, 1) / square), 1e-4))
         step = -float(rest @ e) / square
-        if abs(step) < LAG_SETTLED * sigma:
+        if abs(step) < SAME_OPTIMUM * sigma:
             break
         lag += float(np.clip(step, -COARSE, COARSE))
-    if not (abs(step) < LAG_SETTLED * sigma <= LAG_SETTLED * WORST_SIGMA):
+    if not (abs(step) < SAME_OPTIMUM * sigma <= SAME_OPTIMUM * WORST_SIGMA):
         return None
     if not 2.0 * solved.cost[0] <= AS_GOOD * candidate.squares:
         return None

@@ -7,7 +7,7 @@ import sqlite3
 import zipfile
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from enum import IntEnum
 from functools import partial
 from io import DEFAULT_BUFFER_SIZE
 from pathlib import Path
@@ -20,24 +20,20 @@ ALWAYS = 1 << 26
 MOST_TIMES = 100
 """How many times its bytes a file may unpack to beside `ALWAYS`; logs reach ten to twenty."""
 MCAP = b"\x89MCAP0\r\n"
-MCAP_MESSAGE, MCAP_CHUNK = 5, 6
-"""Kinds of records (https://mcap.dev/spec)."""
 
 
-@dataclass(slots=True)
+class Mcap(IntEnum):
+    """Kinds of records (https://mcap.dev/spec)."""
+
+    MESSAGE = 5
+    CHUNK = 6
+
+
 class Allowance:
-    """What may still be unpacked from a file.
+    """What may still be unpacked from a file, by the bytes until now."""
 
-    Attributes
-    ----------
-    path : Path
-    packed, unpacked : int
-        Bytes until now.
-    """
-
-    path: Path
-    packed: int = 0
-    unpacked: int = 0
+    def __init__(self, path: Path) -> None:
+        self.path, self.packed, self.unpacked = path, 0, 0
 
     def take(self, packed: int, unpacked: int) -> None:
         """Count a part of the file.
@@ -143,7 +139,7 @@ def _take_chunks(file: BinaryIO, size: int, allowance: Allowance, *, messages: b
         begin = file.tell()
         if begin + length > size:  # rosbags says so
             return
-        if kind == MCAP_CHUNK and length >= 40:
+        if kind == Mcap.CHUNK and length >= 40:
             stated = int.from_bytes(file.read(28)[16:24], "little")
             compression = file.read(int.from_bytes(file.read(4), "little") & 0xFF)
             packed = int.from_bytes(file.read(8), "little")
@@ -152,7 +148,7 @@ def _take_chunks(file: BinaryIO, size: int, allowance: Allowance, *, messages: b
             if compression == b"lz4" and len(content) > 14 and content[4] & 0x08:
                 bound = int.from_bytes(content[6:14], "little")  # is stated, and so allocated
             allowance.take(len(content), max(stated, bound))
-        elif kind == MCAP_MESSAGE and messages:
+        elif kind == Mcap.MESSAGE and messages:
             content = file.read(length)[22:]
             allowance.take(len(content), zstd_bound(content))
         file.seek(begin + length)

@@ -16,9 +16,8 @@ from ..writing import path_of
 from .assembling import assembled
 from .bags import METADATA, is_bag, read_bag
 from .columns import columns_of, formats_in
-from .format import LogFormat
+from .format import LogFormat, LogReport
 from .joining import JoinedStations, by_station, by_time, one_table, refuse_other_units
-from .report import LogReport
 from .rows import rows_of
 from .tables import FOREIGN, WORKBOOKS, read_log_table
 

@@ -11,7 +11,7 @@ from ...arrays import BoolArray, FloatArray
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import LENGTHS, TIME_UNITS
 from ...model.sensor_limits import Sensor
-from ...quantities import LARGEST_LENGTH
+from ...quantities import IN_MM, LARGEST_LENGTH
 from ...text import some
 from ..recording_csv import code_warnings, range_numbers
 from ..table import NUMBER, FileTable, column_numbers, labels
@@ -192,7 +192,7 @@ def _pose_numbers(
     """
     x = np.column_stack([column_numbers(table, name) for name in columns])
     for i, name in enumerate(columns):
-        table.refuse(np.abs(x[:, i]) > 1e3 * LARGEST_LENGTH, name, "a number of a pose")
+        table.refuse(np.abs(x[:, i]) > IN_MM * LARGEST_LENGTH, name, "a number of a pose")
     found = []
     for fault in faults(x, convention_of(given)):
         if not (fault.doubt and given.as_stated):

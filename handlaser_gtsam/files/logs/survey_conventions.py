@@ -91,10 +91,8 @@ def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
     for words, mistake in MISTAKES.items():
         for what, how in mistake.items():
             order = how if isinstance(how, list) else []
-            negated, moved = (
-                sum(i < 0 for i in order),
-                sum(abs(i) != j for j, i in enumerate(order, 1)),
-            )
+            negated = sum(i < 0 for i in order)
+            moved = sum(abs(i) != j for j, i in enumerate(order, 1))
             if what == "rows" or (what == "positions" and 2 * negated + moved == 2):
                 said = words.replace("ranges", "shots").replace(" look ", " are ", 1)
                 if what == "rows":

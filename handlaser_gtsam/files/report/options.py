@@ -12,6 +12,9 @@ from ...quantities import LARGEST_LENGTH
 from ...text import shown
 from ..logs.bags import METADATA
 from ..rig_toml import Rig
+from ..writing import readable
+
+BEHIND = "the file behind the calibration"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,14 +78,12 @@ def sha256(path: Path | str) -> str:
     InputError
         No readable file.
     """
-    try:
+    with readable(Path(path), BEHIND):
         if (Path(path) / METADATA).is_file():
             inside = sorted(one for one in Path(path).iterdir() if one.is_file())
             return hashlib.sha256("\n".join(map(sha256, inside)).encode()).hexdigest()
         with Path(path).open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise _unreadable(path, error) from error
 
 
 def changed_on(path: Path | str) -> date:
@@ -93,12 +94,5 @@ def changed_on(path: Path | str) -> date:
     InputError
         No such file.
     """
-    try:
+    with readable(Path(path), BEHIND):
         return datetime.fromtimestamp(Path(path).stat().st_mtime, UTC).date()
-    except OSError as error:
-        raise _unreadable(path, error) from error
-
-
-def _unreadable(path: Path | str, error: OSError) -> InputError:
-    found = f"no readable file ({error.strerror})"
-    return InputError(found, "the file behind the calibration", Path(path))

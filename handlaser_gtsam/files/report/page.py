@@ -8,24 +8,29 @@ them can end the script element or be read as HTML. plotly.js, which draws the f
 compressed: browsers unpack it (DecompressionStream, since 2023), and a page of two megabytes goes
 through any mail.
 
-Tables that only a report has are here: stations, and parts that were held out.
+What only a report has is here: stations, parts that were held out, the next stations, and what it says
+of files, sensor and programs.
 """
 
 import base64
 import hashlib
 import json
 import math
+import sys
 import zlib
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from ... import __version__
 from ...model.distributions import FAMILY_LEVEL, chance
 from ...model.joint import STRONG
-from ...quantities import FAR_SIGMAS, IN_MM
+from ...quantities import FAR_SIGMAS, IN_MM, IN_PERCENT
 from ...results.description.evidence import rejected_words
 from ...results.description.tables import (
     NONE,
@@ -36,8 +41,10 @@ from ...results.description.tables import (
     digits_of,
     name_cell,
     number,
+    sentence,
     significant,
     table_of,
+    text,
 )
 from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
@@ -47,7 +54,7 @@ from ...validation.prediction import pooled
 from ..calibration_writing import calibration_text
 from .figure import STYLE, Figure
 from .figures import flat_figures
-from .head import head_of, title_of
+from .options import ReportOptions, changed_on, sha256
 from .scene import Geometry, scene_figure, spaces_of, still_picture
 from .subject import ReadingRows, Subject
 
@@ -194,17 +201,15 @@ def _hash(script: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
 
 
-def packed(text: str) -> str:
-    """Return text compressed (zlib) in base64, of which no letter means anything in HTML."""
-    return base64.b64encode(zlib.compress(text.encode(), 6)).decode()
-
-
 @lru_cache(maxsize=1)
 def packed_plotly() -> str:
-    """Return plotly.js `packed`, which takes longer than all else of a page and is the same in all."""
+    """Return plotly.js compressed (zlib) in base64, of which no letter means anything in HTML.
+
+    That takes longer than all else of a page and is the same in all.
+    """
     from plotly.offline import get_plotlyjs
 
-    return packed(get_plotlyjs())
+    return base64.b64encode(zlib.compress(get_plotlyjs().encode(), 6)).decode()
 
 
 def safe_json(value: object) -> str:
@@ -287,3 +292,68 @@ def _held(subject: Subject, plane: LeftOut) -> tuple[Cell, ...]:
         significant(held.p_value, 2),
         state,
     )
+
+
+LIBRARIES = ("gtsam", "numpy", "scipy")
+
+
+def title_of(options: ReportOptions) -> str:
+    """Return what is reported on."""
+    file = options.recording_file
+    return "Calibration" if file is None else f"Calibration of {printable(Path(file).name)}"
+
+
+def date_of(options: ReportOptions) -> str:
+    """Return the date of the recording behind a report; empty where it has no file."""
+    if options.recording_file is None:
+        return ""
+    return f"{changed_on(options.recording_file).isoformat()} (of the recording's file)"
+
+
+def head_of(subject: Subject) -> Mapping[str, object]:
+    """Return what the sections on what was calibrated, and how it was made, are filled with."""
+    options, recording = subject.options, subject.calibration.recording
+    sensor = options.rig.sensor
+    parts = [] if sensor.kind is None else [sensor.kind]
+    if sensor.range_stated:
+        parts.append(f"reads {sensor.range_min * IN_MM:.6g} to {sensor.range_max * IN_MM:.6g} mm")
+    if sensor.max_incidence < np.pi / 2.0:
+        parts.append(f"up to {np.degrees(sensor.max_incidence):.4g} deg of incidence")
+    parts.append(f"expected linear to {IN_PERCENT * sensor.linearity:.3g} % of a reading")
+    contradiction = subject.held_out.contradiction
+    contradicting = [contradiction] if contradiction else []
+    ranges = np.empty((0, 1)) if recording is None else recording.ranges
+    return {
+        "warnings": tuple(map(sentence, (*subject.warnings, *contradicting))),
+        "date": date_of(options) or "not stated",
+        "version": __version__,
+        "python": ".".join(map(str, sys.version_info[:3])),
+        "libraries": [f"{name} {version(name)}" for name in LIBRARIES],
+        "files": [
+            (kind, printable(str(path)), printable(Path(path).name), sha256(path))
+            for kind, path in options.sources
+        ],
+        "sensor": ", ".join(parts),
+        "merged": (int((~np.isnan(ranges)).any(axis=1).sum()), len(ranges)),
+        "terms": sorted({beam.terms for beam in subject.calibration.beams.values()}),
+        "plan": _plan_table(subject),
+    }
+
+
+def _plan_table(subject: Subject) -> Table | None:
+    """Return the next best stations; None where none were chosen."""
+    plan = subject.plan
+    if plan is None or not subject.solved:
+        return None
+    stations = plan.stations
+    quaternions = Rotation.from_matrix(stations.world_R_hand).as_quat(canonical=True)
+    rows = tuple(
+        (
+            text(stations.plane_labels[j]),
+            *(number(x * IN_MM, 1) for x in stations.world_t_hand[j].tolist()),
+            *(number(x, 4) for x in quaternions[j].tolist()),
+        )
+        for j in range(len(stations.plane_labels))
+        if plan.read[j]
+    )
+    return table_of("next", rows)

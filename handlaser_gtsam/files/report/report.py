@@ -7,9 +7,8 @@ from ...checks import require_kind
 from ...results.calibration import Calibration
 from ..calibration_writing import require_result
 from ..writing import path_of, require_writable, write_text
-from .head import title_of
 from .options import ReportOptions
-from .page import content_of, page_of, script_of
+from .page import content_of, page_of, script_of, title_of
 from .subject import subject_of
 
 if TYPE_CHECKING:

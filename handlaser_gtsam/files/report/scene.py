@@ -36,8 +36,6 @@ AXIS_SIZE = 0.05
 """Length of the axes of a hand, as a part of the extent of the picture: many hands do not cover it."""
 Segments = tuple[str, FloatArray, tuple[str, ...]]
 """A beam from the sensor to its spots: its name, segments (N, 2, 3) [mm], and what each of them is."""
-EYE = (1.15, -1.3, 0.75)
-"""From where both pictures are seen: a little from above, so that walls and floors are both seen."""
 
 
 class Seen(NamedTuple):
@@ -130,11 +128,8 @@ def spaces_of(subject: Subject) -> list[Geometry]:
 
     Where there is no calibration, only the stations are known.
     """
-    seen, recording, spaces = (
-        seen_by_beams(subject),
-        subject.calibration.recording,
-        list[Geometry](),
-    )
+    seen, spaces = seen_by_beams(subject), list[Geometry]()
+    recording = subject.calibration.recording
     if recording is not None:
         planes = subject.calibration.planes.values() if subject.solved else ()
         normals = {normal_label(plane.name): plane.normal for plane in planes}
@@ -230,8 +225,7 @@ def plate(n: FloatArray, on: FloatArray) -> FloatArray:
 
 def scene_figure(geometry: Geometry) -> Figure:
     """Return a picture in space that can be turned."""
-    eye: Record = dict(zip("xyz", EYE, strict=True))
-    view: Record = {"camera": {"eye": eye, "center": {"x": 0, "y": 0, "z": -0.15}}}
+    view: Record = {}
     for name in "xyz":
         title: Record = {"title": {"text": f"{name}, mm", "font": {"size": 11}}}
         view[f"{name}axis"] = STYLE["side"] | title
@@ -274,8 +268,9 @@ def xyz(points: FloatArray) -> Record:
 
 
 def still_picture(geometry: Geometry) -> Mapping[str, object]:
-    """Return what `still.svg.j2` draws: the same from `EYE`, without perspective, as paths."""
-    forward = np.array(EYE) / np.linalg.norm(EYE)
+    """Return what `still.svg.j2` draws: the same from the same eye, without perspective, as paths."""
+    forward = np.array([*STYLE["scene"]["camera"]["eye"].values()])
+    forward = forward / np.linalg.norm(forward)
     right = np.cross([0.0, 0.0, 1.0], forward)
     right = right / np.linalg.norm(right)
     across = np.stack((right, np.cross(forward, right)), axis=1)

@@ -8,9 +8,8 @@ from ...results.description.tables import listed, name_cell, sentence, text
 from ...results.survey import SurveyCalibration
 from ...results.verdict import Verdict
 from .figure import STYLE, Figure
-from .head import date_of
 from .options import ReportOptions
-from .page import page_of, script_of, sections_of
+from .page import date_of, page_of, script_of, sections_of
 from .scene import in_hand, scene_figure
 from .survey_figures import (
     along_the_rays,

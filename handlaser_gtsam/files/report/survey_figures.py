@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray, evenly
 from ...data.survey import Survey
 from ...model.equation import corrected
-from ...model.families import BEAM, bases
+from ...model.families import BEAM, OF_RANGE_ERROR, bases
 from ...model.sensors.kinds import KINDS
 from ...model.sensors.mounted import SENSOR
 from ...quantities import IN_MM, TINY
@@ -77,7 +77,8 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
         for points in (item.points for item in own if item.points is not None):
             good[points] = True
         d, k = shots.reading[some], mount.range_error
-        d = k.get("k0", 0.0) + corrected(d, np.array([k.get(one, 0.0) for one in ("k1", "k2")]))
+        terms = np.array([k.get(one, 0.0) for one in BEAM.numbers[OF_RANGE_ERROR]])
+        d = k.get("k0", 0.0) + corrected(d, terms)
         fan, scale = KINDS[shots.kind].rays(shots.across[some]), k.get("scale", 0.0)
         origin = fan.origin + scale * fan.origin_by_scale
         spot = origin + d[:, None] * (fan.direction + scale * fan.direction_by_scale)

@@ -15,7 +15,7 @@ from multiprocessing import connection, get_context
 from pathlib import Path
 
 from ...text import printable
-from .hub import STATUS
+from .server import STATUS
 from .watched import Fingerprint, Watched
 from .worker import FileAnswer, work
 

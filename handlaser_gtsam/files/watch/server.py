@@ -1,26 +1,36 @@
 """The server of the page, in a thread of its own: starlette finds the answer, uvicorn speaks HTTP.
 
-It hangs up on clients that stop reading.
+It hangs up on clients that stop reading. Nothing is queued for anybody: who is ready for more gets what
+is newest then, and a client that stops reading holds up nobody.
+
+Only requests by a name of this computer are answered, or by an address where others may reach it, and
+none that another page sends. A page from elsewhere can make a browser ask a server on the same
+computer, under a name of its own that leads there (DNS rebinding) or from its own origin. Both show in
+what the browser says of the request.
 """
 
 import asyncio
 import errno
 import ipaddress
+import re
+import secrets
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping
+from http import HTTPStatus
+from http.client import HTTP_PORT
 
 from starlette.applications import Starlette
+from starlette.datastructures import Headers
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn import Config, Server
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ...errors import InputError
 from ..report.page import live_page
-from .guard import Guard, is_loopback, spelt
-from .hub import Hub
 
 PORT = 8642
 """The port of the page where none is stated: one that no common server takes."""
@@ -67,10 +77,15 @@ class PageServer:
         As it was asked for.
     bound : socket
         It listens already; it is closed at the end.
+
+    Attributes
+    ----------
+    clients : int
+        How many look on.
     """
 
     def __init__(self, host: str, bound: socket.socket) -> None:
-        self._bound = bound
+        self._bound, self.clients = bound, 0
         self._page, name, policy = live_page()
         self._hub = Hub(name)
         routes = [Route("/", self._index), Route("/events", self._events)]
@@ -117,11 +132,6 @@ class PageServer:
         """Whether only this computer reaches the page."""
         return is_loopback(self._bound)
 
-    @property
-    def clients(self) -> int:
-        """How many look on."""
-        return self._hub.clients
-
     def publish(self, messages: Mapping[str, str]) -> None:
         """Send messages by topic, each one line, to all who look on; from any thread.
 
@@ -161,14 +171,14 @@ class PageServer:
 
     async def _news(self, known: int) -> AsyncIterator[bytes]:
         """Yield what is new to a client until it has gone, which cancels this."""
-        self._hub.clients += 1
+        self.clients += 1
         try:
             yield self._hub.hello
             while True:
                 known, news = await self._hub.news(known)
                 yield news
         finally:
-            self._hub.clients -= 1
+            self.clients -= 1
 
 
 class PatientProtocol(H11Protocol):
@@ -194,3 +204,159 @@ class PatientProtocol(H11Protocol):
     def _rest(self) -> None:
         if self._waiting is not None:
             self._waiting.cancel()
+
+
+STATE, STATUS = "state", "status"
+"""Topics: that all of a calibration was sent, and what is going on."""
+
+
+class Hub:
+    """Holds the newest message of each topic. All methods are for the thread of the event loop."""
+
+    def __init__(self, page: str) -> None:
+        self._page = page
+        # Another one after a restart, which begins to count again.
+        self._server = secrets.token_hex(4)
+        self._number = 0
+        # By topic: the number of the publication that changed its text, and the text.
+        self._newest: dict[str, tuple[int, str]] = {}
+        self._changed = asyncio.Event()
+
+    @property
+    def hello(self) -> bytes:
+        """What every client hears first: which page this server has, and when to try again [ms]."""
+        return f"retry: 1000\nevent: hello\ndata: {self._page}\n\n".encode()
+
+    def publish(self, messages: Mapping[str, str]) -> None:
+        """Replace the newest messages of some topics, at once, by texts of one line.
+
+        The event has the name of the topic up to a colon.
+        """
+        self._number += 1
+        for topic, text in messages.items():
+            if topic not in self._newest or self._newest[topic][1] != text:
+                self._newest[topic] = self._number, text
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def known_to(self, mark: str) -> int:
+        """Return the publication up to which a client knows all that comes back with a state's mark."""
+        server, _, number = mark.partition(".")
+        return int(number) if server == self._server and number.isdecimal() else 0
+
+    def unheard(self, known: int) -> bytes:
+        """Return the events of what has changed since a publication."""
+        found = []
+        # In the order figures, sections, state, status.
+        for topic, (number, text) in sorted(self._newest.items()):
+            if number > known:
+                mark = f"id: {self._server}.{number}\n" if topic == STATE else ""
+                found.append(f"event: {topic.partition(':')[0]}\n{mark}data: {text}\n\n")
+        return "".join(found).encode()
+
+    async def news(self, known: int) -> tuple[int, bytes]:
+        """Wait until there is something new to a client; a beat where there is not for long.
+
+        Returns the publication up to which the client then knows all, and the events.
+        """
+        changed = self._changed
+        if known == self._number:
+            try:
+                await asyncio.wait_for(changed.wait(), 10.0)  # the page gives up after 35 s
+            except TimeoutError:
+                return known, b"event: beat\ndata:\n\n"
+        return self._number, self.unheard(known)
+
+
+AUTHORITY = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?")
+HEADERS = {
+    "cache-control": "no-store",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+}
+
+
+def is_loopback(bound: socket.socket) -> bool:
+    """Tell whether only this computer reaches a socket."""
+    return ipaddress.ip_address(bound.getsockname()[0].partition("%")[0]).is_loopback
+
+
+def spelt(host: str) -> str:
+    """Return a host as an address of a page has it."""
+    host = host.lower()
+    return f"[{host}]" if ":" in host else host
+
+
+class Guard:
+    """Refuses requests under a foreign name or from a foreign page, and sets headers of security.
+
+    Parameters
+    ----------
+    app : ASGIApp
+    host : str
+        Where the server was asked to listen.
+    bound : socket
+        Where it listens.
+    policy : str
+        The content security policy of the page.
+    """
+
+    def __init__(self, app: ASGIApp, host: str, bound: socket.socket, policy: str) -> None:
+        self._app, self._loopback = app, is_loopback(bound)
+        address, self._port = bound.getsockname()[:2]
+        self._names = {spelt(host), spelt(address), "localhost"}
+        if self._loopback:
+            self._names |= {"127.0.0.1", "[::1]"}
+        else:
+            name = socket.gethostname().lower()
+            self._names |= {name, f"{name.partition('.')[0]}.local"}
+        headers = HEADERS | {"content-security-policy": policy}
+        self._headers = [(name.encode(), value.encode()) for name, value in headers.items()]
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, or let the application do so."""
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                message["headers"] = [*message.get("headers", []), *self._headers]
+            await send(message)
+
+        fault = self.fault(Headers(scope=scope))
+        app = self._app if not fault else PlainTextResponse(f"{fault}\n", HTTPStatus.FORBIDDEN)
+        await app(scope, receive, with_headers)
+
+    def fault(self, headers: Headers) -> str:
+        """Return why a request is refused; empty where it is not."""
+        hosts = headers.getlist("host")
+        if len(hosts) != 1 or not self.allows(hosts[0]):
+            return "refused: asked under a name that is not that of this server"
+        own = f"http://{hosts[0].lower()}"
+        if any(origin.lower() != own for origin in headers.getlist("origin")):
+            return "refused: asked from another page"
+        # Browsers that send no origin with images and frames say where these are asked from.
+        elsewhere = headers.get("sec-fetch-site") in ("cross-site", "same-site")
+        if elsewhere and headers.get("sec-fetch-mode") != "navigate":
+            return "refused: asked from another page"
+        return ""
+
+    def allows(self, authority: str) -> bool:
+        """Tell whether `authority`, a host with a port, is this server.
+
+        Where others may ask, every numerical address will do: nobody can tell which of them lead here,
+        and no name can be made to lead to them.
+        """
+        found = AUTHORITY.fullmatch(authority.lower())
+        if found is None or int(found[2] or HTTP_PORT) != self._port:
+            return False
+        return found[1] in self._names or (not self._loopback and _is_address(found[1]))
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host.strip("[]"))
+    except ValueError:
+        return False
+    return True

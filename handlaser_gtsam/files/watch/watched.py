@@ -14,10 +14,10 @@ from ...errors import InputError
 from ...estimation.options import CalibrationOptions
 from ..input_reading import read_any_kind
 from ..logs.bags import BAGS, METADATA
-from ..logs.report import LogReport
+from ..logs.format import LogReport
 from ..logs.tables import BOOKS
 from ..rig_toml import Rig
-from ..writing import path_of
+from ..writing import path_of, readable
 
 RECORDING, RIG = "recording.csv", "rig.toml"
 """What is followed in a folder."""
@@ -165,12 +165,10 @@ def content(path: Path, expected: str) -> bytes:
     InputError
         There is none.
     """
-    try:
+    with readable(path, expected):
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
             raise InputError("no regular file there", expected, path)
         if found.st_size > LARGEST_FILE:
             raise InputError(f"{found.st_size} bytes", f"at most {LARGEST_FILE}", path)
         return path.read_bytes()
-    except OSError as error:
-        raise InputError(f"no readable file ({error.strerror})", expected, path) from error

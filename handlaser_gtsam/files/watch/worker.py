@@ -18,7 +18,7 @@ from ...estimation.options import CalibrationOptions
 from ...pipeline import calibrate
 from ...text import printable
 from ..calibration_writing import calibration_text
-from ..logs.report import LogReport
+from ..logs.format import LogReport
 from ..points_table import AWAITED
 from ..report.figure import Figure
 from ..report.options import ReportOptions
@@ -136,10 +136,8 @@ class Calibrator:
             except InputError as error:
                 if not any(rest.strip() for rest in rests) or _rows(lines) <= heads:
                     raise
-                read, note = (
-                    read_contents(parts, [b""] * len(parts), rig),
-                    f"not used: {error}",
-                )
+                read = read_contents(parts, [b""] * len(parts), rig)
+                note = f"not used: {error}"
             if isinstance(read, Survey):
                 note = note or next((one for one in read.lines if one.startswith(AWAITED)), "")
                 return FileAnswer(self._of_survey(read, rig), note=printable(note))
