@@ -21,11 +21,10 @@ from ..solvers.isam import BeamState
 from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .contents import Contents
-from .joining import fitted_planes
 from .moved_beam import recent, search
 from .plane import fit_plane
 from .reports import Change, Comparison
-from .state import undetermined
+from .state import fitted_planes, undetermined
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,13 +20,23 @@ from ..data.screening import screened
 from ..errors import ArgumentError, CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
 from ..model.sensor_limits import Rejected
+from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..results.freed import prior_sizes
 from ..results.mounts import Mounts
 from ..validation.other_recording import BeamDrift
-from .changes import UNKNOWN, AnyState, changed, recalibrate, split_beam, started
+from .config import SessionConfig
 from .contents import Contents
+from .freed import FreedState
 from .reports import Comparison, Update
+from .state import SessionState, begin
+
+AnyState = SessionState | FreedState
+
+RESTARTED = (
+    "restarted from everything: the planes so far did not fit the calibration they began with"
+)
+UNKNOWN = float("nan")
 
 
 class Session:
@@ -270,5 +280,99 @@ class Session:
         Scales of noise and range errors are meant; every comparison that is due learns them again, too.
         """
         with self._lock:
-            self._now, comparison = recalibrate(self.state)
+            self._now, comparison = self.state.recalibrated()
         return comparison
+
+
+def started(
+    now: AnyState | None, contents: Contents, noise: Noise, options: CalibrationOptions
+) -> tuple[AnyState | None, Update]:
+    """Calibrate everything together, and start from there if that converges.
+
+    Raises
+    ------
+    InputError
+        The readings of a new beam do not determine it.
+    """
+    waits = Update((), contents.waiting, UNKNOWN, None, None)
+    try:
+        batch = calibrate(contents.recording(), noise, options)
+    except InputError as error:
+        if now is not None or not options.free:
+            raise
+        return None, replace(waits, message=str(error))  # the first planes may have no such error
+    if batch.status != "converged":
+        if now is not None:  # a new beam that is not determined: nothing is lost
+            raise InputError(f"a new beam ({batch.message})", "readings that determine it")
+        return None, replace(waits, message=batch.message)
+    new: AnyState
+    config = SessionConfig.of(batch, noise, options)
+    if options.free:
+        new = FreedState.of(batch, contents, config)
+    else:
+        new = begin(contents.restarted(batch.fit.rejected), config, batch.parameters().beams)
+    return new, Update(
+        tuple(new.contents.inside),
+        new.contents.waiting,
+        UNKNOWN,
+        new.integrated.sigmas(),
+        None,
+        rejected=new.contents.rejected,
+        moved=new.moved(),
+    )
+
+
+def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple[AnyState, Update]:
+    """Bring a session to `contents`, in which only `planes` differ from the present ones.
+
+    Raises
+    ------
+    InputError
+        The beams would not be determined.
+    """
+    new: AnyState
+    new, joined, inconsistent = now.changed(contents, planes)
+    comparison, message = None, ""
+    if isinstance(new, SessionState):
+        if inconsistent and new.config.reject and not new.trusted:
+            batch, config = new.calibrated()
+            if batch.status == "converged":
+                contents = new.contents.restarted(batch.fit.rejected)
+                new, message = begin(contents, config, batch.parameters().beams), RESTARTED
+                joined, inconsistent = tuple(new.contents.inside), ()
+        new, comparison = new.compared_if_due()
+    begun_again = message or (comparison is not None and comparison.changes)
+    gain = 0.5 * (new.integrated.information - now.integrated.information)
+    old = set(now.contents.rejected)
+    return new, Update(
+        joined,
+        new.contents.waiting,
+        UNKNOWN if begun_again else gain,
+        new.integrated.sigmas(),
+        now.integrated.sigmas(),
+        message,
+        tuple(reading for reading in new.contents.rejected if reading not in old),
+        new.moved(recently=True),
+        inconsistent,
+        comparison,
+    )
+
+
+def split_beam(now: AnyState, beam: str, since: str) -> AnyState:
+    """Return a session in which a beam has moved before a plane; see `Session.split_beam`."""
+    contents = now.contents
+    present = [name for name in now.config.names if name not in contents.names]
+    if beam not in present:
+        raise InputError(f"beam {beam!r}", f"one of {', '.join(present)}")
+    before = f"{beam} until {since}"
+    if since not in list(contents.planes)[1:] or before in contents.names:
+        raise InputError(
+            f"a move of beam {beam} before plane {since!r}",
+            "a plane with others before it, and every move once",
+        )
+    split = contents.split(beam, since)
+    if not {beam, before} <= set(split.recording().beam_names):
+        raise InputError(f"no reading of beam {beam} on one side of plane {since}", "some on both")
+    new, _ = started(now, split, now.config.noise, now.config.options)
+    assert new is not None, "what does not determine the beams is refused"
+    return new
