@@ -10,6 +10,7 @@ only where survey and stations determine everything.
 
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -48,7 +49,7 @@ from ..results.survey import SurveyCalibration
 from ..validation.simulate import Stations, read_back
 from .bounds import Plate, plate_of
 from .goal import Aim, Forecast, Goal, PlannedMount, beam_mount
-from .route import Plan, planned
+from .route import Plan, planned, visited
 from .workspace import (
     Workspace,
     drawn_turns,
@@ -138,9 +139,8 @@ def plan_survey(
     known = _Known(calibration, {(family, member) for family, member, _ in looks}, goal)
     chosen = known.chosen(rows[None], count, exchange=True)
     chosen = chosen[: known.enough(rows[chosen])]
-    plan, candidate = planned(
-        known, workspace, pool, rows, chosen=chosen, labels=labels, plates=plates
-    )
+    visit = partial(visited, workspace, labels=labels, plates=plates)
+    plan, candidate = planned(known, pool, rows, chosen, visit)
     return replace(
         plan,
         sensors=tuple(names[i] if i >= 0 else "" for i in candidate),
@@ -181,13 +181,10 @@ class _Known(Aim):
             told = np.vstack((told, station * self._unit))
             information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
             known.append(known[-1] or bool(information.min() >= least_information(information)))
-        said, unsaid = super().forecast(rows), np.where(known, 1.0, np.nan)
-        return replace(
-            said,
-            location_sigma=unsaid * said.location_sigma,
-            direction_sigma=unsaid * said.direction_sigma,
-            spot=unsaid * said.spot,
-        )
+        said = super().forecast(rows)
+        every = said.location_sigma, said.direction_sigma, said.spot
+        location, direction, spot = (np.where(known, one, np.nan) for one in every)
+        return Forecast(location, direction, spot, said.working_distance)
 
 
 def _mounts(calibration: SurveyCalibration, planned: Container[Entity]) -> Iterator[PlannedMount]:

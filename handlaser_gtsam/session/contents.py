@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import BoolArray
+from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording, join
 from ..errors import InputError
 from ..model.sensor_limits import OUTSIDE, Rejected, Sensor
@@ -141,13 +141,14 @@ class Contents:
         beams = tuple(dict.fromkeys(names))
         columns = np.array([beams.index(name) for name in names])
         station, column = np.nonzero(~np.isnan(everything.ranges))
-        ranges = np.full((len(everything.ranges), len(beams)), np.nan)
-        ranges[station, columns[column]] = everything.ranges[station, column]
-        samples = everything.samples
-        if samples is not None:
-            whole = np.ones_like(ranges)
-            whole[station, columns[column]] = samples[station, column]
-            samples = whole
+
+        def merged(values: FloatArray, nothing: float) -> FloatArray:
+            whole = np.full((len(values), len(beams)), nothing)
+            whole[station, columns[column]] = values[station, column]
+            return whole
+
+        ranges, samples = merged(everything.ranges, np.nan), everything.samples
+        samples = None if samples is None else merged(samples, 1.0)
         return replace(everything, ranges=ranges, beam_names=beams, samples=samples)
 
     def added(self, recording: Recording, sensor: Sensor) -> "Contents":

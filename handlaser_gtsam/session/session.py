@@ -223,7 +223,21 @@ class Session:
             already, or readings that do not determine both states.
         """
         with self._lock:
-            self._now = split_beam(self.state, beam, since)
+            now, contents, before = self.state, self._contents, f"{beam} until {since}"
+            present = [name for name in now.config.names if name not in contents.names]
+            if beam not in present:
+                raise InputError(f"beam {beam!r}", f"one of {', '.join(present)}")
+            if since not in list(contents.planes)[1:] or before in contents.names:
+                raise InputError(
+                    f"a move of beam {beam} before plane {since!r}",
+                    "a plane with others before it, and every move once",
+                )
+            split = contents.split(beam, since)
+            if not {beam, before} <= set(split.recording().beam_names):
+                found = f"no reading of beam {beam} on one side of plane {since}"
+                raise InputError(found, "some on both")
+            # What does not determine the beams is refused.
+            self._now, _ = started(now, split, self.noise, self.options)
 
     def beams(self) -> Mounts:
         """Return the beams as they are now, without looking at the planes.
@@ -306,10 +320,10 @@ def started(
             raise InputError(f"a new beam ({batch.message})", "readings that determine it")
         return None, replace(waits, message=batch.message)
     new: AnyState
-    config = SessionConfig.of(batch, noise, options)
     if options.free:
-        new = FreedState.of(batch, contents, config)
+        new = FreedState.of(batch, contents, noise, options)
     else:
+        config = SessionConfig.of(batch, noise, options)
         new = begin(contents.restarted(batch.fit.rejected), config, batch.parameters().beams)
     return new, Update(
         tuple(new.contents.inside),
@@ -356,23 +370,3 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
         inconsistent,
         comparison,
     )
-
-
-def split_beam(now: AnyState, beam: str, since: str) -> AnyState:
-    """Return a session in which a beam has moved before a plane; see `Session.split_beam`."""
-    contents = now.contents
-    present = [name for name in now.config.names if name not in contents.names]
-    if beam not in present:
-        raise InputError(f"beam {beam!r}", f"one of {', '.join(present)}")
-    before = f"{beam} until {since}"
-    if since not in list(contents.planes)[1:] or before in contents.names:
-        raise InputError(
-            f"a move of beam {beam} before plane {since!r}",
-            "a plane with others before it, and every move once",
-        )
-    split = contents.split(beam, since)
-    if not {beam, before} <= set(split.recording().beam_names):
-        raise InputError(f"no reading of beam {beam} on one side of plane {since}", "some on both")
-    new, _ = started(now, split, now.config.noise, now.config.options)
-    assert new is not None, "what does not determine the beams is refused"
-    return new
