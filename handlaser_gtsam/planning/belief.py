@@ -48,8 +48,8 @@ class Belief:
         World frame.
     covariance : (U, U)
         What the next calibration starts from. U = E + 7 B + 3 P tangent coordinates: the sizes of
-        `errors`, (r, tangent of v, k1, k2) a beam, (tangent of n, offset at the plane's origin) a
-        plane. A range error that is not modelled has zero rows.
+        `errors`, seven of `BEAM` a beam, (tangent of n, offset at the plane's origin) a plane. A
+        range error that is not modelled has zero rows.
     beam_bases : (B, 3, 2), plane_bases : (P, 3, 2)
         Tangent bases of directions and normals.
     origins : (P, 3)

@@ -183,7 +183,10 @@ class Session:
             No such plane, or the beams would not be determined without it.
         """
         with self._lock:
-            return self._removed(self._contents.without_plane(name), name)
+            planes = self._contents.planes
+            if name not in planes:
+                raise InputError(f"plane {name!r}", f"one of {', '.join(planes) or 'none'}")
+            return self._without(planes[name].recording.station_names, name)
 
     def remove_station(self, name: str) -> Update:
         """Take a station out again; its plane waits where the others do not determine it.
@@ -194,10 +197,10 @@ class Session:
             No such station, or the beams would not be determined without it.
         """
         with self._lock:
-            plane = self._contents.plane_of(name)
-            return self._removed(self._contents.without_station(name), plane)
+            return self._without((name,), self._contents.plane_of(name))
 
-    def _removed(self, contents: Contents, plane: str) -> Update:
+    def _without(self, stations: tuple[str, ...], plane: str) -> Update:
+        contents = self._contents.without(stations)
         if self._now is None:
             self._early = contents
             return Update((), self.waiting, UNKNOWN, None, None)

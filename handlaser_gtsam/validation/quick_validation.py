@@ -29,10 +29,9 @@ from ..quantities import MOST_ROUNDS, NEGLIGIBLE
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.beam_problem import newton_step
-from .leave_out import USUAL_SPLITS, drawn, leave_out
 from .other_recording import HoldOut, hold_out
 from .prediction import Prediction, predicted
-from .validation import Validation
+from .validation import USUAL_SPLITS, Validation, drawn, leave_out
 
 
 class WholeSolution(NamedTuple):
