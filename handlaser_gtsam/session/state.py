@@ -145,8 +145,7 @@ class SessionState:
     @cached_property
     def solution(self) -> Solution:
         """Their batch solution from the present estimate, with the scales integrated over."""
-        readings = self.problem.chosen(used_of(self.problem, self.contents))
-        return solved(readings, self.config, self.parameters)
+        return solved(self.config, *self.estimate())
 
     def calibration(self) -> Calibration:
         """Return the batch solution as a calibration, with readings that are not used."""
@@ -313,7 +312,7 @@ class SessionState:
             offsets = np.concatenate([plane.parameters.offsets for plane in fitted])
             start = Parameters(*beams, normals, offsets)
             problem = problem_of(contents, config)
-            found = solved(problem.chosen(used_of(problem, contents)), config, start)
+            found = solved(config, problem.chosen(used_of(problem, contents)), start)
             begun = self.begun(found.parameters.beams)
             if not config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
@@ -360,7 +359,7 @@ def used_of(problem: Problem, contents: Contents, reason: str | None = None) -> 
     return np.array([(stations[j], beams[i]) not in out for j, i in pairs], dtype=bool)
 
 
-def solved(readings: Readings, config: SessionConfig, start: Parameters) -> Solution:
+def solved(config: SessionConfig, readings: Readings, start: Parameters) -> Solution:
     """Return the batch solution of readings at the scales of a config, which are integrated over."""
     learned, known = config.learned, config.variances(1)
     pose = np.zeros((6, 6)) if known.pose is None else known.pose[0]

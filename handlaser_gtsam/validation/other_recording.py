@@ -34,7 +34,7 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
 from ..errors import CalibrationWarning, GrazingBeamError, HandlaserError, InputError
-from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_sf, f_sf
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_sf, f_sf, squares_sf
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, modelled
 from ..model.geometry import skew
 from ..model.joint import beams_lift
@@ -307,9 +307,7 @@ class _Squares(NamedTuple):
         """Return the probability of a larger statistic; NaN without degrees of freedom."""
         if degrees == 0:
             return float("nan")
-        if self.known:
-            return float(chi2_sf(statistic, degrees))
-        return float(f_sf(statistic / degrees, degrees, max(self.dof, 1)))
+        return float(squares_sf(statistic, degrees, np.inf if self.known else max(self.dof, 1)))
 
 
 def _squares(

@@ -18,7 +18,7 @@ from ..data.survey import Survey, normal_label
 from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
 from ..estimation.survey import estimate_survey
-from ..model.distributions import chi2_sf, f_sf
+from ..model.distributions import squares_sf
 from ..model.families import POSE
 from ..pipeline import calibrate, calibrate_from
 from ..progress import Listener, tell, told_to
@@ -197,7 +197,7 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
         raise SolverError("it says nothing about the mounts")
     redundancy = int((~predicted).sum()) - known_rank
     learned = bool(np.isnan([*whole.stated.sigma, *whole.stated.pose]).any())
-    p = f_sf(squares / dof, dof, max(redundancy, 1)) if learned else chi2_sf(squares, dof)
+    p = squares_sf(squares, dof, max(redundancy, 1) if learned else np.inf)
     # By how much spots at working distance move at most.
     rest_of, shifts = survey_calibration(found), [0.0]
     for own, sensor in calibration.sensors.items():
