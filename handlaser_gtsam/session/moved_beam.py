@@ -18,6 +18,7 @@ from itertools import accumulate
 import numpy as np
 
 from ..arrays import IntArray
+from ..estimation.survey_outliers import most_contradicted
 from ..model.distributions import squares_sf
 from ..model.families import BEAM, MOUNT_DIM
 from ..quantities import KNOWN
@@ -78,8 +79,7 @@ def search(
     rank = keep.sum(axis=2)
     statistic = np.where(keep, along**2 / safe, 0.0).sum(axis=2)
     p = np.where(rank > 0, squares_sf(statistic, np.maximum(rank, 1), config.sigma_dof), 1.0)
-    # Of probabilities that are zero to a computer the largest statistic has the smallest.
-    best = np.unravel_index(np.lexsort((-statistic.ravel(), p.ravel()))[0], p.shape)
+    best = np.unravel_index(most_contradicted(p.ravel(), statistic.ravel()), p.shape)
     p_value = min(float(p[best]) * p.size, 1.0)
     if p_value >= FALSE_ALARMS:
         return None
