@@ -212,9 +212,6 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
     last = slice(max(len(joint.plane_names) - 16, 0), None)
     names, mean = joint.plane_names[last], calibration.parameters()
     mean = replace(mean, normals=mean.normals[last], offsets=mean.offsets[last])
-    noise = calibration.variances or Variances(
-        np.full(len(joint.terms), calibration.fit.range_sigma)
-    )
     counted = [number for number, effect in enumerate(effects) if effect.code in OF_STATIONS]
     S = joint.matrix(planes=names, ambient=False)
     turned_from, bent_from = np.eye(3), None
@@ -232,7 +229,7 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
         joint.beam_bases,
         joint.plane_bases[last],
         joint.origins[last],
-        replace(noise, pose=pose),
+        replace(calibration.reading_variances, pose=pose),
         names,
         covariance,
         tuple(effects[number].code for number in counted),

@@ -222,16 +222,14 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
     lift = beams_lift(bases, mounts.terms)
     covariance = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
 
-    own, n = covariance_roots(covariance[None])[0], len(unit)
+    (own,) = covariance_roots(covariance[None])
     held, rank = squares.least(own, own[:, :0])[0], squares.rank
     drift = squares.fall - held
     drifts = []
     for index, name in enumerate(mounts.names if each_beam else ()):
         mine = beam == index
-        (others,) = covariance_roots((own @ own.T)[np.ix_(~mine, ~mine)][None])
-        root = np.zeros((n, others.shape[1]))
-        root[~mine] = others
-        fall, x = squares.least(root, np.eye(n)[:, mine])
+        others = np.where(mine[:, None], 0.0, own)
+        fall, x = squares.least(others, np.eye(len(own))[:, mine])
         statistic, dx = max(fall - held, 0.0), (x * unit)[mine]
         degrees = min(int(mine.sum()), rank)
         p = squares.p_value(statistic, degrees)
