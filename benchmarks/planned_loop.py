@@ -9,7 +9,7 @@ import numpy as np
 import handlaser_gtsam as hl
 from benchmarks.planned_cell import SENSOR, cell
 from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.task import Task
+from handlaser_gtsam.planning.plan import Task
 from handlaser_gtsam.planning.workspace import joined
 from handlaser_gtsam.validation.simulate import Errors
 

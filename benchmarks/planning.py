@@ -34,11 +34,10 @@ from benchmarks.defaults import nees, rms
 from benchmarks.planned_cell import SENSOR, Cell, cell, errors_of
 from benchmarks.planned_loop import Loop, loop, random_plan
 from benchmarks.studies import Studies, add_options
-from handlaser_gtsam.planning.belief import belief_of
+from handlaser_gtsam.planning.belief import belief_of, station_rows
 from handlaser_gtsam.planning.choice import choose
 from handlaser_gtsam.planning.goal import goal_rows
-from handlaser_gtsam.planning.information import station_rows
-from handlaser_gtsam.planning.task import Task
+from handlaser_gtsam.planning.plan import Task
 from handlaser_gtsam.planning.workspace import joined
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import simulate

@@ -11,7 +11,7 @@ from .data.parameters import Parameters
 from .data.recording import Recording, beyond_planes, sorted_readings
 from .data.screening import screened
 from .data.survey import Survey
-from .errors import CalibrationWarning, InputError
+from .errors import InputError
 from .estimation.estimate import BlockProblem, Estimate, estimate
 from .estimation.options import CalibrationOptions
 from .estimation.selection import select
@@ -86,7 +86,7 @@ def calibrate(
         return calibrate_survey(recording, Noise() if noise is None else noise)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
-    return _calibrated(recording, noise, options, None, progress)
+    return calibrate_from(None, recording, noise, options, progress)
 
 
 def calibrate_survey(
@@ -102,7 +102,11 @@ def calibrate_survey(
     from .results.survey_misfit import misread, with_causes
 
     require_kind("noise", noise, Noise)
-    _refuse_unused(survey, noise)
+    if noise.incidence_sigma:
+        raise InputError("an incidence sigma with a survey", "it with beams before planes only")
+    if noise.range_sigma is not None and not survey.beam_names:
+        expected = "sigma of each sensor of many rays (sigma_mm in [[sensors]])"
+        raise InputError("a range sigma, which is that of single beams, and no beam", expected)
     try:
         found = estimate_survey(survey, noise, None if earlier is None else earlier._found)
     except InputError as error:
@@ -118,33 +122,18 @@ def calibrate_survey(
     return replace(result, without=survey_calibration(without))
 
 
-def _refuse_unused(survey: Survey, noise: Noise) -> None:
-    """Refuse noise that a survey does not count."""
-    if noise.incidence_sigma:
-        raise InputError("an incidence sigma with a survey", "it with beams before planes only")
-    if noise.range_sigma is not None and not survey.beam_names:
-        expected = "sigma of each sensor of many rays (sigma_mm in [[sensors]])"
-        raise InputError("a range sigma, which is that of single beams, and no beam", expected)
-
-
 def calibrate_from(
-    start: Parameters, recording: Recording, noise: Noise, options: CalibrationOptions
-) -> Calibration:
-    """Do as `calibrate`, from the parameters of another calibration of these beams and planes.
-
-    No start is sought. Where nothing fits, a search would try everything, which takes long; a model
-    that leaves out a beam or a term is known to fit less well.
-    """
-    return _calibrated(recording, noise, options, start, None)
-
-
-def _calibrated(
+    start: Parameters | None,
     recording: Recording,
     noise: Noise,
     options: CalibrationOptions,
-    start: Parameters | None,
-    progress: Listener | None,
+    progress: Listener | None = None,
 ) -> Calibration:
+    """Do as `calibrate`, from the parameters of another calibration of these beams and planes.
+
+    No start is sought then. Where nothing fits, a search would try everything, which takes long; a
+    model that lacks a beam or a term is known to fit less well.
+    """
     options = _checked(recording, noise, options)
     # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.
     recording, warnings = screened(recording, noise.range_sigma)
@@ -166,12 +155,13 @@ def _calibrated(
         problem, selection, freed = with_freed(problem, selection, ordered, options)
         result = assemble(problem, selection, freed)
     recorded = None if freed is None else recording
-    return _logged(replace(result, recording=problem.recording, recorded=recorded), warnings)
-
-
-def _logged(result: Calibration, warnings: tuple[CalibrationWarning, ...]) -> Calibration:
-    """Log what came of a calibration, and return it with the warnings that came before."""
-    result, fit = replace(result, warnings=(*warnings, *result.warnings)), result.fit
+    result = replace(
+        result,
+        recording=problem.recording,
+        recorded=recorded,
+        warnings=(*warnings, *result.warnings),
+    )
+    fit = result.fit
     LOGGER.info("start: %s, the best of %d", result.start.method, len(result.start.tried))
     LOGGER.info("%d readings, %d rejected, rms %.3g m", fit.readings, len(fit.rejected), fit.rms)
     LOGGER.info("%s: %s", result.status, result.message)

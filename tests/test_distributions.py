@@ -105,3 +105,10 @@ def test_the_noncentrality_has_its_probability(dof, x):
 )
 def test_no_p_value_is_written_as_zero(p, digits, words):
     assert found.p_words(p, digits) == words
+
+
+def test_a_sum_of_squares_counts_as_much_as_the_noise_is_known():
+    x = np.array([0.0, 3.0, 20.0])
+    assert np.array_equal(found.squares_sf(x, 4), found.chi2_sf(x, 4))
+    assert np.array_equal(found.squares_sf(x, 4, 11), found.f_sf(x / 4, 4, 11))
+    assert found.squares_sf(x, 4, 1e9) == pytest.approx(found.chi2_sf(x, 4), rel=1e-6)

@@ -11,7 +11,7 @@ from helpers import first_and_slow, simulated
 import handlaser_gtsam as hl
 from benchmarks.drift import CASES, run_once
 from handlaser_gtsam import model
-from handlaser_gtsam.session import changes, moved_beam
+from handlaser_gtsam.session import moved_beam, state
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -275,7 +275,7 @@ def test_the_planes_of_one_side_of_a_move_stay(gone):
 
 
 def test_an_estimate_that_moves_far_is_compared_at_once(monkeypatch):
-    monkeypatch.setattr(changes, "LEAST_CHANGES", 99)
+    monkeypatch.setattr(state, "LEAST_CHANGES", 99)
     recording, _ = displaced(planes=6, before=5, turn=math.radians(3.0))
     options = hl.CalibrationOptions("none", outliers="keep")
     session = hl.Session(NOISE, options)

@@ -12,9 +12,8 @@ from test_systematic import Scene
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.effects import EFFECTS, OF_STATIONS
 from handlaser_gtsam.planning.advice import advice_lines
-from handlaser_gtsam.planning.belief import belief_of
+from handlaser_gtsam.planning.belief import belief_of, station_rows
 from handlaser_gtsam.planning.choice import updated
-from handlaser_gtsam.planning.information import station_rows
 from handlaser_gtsam.results.description.description import Description
 from handlaser_gtsam.results.description.terminal import LINES, screen_lines
 from handlaser_gtsam.results.freed import MOST_FREED

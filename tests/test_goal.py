@@ -1,6 +1,7 @@
 """What a plan is for: goals, what stations make small, and what will be known after each."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -198,16 +199,13 @@ def test_a_plan_is_driven_on_a_short_way_and_forecast_by_what_matters():
     stations = on_a_line(ALONG)
     rows, at = ROWS[: len(ALONG)], aim(Goal())
     chosen = np.array([3, 0, 4])
-    plan, candidate = planned(
-        at, ROOM, stations, rows, chosen=chosen, labels=["A"], plates=[None], length=0.1
-    )
+    visit = partial(visited, ROOM, labels=["A"], plates=[None], length=0.1)
+    plan, candidate = planned(at, stations, rows, chosen, visit)
     assert candidate.tolist() == [3, 4, 0]
     assert plan.stations.world_t_hand[:, 0].tolist() == [0.2, 0.3, 0.5]
     assert np.array_equal(plan.forecast.spot, at.forecast(rows[chosen]).spot)
     assert not np.array_equal(plan.forecast.spot, at.forecast(rows[candidate]).spot)
     assert (plan.reached, plan.skipped) == (None, 0)
     goal = Goal(spot=float(plan.forecast.spot[2]))
-    plan, _ = planned(
-        aim(goal), ROOM, stations, rows, chosen=chosen, labels=["A"], plates=[None], length=0.1
-    )
+    plan, _ = planned(aim(goal), stations, rows, chosen, visit)
     assert plan.reached == 2

@@ -9,9 +9,9 @@ from helpers import simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam.files.report.subject import history
 from handlaser_gtsam.solvers import graph_levenberg as levenberg
-from handlaser_gtsam.validation.leave_out import USUAL_SPLITS
 from handlaser_gtsam.validation.quick_validation import WholeSolution, held_out
 from handlaser_gtsam.validation.scenes import Layout
+from handlaser_gtsam.validation.validation import USUAL_SPLITS
 
 EXACT = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
 CASES = {

@@ -16,13 +16,12 @@ from handlaser_gtsam import model
 from handlaser_gtsam.model.families import BEAM
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.planning.advice import missing_stations
-from handlaser_gtsam.planning.belief import belief_of, transported
+from handlaser_gtsam.planning.belief import belief_of, outlook, station_rows, transported
 from handlaser_gtsam.planning.blind import completing_motion
 from handlaser_gtsam.planning.choice import choose, updated, value
 from handlaser_gtsam.planning.goal import goal_rows
-from handlaser_gtsam.planning.information import outlook, station_rows
-from handlaser_gtsam.planning.task import Task
-from handlaser_gtsam.planning.way import divided, shortest
+from handlaser_gtsam.planning.plan import Task
+from handlaser_gtsam.planning.route import divided, shortest
 from handlaser_gtsam.planning.workspace import inside, joined
 from handlaser_gtsam.results.mounts import Mounts
 from handlaser_gtsam.results.spots import spot

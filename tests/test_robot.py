@@ -17,7 +17,7 @@ import handlaser_gtsam as hl
 from benchmarks.planned_cell import ERR, SENSOR
 from handlaser_gtsam.planning import route
 from handlaser_gtsam.planning.belief import belief_of
-from handlaser_gtsam.planning.way import driven
+from handlaser_gtsam.planning.route import driven
 from handlaser_gtsam.planning.workspace import inside
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Stations, simulate

@@ -11,7 +11,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.factors import RangeBlock, evaluated_together
 from handlaser_gtsam.model import tangent_basis
 from handlaser_gtsam.model.joint import beams_lift
-from handlaser_gtsam.session import changes, state
+from handlaser_gtsam.session import state
 from handlaser_gtsam.session.plane import fit_plane
 from handlaser_gtsam.solvers import isam
 from handlaser_gtsam.solvers.beam_problem import jacobian_columns
@@ -329,7 +329,7 @@ def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
 
 
 def test_scales_that_were_learned_from_fewer_planes_are_named(monkeypatch):
-    monkeypatch.setattr(changes, "LEAST_CHANGES", 99)
+    monkeypatch.setattr(state, "LEAST_CHANGES", 99)
     recording = recorded(5, stations=10, beams=2, k=(0.02, 0.3))
     session = hl.Session(hl.Noise())
     for index in range(5):

@@ -12,10 +12,9 @@ import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import STATED, survey_of
 from handlaser_gtsam.files.validation_json import validation_text
-from handlaser_gtsam.validation.leave_out import drawn
 from handlaser_gtsam.validation.prediction import predict, reconstruction
 from handlaser_gtsam.validation.scenes import Layout
-from handlaser_gtsam.validation.validation import verdict_of_validation
+from handlaser_gtsam.validation.validation import drawn, verdict_of_validation
 
 NOISE = hl.Noise(3e-5)
 

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 from ..results.survey import SurveyCalibration
 from ..results.verdict import Verdict
-from ..validation.leave_out import LeftOut, Predicted
 from ..validation.other_recording import HoldOut
 from ..validation.prediction import Prediction, SurveyPrediction
-from ..validation.validation import Validation
+from ..validation.validation import LeftOut, Predicted, Validation
 from .calibration_writing import verdict_record
 from .checked_text import Record, json_text, record, records
 

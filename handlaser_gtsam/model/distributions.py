@@ -97,6 +97,16 @@ def f_sf(x: Numbers, dof: Numbers, below: Numbers) -> FloatArray:
     return _array(fdtrc(_array(dof), _array(below), np.maximum(_array(x), 0.0)))
 
 
+def squares_sf(squares: Numbers, dof: Numbers, below: float = np.inf) -> FloatArray:
+    """Return the probability of a sum of `dof` squares above `squares`, in units of the noise.
+
+    The noise is known, or was learned with `below` degrees of freedom.
+    """
+    if np.isinf(below):
+        return chi2_sf(squares, dof)
+    return f_sf(_array(squares) / dof, dof, below)
+
+
 def f_quantile(p: Numbers, dof: Numbers, below: Numbers) -> FloatArray:
     """Return what an F of dof over `below` degrees of freedom stays below with probability p."""
     return _array(fdtri(_array(dof), _array(below), _array(p)))

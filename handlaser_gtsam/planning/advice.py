@@ -14,13 +14,12 @@ from ..model.sensor_limits import Sensor
 from ..quantities import IN_MM
 from ..results.calibration import Calibration
 from ..results.lines import wrapped
+from .belief import station_rows
 from .blind import completing_motion
 from .bounds import Bounds
 from .goal import Goal
-from .information import station_rows
-from .plan import POOL, without
+from .plan import POOL, planning_task, without
 from .route import Plan
-from .task import planning_task
 from .workspace import Workspace
 
 ADVISED_BEAMS = 16

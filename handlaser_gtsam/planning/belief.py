@@ -1,4 +1,9 @@
-"""What is known of beams and planes before the next stations: a Gaussian about a calibration."""
+r"""What is known before the next stations, a Gaussian about a calibration; and what they would say.
+
+The residuals of one station before plane p are A x, with x the deviation of the unknowns and A (B, U)
+whitened by the covariance of the station's readings (see `model.weighting`); only the columns of the
+beams and of that plane are not zero. What is known after it follows by `choice.updated`.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -8,16 +13,18 @@ from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters
+from ..data.recording import Readings, Recording
 from ..errors import InputError
-from ..model.effects import EFFECTS, OF_STATIONS
-from ..model.effects.effect import SeenStations
+from ..model.effects import EFFECTS, OF_READINGS, OF_STATIONS
+from ..model.effects.effect import Everywhere, SeenStations
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR, modelled
 from ..model.joint import beams_lift
-from ..model.weighting import Variances, covariance_roots
+from ..model.weighting import Variances, covariance_roots, reading_sigmas, whitening
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
+from ..validation.simulate import Stations, predicted_readings
 from .bounds import Plate, plate_of
 from .goal import PlannedMount, beam_mount
 
@@ -41,8 +48,8 @@ class Belief:
         World frame.
     covariance : (U, U)
         What the next calibration starts from. U = E + 7 B + 3 P tangent coordinates: the sizes of
-        `errors`, (r, tangent of v, k1, k2) a beam, (tangent of n, offset at the plane's origin) a
-        plane. A range error that is not modelled has zero rows.
+        `errors`, seven of `BEAM` a beam, (tangent of n, offset at the plane's origin) a plane. A
+        range error that is not modelled has zero rows.
     beam_bases : (B, 3, 2), plane_bases : (P, 3, 2)
         Tangent bases of directions and normals.
     origins : (P, 3)
@@ -205,9 +212,6 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
     last = slice(max(len(joint.plane_names) - 16, 0), None)
     names, mean = joint.plane_names[last], calibration.parameters()
     mean = replace(mean, normals=mean.normals[last], offsets=mean.offsets[last])
-    noise = calibration.variances or Variances(
-        np.full(len(joint.terms), calibration.fit.range_sigma)
-    )
     counted = [number for number, effect in enumerate(effects) if effect.code in OF_STATIONS]
     S = joint.matrix(planes=names, ambient=False)
     turned_from, bent_from = np.eye(3), None
@@ -225,7 +229,7 @@ def belief_of(calibration: Calibration | Mounts) -> Belief:
         joint.beam_bases,
         joint.plane_bases[last],
         joint.origins[last],
-        replace(noise, pose=pose),
+        replace(calibration.reading_variances, pose=pose),
         names,
         covariance,
         tuple(effects[number].code for number in counted),
@@ -258,3 +262,111 @@ def _with_freed(
     readings, at = used.readings(), calibration.parameters()
     whole = SeenStations(at, readings, readings.station, np.arange(readings.beams))
     return np.block([[of_effects, across], [across.T, S]]), turned_from, whole.plates
+
+
+def outlook(
+    belief: Belief, stations: Stations
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what stations would read at the mean of the belief, and how far it may be off.
+
+    Returns
+    -------
+    readings, reading_sigmas : (M, B)
+        Predicted readings [m], and what the spread of the belief leaves uncertain of them; noise and
+        robot errors included.
+    cosines, cosine_sigmas : (M, B)
+        The same of the incidence.
+
+    Raises
+    ------
+    GrazingBeamError, InputError
+        As `predicted_readings` does.
+    """
+    readings, x, columns, rows = _linearized(belief, stations)
+    n_hand, v_world = np.einsum("nji,nj->ni", x.R, x.n), np.einsum("nij,nj->ni", x.R, x.v)
+    steeper = np.zeros_like(rows)  # derivatives of the cosines
+    steeper[:, DIRECTION] = np.einsum("ni,nij->nj", n_hand, belief.beam_bases[readings.beam])
+    steeper[:, BEAM.dim : BEAM.dim + 2] = np.einsum(
+        "ni,nij->nj", v_world, belief.plane_bases[readings.plane]
+    )
+    variances, turn = belief.variances.for_stations(len(stations)), 0.0
+    if variances.pose is not None:
+        turn = float(np.linalg.eigvalsh(variances.pose[0, :3, :3])[-1])
+    noise = reading_sigmas(belief.mean, readings, variances) ** 2
+    S = belief.spread[columns[:, :, None], columns[:, None]]
+    variance, of_cosine = (
+        np.maximum(np.einsum("ni,nij,nj->n", J, S, J), 0.0) for J in (rows, steeper)
+    )
+    found = (
+        readings.distance,
+        np.sqrt(variance + noise),
+        model.cosines(x),
+        np.sqrt(of_cosine + turn),
+    )
+    distance, sigma, cosine, cosine_sigma = (part.reshape(-1, belief.beams) for part in found)
+    return distance, sigma, cosine, cosine_sigma
+
+
+def station_rows(belief: Belief, stations: Stations) -> FloatArray:
+    """Return the whitened derivatives A (M, B, U) of what stations would read, by all unknowns.
+
+    Raises
+    ------
+    GrazingBeamError, InputError
+        As `outlook` does.
+    """
+    readings, _, columns, derivatives = _linearized(belief, stations)
+    rows = np.zeros((len(readings), len(belief.covariance)))
+    np.put_along_axis(rows, columns, derivatives, axis=1)
+    if belief.errors:
+        counted_from = belief.turned_from, belief.bent_from
+        each = np.arange(belief.beams)
+        seen = SeenStations(belief.mean, readings, readings.station, each, *counted_from)
+        for column, code in enumerate(belief.errors):
+            if code in OF_READINGS:
+                rows[:, column] = OF_READINGS[code](seen, 1.0)
+            else:
+                found = EFFECTS[code].at(seen)
+                assert isinstance(found, Everywhere), "it is of stations"
+                rows[:, column] = found.columns[:, 0]
+    how = whitening(belief.mean, readings, belief.variances.for_stations(len(stations)))
+    return (how.apply_rows(rows) / how.sigma).reshape(len(stations), belief.beams, -1)
+
+
+def recorded_rows(belief: Belief, recording: Recording) -> FloatArray:
+    """Return the rows (M, B, U) of the readings of a recording before the planes of a belief.
+
+    Of stations where all beams can read at the mean.
+    """
+    number = {name: p for p, name in enumerate(belief.plane_names)}
+    plane = np.array([number.get(label, -1) for label in recording.plane_labels])
+    n_hand = np.einsum("mji,mj->mi", recording.world_R_hand, belief.mean.normals[plane])
+    facing = (n_hand @ belief.mean.directions.T > model.GRAZING_LIMIT).all(axis=1) & (plane >= 0)
+    if not facing.any():
+        return np.zeros((0, belief.beams, len(belief.covariance)))
+    stations = Stations(recording.world_R_hand, recording.world_t_hand, plane)[facing]
+    read = ~np.isnan(recording.ranges[facing])
+    return np.where(read[..., None], station_rows(belief, stations), 0.0)
+
+
+def _linearized(
+    belief: Belief, stations: Stations
+) -> tuple[Readings, model.Scene, IntArray, FloatArray]:
+    """Return what stations read at the mean, and how.
+
+    Returns
+    -------
+    readings, scene
+        By stations, and then by beams: N of them.
+    columns : (N, 10)
+        The unknowns of each reading's beam and plane.
+    derivatives : (N, 10)
+        Of the residuals by these.
+    """
+    readings, x = predicted_readings(belief.mean, stations)
+    bases = belief.beam_bases[readings.beam], belief.plane_bases[readings.plane]
+    at = model.linearize(x, readings.distance)
+    derivatives = model.tangent_columns(at, *bases, belief.origins[readings.plane], 2)[:-1].T
+    of_beam = belief.first_beam + BEAM.dim * readings.beam[:, None] + np.arange(BEAM.dim)
+    of_plane = belief.first_plane + PLANE.dim * readings.plane[:, None] + np.arange(PLANE.dim)
+    return readings, x, np.hstack((of_beam, of_plane)), derivatives

@@ -27,13 +27,20 @@ from ..model.sensor_limits import Sensor
 from ..model.weighting import Variances
 from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, generator, plane_name
-from .belief import COMPARED_DRAWS, UNKNOWN_ANGLE, UNKNOWN_LENGTH, UNKNOWN_PLANE, Belief
+from .belief import (
+    COMPARED_DRAWS,
+    UNKNOWN_ANGLE,
+    UNKNOWN_LENGTH,
+    UNKNOWN_PLANE,
+    Belief,
+    recorded_rows,
+    station_rows,
+)
 from .bounds import MOST_PLANNED, SIDES, Bounds
 from .choice import choose, updated, value
 from .goal import Goal, goal_rows
-from .information import recorded_rows, station_rows
+from .plan import Task
 from .route import Plan
-from .task import Task
 from .workspace import (
     Workspace,
     inside,
@@ -117,11 +124,8 @@ def blind_motion(
     enough = (0.5 if stations is None else 0.8) * KNOWN
     most = MOST_BLIND if stations is None else stations
     counts = np.arange(stations or LEAST_BLIND, most + 1, 4) - len(first)
-    for more in counts[counts <= len(turns)].tolist():
-        chosen, worst = known.best(beliefs, turns, more)
-        if worst <= enough:
-            break
-    else:
+    chosen, determined = known.fewest(beliefs, turns, counts[counts <= len(turns)].tolist(), enough)
+    if not determined:
         raise known.refusal(
             "no motion that determines the mounts and keeps", "a wider workspace, more stations"
         )
@@ -187,10 +191,7 @@ def completing_motion(
     if len(pool) < COMPLETING_COUNTS[-1]:
         expected = "narrower bounds of mount and plate, a wider workspace or a longer range"
         raise InputError("no stations that are safe for all mounts within the bounds", expected)
-    for count in COMPLETING_COUNTS:
-        chosen, worst = known.best(beliefs, pool, count)
-        if worst <= 0.5 * KNOWN:
-            break
+    chosen, _ = known.fewest(beliefs, pool, COMPLETING_COUNTS, 0.5 * KNOWN)
     goal = Goal() if goal is None else goal
     task = Task(belief, workspace, sensor, goal, recording.station_names)
     return task.planned(pool[chosen])
@@ -217,11 +218,6 @@ class Blind(NamedTuple):
     sensor: Sensor
     workspace: Workspace
     variances: Variances
-
-    @property
-    def middle(self) -> float:
-        """The middle of the sensor's range [m]."""
-        return 0.5 * (self.sensor.range_min + self.sensor.range_max)
 
     @property
     def axis(self) -> FloatArray:
@@ -272,7 +268,8 @@ class Blind(NamedTuple):
         little.
         """
         facing, bounds = self.facing(), self.bounds
-        lever = facing @ (bounds.locations.mean(axis=0) + self.middle * self.axis)
+        middle = Goal().distance(self.sensor)
+        lever = facing @ (bounds.locations.mean(axis=0) + middle * self.axis)
         R = Rotation.from_rotvec(turns)
         t = bounds.plate.point - R.apply(lever) + shift
         return Stations(R.as_matrix() @ facing, t, np.zeros(len(t), dtype=np.intp))
@@ -322,27 +319,33 @@ class Blind(NamedTuple):
             stations = stations[np.flatnonzero(safe.all(axis=0))]
         return stations[reached(self.workspace, stations, [self.bounds.plate])]
 
-    def best(
-        self, beliefs: Sequence[Belief], stations: Stations, count: int
-    ) -> tuple[IntArray, float]:
-        """Return the stations after which the largest standard deviation is least, and it.
+    def fewest(
+        self, beliefs: Sequence[Belief], stations: Stations, counts: Sequence[int], enough: float
+    ) -> tuple[IntArray, bool]:
+        """Return as many stations of `counts` as are enough, or the most, and whether they are.
 
-        It is the largest over directions [rad] and over locations as parts of the middle of the
-        sensor's range.
+        Of every number those are taken after which the largest standard deviation is least: over
+        directions [rad], and over locations as parts of the middle of the sensor's range.
 
         Parameters
         ----------
         beliefs : K of Belief
             About several mounts within the bounds, before these stations.
         stations : Stations
-        count : int
+        counts : ints
+        enough : float
+            The largest standard deviation of mounts that are known.
         """
+        middle = Goal().distance(self.sensor)
         rows = np.stack([station_rows(belief, stations) for belief in beliefs])
-        weight = goal_rows(Goal("E", self.middle, 1.0), beliefs[0].mounts(self.middle))
-        before = np.stack([belief.covariance for belief in beliefs])
-        best = choose(rows, before, weight, count, "E", exchange=False)
-        after = (updated(C, each[best]) for C, each in zip(before, rows, strict=True))
-        return best, max(math.sqrt(value(C, weight, "E")) for C in after)
+        weight = goal_rows(Goal("E", middle, 1.0), beliefs[0].mounts(middle))
+        before, chosen = np.stack([belief.covariance for belief in beliefs]), np.empty(0, np.intp)
+        for count in counts:
+            chosen = choose(rows, before, weight, count, "E", exchange=False)
+            after = (updated(C, each[chosen]) for C, each in zip(before, rows, strict=True))
+            if max(math.sqrt(value(C, weight, "E")) for C in after) <= enough:
+                return chosen, True
+        return chosen, False
 
 
 def assumed(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise | None) -> Blind:

@@ -10,6 +10,7 @@ only where survey and stations determine everything.
 
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -30,6 +31,8 @@ from ..model.block import Weights
 from ..model.condensed_shots import MOST_SLANTED
 from ..model.families import (
     BEAM,
+    DIRECTION,
+    LOCATION,
     MOUNT_DIM,
     OF_DIRECTION,
     OF_LOCATION,
@@ -38,17 +41,16 @@ from ..model.families import (
     POSE,
     bases,
 )
-from ..model.geometry import skew
 from ..model.range_blocks import PoseVariables, Ranges
 from ..model.sensors.beam import BeamSensor
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.targets.sphere import SPHERE
-from ..results.survey import SurveyCalibration
+from ..results.survey import SensorMount, SurveyCalibration
 from ..validation.simulate import Stations, read_back
 from .bounds import Plate, plate_of
-from .goal import Aim, Forecast, Goal, PlannedMount, beam_mount
-from .route import Plan, planned
+from .goal import Aim, Forecast, Goal, PlannedMount
+from .route import Plan, planned, visited
 from .workspace import (
     Workspace,
     drawn_turns,
@@ -138,9 +140,8 @@ def plan_survey(
     known = _Known(calibration, {(family, member) for family, member, _ in looks}, goal)
     chosen = known.chosen(rows[None], count, exchange=True)
     chosen = chosen[: known.enough(rows[chosen])]
-    plan, candidate = planned(
-        known, workspace, pool, rows, chosen=chosen, labels=labels, plates=plates
-    )
+    visit = partial(visited, workspace, labels=labels, plates=plates)
+    plan, candidate = planned(known, pool, rows, chosen, visit)
     return replace(
         plan,
         sensors=tuple(names[i] if i >= 0 else "" for i in candidate),
@@ -181,33 +182,25 @@ class _Known(Aim):
             told = np.vstack((told, station * self._unit))
             information = np.asarray(np.linalg.svd(told, compute_uv=False) ** 2, dtype=np.float64)
             known.append(known[-1] or bool(information.min() >= least_information(information)))
-        said, unsaid = super().forecast(rows), np.where(known, 1.0, np.nan)
-        return replace(
-            said,
-            location_sigma=unsaid * said.location_sigma,
-            direction_sigma=unsaid * said.direction_sigma,
-            spot=unsaid * said.spot,
-        )
+        said = super().forecast(rows)
+        every = said.location_sigma, said.direction_sigma, said.spot
+        location, direction, spot = (np.where(known, one, np.nan) for one in every)
+        return Forecast(location, direction, spot, said.working_distance)
 
 
 def _mounts(calibration: SurveyCalibration, planned: Container[Entity]) -> Iterator[PlannedMount]:
     """Yield what a goal asks of every sensor and beam that stations are planned for."""
-    found = calibration._found
-    of, values = found.rows.places(), found.estimate.values
-    unknowns, sensors = len(of.names), calibration.sensors.values()
-    every = zip(of.place.get(SENSOR.name, ()), sensors, strict=True)
-    for member, (place, sensor) in enumerate(every):
-        if (SENSOR.name, member) not in planned:
-            continue
-        turn, shift = np.eye(POSE.dim, unknowns, int(place)).reshape(2, 3, -1)
-        spot = shift - skew(sensor.spot) @ turn
-        yield PlannedMount(sensor.rotation @ shift, turn[:, None], spot)
-    for member, place in enumerate(of.place.get(BEAM.name, ())):
-        if (BEAM.name, member) not in planned:
-            continue
-        d = [i.reading for i in found.rows.items if i.mount == (BEAM.name, member)]
-        x = values[BEAM.name][member]
-        yield beam_mount(int(place), unknowns, x, bases(x[OF_DIRECTION]), float(np.median(d)))
+    of = calibration._found.rows.places()
+    for family, mounts in (SENSOR.name, calibration.sensors), (BEAM.name, calibration.beams):
+        for member, mount in enumerate(mounts.values()):
+            if (family, member) not in planned:
+                continue
+            spot = mount.spot_by()
+            own = np.eye(spot.shape[1], len(of.names), int(of.place[family][member]))
+            location, turns = own[LOCATION], own[DIRECTION][None]
+            if isinstance(mount, SensorMount):
+                location, turns = mount.rotation @ own[3:], own[:3, None]
+            yield PlannedMount(location, turns, spot @ own)
 
 
 class _Look:

@@ -398,6 +398,12 @@ class CalibrationData(Value):
         )
 
     @property
+    def reading_variances(self) -> Variances:
+        """Variances behind the weights, also where all readings weigh the same."""
+        alike = np.full(len(self.beams), self.fit.range_sigma)
+        return Variances(alike) if self.variances is None else self.variances
+
+    @property
     def pose_covariance(self) -> FloatArray | None:
         """What hand poses err by (6, 6): of the first station that was used; None if exact."""
         if self.variances is None or self.variances.pose is None:

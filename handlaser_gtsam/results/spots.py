@@ -385,6 +385,5 @@ def _known(calibration: CalibrationData, names: list[str]) -> tuple[list[Beam], 
 
 def _range_sigma(calibration: CalibrationData, name: str) -> float:
     """Return the standard deviation of a reading of a beam [m]."""
-    if calibration.variances is None:
-        return calibration.fit.range_sigma
-    return float(calibration.variances.range_sigma[list(calibration.beams).index(name)])
+    sigmas = calibration.reading_variances.range_sigma
+    return float(sigmas[list(calibration.beams).index(name)])

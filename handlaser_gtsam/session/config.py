@@ -117,12 +117,6 @@ class SessionConfig:
         return self._variances if self.learned is None else self.learned.base
 
     @property
-    def weights_depend(self) -> bool:
-        """Whether weights depend on the solution."""
-        uncertain = self.poses != "exact" or self.noise.incidence_sigma > 0.0
-        return self.learned is not None or self.terms > 0 or uncertain
-
-    @property
     def prior(self) -> RangeErrorPrior | None:
         """Prior of the range errors."""
         return None if self.learned is None else self.learned.prior(len(self.names))
@@ -142,13 +136,9 @@ class SessionConfig:
     def apart(self, state: BeamState, batch: Calibration) -> tuple[float, float]:
         """Return how far beams are from the beams of a calibration; see `BeamState.apart`."""
         sigmas = np.array([batch.beams[name].sigma for name in self.names])
-        return state.apart(self.beams_of(batch), sigmas)
-
-    def beams_of(self, batch: Calibration) -> Beams:
-        """Return the beams of a calibration in the order of the session."""
         order = [list(batch.beams).index(name) for name in self.names]
         r, v, k = (array[order] for array in batch.parameters().beams)
-        return r, v, k
+        return state.apart((r, v, k), sigmas)
 
     def changes(self, before: "SessionConfig") -> tuple[Change, ...]:
         """Return what is estimated differently than before."""

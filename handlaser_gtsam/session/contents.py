@@ -1,12 +1,12 @@
 """The recordings of a session, plane by plane; never changed, only replaced."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..arrays import BoolArray
+from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording, join
 from ..errors import InputError
 from ..model.sensor_limits import OUTSIDE, Rejected, Sensor
@@ -51,7 +51,10 @@ class PlaneContents:
     def less(self, which: BoolArray, reason: str) -> "PlaneContents":
         """Return the plane with readings (M, B) of `used` rejected."""
         used = self.used()
-        return replace(self, rejected=(*self.rejected, *_named(used, which, reason)))
+        names, beams, planes = used.station_names, used.beam_names, used.plane_labels
+        pairs = np.argwhere(which & ~np.isnan(used.ranges)).tolist()
+        less = (Rejected(names[j], beams[i], planes[j], reason) for j, i in pairs)
+        return replace(self, rejected=(*self.rejected, *less))
 
     def taken_out(self, culprit: str | None = None) -> "PlaneContents":
         """Return the plane out of the graph; excluded where a culprit is given."""
@@ -141,13 +144,14 @@ class Contents:
         beams = tuple(dict.fromkeys(names))
         columns = np.array([beams.index(name) for name in names])
         station, column = np.nonzero(~np.isnan(everything.ranges))
-        ranges = np.full((len(everything.ranges), len(beams)), np.nan)
-        ranges[station, columns[column]] = everything.ranges[station, column]
-        samples = everything.samples
-        if samples is not None:
-            whole = np.ones_like(ranges)
-            whole[station, columns[column]] = samples[station, column]
-            samples = whole
+
+        def merged(values: FloatArray, nothing: float) -> FloatArray:
+            whole = np.full((len(values), len(beams)), nothing)
+            whole[station, columns[column]] = values[station, column]
+            return whole
+
+        ranges, samples = merged(everything.ranges, np.nan), everything.samples
+        samples = None if samples is None else merged(samples, 1.0)
         return replace(everything, ranges=ranges, beam_names=beams, samples=samples)
 
     def added(self, recording: Recording, sensor: Sensor) -> "Contents":
@@ -206,40 +210,20 @@ class Contents:
                 return name
         raise InputError(f"station {station!r}", "the name of a station that was added")
 
-    def without_plane(self, name: str) -> "Contents":
-        """Return the contents without a plane.
-
-        Raises
-        ------
-        InputError
-            No such plane.
-        """
-        if name not in self.planes:
-            raise InputError(f"plane {name!r}", f"one of {', '.join(self.planes) or 'none'}")
-        gone = set(self.planes[name].recording.station_names)
-        return replace(
-            self,
-            planes={other: plane for other, plane in self.planes.items() if other != name},
-            station_numbers={s: n for s, n in self.station_numbers.items() if s not in gone},
-        )
-
-    def without_station(self, name: str) -> "Contents":
-        """Return the contents without a station; without its plane where it was the last.
-
-        Raises
-        ------
-        InputError
-            No such station.
-        """
-        label = self.plane_of(name)
-        plane = self.planes[label]
-        rows = np.array(plane.recording.station_names) != name
-        if np.isnan(plane.recording.ranges[rows]).all():
-            return self.without_plane(label)
-        rejected = tuple(one for one in plane.rejected if one.station != name)
-        rest = replace(plane, recording=plane.recording.part(rows), rejected=rejected)
-        numbers = {s: number for s, number in self.station_numbers.items() if s != name}
-        return replace(self.with_planes({label: rest}), station_numbers=numbers)
+    def without(self, gone: Container[str]) -> "Contents":
+        """Return the contents without some stations, and without planes of which nothing is left."""
+        planes = {}
+        for label, plane in self.planes.items():
+            recording = plane.recording
+            rows = np.array([name not in gone for name in recording.station_names])
+            if rows.all():
+                planes[label] = plane
+            elif not np.isnan(recording.ranges[rows]).all():
+                rejected = tuple(one for one in plane.rejected if one.station not in gone)
+                planes[label] = replace(plane, recording=recording.part(rows), rejected=rejected)
+        left = {name for plane in planes.values() for name in plane.recording.station_names}
+        numbers = {name: n for name, n in self.station_numbers.items() if name in left}
+        return replace(self, planes=planes, station_numbers=numbers)
 
     def split(self, beam: str, since: str) -> "Contents":
         """Return the contents with another name for a beam in the planes that came before `since`."""
@@ -259,14 +243,3 @@ def arranged(recording: Recording, beams: tuple[str, ...]) -> Recording:
     samples = None if recording.samples is None else recording.samples[:, columns]
     ranges = recording.ranges[:, columns]
     return replace(recording, ranges=ranges, beam_names=beams, samples=samples)
-
-
-def _named(recording: Recording, which: BoolArray, reason: str) -> tuple[Rejected, ...]:
-    """Return the readings (M, B) of a recording that are rejected for a reason."""
-    station, beam = np.nonzero(which & ~np.isnan(recording.ranges))
-    return tuple(
-        Rejected(
-            recording.station_names[j], recording.beam_names[i], recording.plane_labels[j], reason
-        )
-        for j, i in zip(station.tolist(), beam.tolist(), strict=True)
-    )

@@ -11,21 +11,22 @@ from functools import cached_property
 
 import numpy as np
 
+from ..data.noise import Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import InputError
-from ..model.joint import JointCovariance
+from ..estimation.options import CalibrationOptions
+from ..model.reduced_information import inverse_and_log_det
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..solvers.isam import BeamState
 from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .contents import Contents
-from .joining import fitted_planes
 from .moved_beam import recent, search
 from .plane import fit_plane
 from .reports import Change, Comparison
-from .state import undetermined
+from .state import fitted_planes, undetermined
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,9 @@ class FreedState:
     batch: Calibration
 
     @classmethod
-    def of(cls, batch: Calibration, contents: Contents, config: SessionConfig) -> "FreedState":
+    def of(
+        cls, batch: Calibration, contents: Contents, noise: Noise, options: CalibrationOptions
+    ) -> "FreedState":
         """Return the state after a calibration, converged, of some planes of the contents."""
         out = (
             one for one in contents.rejected if contents.plane_of(one.station) not in batch.planes
@@ -58,21 +61,16 @@ class FreedState:
             name: replace(plane, number=number.get(name), culprit=culprits.get(name))
             for name, plane in placed.items()
         }
+        config = SessionConfig.of(batch, noise, options)
         return cls(contents.with_planes(planes), config, batch)
-
-    @property
-    def _joint(self) -> JointCovariance:
-        assert self.batch.covariance is not None, "what is converged has a covariance"
-        return self.batch.covariance
 
     @cached_property
     def integrated(self) -> BeamState:
         """The beams with all scales integrated over, and what is not known of the errors."""
-        tangent = self._joint.matrix(planes=[], ambient=False)
-        unit = np.sqrt(np.diagonal(tangent))
-        _, correlated = np.linalg.slogdet(tangent / np.outer(unit, unit))
-        information = float(-correlated - 2.0 * np.log(unit).sum())
-        return BeamState(*self.batch.parameters().beams, self._joint.matrix(planes=[]), information)
+        joint = self.batch.covariance
+        assert joint is not None, "what is converged has a covariance"
+        _, log_det = inverse_and_log_det(joint.matrix(planes=[], ambient=False))
+        return BeamState(*self.batch.parameters().beams, joint.matrix(planes=[]), -log_det)
 
     @property
     def learned_with(self) -> int:
@@ -116,8 +114,8 @@ class FreedState:
         changes: tuple[Change, ...] = ()
         if self.contents.excluded:
             changes = (Change("excluded-planes", "planes that did not fit taken in again"),)
-        apart = self.config.apart(self.integrated, batch)
-        return self._after(batch, contents), Comparison(*apart, changes)
+        new = FreedState.of(batch, contents, self.config.noise, self.config.options)
+        return new, Comparison(*self.config.apart(self.integrated, batch), changes)
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...]
@@ -142,7 +140,7 @@ class FreedState:
             batch = self._calibrated(contents, rest) if inconsistent else batch
         if batch.status != "converged":
             raise undetermined(f" ({batch.message})")
-        new = self._after(batch, contents)
+        new = FreedState.of(batch, contents, self.config.noise, self.config.options)
         return new, tuple(plane for plane in planes if plane in new.contents.inside), inconsistent
 
     def _determined(self, contents: Contents) -> list[str]:
@@ -162,7 +160,3 @@ class FreedState:
             lost = ", ".join(name for name in config.names if name not in batch.beams)
             raise InputError(f"no reading left of beam {lost}", "some of every beam")
         return batch
-
-    def _after(self, batch: Calibration, contents: Contents) -> "FreedState":
-        config = SessionConfig.of(batch, self.config.noise, self.config.options)
-        return FreedState.of(batch, contents, config)

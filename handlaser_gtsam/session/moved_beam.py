@@ -16,10 +16,10 @@ from collections.abc import Mapping
 from itertools import accumulate
 
 import numpy as np
-from scipy.special import betaln, gammaln
 
-from ..arrays import FloatArray, IntArray
-from ..model.distributions import chi2_sf, f_sf
+from ..arrays import IntArray
+from ..estimation.survey_outliers import most_contradicted
+from ..model.distributions import squares_sf
 from ..model.families import BEAM, MOUNT_DIM
 from ..quantities import KNOWN
 from ..validation.other_recording import BeamDrift
@@ -78,9 +78,9 @@ def search(
     safe = np.where(keep, values, 1.0)
     rank = keep.sum(axis=2)
     statistic = np.where(keep, along**2 / safe, 0.0).sum(axis=2)
-    log_p = np.where(rank > 0, _log_p(statistic, np.maximum(rank, 1), config.sigma_dof), 0.0)
-    best = np.unravel_index(int(np.argmin(log_p)), log_p.shape)
-    p_value = min(float(np.exp(log_p[best])) * log_p.size, 1.0)
+    p = np.where(rank > 0, squares_sf(statistic, np.maximum(rank, 1), config.sigma_dof), 1.0)
+    best = np.unravel_index(most_contradicted(p.ravel(), statistic.ravel()), p.shape)
+    p_value = min(float(p[best]) * p.size, 1.0)
     if p_value >= FALSE_ALARMS:
         return None
     if len(epochs) < count - 1:
@@ -94,17 +94,3 @@ def search(
         float(np.linalg.norm(d[3:])),
         list(planes)[int(epochs[best[0]])],
     )
-
-
-def _log_p(statistic: FloatArray, rank: IntArray, dof: float) -> FloatArray:
-    """Return the logarithm of the probability of a larger statistic, beyond the smallest number too."""
-    with np.errstate(divide="ignore"):
-        if np.isinf(dof):
-            log_p = np.log(chi2_sf(statistic, rank))
-            half = np.maximum(0.5 * statistic, 1.0)
-            tail = (0.5 * rank - 1.0) * np.log(half) - half - gammaln(0.5 * rank)
-        else:
-            log_p = np.log(f_sf(statistic / rank, rank, dof))
-            a = 0.5 * dof
-            tail = a * np.log(dof / (dof + statistic)) - np.log(a) - betaln(a, 0.5 * rank)
-    return np.where(np.isfinite(log_p), log_p, tail)

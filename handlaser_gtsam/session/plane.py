@@ -233,7 +233,7 @@ def fit_plane(
     still, unit = np.zeros((len(r), BEAM.dim)), PLANE.natural_units(config.length)
     try:
         # A second pass judges the noise of readings by the weighted plane, not by that of the spots.
-        for _ in range(2 if config.terms and config.weights_depend else 1):
+        for _ in range(2 if config.terms else 1):
             corrected, how = weighed(readings, parameters, variances, config.terms)
             rows = LinearReadings(parameters, corrected, config.terms, config.length, base)
             _, planes = rows.information(*(scales[:1] for scales in config.sets))

@@ -74,9 +74,9 @@ class Update(Value):
         mounts came, left or are not determined, and where a comparison with the batch solution
         changed weights or terms.
     sigma, before : (n, 8) or (n, 6), or None
-        Standard deviations of the mounts now, and before: of beams before planes (x, y, z, vx, vy, vz,
-        k1, k2), of a survey those in `Mount.sigma`, sensors before beams. None where there is no
-        calibration.
+        Standard deviations of the mounts now, and before: of beams before planes the eight of their
+        numbers (`model.families.BEAM`), of a survey those in `Mount.sigma`, sensors before beams. None
+        where there is no calibration.
     message : str
         Why there is no calibration yet, or that it was restarted; empty otherwise.
     rejected : tuple of Rejected

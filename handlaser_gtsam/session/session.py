@@ -20,13 +20,23 @@ from ..data.screening import screened
 from ..errors import ArgumentError, CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
 from ..model.sensor_limits import Rejected
+from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..results.freed import prior_sizes
 from ..results.mounts import Mounts
 from ..validation.other_recording import BeamDrift
-from .changes import UNKNOWN, AnyState, changed, recalibrate, split_beam, started
+from .config import SessionConfig
 from .contents import Contents
+from .freed import FreedState
 from .reports import Comparison, Update
+from .state import SessionState, begin
+
+AnyState = SessionState | FreedState
+
+RESTARTED = (
+    "restarted from everything: the planes so far did not fit the calibration they began with"
+)
+UNKNOWN = float("nan")
 
 
 class Session:
@@ -173,7 +183,10 @@ class Session:
             No such plane, or the beams would not be determined without it.
         """
         with self._lock:
-            return self._removed(self._contents.without_plane(name), name)
+            planes = self._contents.planes
+            if name not in planes:
+                raise InputError(f"plane {name!r}", f"one of {', '.join(planes) or 'none'}")
+            return self._without(planes[name].recording.station_names, name)
 
     def remove_station(self, name: str) -> Update:
         """Take a station out again; its plane waits where the others do not determine it.
@@ -184,10 +197,10 @@ class Session:
             No such station, or the beams would not be determined without it.
         """
         with self._lock:
-            plane = self._contents.plane_of(name)
-            return self._removed(self._contents.without_station(name), plane)
+            return self._without((name,), self._contents.plane_of(name))
 
-    def _removed(self, contents: Contents, plane: str) -> Update:
+    def _without(self, stations: tuple[str, ...], plane: str) -> Update:
+        contents = self._contents.without(stations)
         if self._now is None:
             self._early = contents
             return Update((), self.waiting, UNKNOWN, None, None)
@@ -213,7 +226,21 @@ class Session:
             already, or readings that do not determine both states.
         """
         with self._lock:
-            self._now = split_beam(self.state, beam, since)
+            now, contents, before = self.state, self._contents, f"{beam} until {since}"
+            present = [name for name in now.config.names if name not in contents.names]
+            if beam not in present:
+                raise InputError(f"beam {beam!r}", f"one of {', '.join(present)}")
+            if since not in list(contents.planes)[1:] or before in contents.names:
+                raise InputError(
+                    f"a move of beam {beam} before plane {since!r}",
+                    "a plane with others before it, and every move once",
+                )
+            split = contents.split(beam, since)
+            if not {beam, before} <= set(split.recording().beam_names):
+                found = f"no reading of beam {beam} on one side of plane {since}"
+                raise InputError(found, "some on both")
+            # What does not determine the beams is refused.
+            self._now, _ = started(now, split, self.noise, self.options)
 
     def beams(self) -> Mounts:
         """Return the beams as they are now, without looking at the planes.
@@ -270,5 +297,79 @@ class Session:
         Scales of noise and range errors are meant; every comparison that is due learns them again, too.
         """
         with self._lock:
-            self._now, comparison = recalibrate(self.state)
+            self._now, comparison = self.state.recalibrated()
         return comparison
+
+
+def started(
+    now: AnyState | None, contents: Contents, noise: Noise, options: CalibrationOptions
+) -> tuple[AnyState | None, Update]:
+    """Calibrate everything together, and start from there if that converges.
+
+    Raises
+    ------
+    InputError
+        The readings of a new beam do not determine it.
+    """
+    waits = Update((), contents.waiting, UNKNOWN, None, None)
+    try:
+        batch = calibrate(contents.recording(), noise, options)
+    except InputError as error:
+        if now is not None or not options.free:
+            raise
+        return None, replace(waits, message=str(error))  # the first planes may have no such error
+    if batch.status != "converged":
+        if now is not None:  # a new beam that is not determined: nothing is lost
+            raise InputError(f"a new beam ({batch.message})", "readings that determine it")
+        return None, replace(waits, message=batch.message)
+    new: AnyState
+    if options.free:
+        new = FreedState.of(batch, contents, noise, options)
+    else:
+        config = SessionConfig.of(batch, noise, options)
+        new = begin(contents.restarted(batch.fit.rejected), config, batch.parameters().beams)
+    return new, Update(
+        tuple(new.contents.inside),
+        new.contents.waiting,
+        UNKNOWN,
+        new.integrated.sigmas(),
+        None,
+        rejected=new.contents.rejected,
+        moved=new.moved(),
+    )
+
+
+def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple[AnyState, Update]:
+    """Bring a session to `contents`, in which only `planes` differ from the present ones.
+
+    Raises
+    ------
+    InputError
+        The beams would not be determined.
+    """
+    new: AnyState
+    new, joined, inconsistent = now.changed(contents, planes)
+    comparison, message = None, ""
+    if isinstance(new, SessionState):
+        if inconsistent and new.config.reject and not new.trusted:
+            batch, config = new.calibrated()
+            if batch.status == "converged":
+                contents = new.contents.restarted(batch.fit.rejected)
+                new, message = begin(contents, config, batch.parameters().beams), RESTARTED
+                joined, inconsistent = tuple(new.contents.inside), ()
+        new, comparison = new.compared_if_due()
+    begun_again = message or (comparison is not None and comparison.changes)
+    gain = 0.5 * (new.integrated.information - now.integrated.information)
+    old = set(now.contents.rejected)
+    return new, Update(
+        joined,
+        new.contents.waiting,
+        UNKNOWN if begun_again else gain,
+        new.integrated.sigmas(),
+        now.integrated.sigmas(),
+        message,
+        tuple(reading for reading in new.contents.rejected if reading not in old),
+        new.moved(recently=True),
+        inconsistent,
+        comparison,
+    )

@@ -1,11 +1,11 @@
 """Everything a session knows once there is a calibration, and what follows from it; never changed.
 
-Unknown scales are integrated over as in the batch solution.
-Every plane is remembered by its information on the beams for each set of noise scales
-(`estimation.information`), counted from beams that all share. The graph holds the most probable scales.
-Integrating over all scales changes the mean; the change follows from the sums over the planes, and is
-added to the estimate of iSAM2. The covariance is that of these sums, as in a batch solution.
-A new plane therefore costs the same however many there are.
+Planes that join are fitted beside the beams, and judged. Every plane is remembered by its information
+on the beams for each set of noise scales (`estimation.information`), counted from beams that all share.
+The graph holds the most probable scales. Unknown scales are integrated over as in the batch solution:
+that changes the mean; the change follows from the sums over the planes, and is added to the estimate of
+iSAM2. The covariance is that of these sums, as in a batch solution. A new plane therefore costs the
+same however many there are.
 """
 
 from dataclasses import dataclass, replace
@@ -15,27 +15,51 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from .. import model
+from ..arrays import BoolArray
+from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Beams, Parameters
-from ..data.recording import Readings
+from ..data.recording import Readings, join
 from ..errors import HandlaserError, InputError
-from ..estimation.learning_scales import beam_posterior, integrated_over
-from ..model.families import DIRECTION, LOCATION, RANGE_ERROR
+from ..estimation.joint_solution import settle
+from ..estimation.learning_scales import (
+    LearnedScales,
+    ScaleProblem,
+    beam_posterior,
+    integrated_over,
+)
+from ..estimation.posterior import covariance_of_determined, posterior
+from ..estimation.selection import Selection
+from ..estimation.solution import Solution
+from ..model.errors_in_variables import weighed
+from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ..model.joint import beams_lift
-from ..quantities import MOST_ROUNDS
+from ..model.sensor_limits import FLAT, OUTSIDE, within_incidence
+from ..outliers.reading_tests import price
+from ..pipeline import calibrate
+from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SAME_OPTIMUM
+from ..results.assemble import assemble
 from ..results.calibration import Calibration
+from ..results.named_problem import Problem
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from ..validation.other_recording import BeamDrift
-from .batch import BatchProblem
 from .config import SessionConfig
-from .contents import Contents
-from .joining import fitted_planes, join_planes
+from .contents import Contents, PlaneContents, arranged
 from .moved_beam import recent, search
-from .reports import Comparison
+from .plane import FittedPlane, fit_plane
+from .reports import Change, Comparison
 
 REWEIGHED_MOVE = 5e-4
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
 natural units: 1 rad, the typical range, a relative change of the range. The probability of scales
 depends on how well all planes fit, which is known to second order in such a move."""
+LEAST_CHANGES = 4
+"""Changes between two comparisons with the batch solution at least: a comparison takes its time."""
+GROSS_ERROR = 0.02
+"""Prior probability that a reading is a gross error."""
+DISPLACED = 1e-3
+"""Prior probability that a beam is displaced between two planes."""
+METHOD = "incremental"
+CONTRADICTED = "contradicted by the beams and the other readings"
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,25 +101,21 @@ class SessionState:
         pieces = [plane.information for plane in self.contents.fitted.values()]
         total = sum(pieces[1:], start=pieces[0])
         terms, count = config.terms, len(config.names)
-        parts = total[:1], total[1:]
-        here, both = (beam_posterior(part, self.at[2], learned) for part in parts)
+        here, both = (beam_posterior(part, self.at[2], learned) for part in (total[:1], total[1:]))
         mean, covariance, _, solution = integrated_over(learned, here, both)
-        step = ((mean - solution) * config.unit).reshape(count, -1)
-        bases = model.tangent_basis(self.at[1])
-        k = state.range_errors.copy()
-        k[:, :terms] += step[:, RANGE_ERROR]
-        turned = np.einsum("bij,bj->bi", bases, step[:, DIRECTION])
+        lift = beams_lift(model.tangent_basis(self.at[1]), [terms] * count) * config.unit
+        step = (lift @ (mean - solution)).reshape(count, -1)
         # From the tangents where planes are linearised to the tangents of the state, which are those of
         # a batch solution.
-        lift = beams_lift(bases, [terms] * count) * config.unit
-        across = np.tile(np.eye(8), (count, 1, 1))
-        across[:, 3:6, 3:6] -= state.directions[:, :, None] * state.directions[:, None, :]
+        across = np.tile(np.eye(BEAM.size), (count, 1, 1))
+        v = state.directions
+        across[:, OF_DIRECTION, OF_DIRECTION] -= v[:, :, None] * v[:, None, :]
         lift = block_diag(*across) @ lift
         return replace(
             state,
-            locations=state.locations + step[:, LOCATION],
-            directions=model.normalized(state.directions + turned),
-            range_errors=k,
+            locations=state.locations + step[:, OF_LOCATION],
+            directions=model.normalized(v + step[:, OF_DIRECTION]),
+            range_errors=state.range_errors + step[:, OF_RANGE_ERROR],
             covariance=lift @ covariance @ lift.T,
         )
 
@@ -111,38 +131,108 @@ class SessionState:
         return inside >= 4 and (len(excluded) <= 0.5 * inside or agree)
 
     @cached_property
-    def batch(self) -> BatchProblem:
-        """The planes in the graph as one problem, from the present estimate."""
+    def parameters(self) -> Parameters:
+        """Beams and planes of the graph, each plane in its frame, in the order of the contents."""
         place = {number: index for index, number in enumerate(self.graph.planes)}
         order = [place[number] for number in self.contents.numbers.values()]
-        parameters = self.graph.parameters().part(np.arange(len(self.config.names)), order)
-        return BatchProblem(self.contents, self.config, parameters)
+        return self.graph.parameters().part(np.arange(len(self.config.names)), order)
+
+    @cached_property
+    def problem(self) -> Problem:
+        """The planes in the graph as one problem."""
+        return problem_of(self.contents, self.config)
+
+    @cached_property
+    def solution(self) -> Solution:
+        """Their batch solution from the present estimate, with the scales integrated over."""
+        return solved(self.config, *self.estimate())
 
     def calibration(self) -> Calibration:
-        """Return the batch solution, from the present estimate."""
-        return self.batch.calibration()
+        """Return the batch solution as a calibration, with readings that are not used."""
+        problem, solution = self.problem, self.solution
+        tried = ((METHOD, float(np.sqrt(np.mean(solution.at.residual**2)))),)
+        used, outside, flat = (
+            used_of(problem, self.contents, reason) for reason in (None, OUTSIDE, FLAT)
+        )
+        return assemble(problem, Selection(used, ~outside, ~flat, METHOD, tried, solution))
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes, every plane in its frame."""
-        return self.batch.local_readings(), self.batch.parameters
+        return self.problem.chosen(used_of(self.problem, self.contents)), self.parameters
 
     def compare(self) -> Comparison:
         """Compare the beams with the batch solution of the same readings, from the present estimate."""
-        beams, sigmas = self.batch.beams()
-        return Comparison(*self.integrated.apart(beams, sigmas))
+        found = self.solution
+        joint = found.joint if found.posterior is None else found.posterior.joint
+        if joint is None:
+            origins = np.zeros_like(self.problem.origins)
+            where = found.parameters, found.at.sigma, origins
+            joint = covariance_of_determined(found.observability, *where)
+        sigmas = np.sqrt(np.diagonal(joint.matrix(planes=[]))).reshape(-1, BEAM.size)
+        return Comparison(*self.integrated.apart(found.best.beams, sigmas))
 
     def learned(self) -> SessionConfig:
         """Return the config that everything so far calls for: scales, and a range sigma not given."""
         config, learned = self.config, self.config.learned
         if learned is not None:
-            problem = self.batch.scale_problem(learned)
+            problem = scale_problem(config, learned, *self.estimate())
             learned = problem.learned(problem.mode(learned.mode))
             return replace(config, learned=learned, sigma=float(learned.variances().range_sigma[0]))
         if config.noise.range_sigma is not None:
             return config
-        found = self.batch.solution
+        found = self.solution
         scale = np.sqrt(found.chi2 / max(found.dof, 1))
         return replace(config, sigma=config.sigma * float(scale), sigma_dof=float(found.dof))
+
+    def compared_if_due(self) -> tuple["SessionState", Comparison | None]:
+        """Compare with the batch solution where that is due; return what follows from it."""
+        due = max(LEAST_CHANGES, len(self.contents.inside) // 4)
+        far = self.state.apart(self.compared.beams, self.compared.sigmas())[0] > FAR_SIGMAS
+        if self.changes < due and not far:
+            return self, None
+        new, config = self, self.learned()
+        changes = config.changes(self.config)
+        if changes:
+            new = begin(self.contents, config, self.state.beams)
+            excluded = tuple(new.contents.excluded)
+            if excluded:  # they may fit beside the new scales
+                new, _, _ = new.changed(new.contents.included(), excluded)
+        comparison = new.compare()
+        if max(comparison.largest, comparison.largest_sigma) > SAME_OPTIMUM:
+            words = "restarted from the batch solution, which it had left"
+            changes = (*changes, Change("from-batch", words))
+            new = begin(new.contents, new.config, new.solution.parameters.beams)
+        planes = len(new.contents.inside)
+        new = replace(new, compared=new.state, changes=0, learned_with=planes)
+        return new, replace(comparison, changes=changes)
+
+    def calibrated(self) -> tuple[Calibration, SessionConfig]:
+        """Return the batch calibration of everything, and what all planes have in common after it."""
+        noise, options = self.config.noise, self.config.options
+        batch = calibrate(self.contents.recording(), noise, options)
+        return batch, SessionConfig.of(batch, noise, options)
+
+    def recalibrated(self) -> tuple["SessionState", Comparison]:
+        """Calibrate everything, compare, and take over scales and outliers that differ."""
+        batch, config = self.calibrated()
+        if batch.status != "converged":
+            words = f"everything together does not converge: {batch.message}"
+            return self, replace(self.compare(), changes=(Change("not-converged", words),))
+        changes = config.changes(self.config)
+        contents = self.contents.restarted(batch.fit.rejected)
+        out = [{(r.station, r.sensor) for r in each.rejected} for each in (contents, self.contents)]
+        if out[0] != out[1]:
+            changes = (*changes, Change("outliers", "outliers chosen again"))
+        if self.contents.excluded:
+            words = "planes that did not fit taken in again"
+            changes = (*changes, Change("excluded-planes", words))
+        new = self
+        if changes:  # from the estimate so far, not from what it is to be compared with
+            order = [self.config.names.index(name) for name in batch.beams]
+            r, v, k = (array[order] for array in self.state.beams)
+            new = begin(contents, config, (r, v, k))
+        new = replace(new, learned_with=len(new.contents.inside))
+        return new, Comparison(*new.config.apart(new.integrated, batch), changes)
 
     def moved(self, *, recently: bool = False) -> BeamDrift | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
@@ -188,16 +278,14 @@ class SessionState:
             fine = strained(contents)
             try:
                 graph, state = self.graph.changed(fresh, gone, None, config.determines, fine=fine)
-                new = replace(new, graph=graph, state=state).reweighed()
+                new = replace(new, graph=graph, state=state)
+                if not is_near(config, new.at, state.beams):  # weights and information there
+                    new = new.begun()
             except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
                 new = new.solved_at_once()
-        if gone and not new.batch.solution.observability.full:
+        if gone and not new.solution.observability.full:
             raise undetermined()
         return new, joined, inconsistent
-
-    def reweighed(self) -> "SessionState":
-        """Return the same with weights and information at the present beams, where these have moved."""
-        return self if is_near(self.config, self.at, self.state.beams) else self.begun()
 
     def begun(self, beams: Beams | None = None) -> "SessionState":
         """Return the same from a new graph, which begins with the present beams or others."""
@@ -223,7 +311,9 @@ class SessionState:
             normals = np.concatenate([plane.parameters.normals for plane in fitted])
             offsets = np.concatenate([plane.parameters.offsets for plane in fitted])
             start = Parameters(*beams, normals, offsets)
-            begun = self.begun(BatchProblem(contents, config, start).solution.parameters.beams)
+            problem = problem_of(contents, config)
+            found = solved(config, problem.chosen(used_of(problem, contents)), start)
+            begun = self.begun(found.parameters.beams)
             if not config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:
@@ -247,6 +337,53 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
         if is_near(config, at, beams):
             break
     return SessionState(contents, config, at, graph, state, state, len(parts))
+
+
+def problem_of(contents: Contents, config: SessionConfig) -> Problem:
+    """Return the planes in the graph of a session as one problem, with rejected readings.
+
+    Planes are as the contents order them, beams as the config does.
+    """
+    whole = join([plane.recording for plane in contents.inside.values()])
+    recording = arranged(whole, config.names)
+    origins = np.array([plane.origin for plane in contents.fitted.values()])
+    readings, sensor = config.readings(recording), config.options.sensor
+    return Problem.as_recorded(recording, readings, origins, config.noise, sensor)
+
+
+def used_of(problem: Problem, contents: Contents, reason: str | None = None) -> BoolArray:
+    """Return which readings (N,) of a problem are not rejected, for any reason or for one."""
+    out = {(r.station, r.sensor) for r in contents.rejected if reason in (None, r.reason)}
+    stations, beams = problem.recording.station_names, problem.recording.beam_names
+    pairs = zip(problem.readings.station.tolist(), problem.readings.beam.tolist(), strict=True)
+    return np.array([(stations[j], beams[i]) not in out for j, i in pairs], dtype=bool)
+
+
+def solved(config: SessionConfig, readings: Readings, start: Parameters) -> Solution:
+    """Return the batch solution of readings at the scales of a config, which are integrated over."""
+    learned, known = config.learned, config.variances(1)
+    pose = np.zeros((6, 6)) if known.pose is None else known.pose[0]
+    sigma = max(float(known.range_sigma[0]), LEAST_SIGMA)
+    noise = Noise(sigma, incidence_sigma=known.incidence_sigma, pose_covariance=pose)
+    options = config.options
+    if config.prior is None and options.range_error == "auto":
+        options = replace(options, range_error="k1k2")
+    found = settle(readings, start, noise, options, prior=config.prior).finished()
+    if learned is None or not found.observability.full:
+        return found
+    integrated = posterior(scale_problem(config, learned, readings, found.parameters), learned)
+    return replace(found, posterior=integrated, scales=integrated.scales)
+
+
+def scale_problem(
+    config: SessionConfig, learned: LearnedScales, readings: Readings, at: Parameters
+) -> ScaleProblem:
+    """Return the scales that are learned as a problem about some parameters."""
+    stations = int(readings.station.max()) + 1
+    readings, _ = weighed(readings, at, config.variances(stations), config.terms)
+    base, scales = learned.base.for_stations(stations), learned.scales
+    of = at, readings, config.terms, base, scales, learned.linearity
+    return ScaleProblem(*of, length=learned.length)
 
 
 def is_near(config: SessionConfig, beams: Beams, others: Beams) -> bool:
@@ -275,3 +412,123 @@ def undetermined(why: str = "") -> InputError:
     """Return the error of a change that takes away what determines the beams."""
     change = f"a change after which the beams are undetermined{why}"
     return InputError(change, "planes that determine them")
+
+
+def fitted_planes(contents: Contents, config: SessionConfig, at: Beams) -> Contents:
+    """Return the contents with every plane in that `at` determines and that is not excluded."""
+    number, planes = 0, {}
+    for name, plane in contents.planes.items():
+        fitted = None
+        if plane.culprit is None:
+            fitted = fit_plane(config, plane.used(), at)
+        planes[name] = replace(plane, number=None if fitted is None else number, fitted=fitted)
+        number += fitted is not None
+    return contents.with_planes(planes)
+
+
+def join_planes(
+    config: SessionConfig, at: Beams, state: BeamState, contents: Contents, names: tuple[str, ...]
+) -> tuple[Contents, tuple[str, ...], tuple[str, ...]]:
+    """Join planes to the beams as they are, or take out those that are not determined.
+
+    Parameters
+    ----------
+    config : SessionConfig
+    at : Beams
+        Beams about which all planes are linearised.
+    state : BeamState
+        Beams as they are.
+    contents : Contents
+        With the changes of these planes in them.
+    names : tuple of str
+
+    Returns
+    -------
+    Contents
+        With outliers rejected, and planes that are not determined out of the graph.
+    joined : tuple of str
+        Planes that joined.
+    inconsistent : tuple of str
+        Planes that do not fit, whichever beam has moved a little. They are excluded, or join all the
+        same where nothing is to be rejected.
+    """
+    joined: list[str] = []
+    inconsistent: list[str] = []
+    for name in names:
+        if name not in contents.planes:
+            continue
+        own = contents.planes[name]
+        origin = None if own.fitted is None else own.fitted.origin
+        fitted = fit_plane(config, own.used(), at, origin)
+        if fitted is None:
+            contents = contents.with_planes({name: own.taken_out()})
+            continue
+        own, fitted = _less(own, fitted, _flat(fitted, own), FLAT) or (own, fitted)
+        if config.reject:
+            # Unless a beam that has moved explains them, readings that contradict others are out.
+            less = _less(own, fitted, fitted.outliers(own.used(), state), CONTRADICTED)
+            if less is not None and not _rather_moved(contents, name, fitted, less[1], state):
+                own, fitted = less
+        if not fitted.fits:
+            inconsistent.append(name)
+            if config.reject:
+                culprit = fitted.culprit(own.used(), state)
+                contents = contents.with_planes({name: own.taken_out(culprit)})
+                continue
+        free = max(contents.numbers.values(), default=-1) + 1
+        number = free if own.number is None else own.number
+        own = replace(own, number=number, fitted=fitted, culprit=None)
+        contents = contents.with_planes({name: own})
+        joined.append(name)
+    return contents, tuple(joined), tuple(inconsistent)
+
+
+def _less(
+    own: PlaneContents, fitted: FittedPlane, bad: BoolArray | None, reason: str
+) -> tuple[PlaneContents, FittedPlane] | None:
+    """Return contents and plane with readings (M, B) rejected; None for none, or too few left."""
+    if bad is None or not bad.any():
+        return None
+    less = own.less(bad, reason)
+    again = fit_plane(fitted.config, less.used(), fitted.parameters.beams, fitted.origin)
+    return None if again is None else (less, again)
+
+
+def _flat(fitted: FittedPlane, own: PlaneContents) -> BoolArray | None:
+    """Return the readings (M, B) that meet the plane flatter than the sensor allows."""
+    readings, sensor = fitted.readings, fitted.config.options.sensor
+    if sensor.max_incidence >= 0.5 * np.pi:
+        return None
+    flat = np.ones(len(readings), dtype=bool)
+    flat[within_incidence(readings, fitted.parameters, sensor)] = False
+    return None if flat.all() else fitted.mask(own.used(), flat)
+
+
+def _rather_moved(
+    contents: Contents, name: str, fitted: FittedPlane, again: FittedPlane, state: BeamState
+) -> bool:
+    """Tell whether a beam has moved rather than that the rejected readings are gross errors.
+
+    The explanation with the larger fall of chi2 beyond its price is believed. A reading that is
+    anything within the span W of the readings costs 2 ln(W / (sqrt(2 pi) sigma)), a move ln N for each
+    of its unknowns, both twice the logarithm of how rare they are.
+    """
+    own = replace(contents.planes[name], fitted=fitted)
+    planes = contents.with_planes({name: own}).fitted
+    planes = {plane: one for plane, one in planes.items() if one.fits or plane == name}
+    moved = search(fitted.config, planes, recent(len(planes)))
+    if moved is None:
+        return False
+    d, sigma = fitted.readings.distance, fitted.whitening.sigma
+    gone = len(d) - len(again.readings.distance)
+    of_beam = fitted.readings.beam == fitted.config.names.index(moved.name)
+    if (
+        gone == of_beam.sum()
+        and not np.isin(again.readings.beam, fitted.readings.beam[of_beam]).any()
+    ):
+        return True  # of a far move the fall of chi2 is known to a part of itself only
+    gross = fitted.misfit(state) - again.misfit(state)
+    gross -= 2.0 * gone * (max(price(d, sigma), 0.0) - np.log(GROSS_ERROR))
+    beams = len(fitted.config.names)
+    move = moved.statistic - MOUNT_DIM * np.log(len(d)) - 2.0 * np.log(beams / DISPLACED)
+    return bool(move > gross)

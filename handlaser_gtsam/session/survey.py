@@ -17,6 +17,7 @@ from ..data.noise import Noise
 from ..data.survey import Known, Survey, normal_label
 from ..errors import InputError
 from ..model.families import BEAM
+from ..model.reduced_information import inverse_and_log_det
 from ..model.sensors.mounted import SENSOR
 from ..pipeline import calibrate_survey
 from ..results.survey import SurveyCalibration
@@ -145,25 +146,20 @@ def _sigmas(calibration: SurveyCalibration | None) -> FloatArray | None:
     return np.array([one.sigma for one in calibration.mounts])
 
 
-def _gain(before: SurveyCalibration | None, after: SurveyCalibration | None) -> float:
-    """Return by how much the information on all mounts has grown [nats]."""
-    if before is None or after is None or _mounts(before) != _mounts(after):
-        return math.nan
-    return _log_det(before) - _log_det(after)
+def _gain(*calibrations: SurveyCalibration | None) -> float:
+    """Return by how much the information on all mounts has grown from one to the other [nats].
 
-
-def _mounts(calibration: SurveyCalibration) -> tuple[str, ...]:
-    names = calibration._found.estimate.names
-    return tuple(name for name in names if name.startswith((f"{SENSOR.name}[", f"{BEAM.name}[")))
-
-
-def _log_det(calibration: SurveyCalibration) -> float:
-    """Return the logarithm of the square root of the determinant of the covariance of all mounts."""
-    estimate = calibration._found.estimate
-    rows = [estimate.names.index(name) for name in _mounts(calibration)]
-    C = estimate.covariance[np.ix_(rows, rows)]
-    if not np.isfinite(C).all():
-        return math.nan
-    unit = np.sqrt(np.diagonal(C))
-    _, correlated = np.linalg.slogdet(C / np.outer(unit, unit))
-    return float(0.5 * correlated + np.log(unit).sum())
+    NaN where they are of other mounts, or leave some undetermined.
+    """
+    mounts, log_dets = set[tuple[str, ...]](), []
+    for one in calibrations:
+        if one is None:
+            return math.nan
+        names, of_mounts = one._found.estimate.names, (f"{SENSOR.name}[", f"{BEAM.name}[")
+        rows = [row for row, name in enumerate(names) if name.startswith(of_mounts)]
+        mounts.add(tuple(names[row] for row in rows))
+        C = one._found.estimate.covariance[np.ix_(rows, rows)]
+        if not np.isfinite(C).all():
+            return math.nan
+        log_dets.append(inverse_and_log_det(C)[1])
+    return 0.5 * (log_dets[0] - log_dets[1]) if len(mounts) == 1 else math.nan

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .cross_check import CrossCheck as CrossCheck
     from .cross_check import cross_check_survey as cross_check_survey
-    from .leave_out import LeftOut as LeftOut
     from .other_recording import BeamDrift as BeamDrift
     from .other_recording import HoldOut as HoldOut
     from .prediction import Prediction as Prediction
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from .simulate import Errors as Errors
     from .study import Case as Case
     from .study import Study as Study
+    from .validation import LeftOut as LeftOut
     from .validation import Validation as Validation
 else:
     from ..lazy import lazy_names

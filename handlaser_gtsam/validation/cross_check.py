@@ -101,7 +101,7 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
         raise InputError(
             f"a freed {without[0]}", f"free of these, to be checked: {', '.join(ERRORS)}"
         )
-    scaled, variances = calibration.at_scales, calibration.variances
+    scaled, variances = calibration.at_scales, calibration.reading_variances
     at = calibration.parameters() if scaled is None else scaled.parameters
     joint = calibration.covariance if scaled is None else scaled.covariance
     if joint is None:
@@ -110,8 +110,6 @@ def cross_check(calibration: Calibration, recording: Recording) -> CrossCheck:
     start, solved = find_start(used.readings()).parameters, None
     if calibration.recorded is not None:  # with the errors in it; their priors have units
         used, solved = calibration.recorded, ~np.isnan(calibration.fit.residuals)
-    if variances is None:
-        variances = Variances(np.full(len(calibration.beams), calibration.fit.range_sigma))
     prior = None if scaled is None else scaled.range_error_prior
     terms = tuple(beam.terms for beam in calibration.beams.values())
     of_reading = calibration.variances is not None or bool(freed)

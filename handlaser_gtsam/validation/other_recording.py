@@ -21,19 +21,20 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .. import model
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
 from ..errors import CalibrationWarning, GrazingBeamError, HandlaserError, InputError
-from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_sf, f_sf
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_sf, f_sf, squares_sf
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, modelled
 from ..model.geometry import skew
 from ..model.joint import beams_lift
@@ -210,8 +211,144 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
     variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
     beams = (mounts.locations, mounts.directions, mounts.range_errors)
     at, how = fit_planes(beams, readings, variances)
+    e = model.residuals(model.scene(at, readings), readings.distance)
+    white = how.apply(e) / how.sigma
+    active = modelled(mounts.terms).ravel()
+    every = np.tile(BEAM.natural_units(readings.typical_range()), readings.beams)
+    unit, beam = every[active], np.repeat(np.arange(readings.beams), BEAM.dim)[active]
     known = noise.range_sigma is not None
-    return _tested(at, readings, how, mounts, each_beam, known, recording.station_names)
+    squares = _squares(at, readings, how, active, float(white @ white), known)
+    bases = model.tangent_basis(mounts.directions)
+    lift = beams_lift(bases, mounts.terms)
+    covariance = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
+
+    (own,) = covariance_roots(covariance[None])
+    held, rank = squares.least(own, own[:, :0])[0], squares.rank
+    drift = squares.fall - held
+    drifts = []
+    for index, name in enumerate(mounts.names if each_beam else ()):
+        mine = beam == index
+        others = np.where(mine[:, None], 0.0, own)
+        fall, x = squares.least(others, np.eye(len(own))[:, mine])
+        statistic, dx = max(fall - held, 0.0), (x * unit)[mine]
+        degrees = min(int(mine.sum()), rank)
+        p = squares.p_value(statistic, degrees)
+        rest = squares.p_value(drift - statistic, rank - degrees)
+        turn = float(np.linalg.norm(dx[DIRECTION]))
+        drifts.append(BeamDrift(name, statistic, p, dx[LOCATION], turn, rest_p_value=rest))
+    # A twist (w, u) of the hand moves r by w x r + u, and v by w x v.
+    twist = np.zeros((readings.beams, BEAM.dim, 6))
+    twist[:, LOCATION, :3] = -skew(mounts.locations)
+    twist[:, LOCATION, 3:] = np.eye(3)
+    twist[:, DIRECTION, :3] = -np.swapaxes(bases, 1, 2) @ skew(mounts.directions)
+    along_twist = twist.reshape(-1, 6)[active] / unit[:, None]
+    fall, x = squares.least(own, along_twist)
+    alike = np.asarray(np.linalg.lstsq(along_twist, x, rcond=SINGULAR)[0], dtype=float)
+    worst, dof, chi2 = int(np.abs(e).argmax()), squares.dof, squares.chi2
+    tested = squares.known and dof > 0
+    return HoldOut(
+        len(e),
+        float(np.sqrt(np.mean(e**2))),
+        float(np.abs(e[worst])),
+        chi2 * squares.scale,
+        dof,
+        float(chi2_sf(chi2, dof)) if tested else float("nan"),
+        drift,
+        rank,
+        squares.p_value(drift, rank),
+        tuple(drifts),
+        alike,
+        squares.p_value(drift - (fall - held), rank - min(6, rank)),
+        (recording.station_names[readings.station[worst]], mounts.names[readings.beam[worst]]),
+    )
+
+
+class _Squares(NamedTuple):
+    """What a recording says of beams, its planes fitted to them.
+
+    Beams that differ by x from the calibrated ones, in natural units, have the sum of squares
+    chi2(b + x) = chi2 + fall + 2 gradient' x + x' information x.
+
+    Attributes
+    ----------
+    information, gradient : (n, n), (n,)
+        Along what the recording determines.
+    chi2, fall : float
+        Of free beams, and what the calibrated ones add to it, in units of the noise.
+    scale : float
+        Square of the noise, in units of the stated one.
+    rank, dof : int
+        Of the information, and of what it leaves.
+    known : bool
+        Whether the noise is known; else it is what the readings show.
+    """
+
+    information: FloatArray
+    gradient: FloatArray
+    chi2: float
+    fall: float
+    scale: float
+    rank: int
+    dof: int
+    known: bool
+
+    def least(self, root: FloatArray, free: FloatArray) -> tuple[float, FloatArray]:
+        """Return by how much chi2 falls, and for which x = root z + free y; z' z adds to chi2."""
+        A = np.hstack((root, free))
+        Q = A.T @ self.information @ A
+        Q[: root.shape[1], : root.shape[1]] += np.eye(root.shape[1])
+        b = A.T @ self.gradient
+        z = -np.linalg.pinv(Q, rcond=SINGULAR, hermitian=True) @ b
+        return float(-b @ z), A @ z
+
+    def p_value(self, statistic: float, degrees: int) -> float:
+        """Return the probability of a larger statistic; NaN without degrees of freedom."""
+        if degrees == 0:
+            return float("nan")
+        return float(squares_sf(statistic, degrees, np.inf if self.known else max(self.dof, 1)))
+
+
+def _squares(
+    at: Parameters,
+    readings: Readings,
+    how: Whitening,
+    active: BoolArray,
+    cost: float,
+    known: bool,
+) -> _Squares:
+    """Return what readings say of the `active` (7 B,) unknowns of beams.
+
+    Parameters
+    ----------
+    at : Parameters
+        The beams as calibrated, and the planes that fit.
+    readings : Readings
+    how : Whitening
+    active : (7 B,) of bool
+    cost : float
+        Sum of squares there, in units of the stated noise.
+    known : bool
+        Whether the range sigma was given.
+    """
+    normal, _ = linearized(at, readings, 2, how)
+    length = readings.typical_range()
+    every = np.tile(BEAM.natural_units(length), readings.beams)
+    reduced = normal.reduced(every, PLANE.natural_units(length), active)
+    values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
+    free = len(readings) - 3 * readings.planes
+    along = axes.T @ reduced.gradient / how.sigma**2
+    scale, keep = 1.0, values > KNOWN**-2
+    # Few readings cannot tell their own sigma: that of the calibration stands for it.
+    known = known or free - int(keep.sum()) < FEW_DEGREES
+    # In three rounds the scale of the noise and the directions that it determines settle together.
+    for _ in range(0 if known else 3):
+        rest = cost - float((along[keep] ** 2 / values[keep]).sum())
+        scale = rest / (free - int(keep.sum()))
+        keep = values / scale > KNOWN**-2
+    axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
+    fall, rank = float((along**2 / values).sum()), int(keep.sum())
+    chi2, information = cost / scale - fall, (axes * values) @ axes.T
+    return _Squares(information, axes @ along, chi2, fall, scale, rank, free - rank, known)
 
 
 def _explanations(
@@ -328,115 +465,3 @@ def fit_planes(
         if np.abs(step).max() < SINGULAR:
             break
     return at, whitening(at, readings, variances)
-
-
-def _tested(
-    at: Parameters,
-    readings: Readings,
-    how: Whitening,
-    mounts: Mounts,
-    each_beam: bool,
-    known: bool,
-    stations: Sequence[str],
-) -> HoldOut:
-    """Test the beams as calibrated against readings whose planes were fitted to them.
-
-    Parameters
-    ----------
-    at : Parameters
-        The beams as calibrated, and the planes.
-    readings : Readings
-    how : Whitening
-    mounts : Mounts
-    each_beam : bool
-        Whether each is to be tested alone, too.
-    known : bool
-        Whether the range sigma was given; else it is what the readings show.
-    stations : sequence of str
-        Their names.
-    """
-    # chi2(b + x) = cost + 2 gradient' x + x' information x over the unknowns of the beams, planes
-    # fitted, along what the recording determines; in natural units and sigmas.
-    normal, _ = linearized(at, readings, 2, how)
-    length = readings.typical_range()
-    active = modelled(mounts.terms).ravel()
-    every = np.tile(BEAM.natural_units(length), readings.beams)
-    unit, beam = every[active], np.repeat(np.arange(readings.beams), BEAM.dim)[active]
-    reduced = normal.reduced(every, PLANE.natural_units(length), active)
-    e = model.residuals(model.scene(at, readings), readings.distance)
-    white = how.apply(e)
-    cost = float(white @ white) / how.sigma**2
-    values, axes = np.linalg.eigh(reduced.matrix / how.sigma**2)
-    free = len(readings) - 3 * readings.planes
-    along = axes.T @ reduced.gradient / how.sigma**2
-    scale, keep = 1.0, values > KNOWN**-2
-    # Few readings cannot tell their own sigma: that of the calibration stands for it.
-    known = known or free - int(keep.sum()) < FEW_DEGREES
-    # In three rounds the scale of the noise and the directions that it determines settle together.
-    for _ in range(0 if known else 3):
-        rest = cost - float((along[keep] ** 2 / values[keep]).sum())
-        scale = rest / (free - int(keep.sum()))
-        keep = values / scale > KNOWN**-2
-    axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
-    information, gradient = (axes * values) @ axes.T, axes @ along
-    rank, dof = int(keep.sum()), free - int(keep.sum())
-    bases = model.tangent_basis(mounts.directions)
-    lift = beams_lift(bases, mounts.terms)
-    covariance = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
-
-    def least(root: FloatArray, free: FloatArray) -> tuple[float, FloatArray]:
-        """Return by how much chi2 falls, and for which x = root z + free y; z' z adds to chi2."""
-        A = np.hstack((root, free))
-        Q = A.T @ information @ A
-        Q[: root.shape[1], : root.shape[1]] += np.eye(root.shape[1])
-        b = A.T @ gradient
-        z = -np.linalg.pinv(Q, rcond=SINGULAR, hermitian=True) @ b
-        return float(-b @ z), A @ z
-
-    def p_value(statistic: float, degrees: int) -> float:
-        if degrees == 0:
-            return float("nan")
-        if known:
-            return float(chi2_sf(statistic, degrees))
-        return float(f_sf(statistic / degrees, degrees, max(dof, 1)))
-
-    n = len(unit)
-    own = covariance_roots(covariance[None])[0]
-    held, moved = least(own, own[:, :0])[0], float((along**2 / values).sum())
-    chi2, drift = cost / scale - moved, moved - held
-    beams = []
-    for index, name in enumerate(mounts.names if each_beam else ()):
-        mine = beam == index
-        (others,) = covariance_roots((own @ own.T)[np.ix_(~mine, ~mine)][None])
-        root = np.zeros((n, others.shape[1]))
-        root[~mine] = others
-        fall, x = least(root, np.eye(n)[:, mine])
-        statistic, dx = max(fall - held, 0.0), (x * unit)[mine]
-        degrees = min(int(mine.sum()), rank)
-        p, rest = p_value(statistic, degrees), p_value(drift - statistic, rank - degrees)
-        turn = float(np.linalg.norm(dx[DIRECTION]))
-        beams.append(BeamDrift(name, statistic, p, dx[LOCATION], turn, rest_p_value=rest))
-    # A twist (w, u) of the hand moves r by w x r + u, and v by w x v.
-    twist = np.zeros((readings.beams, BEAM.dim, 6))
-    twist[:, LOCATION, :3] = -skew(mounts.locations)
-    twist[:, LOCATION, 3:] = np.eye(3)
-    twist[:, DIRECTION, :3] = -np.swapaxes(bases, 1, 2) @ skew(mounts.directions)
-    along_twist = twist.reshape(-1, 6)[active] / unit[:, None]
-    fall, x = least(own, along_twist)
-    alike = np.asarray(np.linalg.lstsq(along_twist, x, rcond=SINGULAR)[0], dtype=float)
-    worst = int(np.abs(e).argmax())
-    return HoldOut(
-        len(e),
-        float(np.sqrt(np.mean(e**2))),
-        float(np.abs(e[worst])),
-        chi2 * scale,
-        dof,
-        float(chi2_sf(chi2, dof)) if known and dof > 0 else float("nan"),
-        drift,
-        rank,
-        p_value(drift, rank),
-        tuple(beams),
-        alike,
-        p_value(drift - (fall - held), rank - min(6, rank)),
-        (stations[readings.station[worst]], mounts.names[readings.beam[worst]]),
-    )

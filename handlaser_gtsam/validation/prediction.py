@@ -81,10 +81,8 @@ def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Pre
     if joint is None or calibration.status != "converged":
         raise InputError(f"a calibration that is {calibration.status}", "a converged one")
     _require_known(joint, recording)
-    ranges = np.full(len(recording.beam_names), calibration.fit.range_sigma)
-    if calibration.variances is not None:
-        beams = [list(calibration.beams).index(name) for name in recording.beam_names]
-        ranges = calibration.variances.range_sigma[beams]
+    beams = [joint.beam_names.index(name) for name in recording.beam_names]
+    ranges = calibration.reading_variances.range_sigma[beams]
     pose = None
     if calibration.fit.poses != "exact":
         stations = len(recording.plane_labels)

@@ -29,10 +29,9 @@ from ..quantities import MOST_ROUNDS, NEGLIGIBLE
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..solvers.beam_problem import newton_step
-from .leave_out import USUAL_SPLITS, drawn, leave_out
 from .other_recording import HoldOut, hold_out
 from .prediction import Prediction, predicted
-from .validation import Validation
+from .validation import USUAL_SPLITS, Validation, drawn, leave_out
 
 
 class WholeSolution(NamedTuple):
@@ -73,14 +72,13 @@ class WholeSolution(NamedTuple):
             raise SolverError("no calibration that holds its recording")
         if fit.loss != GAUSSIAN.name or len(terms) > 1:
             raise SolverError(f"a {fit.loss} loss, or beams of different range errors")
-        used, variances = calibration.used_in(recording), calibration.variances
+        used = calibration.used_in(recording)
         if used.beam_names != recording.beam_names:
             raise SolverError("a beam that lost all its readings")
         scaled = calibration.at_scales
         at = calibration.parameters() if scaled is None else scaled.parameters
-        if variances is None:
-            variances = Variances(np.full(len(calibration.beams), fit.range_sigma))
-        return cls(used, at, terms.pop(), variances, calibration.range_error_prior)
+        variances, prior = calibration.reading_variances, calibration.range_error_prior
+        return cls(used, at, terms.pop(), variances, prior)
 
     def stations(self, chosen: BoolArray) -> tuple[Recording, Variances]:
         """Return the `chosen` (M,) stations, with the beams that read anything there, and their noise.

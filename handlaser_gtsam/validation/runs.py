@@ -61,7 +61,7 @@ class Estimated(Value):
     beams : Beams
         Locations (B, 3), directions (B, 3) and range errors (B, 2).
     covariances : (B, 8, 8)
-        Of (x, y, z, vx, vy, vz, k1, k2) of every beam; NaN where it has none.
+        Of the numbers of `model.families.BEAM` of every beam; NaN where it has none.
     status : str
         "converged", or what it is instead.
     iterations : int
@@ -137,7 +137,7 @@ def run_row(estimate: Estimated | HandlaserError, truth: Parameters) -> dict[str
     e = np.hstack((r - truth.locations, v - truth.directions, k - truth.range_errors))
     sigma = np.sqrt(np.maximum(np.einsum("bii->bi", S), 0.0))
     z = np.abs(e[sigma > 0.0]) / sigma[sigma > 0.0]
-    # The eight coordinates of a beam have seven freedoms: three of r, two of v, and k1 and k2.
+    # The eight coordinates of a beam have seven freedoms: three of r, two of v, and the range errors.
     lift = beam_lifts(model.tangent_basis(v))
     x, C = np.einsum("bij,bi->bj", lift, e), np.swapaxes(lift, 1, 2) @ S @ lift
     terms = int((np.einsum("bii->bi", C)[:, RANGE_ERROR] > 0.0).all(axis=0).sum())

@@ -19,14 +19,13 @@ from ..model.families import PLANE, bases
 from ..model.geometry import normalized
 from ..model.sensors.kinds import KINDS
 from ..model.targets.sphere import SPHERE
+from .scenes import BASE
 from .simulate import Errors
 from .survey_simulate import SurveyTruth
 
 SPREAD = np.radians(30.0)
 """Planes lean up to that from the vertical of the scene, and hands look at spheres and points from
 directions up to twice that from it."""
-BASE = np.array([0.6, 0.1, 0.4])
-"""About where targets stand [m], world frame: before a robot, and not at the origin."""
 SURVEY_ERRORS = Errors(5e-5, 5e-5, np.radians(0.01))
 """What a survey errs by where nothing else is said: a triangulation sensor on an industrial arm."""
 WORKING = 0.2

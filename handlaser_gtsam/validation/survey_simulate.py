@@ -40,8 +40,8 @@ class SurveyTruth(Value):
         Location [m] and direction in the hand of each single beam.
     targets : mapping of label to (4,) or (3,)
         Plane nx, ny, nz, b with n . x + b = 0, sphere x, y, z, radius, or point; world frame [m].
-    range_error : (k1, k2)
-        Of all sensors and beams: true range d + k1 d + k2 d^2.
+    range_error : (float, float)
+        Of all sensors and beams, as of `data.parameters.Parameters`.
     """
 
     mounts: Mapping[str, FloatArray]

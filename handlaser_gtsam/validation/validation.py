@@ -1,10 +1,20 @@
-"""What a recording says about its own calibration, and the verdict after that."""
+"""What a recording says about its own calibration, and the verdict after that.
 
+Parts of it are predicted by the rest. A part is a plane or another target, or a random choice of the
+stations. The same types hold what was found of beams before planes and of surveys.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from ..arrays import BoolArray, IntArray
 from ..data.value import Value
-from ..errors import CalibrationWarning
+from ..errors import CalibrationWarning, HandlaserError
 from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
+from ..progress import tell
 from ..quantities import IN_PERCENT
 from ..results.calibration import Calibration
 from ..results.limits import Limits, rms_checked
@@ -14,9 +24,8 @@ from ..results.survey_verdict import survey_verdict
 from ..results.verdict import Verdict, failures, failures_of, verdict
 from ..text import some
 from .cross_check import CrossCheck
-from .leave_out import LeftOut
 from .other_recording import HoldOut
-from .prediction import Prediction
+from .prediction import Prediction, SurveyPrediction
 
 LARGEST_DIFFERENCE = 0.5
 """A parameter may differ from SciPy's by this many of its standard deviations, and a standard deviation
@@ -24,6 +33,38 @@ by this part. Shots are condensed to first order in their noise: of balls that a
 2 % of the range they differ by up to 0.47, which makes errors a tenth larger than is stated."""
 DISAGREES = "reference-disagrees"
 """Code of the cause that SciPy finds another solution."""
+PART_LEFT_OUT = 0.3
+"""Part of the stations that a random split predicts; before planes, of the stations of every plane."""
+USUAL_SPLITS = 5
+"""Random splits of the stations: enough to see how predictions scatter; each takes a calibration."""
+Predicted = HoldOut | Prediction | SurveyPrediction
+"""How the rest predicts a part."""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class LeftOut(Value):
+    """A part of a recording, and how a calibration without it predicts it.
+
+    Attributes
+    ----------
+    name : str
+        The label of a target, or the number of a random split.
+    result : HoldOut, Prediction, SurveyPrediction or None
+        A `HoldOut` of a plane that beams see, a `Prediction` of a random split of such a recording, a
+        `SurveyPrediction` of any part of a survey. None where there is no prediction.
+    message : str
+        Why there is none.
+    """
+
+    name: str
+    result: Predicted | None
+    message: str = ""
+
+    @property
+    def p_value(self) -> float:
+        """Probability that chance makes the part differ more from the rest; NaN without a test."""
+        found = self.result
+        return found.p_value if isinstance(found, HoldOut | SurveyPrediction) else math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -89,19 +130,13 @@ class Validation(Value):
     @property
     def disagreement(self) -> str:
         """What SciPy, which solves all points by themselves, finds otherwise; empty where it agrees."""
-        reference = self.reference
-        if reference is None:
+        of = self.reference
+        if of is None or max(of.largest, of.largest_sigma) <= LARGEST_DIFFERENCE:
             return ""
-        if reference.largest > LARGEST_DIFFERENCE:
-            found = f"finds another solution, by {reference.difference}"
-        elif reference.largest_sigma > LARGEST_DIFFERENCE:
-            percent = IN_PERCENT * reference.largest_sigma
-            found = (
-                f"finds standard deviations that differ by {percent:.0f} % in "
-                f"{reference.sigma_parameter}"
-            )
-        else:
-            return ""
+        found = f"finds another solution, by {of.difference}"
+        if of.largest <= LARGEST_DIFFERENCE:
+            percent = f"{IN_PERCENT * of.largest_sigma:.0f} %"
+            found = f"finds standard deviations that differ by {percent} in {of.sigma_parameter}"
         return (
             f"SciPy, point by point, {found}: do not use this calibration; shots are too noisy, or "
             "have too few points, for their targets: look at larger parts of them, from nearer"
@@ -162,3 +197,57 @@ def verdict_of_validation(validation: Validation, limits: Limits | None = None) 
         return replace(judged, confirmed_by=len(fitted))
     causes = (*why, *judged.causes)
     return replace(judged, code=code, findings=(*findings, *last), causes=causes)
+
+
+def leave_out(
+    targets: Mapping[str, BoolArray],
+    splits: Iterable[BoolArray],
+    of_target: Callable[[BoolArray], Predicted],
+    of_split: Callable[[BoolArray], Predicted],
+    total: int,
+    *,
+    kind: str = "",
+) -> tuple[tuple[LeftOut, ...], tuple[LeftOut, ...]]:
+    """Predict targets, and random splits, from what is left without each.
+
+    Parameters
+    ----------
+    targets : mapping of str to (M,) of bool
+        The stations before each target.
+    splits : iterable of (M,) of bool
+        The stations that each leaves out.
+    of_target, of_split : callable
+        Predict such stations from the others; a HandlaserError says why that cannot be.
+    total : int
+        How many steps the progress counts, with what precedes and follows.
+    kind : str
+        What precedes the name of a target in the progress.
+
+    Returns
+    -------
+    targets, splits : tuple of LeftOut
+    """
+
+    def predicted(name: str, predict: Callable[[BoolArray], Predicted], out: BoolArray) -> LeftOut:
+        try:
+            return LeftOut(name, predict(out))
+        except HandlaserError as error:
+            return LeftOut(name, None, str(error))
+
+    found, drawn = [], []
+    for done, (name, out) in enumerate(targets.items(), 1):
+        tell("leave-out", done, total, f"without {kind}{name}")
+        found.append(predicted(name, of_target, out))
+    for number, out in enumerate(splits, 1):
+        tell("leave-out", len(targets) + number, total, f"split {number}")
+        drawn.append(predicted(f"{number}", of_split, out))
+    return tuple(found), tuple(drawn)
+
+
+def drawn(groups: IntArray, rng: np.random.Generator) -> BoolArray:
+    """Return which of N stations, or stops, a random split leaves out: 30 % of every group (N,)."""
+    out = np.zeros(len(groups), dtype=bool)
+    for group in np.unique(groups):
+        members = rng.permutation(np.flatnonzero(groups == group))
+        out[members[: round(PART_LEFT_OUT * len(members))]] = True
+    return out

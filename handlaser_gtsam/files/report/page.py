@@ -48,9 +48,9 @@ from ...results.description.tables import (
 )
 from ...results.lines import NAMES_ON_PAGE
 from ...text import count, printable, some
-from ...validation.leave_out import LeftOut
 from ...validation.other_recording import HoldOut
 from ...validation.prediction import pooled
+from ...validation.validation import LeftOut
 from ..calibration_writing import calibration_text
 from .figure import STYLE, Figure
 from .figures import flat_figures
