@@ -19,7 +19,7 @@ from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.freed import prior_sizes, with_freed
-from .results.named_problem import Problem
+from .results.problem import Problem
 
 if TYPE_CHECKING:
     from .results.survey import SurveyCalibration

@@ -23,8 +23,8 @@ from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS
 from ..model.weighting import Variances
+from ..observability.motion import named, poor_motion, some_plane_leans
 from ..observability.other_solutions import mirror_image_fits
-from ..observability.poor_motion import named, poor_motion, some_plane_leans
 from ..observability.rank import observability
 from ..observability.wording import (
     MIRROR,
@@ -51,12 +51,11 @@ from .calibration_data import (
     Status,
 )
 from .dependence import INDEPENDENT, Dependence
-from .fit import fit_of, linear_rows, unit_sigma
 from .freed import Freed
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
 from .moved_beam import moved_beam
-from .named_problem import Problem, named_estimates
+from .problem import Problem, fit_of, linear_rows, named_estimates, unit_sigma
 from .projection import LinearRows
 from .systematic import SystematicError, systematic_errors
 from .warnings import (

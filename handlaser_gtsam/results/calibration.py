@@ -163,7 +163,7 @@ class Calibration(CalibrationData):
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, and a row a beam."""
         from .description.description import Description
-        from .description.rendering import notebook_html
+        from .description.terminal import notebook_html
 
         return notebook_html(Description(self, self.verdict))
 

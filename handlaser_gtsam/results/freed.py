@@ -42,9 +42,8 @@ from ..model.sensor_limits import Sensor
 from ..quantities import MOST_ROUNDS
 from ..text import count
 from .calibration_data import FreedEffect
-from .fit import linear_rows
 from .messages import warned
-from .named_problem import Problem
+from .problem import Problem, linear_rows
 from .projection import FreedColumns, Projection
 from .systematic import subject_in_words
 

@@ -32,7 +32,7 @@ from ..quantities import KNOWN, NEGLIGIBLE, TINY
 from .calibration_data import Beam, Fit
 from .dependence import dependence
 from .messages import warned
-from .named_problem import Problem
+from .problem import Problem
 from .projection import LinearRows, Projection
 from .spots import radius, spot_of
 from .systematic import SystematicError

@@ -15,7 +15,7 @@ from ..model.known_relations import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
-from ..observability.poor_motion import COUNTED_TURN, PoorMotion, named
+from ..observability.motion import COUNTED_TURN, PoorMotion, named
 from ..observability.wording import MOUNTED, WORTH_A_WORD, Kind, OpenPart, vector_words
 from ..quantities import FAR_SIGMAS, IN_DEG
 from ..text import some

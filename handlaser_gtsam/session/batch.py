@@ -19,7 +19,7 @@ from ..model.families import BEAM
 from ..model.sensor_limits import FLAT, OUTSIDE
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
-from ..results.named_problem import Problem
+from ..results.problem import Problem
 from .config import SessionConfig
 from .contents import Contents, arranged
 
