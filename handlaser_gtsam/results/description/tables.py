@@ -54,20 +54,16 @@ class Table(NamedTuple):
 
 def number(value: float | None, digits: int, mark: str = "") -> Cell:
     """Return a cell with this number of decimals; a dash where there is no number."""
-    return _cell(value, plain, digits, mark)
-
-
-def significant(value: float | None, digits: int = 3, mark: str = "") -> Cell:
-    """Return a cell with this number of significant digits; a dash where there is no number."""
-    return _cell(value, concise, digits, mark)
-
-
-def _cell(
-    value: float | None, written: Callable[[float, int], str], digits: int, mark: str
-) -> Cell:
     if value is None or not math.isfinite(value):
         return Cell(NONE, None, mark)
-    return Cell(written(value, digits), float(value), mark)
+    return Cell(plain(value, digits), float(value), mark)
+
+
+def significant(value: float | None, digits: int = 3) -> Cell:
+    """Return a cell with this number of significant digits; a dash where there is no number."""
+    if value is None or not math.isfinite(value):
+        return Cell(NONE)
+    return Cell(concise(value, digits), float(value))
 
 
 def determined(value: float, sigma: float, digits: int, unknown: str = UNDETERMINED) -> Cell:
@@ -115,9 +111,9 @@ def more(left: int, noun: str) -> str:
     return words if left > 0 else ""
 
 
-def text(words: str, mark: str = "") -> Cell:
+def text(words: str) -> Cell:
     """Return a cell of words."""
-    return Cell(words, None, mark)
+    return Cell(words)
 
 
 def sentence(words: str) -> str:
@@ -157,8 +153,6 @@ PLAIN = str.maketrans({MINUS: "-", NONE: "-", "±": "+-", "²": "^2", "·": "."}
 """Letters that not every terminal shows."""
 GAPS = ("  ", " ")
 """Between columns: the narrow one where a table then fits."""
-NAME = 0.25
-"""Part of the width that the first column has where the table stands in parts, before each of them."""
 
 
 def text_table(table: Table, width: int, most_rows: int | None = None) -> list[str]:
@@ -181,8 +175,9 @@ def text_table(table: Table, width: int, most_rows: int | None = None) -> list[s
     ]
     sizes = [max(map(len, column)) for column in columns]
     room = width - sum(sizes[1:]) - len(GAPS[1]) * (len(sizes) - 1)
-    # A name of less than eight characters does not tell one from another.
-    longest = room if room >= 8 else int(NAME * width)
+    # A name of less than eight characters does not tell one from another: then the table stands in
+    # parts, and the first column has a quarter of the width before each of them.
+    longest = room if room >= 8 else width // 4
     columns[0] = [shortened(cell, longest) for cell in columns[0]]
     sizes[0] = max(map(len, columns[0]))
     right = [column.number for column in table.columns]
