@@ -465,16 +465,16 @@ def least_information(information: FloatArray) -> float:
 
 
 def covariance_along(
-    information: FloatArray, axes: FloatArray, functionals: FloatArray
+    found: tuple[FloatArray, FloatArray, FloatArray], J: FloatArray, first: int = 0
 ) -> FloatArray:
-    """Return the covariance (F, F) of linear functionals (F, N) of the unknowns in natural units.
+    """Return the covariance (F, F) of linear functionals of the unknowns.
 
     Parameters
     ----------
-    information, axes : (N,), (N, N)
-        Of independent directions, as `information_axes` returns them.
-    functionals : (F, N)
-        Derivatives of each by the unknowns in natural units.
+    found
+        Information, axes and units, as `information_axes` returns them.
+    J : (F, n)
+        Derivatives of each by n unknowns in SI units, of which the `first` has that number.
 
     Returns
     -------
@@ -482,6 +482,10 @@ def covariance_along(
         In the units of the functionals. Rows and columns are NaN where undetermined directions have
         more than `NEGLIGIBLE` of the squared length of a functional.
     """
+    information, axes, unit = found
+    functionals = np.zeros((len(J), len(unit)))
+    at = slice(first, first + J.shape[1])
+    functionals[:, at] = J * unit[at]
     known = information >= least_information(information)
     parts = functionals @ axes
     covariance = (parts[:, known] / information[known]) @ parts[:, known].T
@@ -498,7 +502,8 @@ def _undetermined(
 
     The third result is the covariance (N, N) of all that does not move along them, NaN for the rest.
     """
-    information, axes, unit = information_axes(problem, blocks, values)
+    found = information_axes(problem, blocks, values)
+    information, axes, _ = found
     null = axes[:, information < least_information(information)]
     echelon = null.T.copy()
     for r in range(len(echelon)):  # each direction gets a coordinate that the others do not have
@@ -512,7 +517,7 @@ def _undetermined(
         size = np.abs(direction)
         moving = [names[i] for i in np.argsort(-size) if size[i] > NAMED_SHARE * size.max()]
         words.append(", ".join(moving))
-    return null, tuple(words), covariance_along(information, axes, np.diag(unit))
+    return null, tuple(words), covariance_along(found, np.eye(len(axes)))
 
 
 def _finished(

@@ -150,7 +150,7 @@ def _level(
         return {}
     level: dict[str, str] = {}
     for member, shots in enumerate(rows.survey.shots):
-        own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
+        own = [i for i in rows.items if i.mount == (SENSOR.name, member)]
         kind = KINDS[shots.kind]
         if not kind.flat or any(i.target[0] != PLANE.name for i in own):
             continue
@@ -248,7 +248,7 @@ def _on_one_circle(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterat
     """Yield the shifts of sensors that saw one plane whose normals lie on one circle for them."""
     stations = rows.survey.stations
     for member, shots in enumerate(rows.survey.shots):
-        own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
+        own = [i for i in rows.items if i.mount == (SENSOR.name, member)]
         planes = {i.target for i in own}
         if len(planes) != 1 or next(iter(planes))[0] != PLANE.name:
             continue

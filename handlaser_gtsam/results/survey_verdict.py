@@ -15,8 +15,6 @@ import numpy as np
 
 from ..estimation.estimate import covariance_along, information_axes
 from ..estimation.survey_trials import ALIKE, BOTH_AXES
-from ..model.families import BEAM
-from ..model.sensors.mounted import SENSOR
 from ..quantities import IN_PERCENT
 from ..text import some
 from .limits import LimitCheck, Limits, sigmas_checked
@@ -215,13 +213,11 @@ def _pose_share(result: "SurveyCalibration") -> float:
 
 def _spot_variance(result: "SurveyCalibration", number: int, times: float) -> float:
     """Return the trace of the covariance of a spot [m^2], for the pose variances times a factor."""
-    found, J, sensors = result._found, result.mounts[number].spot_by(), len(result.sensors)
-    entity = (SENSOR.name, number) if number < sensors else (BEAM.name, number - sensors)
+    found, J = result._found, result.mounts[number].spot_by()
+    family, member = list(found.rows.mounts)[number]
     problem = found.problem(times)
     values = {name: x[None] for name, x in found.estimate.values.items()}
-    information, axes, unit = information_axes(problem, problem.blocks, values)
+    axes = information_axes(problem, problem.blocks, values)
     # Range errors of a sensor stand after the unknowns of where it is.
-    index = problem.places().place[entity[0]][entity[1]] + np.arange(J.shape[1])
-    functionals = np.zeros((3, len(unit)))
-    functionals[:, index] = J * unit[index]
-    return float(np.trace(covariance_along(information, axes, functionals)))
+    first = int(problem.places().place[family][member])
+    return float(np.trace(covariance_along(axes, J, first)))

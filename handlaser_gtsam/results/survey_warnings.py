@@ -129,12 +129,11 @@ def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[Cal
     moved = displacement(found) if found.estimate.status != "undetermined" else None
     if moved is None:
         return
-    (family, member), size, sensors = moved.entity, moved.tried.size, len(found.rows.survey.shots)
+    (family, member), size = moved.entity, moved.tried.size
     place, times = found.rows.places().place, []
-    for number, mount in enumerate(mounts):
-        own = (SENSOR.name, number) if number < sensors else (BEAM.name, number - sensors)
+    for mount, (own, number) in zip(mounts, found.rows.mounts, strict=True):
         J = mount.spot_by()
-        shift = J @ moved.tried.moved[place[own[0]][own[1]] + np.arange(J.shape[1])]
+        shift = J @ moved.tried.moved[place[own][number] + np.arange(J.shape[1])]
         times.append(float(np.linalg.norm(shift)) / mount.spot_error)
     name, of_mount = found.rows.names(family)[member], family in (SENSOR.name, BEAM.name)
     values: Values = {
@@ -224,7 +223,7 @@ def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     if found.estimate.status != "converged" or not learned.any():
         return
     survey = found.rows.survey
-    names = [f"sensor {shots.name}" for shots in survey.shots]
+    names = [f"{SENSOR.name} {name}" for name in found.rows.names(SENSOR.name)]
     names += [f"{BEAM.name} {some(survey.beam_names, NAMES_IN_LINE)}", "the aiming at points"]
     spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
     for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
