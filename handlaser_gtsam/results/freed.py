@@ -174,8 +174,8 @@ def with_freed(
 ) -> tuple[Problem, Selection, Freed | None]:
     """Return the corrected problem, its solution, and the freed errors of the options.
 
-    They are as given, without freed errors, where none are freed, or where the solution has no minimum
-    at which everything else is determined.
+    They are as given, without freed errors, where the solution has no minimum at which everything else
+    is determined.
 
     Parameters
     ----------
@@ -192,8 +192,6 @@ def with_freed(
     InputError
         More unknown sizes than `MOST_FREED`, or none at all.
     """
-    if not options.free:
-        return problem, selection, None
     largest = float(problem.readings.distance[selection.used].max())
     prior = prior_sizes(options.free, options.sensor, largest)
     recorded, first = problem, selection

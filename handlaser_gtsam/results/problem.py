@@ -48,20 +48,6 @@ class Problem(NamedTuple):
     noise: Noise
     sensor: Sensor
 
-    @classmethod
-    def as_recorded(
-        cls,
-        recording: Recording,
-        readings: Readings,
-        origins: FloatArray,
-        noise: Noise,
-        sensor: Sensor,
-    ) -> "Problem":
-        """Return the problem of readings that are numbered as in the recording."""
-        sizes = len(recording.plane_labels), len(recording.beam_names), len(recording.plane_names)
-        order = Order(*(np.arange(size) for size in sizes))
-        return cls(recording, readings, order, origins, noise, sensor)
-
     @property
     def names(self) -> BeamAndPlaneNames:
         """Beams and planes with their numbers in the readings, in the order of the recording."""

@@ -8,7 +8,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Beams, Parameters
-from ..data.recording import Readings, Recording, join
+from ..data.recording import Order, Readings, Recording, join
 from ..estimation.joint_solution import settle
 from ..estimation.learning_scales import LearnedScales, ScaleProblem
 from ..estimation.posterior import covariance_of_determined, posterior
@@ -114,7 +114,10 @@ class BatchProblem:
         outside, flat = self.rejected(OUTSIDE), self.rejected(FLAT)
         selection = Selection(self.used, outside, flat, METHOD, tried, solution)
         noise, sensor = self.config.noise, self.config.options.sensor
-        problem = Problem.as_recorded(self.recording, self.readings, self.origins, noise, sensor)
+        shown = self.recording
+        sizes = len(shown.plane_labels), len(shown.beam_names), len(shown.plane_names)
+        order = Order(*map(np.arange, sizes))  # readings are numbered as in the recording
+        problem = Problem(shown, self.readings, order, self.origins, noise, sensor)
         return assemble(problem, selection)
 
     def rejected(self, reason: str | None = None) -> BoolArray:
