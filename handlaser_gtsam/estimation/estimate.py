@@ -9,9 +9,9 @@ tests, so that a problem may have some thousand rows and some hundred unknowns.
 """
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -31,6 +31,7 @@ from ..solvers.gtsam_sums import eliminated_sums
 from .block_checks import require_blocks, require_start
 from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
 
+Name = TypeVar("Name", bound=Hashable)
 MOST_REJECTED = 0.3
 """Largest part of the readings that may be rejected: beyond, not they but the model is at fault."""
 NAMED_SHARE = 0.1
@@ -250,8 +251,8 @@ def score_test(
 
 
 def tested_columns(
-    J: FloatArray, e: FloatArray, columns: Mapping[str, FloatArray]
-) -> dict[str, tuple[TestedEffect, FloatArray]]:
+    J: FloatArray, e: FloatArray, columns: Mapping[Name, FloatArray]
+) -> dict[Name, tuple[TestedEffect, FloatArray]]:
     """Return what rows say of unknowns that are held at zero, and how the others would follow.
 
     Parameters

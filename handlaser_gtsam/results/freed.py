@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray, IntArray, frozen
+from ..arrays import FloatArray, IntArray, frozen
 from ..data.noise import LEAST_SIGMA, Noise
 from ..errors import CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
@@ -82,13 +82,6 @@ class Freed(NamedTuple):
     settled: bool
 
     @property
-    def determined(self) -> BoolArray:
-        """Which sizes (q,) the readings determine."""
-        # A size is determined where the readings lower the variance of its prior to below this
-        # part: then they say more of it than the prior.
-        return np.asarray(np.diagonal(self.covariance) < 0.5)
-
-    @property
     def rank(self) -> int:
         """How many sizes the readings determine: the trace of their resolution matrix."""
         return round(len(self.covariance) - float(np.trace(self.covariance)))
@@ -113,7 +106,10 @@ class Freed(NamedTuple):
         offsets = planes[:, 3] + np.einsum("pi,piq->pq", centres, planes[:, :3])
         follow = np.concatenate((tilts, offsets[:, None]), axis=1).reshape(-1, len(covariance))
         follow = np.concatenate((self.beams[i][modelled(joint.terms)], follow))
-        known = (covariance * self.prior, covariance @ follow.T, self.determined)
+        # A size is determined where the readings lower the variance of its prior to below this part:
+        # then they say more of it than the prior.
+        determined = np.diagonal(self.covariance) < 0.5
+        known = (covariance * self.prior, covariance @ follow.T, determined)
         sigma = np.sqrt(np.diagonal(known[0]))
         parts = (self.prior * self.columns.size, sigma, self.prior, *known)
         rows = zip(self.columns.codes, self.subjects, *parts, strict=True)

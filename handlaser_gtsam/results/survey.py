@@ -520,23 +520,21 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
     whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
     J, e = dense_rows(blocks, values, whole).whitened()
     own = problem.places()
-    columns, zero = {}, np.zeros_like(e)
-    for member in range(len(found.rows.survey.shots)):
+    columns: dict[tuple[int, str], FloatArray] = {}
+    for member, shots in enumerate(found.rows.survey.shots):
         for code in RAY_ERRORS:
             name = f"{SENSOR.name}[{member}].{code}"
             column = J[:, whole.names.index(name)]
             if name not in own.names and column.any():
-                columns[name] = column
-        both = [columns.get(f"{SENSOR.name}[{member}].{code}", zero) for code in ALIKE]
-        if found.rows.survey.shots[member].kind == "profiler" and all(map(np.any, both)):
-            columns[f"{SENSOR.name}[{member}].{BOTH_AXES}"] = both[0] + both[1]
+                columns[member, code] = column
+        both = [columns[member, code] for code in ALIKE if (member, code) in columns]
+        if shots.kind == "profiler" and len(both) == len(ALIKE):
+            columns[member, BOTH_AXES] = both[0] + both[1]
     index = [whole.names.index(name) for name in own.names]
     effects: dict[int, list[SensorError]] = {}
-    for name, (tested, follows) in tested_columns(J[:, index], e, columns).items():
+    for (member, code), (tested, follows) in tested_columns(J[:, index], e, columns).items():
         if not np.isfinite(tested.sigma):
             continue  # it only moves the mount: nothing tells it, and nothing needs to
-        first, _, code = name.partition("].")
-        member = int(first.partition("[")[2])
         shots = found.rows.survey.shots[member]
         spot = _spot_of(shots.kind, shots.across, float(np.median(shots.reading)))
         turn = follows[own.place[SENSOR.name][member] + np.arange(6)]

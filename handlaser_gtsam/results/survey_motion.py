@@ -67,11 +67,14 @@ def open_words(
         return circles, (CURE_OF_A_CIRCLE,)
     level = {} if motion is None else _level(rows, found, motion, images)
     if motion is not None and level:
-        moving, others = _of_level_sensors(level, motion)
+        names = some([f"{kind} {name}" for name, kind in level.items()], NAMES_IN_LINE)
+        up, one = vector_words(motion.axis), len(level) == 1
+        lean, them = ("it leans", "it") if one else ("they lean", "them")
+        what = (said("open:level", names=names, up=up, lean=lean), *what)
+        cures = (*cures, said("cure:level", them=them, up=up))
         parts = tuple(part for part in parts if part.kind in MOUNTED and part.name not in level)
         if not parts:
-            return (*moving, *what), (*cures, *others)
-        what, cures = (*moving, *what), (*cures, *others)
+            return what, cures
     errors = any(part.quantity == "range error" for part in parts)
     leans = motion is None or _leans(rows, found, motion, images)
     mount = SENSOR.name if rows.survey.shots else BEAM.name
@@ -165,18 +168,6 @@ def _level(
         if lean < COUNTED_TURN or (lean < np.radians(5.0) and not known):
             level[shots.name] = shots.kind
     return level
-
-
-def _of_level_sensors(
-    level: Mapping[str, str], motion: PoorMotion
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return what level sensors leave undetermined in planar motion, and what cures it."""
-    names = some([f"{kind} {name}" for name, kind in level.items()], NAMES_IN_LINE)
-    up, one = vector_words(motion.axis), len(level) == 1
-    lean, them = ("it leans", "it") if one else ("they lean", "them")
-    return (said("open:level", names=names, up=up, lean=lean),), (
-        said("cure:level", them=them, up=up),
-    )
 
 
 def _leans(

@@ -59,7 +59,12 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     """
     if result.status != "converged":
         return _of_no_calibration(result)
-    checks = tuple(_checked(result, limits or Limits()))
+    limits = limits or Limits()
+    checks = tuple(
+        check
+        for one in result.mounts
+        for check in sigmas_checked(one.subject, one.largest_sigmas, one.largest_sigmas, limits)
+    )
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(result)
     contradicted = [one.message for one in result.warnings if one.code == FALSE_RELATION]
@@ -72,7 +77,9 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     elif moved is not None and float(moved.values["times"]) > 1.0:
         code, first = "systematic-error", moved.message
     elif harmful is not None and excess > 1.0:
-        code, first = "systematic-error", _range_error_of(result, harmful[0])
+        named = (one for one in result.warnings if one.code == "range-error")
+        code = "systematic-error"
+        first = next(one.message for one in named if one.values["sensor"] == harmful[0])
     elif unsure:
         code, first = "undetermined", unsure[0]
     elif failed:
@@ -123,12 +130,6 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
     return Verdict(code, findings, best, math.nan, causes=result.warnings)
 
 
-def _checked(result: "SurveyCalibration", limits: Limits) -> Iterator[LimitCheck]:
-    """Compare the standard deviations of a result with the limits that there are."""
-    for one in result.mounts:
-        yield from sigmas_checked(one.subject, one.largest_sigmas, one.largest_sigmas, limits)
-
-
 def _located(result: "SurveyCalibration") -> Iterator[str]:
     """Say how well each sensor and beam is known: its spot, or where it is if its spot is open."""
     for one in result.mounts:
@@ -141,12 +142,6 @@ def _located(result: "SurveyCalibration") -> Iterator[str]:
 def _least_certain(result: "SurveyCalibration") -> int:
     """Return the number of the mount whose spot is least certain."""
     return int(np.argmax([one.spot_error for one in result.mounts]))
-
-
-def _range_error_of(result: "SurveyCalibration", sensor: str) -> str:
-    """Return the words of the warning that readings of a sensor show a range error."""
-    warnings = (one for one in result.warnings if one.code == "range-error")
-    return next(one.message for one in warnings if one.values["sensor"] == sensor)
 
 
 def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, float]:

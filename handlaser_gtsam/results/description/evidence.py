@@ -51,8 +51,8 @@ def fit_facts(described: "Description") -> Facts:
     fit = calibration.fit
     station, beam = fit.max_residual_at
     facts = [
-        ("rms residual", small_mm(fit.rms, 3)),
-        ("largest residual", f"{small_mm(fit.max_residual, 3)} (station {station}, beam {beam})"),
+        ("rms residual", small_mm(fit.rms)),
+        ("largest residual", f"{small_mm(fit.max_residual)} (station {station}, beam {beam})"),
     ]
     if described.solved:
         far, (station, beam) = fit.max_standardized_residual, fit.max_standardized_residual_at
@@ -233,7 +233,7 @@ def noise_words(result: CalibrationData) -> str:
         parts = [f"a reading {min(sigmas):.2g} to {max(sigmas):.2g} mm, by beam ({how})"]
     if not parts:
         how = "given" if result.fit.range_sigma_given else "estimated"
-        parts = [f"a reading {small_mm(result.fit.range_sigma, 3)} ({how})"]
+        parts = [f"a reading {small_mm(result.fit.range_sigma)} ({how})"]
     parts += [_estimate(component) for component in estimated if component.quantity != "range"]
     return ", ".join([*parts, *_fixed_poses(result)])
 
