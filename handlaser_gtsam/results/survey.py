@@ -428,9 +428,8 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
 
 def _information(found: SurveyEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return `information_axes` of the rows that were used, at the estimate."""
-    problem, estimate = found.problem(), found.estimate
-    values = {name: x[None] for name, x in estimate.values.items()}
-    return information_axes(problem, kept_blocks(problem, estimate), values)
+    problem = found.problem()
+    return information_axes(problem, kept_blocks(problem, found.estimate), problem.start)
 
 
 def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
@@ -512,13 +511,12 @@ def _rejected_since(found: SurveyEstimate) -> Iterator[str]:
 
 def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
     """Return tests of the range errors that are held at zero, by sensor."""
-    problem, estimate = found.problem(), found.estimate
-    blocks = kept_blocks(problem, estimate)
-    values = {name: x[None] for name, x in estimate.values.items()}
-    if SENSOR.name not in values:
+    problem = found.problem()
+    if SENSOR.name not in problem.start:
         return {}
+    blocks = kept_blocks(problem, found.estimate)
     whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
-    J, e = dense_rows(blocks, values, whole).whitened()
+    J, e = dense_rows(blocks, problem.start, whole).whitened()
     own = problem.places()
     columns: dict[tuple[int, str], FloatArray] = {}
     for member, shots in enumerate(found.rows.survey.shots):

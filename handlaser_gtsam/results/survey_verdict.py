@@ -211,8 +211,7 @@ def _spot_variance(result: "SurveyCalibration", number: int, times: float) -> fl
     found, J = result._found, result.mounts[number].spot_by()
     family, member = list(found.rows.mounts)[number]
     problem = found.problem(times)
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    axes = information_axes(problem, problem.blocks, values)
+    axes = information_axes(problem, problem.blocks, problem.start)
     # Range errors of a sensor stand after the unknowns of where it is.
     first = int(problem.places().place[family][member])
     return float(np.trace(covariance_along(axes, J, first)))

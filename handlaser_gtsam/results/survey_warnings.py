@@ -83,8 +83,7 @@ def survey_warnings(
     yield from contradictions(relations)
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
     causes += tuple(implausible(found.rows, found.estimate.values))
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    causes += tuple(mislabelled(found.at(values, found.noise), found.estimate))
+    causes += tuple(mislabelled(found.ended(), found.estimate))
     unread = tuple(unread_stations(found.rows))
     moved: tuple[CalibrationWarning, ...] = ()
     if found.estimate.status == "converged" or not (
@@ -308,18 +307,17 @@ def rival_mounts(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     """
     if found.estimate.status != "converged":
         return
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    state = found.at(values, found.noise)
+    state = found.ended()
     for member, name in enumerate(found.rows.survey.beam_names):
         turn = found.estimate.marginal(BEAM.name, member)[DIRECTION, DIRECTION]
         if not np.isfinite(turn).all():
             continue
-        v = values[BEAM.name][0, member, OF_DIRECTION]
+        v = state.values[BEAM.name][0, member, OF_DIRECTION]
         far = max(FAR_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(turn)[-1])), SAME_DIRECTION)
         for mount in _minima(state, member):
-            beams = values[BEAM.name].copy()
+            beams = state.values[BEAM.name].copy()
             beams[0, member] = mount
-            problem, _ = replace(state, values={**values, BEAM.name: beams}).problem()
+            problem, _ = replace(state, values={**state.values, BEAM.name: beams}).problem()
             there = descended(problem, problem.blocks, problem.start, LAST_STEPS)
             if there is None:
                 continue
