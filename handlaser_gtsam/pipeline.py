@@ -18,8 +18,7 @@ from .estimation.selection import select
 from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
-from .results.freed import prior_sizes, with_freed
-from .results.named_problem import Problem
+from .results.problem import Problem
 
 if TYPE_CHECKING:
     from .results.survey import SurveyCalibration
@@ -151,8 +150,12 @@ def calibrate_from(
         selection = select(recording, local, ordered, options, start)
         # 4. Warnings and tests, in the names and the order of the recording.
         problem = Problem(recording, readings, order, origins, noise, options.sensor)
-        # Systematic errors that are unknowns are estimated beside it, and taken out of the readings.
-        problem, selection, freed = with_freed(problem, selection, ordered, options)
+        freed = None
+        if options.free:
+            # Systematic errors are unknowns, too, and taken out of the readings.
+            from .results.freed import with_freed
+
+            problem, selection, freed = with_freed(problem, selection, ordered, options)
         result = assemble(problem, selection, freed)
     recorded = None if freed is None else recording
     result = replace(
@@ -179,7 +182,10 @@ def _checked(recording: Recording, noise: Noise, options: CalibrationOptions) ->
     if other:
         raise InputError(f"the target {other!r}, which is no plane", "a Survey: hl.Survey")
     options.require_consistent(noise)
-    prior_sizes(options.free, options.sensor, 1.0)
+    if options.free:
+        from .results.freed import prior_sizes
+
+        prior_sizes(options.free, options.sensor, 1.0)
     counts = len(recording.plane_labels), len(recording.plane_names), len(recording.beam_names)
     LOGGER.info("calibrating %d stations, %d planes, %d beams", *counts)
     if options.sensor.range_stated:

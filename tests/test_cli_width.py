@@ -17,8 +17,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.cli import main
 from handlaser_gtsam.cli.verbs import VERBS, examples_of
 from handlaser_gtsam.results.description.description import Description
-from handlaser_gtsam.results.description.rendering import PLAIN, text_table
-from handlaser_gtsam.results.description.tables import Column, Table, text
+from handlaser_gtsam.results.description.tables import PLAIN, Column, Table, text, text_table
 from handlaser_gtsam.results.lines import as_many
 
 RECORDING = GRIPPER / "recording.csv"

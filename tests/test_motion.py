@@ -10,8 +10,8 @@ from helpers import DEGENERATE, GRIPPER, bench, degenerate, motion, recording_of
 import handlaser_gtsam as hl
 from benchmarks.random_problems import judge_solvable, judge_unsolvable
 from handlaser_gtsam.files.recording_csv import write_recording
-from handlaser_gtsam.observability.held import Judge, held
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
+from handlaser_gtsam.observability.other_solutions import Judge, held
 from handlaser_gtsam.observability.rank import ObservabilityOptions, observability
 
 NONE = hl.CalibrationOptions("none")

@@ -31,8 +31,7 @@ def settled():
     kind, options, noise = rigs.ROWS["profiler, planes and sphere"]
     found = hl.calibrate(rigs.survey_of(getattr(rigs_by_rays, kind)(1, **options)), noise)._found
     assert found.used.all()
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    return found.at(values, found.noise)
+    return found.ended()
 
 
 def test_a_good_shot_that_was_rejected_comes_back(settled):
@@ -99,7 +98,7 @@ def test_no_result_rests_on_rays_that_miss_their_ball(monkeypatch):
     }
     survey = rigs.survey_of(getattr(rigs_by_rays, kind)(3, **options))
     good = hl.calibrate(survey, STATED)._found
-    state = good.at({name: x[None] for name, x in good.estimate.values.items()}, good.noise)
+    state = good.ended()
     assert estimation._settle_grazing(replace(state, values=dict(state.values)))
     far = {**state.values, SPHERE.name: state.values[SPHERE.name] + [0.0, 0.0, 1.0, 0.0]}
     monkeypatch.setattr(estimation, "_settle", lambda _: False)

@@ -17,8 +17,7 @@ from helpers import ROOT, first_and_slow
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.observability.motion import check_motion
-from handlaser_gtsam.observability.poor_motion import poor_motion
+from handlaser_gtsam.observability.motion import check_motion, poor_motion
 from handlaser_gtsam.results.survey_check import check_survey
 
 WALLS = {

@@ -231,7 +231,7 @@ def _lines(
     from ..planning.advice import advice_lines, advice_within
     from ..results.calibration import Calibration
     from ..results.description.description import Description
-    from ..results.description.rendering import full_table
+    from ..results.description.tables import full_table
     from ..results.description.terminal import LINES, full_lines, screen_lines
     from ..results.lines import as_many, wrapped
 

@@ -77,8 +77,7 @@ def study(
 
 
 def _lines(summary: "DataFrame", warnings: "DataFrame") -> Iterator[str]:
-    from ..results.description.rendering import text_table
-    from ..results.description.tables import Cell, Column, Table, significant, text
+    from ..results.description.tables import Cell, Column, Table, significant, text, text_table
     from .answer import columns
 
     words = "scene", "treatment"

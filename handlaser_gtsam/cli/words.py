@@ -93,7 +93,7 @@ def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> li
     """Return the lines of a validation, the verdict first."""
     from ..results.calibration import Calibration
     from ..results.description.description import Description
-    from ..results.description.rendering import full_table
+    from ..results.description.tables import full_table
     from ..validation.prediction import pooled
 
     calibration = result.calibration

@@ -9,9 +9,9 @@ tests, so that a problem may have some thousand rows and some hundred unknowns.
 """
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -31,6 +31,7 @@ from ..solvers.gtsam_sums import eliminated_sums
 from .block_checks import require_blocks, require_start
 from .dense import DenseRows, Unknowns, dense_rows, tests_of, unknowns_of
 
+Name = TypeVar("Name", bound=Hashable)
 MOST_REJECTED = 0.3
 """Largest part of the readings that may be rejected: beyond, not they but the model is at fault."""
 NAMED_SHARE = 0.1
@@ -250,8 +251,8 @@ def score_test(
 
 
 def tested_columns(
-    J: FloatArray, e: FloatArray, columns: Mapping[str, FloatArray]
-) -> dict[str, tuple[TestedEffect, FloatArray]]:
+    J: FloatArray, e: FloatArray, columns: Mapping[Name, FloatArray]
+) -> dict[Name, tuple[TestedEffect, FloatArray]]:
     """Return what rows say of unknowns that are held at zero, and how the others would follow.
 
     Parameters
@@ -465,16 +466,16 @@ def least_information(information: FloatArray) -> float:
 
 
 def covariance_along(
-    information: FloatArray, axes: FloatArray, functionals: FloatArray
+    found: tuple[FloatArray, FloatArray, FloatArray], J: FloatArray, first: int = 0
 ) -> FloatArray:
-    """Return the covariance (F, F) of linear functionals (F, N) of the unknowns in natural units.
+    """Return the covariance (F, F) of linear functionals of the unknowns.
 
     Parameters
     ----------
-    information, axes : (N,), (N, N)
-        Of independent directions, as `information_axes` returns them.
-    functionals : (F, N)
-        Derivatives of each by the unknowns in natural units.
+    found
+        Information, axes and units, as `information_axes` returns them.
+    J : (F, n)
+        Derivatives of each by n unknowns in SI units, of which the `first` has that number.
 
     Returns
     -------
@@ -482,6 +483,10 @@ def covariance_along(
         In the units of the functionals. Rows and columns are NaN where undetermined directions have
         more than `NEGLIGIBLE` of the squared length of a functional.
     """
+    information, axes, unit = found
+    functionals = np.zeros((len(J), len(unit)))
+    at = slice(first, first + J.shape[1])
+    functionals[:, at] = J * unit[at]
     known = information >= least_information(information)
     parts = functionals @ axes
     covariance = (parts[:, known] / information[known]) @ parts[:, known].T
@@ -498,7 +503,8 @@ def _undetermined(
 
     The third result is the covariance (N, N) of all that does not move along them, NaN for the rest.
     """
-    information, axes, unit = information_axes(problem, blocks, values)
+    found = information_axes(problem, blocks, values)
+    information, axes, _ = found
     null = axes[:, information < least_information(information)]
     echelon = null.T.copy()
     for r in range(len(echelon)):  # each direction gets a coordinate that the others do not have
@@ -512,7 +518,7 @@ def _undetermined(
         size = np.abs(direction)
         moving = [names[i] for i in np.argsort(-size) if size[i] > NAMED_SHARE * size.max()]
         words.append(", ".join(moving))
-    return null, tuple(words), covariance_along(information, axes, np.diag(unit))
+    return null, tuple(words), covariance_along(found, np.eye(len(axes)))
 
 
 def _finished(

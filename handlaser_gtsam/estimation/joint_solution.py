@@ -23,8 +23,7 @@ from ..model.errors_in_variables import weighed
 from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Variances, Whitening, unequal, whitening
-from ..observability.held import Judge
-from ..observability.other_solutions import least_observed
+from ..observability.other_solutions import Judge, least_observed
 from ..observability.rank import Observability, observability
 from ..progress import Trial, tell_trial
 from ..quantities import EXACT, MOST_ROUNDS, UNIT_SIGMA

@@ -142,18 +142,17 @@ class SurveyEstimate:
         They are made again: rules of relations cannot be pickled with a result. The variances of the
         hand poses may be other ones, by a factor.
         """
-        values = {name: x[None] for name, x in self.estimate.values.items()}
         root = float(np.sqrt(pose_variances))
         turn, shift, again = (root * size for size in (*self.noise.pose, self.noise.again))
         sizes = replace(self.noise, pose=(turn, shift), again=again)
-        return self.at(values, sizes).problem()[0]
+        return self.ended(sizes).problem()[0]
 
     def redundancy(self) -> FloatArray:
         """Return how many numbers beyond the unknowns tell the noise of each sensor, beams and aiming.
 
         A row has the part of one that the unknowns leave of it; readings inside shots count, too.
         """
-        state = self.at({name: x[None] for name, x in self.estimate.values.items()}, self.noise)
+        state = self.ended()
         rows, owner = state.dense()
         J, _ = rows.whitened()
         scale = np.sqrt((J**2).sum(axis=0))
@@ -165,13 +164,13 @@ class SurveyEstimate:
 
     def learning(self) -> "SurveyState":
         """Return the state where the estimate ended, whose sizes of the noise may be learned again."""
-        values = {name: x[None] for name, x in self.estimate.values.items()}
-        return replace(self.at(values, self.noise), stated=self.stated)
+        return replace(self.ended(), stated=self.stated)
 
-    def at(self, values: Mapping[str, FloatArray], sizes: Components) -> "SurveyState":
-        """Return the same shots at other values and sizes of the noise, which are not learned."""
-        known, relations = dict(values), relations_of(self.rows)
-        return SurveyState(self.rows, self.given, known, sizes, self.used, relations, sizes)
+    def ended(self, sizes: Components | None = None) -> "SurveyState":
+        """Return the state where the estimate ended, perhaps with other sizes; none is learned."""
+        values = {name: x[None] for name, x in self.estimate.values.items()}
+        sizes, relations = sizes or self.noise, relations_of(self.rows)
+        return SurveyState(self.rows, self.given, values, sizes, self.used, relations, sizes)
 
 
 def estimate_survey(

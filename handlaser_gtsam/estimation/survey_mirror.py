@@ -24,7 +24,7 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from ..observability.poor_motion import COUNTED_TURN, PoorMotion, poor_motion
+from ..observability.motion import COUNTED_TURN, PoorMotion, poor_motion
 from ..observability.rank import ObservabilityOptions
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS
 from .estimate import Estimate, descended

@@ -207,6 +207,12 @@ class SurveyRows:
             return [shots.name for shots in self.survey.shots]
         return list(self.survey.beam_names if family == BEAM.name else self.targets.get(family, ()))
 
+    @property
+    def mounts(self) -> dict[Entity, str]:
+        """Names of all sensors, then of all beams, by family and number."""
+        families = SENSOR.name, BEAM.name
+        return {(family, i): n for family in families for i, n in enumerate(self.names(family))}
+
     def entities(self, known: Known) -> list[Entity]:
         """Return what a relation is of: families and numbers of their members."""
         numbers: dict[str, Entity] = {}

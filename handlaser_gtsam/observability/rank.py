@@ -1,11 +1,12 @@
 r"""Which unknowns the readings determine, and which are undetermined.
 
 Unknowns are measured in natural units, so that mm or m does not matter: 1 rad for directions and
-normals, the typical range L for locations and offsets, 1 for k1 and 1/L for k2. Where these have a wide
-prior their unit is a multiple of its sigma: what has a prior is never undetermined. In these units the
-planes are eliminated (`model.reduction`), and a direction of the remaining information matrix
-is undetermined when along it the standard deviation of any beam exceeds `most_sigma`, or when its
-information is lost in rounding. Both follow from the noise: better sensors determine more.
+normals, the typical range L for locations and offsets, and for range errors the power of L that makes
+them a part of the reading. Where these have a wide prior their unit is a multiple of its sigma: what
+has a prior is never undetermined. In these units the planes are eliminated (`model.reduction`), and a
+direction of the remaining information matrix is undetermined when along it the standard deviation of
+any beam exceeds `most_sigma`, or when its information is lost in rounding. Both follow from the noise:
+better sensors determine more.
 """
 
 from dataclasses import dataclass

@@ -161,8 +161,7 @@ class _Known(Aim):
     ) -> None:
         found = calibration._found
         problem = found.problem()
-        values = {name: x[None] for name, x in found.estimate.values.items()}
-        information, axes, self._unit = information_axes(problem, problem.blocks, values)
+        information, axes, self._unit = information_axes(problem, problem.blocks, problem.start)
         self._rows = np.sqrt(information)[:, None] * axes.T
         self._open = bool(calibration.undetermined)
         unit = self._unit
@@ -273,7 +272,7 @@ class _Look:
         At a station of a beam all beams that see the target say something.
         """
         (family, number), mount, member = self.first.target, self.first.mount, self.first.member
-        count, state = len(stations), self.found.at(self.values, self.found.noise)
+        count, state = len(stations), self.found.ended()
         poses = np.hstack((stations.world_R_hand.reshape(-1, 9), stations.world_t_hand))
         values = {**self.values, POSE.name: poses[None]}
         seen_at = np.full(count, number)

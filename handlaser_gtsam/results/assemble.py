@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +24,8 @@ from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS
 from ..model.weighting import Variances
+from ..observability.motion import named, poor_motion, some_plane_leans
 from ..observability.other_solutions import mirror_image_fits
-from ..observability.poor_motion import named, poor_motion, some_plane_leans
 from ..observability.rank import observability
 from ..observability.wording import (
     MIRROR,
@@ -51,12 +52,10 @@ from .calibration_data import (
     Status,
 )
 from .dependence import INDEPENDENT, Dependence
-from .fit import fit_of, linear_rows, unit_sigma
-from .freed import Freed
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
 from .moved_beam import moved_beam
-from .named_problem import Problem, named_estimates
+from .problem import Problem, fit_of, linear_rows, named_estimates, unit_sigma
 from .projection import LinearRows
 from .systematic import SystematicError, systematic_errors
 from .warnings import (
@@ -73,13 +72,16 @@ from .warnings import (
     suspicious,
 )
 
+if TYPE_CHECKING:
+    from .freed import Freed  # few calibrations have any
+
 OF_NOISE = ("sigmas-too-small", "sigmas-too-large", "poses-err")
 """Codes of warnings that judge the noise by the residuals."""
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
 
 
-def assemble(problem: Problem, selection: Selection, freed: Freed | None = None) -> Calibration:
+def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = None) -> Calibration:
     """Return the calibration of a solution of the readings that were selected.
 
     Errors that were freed are taken out of the problem already, and counted here.
@@ -88,9 +90,7 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
     used = problem.chosen(selection.used)
     more = 0 if freed is None else freed.rank
     fit, why = fit_of(problem, selection, more)
-    determined = _determined_by(names, used, solution, fit)
-    ranks = determined.rank + more, determined.unknowns + more
-    determined = replace(determined, rank=ranks[0], unknowns=ranks[1])
+    determined = _determined_by(names, used, solution, fit, more)
     wrong = misfit(problem.recording, used, solution.best, fit)
     if wrong is not None and wrong.code == IMPLAUSIBLE:
         # Where the motion is poor and leaves free range errors undetermined, k1 = -1 fits, too.
@@ -112,23 +112,20 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
     exchanged = any(out > (1.0 / 3.0) * every and every > out for out, every in lost)
     mistaken = way is not None and (wrong is not None or suspicious(used, fit) or exchanged)
     if mistaken:
-        wrong = way
+        wrong, way = way, None
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
     together, rows = INDEPENDENT, None
     if status == "converged" and solution.at.loss == GAUSSIAN:
         rows, systematic, together = _tested(problem, selection, fit, freed)
-    joint, growth = None, None
+    joint, effects = None, tuple[FreedEffect, ...]()
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
     if status == "converged" or partly:
-        growth = together.growth
         joint = joint_covariance(problem, solution, fit, freed)
-        joint = joint.grown(growth, together.plane_growth)
-    effects: tuple[FreedEffect, ...] = ()
-    if freed is not None and joint is not None and growth is not None:
-        effects = freed.reports(problem, joint, growth)
+        joint = joint.grown(together.growth, together.plane_growth)
+        effects = () if freed is None else freed.reports(problem, joint, together.growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
@@ -147,16 +144,16 @@ def assemble(problem: Problem, selection: Selection, freed: Freed | None = None)
         systematic = tuple(
             replace(one, explained_by=DISPLACED) if one.found else one for one in systematic
         )
+    in_time = [warned("correlated-in-time", together._asdict())] if together != INDEPENDENT else []
     result = Calibration(
         status,
         message,
         (
-            *([] if wrong is None else [wrong]),
-            *([] if way is None or mistaken else [way]),
+            *filter(None, (wrong, way)),
             *signs,
             *rival_warnings(used, solution, joint, names),
-            *([] if moved is None else [moved]),
-            *together.warnings,
+            *filter(None, (moved,)),
+            *in_time,
             *(() if freed is None else freed.warnings(effects)),
             *(
                 CalibrationWarning(f"systematic-{s.code}", s.warning, s.values)
@@ -197,7 +194,7 @@ def _estimates(
 
 
 def _tested(
-    problem: Problem, selection: Selection, fit: Fit, freed: Freed | None
+    problem: Problem, selection: Selection, fit: Fit, freed: "Freed | None"
 ) -> tuple[LinearRows, tuple[SystematicError, ...], Dependence]:
     """Test the residuals for errors that the model leaves out, and for correlation in time.
 
@@ -287,9 +284,12 @@ def _way(
 
 
 def _determined_by(
-    names: BeamAndPlaneNames, used: Readings, solution: Solution, fit: Fit
+    names: BeamAndPlaneNames, used: Readings, solution: Solution, fit: Fit, more: int
 ) -> Determined:
-    """Return what the readings that were used, each plane in its own frame, determine."""
+    """Return what the readings that were used, each plane in its own frame, determine.
+
+    They determine `more` unknowns beside beams and planes.
+    """
     found, parameters = solution.observability, solution.parameters
     parts = open_parts(found, parameters, names)
     if solution.prior is not None:  # what is known of range errors without any reading
@@ -313,8 +313,8 @@ def _determined_by(
     elif not found.full and motion is None and _motion_determines(used, solution):
         help_ = (said("noise-advice", rms=fit.rms),)
     return Determined(
-        found.rank,
-        found.unknowns,
+        found.rank + more,
+        found.unknowns + more,
         found.condition if found.full else None,
         words,
         help_,
@@ -344,7 +344,7 @@ def _status_of(
 
 
 def joint_covariance(
-    problem: Problem, solution: Solution, fit: Fit, freed: Freed | None = None
+    problem: Problem, solution: Solution, fit: Fit, freed: "Freed | None" = None
 ) -> JointCovariance:
     """Return the covariance of what is determined, in the order of the recording, world frame.
 
@@ -373,7 +373,7 @@ def with_scales(
     result: Calibration,
     problem: Problem,
     solution: Solution,
-    freed: Freed | None = None,
+    freed: "Freed | None" = None,
 ) -> Calibration:
     """Return a result with the scales of noise and range errors, and what follows from them.
 
@@ -404,8 +404,8 @@ def with_scales(
     scales = None
     learned = found.learned
     if learned.linearity is not None:
-        k1, k2 = (learned.range_error / [1.0, learned.length]).tolist()
-        scales = RangeErrorScales(k1, k2, learned.linearity)
+        of_slope, of_curvature = (learned.range_error / [1.0, learned.length]).tolist()
+        scales = RangeErrorScales(of_slope, of_curvature, learned.linearity)
     result = replace(result, range_error_scales=scales, learned=learned)
     if result.covariance is None:
         return result

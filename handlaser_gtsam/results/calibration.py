@@ -1,7 +1,7 @@
 """The result of a calibration."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,6 @@ if TYPE_CHECKING:  # both take long to import, and few need them
     from ..solvers.graph import CalibrationGraph
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Calibration(CalibrationData):
     """Beams and planes with their uncertainty, and how they were found.
 
@@ -83,6 +82,8 @@ class Calibration(CalibrationData):
     A calibration can be pickled, copied and compared, which GTSAM graphs with Python factors cannot.
     So it does not keep its graph: `problem`, and `graph` and `values` after it, build it again.
     """
+
+    __slots__ = ()
 
     def problem(self) -> "CalibrationGraph":
         """Return the factor graph that was solved, in the world frame, with the keys of everything.
@@ -163,7 +164,7 @@ class Calibration(CalibrationData):
     def _repr_html_(self) -> str:
         """Return what a notebook shows: the verdict, and a row a beam."""
         from .description.description import Description
-        from .description.rendering import notebook_html
+        from .description.terminal import notebook_html
 
         return notebook_html(Description(self, self.verdict))
 

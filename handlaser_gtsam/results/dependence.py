@@ -33,16 +33,12 @@ from scipy.optimize import nnls
 
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
-from ..errors import CalibrationWarning
 from ..model.families import BEAM
-from ..quantities import FAR_SIGMAS
-from .messages import warned
+from ..quantities import FAR_SIGMAS, NUMBERS_AT_ONCE
 from .projection import LinearRows, Projection
 
 LEAST_DRAWS = 20
 """Draws for the largest recordings, which give that spread to 16 %."""
-NUMBERS = 1_000_000
-"""Numbers drawn at most, 8 megabytes of them: larger recordings get fewer draws."""
 MOST_STEPS = 1000
 """Steps of the search for the sizes of the parts: a dozen parts take some twenty."""
 
@@ -65,13 +61,6 @@ class Dependence(NamedTuple):
     length: float = 0.0
     growth: float = 1.0
     plane_growth: float = 1.0
-
-    @property
-    def warnings(self) -> tuple[CalibrationWarning, ...]:
-        """What to say about it; nothing where readings are independent."""
-        if self == INDEPENDENT:
-            return ()
-        return (warned("correlated-in-time", self._asdict()),)
 
 
 INDEPENDENT = Dependence()
@@ -106,8 +95,9 @@ def dependence(
     explained = np.empty((len(rows.readings), 0))
     if found.size:
         explained = np.linalg.qr(left(found))[0]
-    # 300 draws give the spread of a sum to 4 %.
-    count = int(np.clip(NUMBERS // len(rows.readings), LEAST_DRAWS, 300))
+    # 300 draws give the spread of a sum to 4 %. Larger recordings get fewer: four arrays of draws, the
+    # white ones and what is made of them, stand beside each other.
+    count = int(np.clip(NUMBERS_AT_ONCE // (4 * len(rows.readings)), LEAST_DRAWS, 300))
     seen = chains.squares(left(rows.residual[:, None]))[:, 0]
     if not seen[0] > 0.0:
         return INDEPENDENT

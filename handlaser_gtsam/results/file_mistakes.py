@@ -20,7 +20,7 @@ from ..errors import CalibrationWarning, InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
 from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MM, TINY
 from ..starts import Effort
-from .messages import MISTAKES, READ_AS, Values, warned
+from .messages import MISTAKES, READ_AS, Values, said, warned
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
 from .warnings import MANY_OUTLIERS
 
@@ -118,13 +118,10 @@ def _swaps(recording: Recording) -> Iterator[Rereading]:
         if rest.beam_names != beams or now < PROMISING * _glance(rest):
             continue
         for plane, (i, j) in product(np.flatnonzero(out).tolist(), pairs):
-            name = recording.plane_names[plane]
-            words = (
-                f"the readings of beams {beams[i]} and {beams[j]} look swapped before plane {name}"
-            )
-            rows = recording.plane_of_station == plane
+            rows, name = recording.plane_of_station == plane, recording.plane_names[plane]
+            undone = partial(_swapped, rows=rows, i=i, j=j)
             values = {"first": beams[i], "second": beams[j], "plane": name}
-            yield Rereading(words, partial(_swapped, rows=rows, i=i, j=j), "quick", values)
+            yield Rereading(said("mistake:swapped", **values), undone, "quick", values)
 
 
 def _swapped(recording: Recording, rows: BoolArray, i: int, j: int) -> Recording:
@@ -161,10 +158,6 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]
         }
         for rows in tried.values():
             where = np.flatnonzero(rows)
-            words = (
-                f"the readings of beams {names[i]} and {names[j]} look swapped at {len(where)} "
-                f"stations, {stations[where[0]]} to {stations[where[-1]]}"
-            )
             values: Values = {
                 "first": names[i],
                 "second": names[j],
@@ -172,7 +165,8 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]
                 "from": stations[where[0]],
                 "to": stations[where[-1]],
             }
-            yield Rereading(words, partial(_swapped, rows=rows, i=i, j=j), "quick", values)
+            undone = partial(_swapped, rows=rows, i=i, j=j)
+            yield Rereading(said("mistake:swapped-at", **values), undone, "quick", values)
 
 
 def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]:
@@ -184,13 +178,9 @@ def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Reread
         name, own = names[plane], np.flatnonzero(labels == plane)
         out = own[lost[own]]
         first = out[0] if out[-1] == own[-1] else own[np.searchsorted(own, out[-1]) + 1]
-        station = recording.station_names[first]
-        yield Rereading(
-            _of_another_plane(name, station),
-            partial(_relabelled, labels={name: f"{name}, later"}, split=int(first)),
-            "quick",
-            {"plane": name, "station": station},
-        )
+        values = {"plane": name, "station": recording.station_names[first]}
+        undone = partial(_relabelled, labels={name: f"{name}, later"}, split=int(first))
+        yield Rereading(said("mistake:another-plane", **values), undone, "quick", values)
 
 
 def _unit_changes(recording: Recording) -> Iterator[Rereading]:
@@ -205,10 +195,10 @@ def _unit_changes(recording: Recording) -> Iterator[Rereading]:
         if not others.size or typical[i] < 3.0 * np.median(others):
             continue
         for unit in ("millimetres", "inches"):
-            words = f"the ranges of beam {name} look like {unit}, and the others like metres"
             factors = np.where(np.arange(len(typical)) == i, UNITS[unit], 1.0)
             values: Values = {"lengths": f"the ranges of beam {name}", "unit": unit}
-            yield Rereading(words, partial(scaled, ranges=factors), "quick", values)
+            undone = partial(scaled, ranges=factors)
+            yield Rereading(said("mistake:unit", **values), undone, "quick", values)
     every = np.ones(len(recording.beam_names), dtype=bool)
     beams = [("the ranges", every)]
     if len(every) > 1:
@@ -243,7 +233,7 @@ def _changes_of(
         station = recording.station_names[split]
         where = f"from station {station} on" if late else f"before station {station}"
         for unit, metres in UNITS.items():
-            words = f"{what} {where} look like {unit}, and the others like metres"
+            words = said("mistake:unit", lengths=f"{what} {where}", unit=unit)
             values: Values = {"lengths": what, "station": station, "unit": unit}
             yield words, np.where(rows, metres, 1.0), values
 
@@ -278,10 +268,8 @@ def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
         if split is None:
             continue
         station, late = part.station_names[split], int(np.flatnonzero(rows)[split])
-        words = f"the labels {first} and {other} look exchanged from station {station} on"
         values = {"plane": first, "other": other, "station": station}
-        if not second:
-            words = _of_another_plane(first, station)
+        words = said(f"mistake:{'labels' if second else 'another-plane'}", **values)
         yield Rereading(words, partial(undone, split=late), values=values)
 
 
@@ -306,10 +294,7 @@ def _on_the_way(recording: Recording) -> Iterator[Rereading]:
     if values[0.0] < PROMISING * values[best] or best == 0.0:
         return
     way = "to the next" if best > 0.0 else "from the last"
-    where = f"{IN_PERCENT * abs(best):.2g} % of the way {way}"
-    words = (
-        f"readings look as if taken {where} station: the hand was not at rest, or they came late"
-    )
+    words = said("mistake:on-the-way", percent=IN_PERCENT * abs(best), way=way)
     yield Rereading(words, partial(_moved_on, share=best), values={"share": best})
 
 
@@ -346,13 +331,6 @@ def _best_split(part: Recording, undone: Callable[..., Recording]) -> int | None
         step //= 2
     best = min(values, key=lambda split: values[split])
     return best if _glance(part) >= PROMISING * values[best] else None
-
-
-def _of_another_plane(name: str, station: str) -> str:
-    return (
-        f"the stations of plane {name} from station {station} on look like another plane's: the plate "
-        "moved, or a label was not changed"
-    )
 
 
 def _relabelled(recording: Recording, labels: dict[str, str], split: int) -> Recording:

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..arrays import BoolArray, FloatArray, IntArray, frozen
+from ..arrays import FloatArray, IntArray, frozen
 from ..data.noise import LEAST_SIGMA, Noise
 from ..errors import CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
@@ -42,9 +42,8 @@ from ..model.sensor_limits import Sensor
 from ..quantities import MOST_ROUNDS
 from ..text import count
 from .calibration_data import FreedEffect
-from .fit import linear_rows
 from .messages import warned
-from .named_problem import Problem
+from .problem import Problem, linear_rows
 from .projection import FreedColumns, Projection
 from .systematic import subject_in_words
 
@@ -83,13 +82,6 @@ class Freed(NamedTuple):
     settled: bool
 
     @property
-    def determined(self) -> BoolArray:
-        """Which sizes (q,) the readings determine."""
-        # A size is determined where the readings lower the variance of its prior to below this
-        # part: then they say more of it than the prior.
-        return np.asarray(np.diagonal(self.covariance) < 0.5)
-
-    @property
     def rank(self) -> int:
         """How many sizes the readings determine: the trace of their resolution matrix."""
         return round(len(self.covariance) - float(np.trace(self.covariance)))
@@ -114,7 +106,10 @@ class Freed(NamedTuple):
         offsets = planes[:, 3] + np.einsum("pi,piq->pq", centres, planes[:, :3])
         follow = np.concatenate((tilts, offsets[:, None]), axis=1).reshape(-1, len(covariance))
         follow = np.concatenate((self.beams[i][modelled(joint.terms)], follow))
-        known = (covariance * self.prior, covariance @ follow.T, self.determined)
+        # A size is determined where the readings lower the variance of its prior to below this part:
+        # then they say more of it than the prior.
+        determined = np.diagonal(self.covariance) < 0.5
+        known = (covariance * self.prior, covariance @ follow.T, determined)
         sigma = np.sqrt(np.diagonal(known[0]))
         parts = (self.prior * self.columns.size, sigma, self.prior, *known)
         rows = zip(self.columns.codes, self.subjects, *parts, strict=True)
@@ -175,8 +170,8 @@ def with_freed(
 ) -> tuple[Problem, Selection, Freed | None]:
     """Return the corrected problem, its solution, and the freed errors of the options.
 
-    They are as given, without freed errors, where none are freed, or where the solution has no minimum
-    at which everything else is determined.
+    They are as given, without freed errors, where the solution has no minimum at which everything else
+    is determined.
 
     Parameters
     ----------
@@ -193,8 +188,6 @@ def with_freed(
     InputError
         More unknown sizes than `MOST_FREED`, or none at all.
     """
-    if not options.free:
-        return problem, selection, None
     largest = float(problem.readings.distance[selection.used].max())
     prior = prior_sizes(options.free, options.sensor, largest)
     recorded, first = problem, selection

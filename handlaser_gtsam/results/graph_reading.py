@@ -25,9 +25,8 @@ from ..solvers.graph import parameters_of
 from ..solvers.graph_levenberg import require_values
 from .calibration import Calibration
 from .calibration_data import Determined, Fit, StartReport, Status
-from .fit import fit_of_rows
 from .messages import warned
-from .named_problem import named_estimates
+from .problem import fit_of_rows, named_estimates
 
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""

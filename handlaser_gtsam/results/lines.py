@@ -16,12 +16,12 @@ UNDETERMINED = "undetermined"
 """Stands for a number that the recording does not determine."""
 
 
-def small_mm(value: float, digits: int) -> str:
+def small_mm(value: float) -> str:
     """Return a residual or a standard deviation [m] in millimetres; one of rounding alone is no number.
 
     No sensor is better than `LEAST_SIGMA`, which is ten thousand times what rounding leaves of a metre.
     """
-    return "0 mm (rounding)" if value < LEAST_SIGMA else f"{value * IN_MM:.{digits}g} mm"
+    return "0 mm (rounding)" if value < LEAST_SIGMA else f"{value * IN_MM:.3g} mm"
 
 
 def as_many(lines: int, width: int) -> int:

@@ -33,11 +33,11 @@ class Mounts(Value):
     locations, directions : (B, 3)
         [m], unit vectors.
     range_errors : (B, 2)
-        k1 [1], k2 [1/m].
+        Of each, SI units.
     terms : tuple of int
         Range-error terms of each beam that were estimated.
     covariance : (8 B, 8 B)
-        Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
+        Over `BEAM.keys` of every beam, which are in SI units, the direction ambient.
     range_sigma : float
         Standard deviation of a reading behind it [m].
     pose_covariance : (6, 6) or None
@@ -113,7 +113,7 @@ class Mounts(Value):
 
     @property
     def sigma(self) -> FloatArray:
-        """Standard deviations (B, 8) of (x, y, z, vx, vy, vz, k1, k2)."""
+        """Standard deviations (B, 8) of the coordinates in the covariance."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(-1, BEAM.size)
 
     def arranged(self, names: tuple[str, ...]) -> "Mounts":

@@ -26,13 +26,14 @@ from ..errors import CalibrationWarning, GrazingBeamError
 from ..estimation.selection import Selection
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf, p_words
 from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
-from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
+from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION
+from ..model.joint import beam_lifts
 from ..model.weighting import Variances, whitening
 from ..quantities import KNOWN, NEGLIGIBLE, TINY
 from .calibration_data import Beam, Fit
 from .dependence import dependence
 from .messages import warned
-from .named_problem import Problem
+from .problem import Problem
 from .projection import LinearRows, Projection
 from .spots import radius, spot_of
 from .systematic import SystematicError
@@ -163,15 +164,14 @@ def moved_beam(
         return None
     at = np.concatenate((beam.location, beam.direction, beam.range_error))
     _, J = spot_of(at, fit.median_reading)
-    d = np.zeros(BEAM.size)
-    d[:3] = move.size[LOCATION]
-    d[3:6] = model.tangent_basis(rows.at.directions)[move.beam] @ move.size[DIRECTION]
+    lifts = beam_lifts(model.tangent_basis(rows.at.directions))
+    d = lifts[move.beam][:, :MOUNT_DIM] @ move.size
     shift = float(np.linalg.norm(J @ d))
     values: dict[str, float | str] = {
         "target": f"beam {beam.name}",
         "station": problem.recording.station_names[move.position],
         "shift": shift,
-        "turn_deg": float(np.degrees(np.linalg.norm(d[3:6]))),
+        "turn_deg": float(np.degrees(np.linalg.norm(d[OF_DIRECTION]))),
         "p": move.p_value,
         "times": shift / radius(J @ beam.covariance @ J.T),
     }
@@ -200,7 +200,7 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     if dof <= BEAM.dim or not total > 0.0:
         return None
     falls = partial(_falls_alone, rows, heavy, weight)
-    promising = [*map(falls, _beams(rows))]
+    promising = list(map(falls, _beams(rows)))
     # Alone it explains no more than with the others: most good recordings, whose best of all tests is
     # what chance makes of their number, end here.
     most, tests = max(one.fall for one in promising), sum(one.tests for one in promising)
@@ -226,7 +226,8 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     moves = [_narrowed(move, one, rows, tried) for move, (one, _) in found]
     best_move = min(moves, key=lambda move: move.criterion)
     # Or the beam reads something else than one of the planes, wherever and whenever it is measured.
-    moves = [best_move, *(tried(one, 0) for one in _on_planes(rows, best_move.beam))]
+    own = np.flatnonzero(rows.readings.beam == best_move.beam)
+    moves = [best_move, *(tried(one, 0) for one in _planes(rows, own))]
     best_move = min(moves, key=lambda move: move.criterion)
     together = dependence(rows, projection, known=known, found=best_move.columns)
     best_move = best_move._replace(dof=dof / together.plane_growth**2)
@@ -242,16 +243,13 @@ def _beams(rows: LinearRows) -> Iterator[Suspect]:
 
 def _others(rows: LinearRows) -> Iterator[Suspect]:
     """Yield what else may have moved: every plate, and the tool frame."""
-    for plane in range(rows.readings.planes):
-        own = np.flatnonzero(rows.readings.plane == plane)
-        yield Suspect(-1, own, rows.J[own, BEAM.dim :])
+    yield from _planes(rows, np.arange(len(rows.readings)))
     if rows.readings.beams > 1:  # of a single beam it is the same
         yield Suspect(-1, np.arange(len(rows.readings)), rows.linear.pose)
 
 
-def _on_planes(rows: LinearRows, beam: int) -> Iterator[Suspect]:
-    """Yield the planes that a beam sees, as if it alone saw another one there."""
-    own = np.flatnonzero(rows.readings.beam == beam)
+def _planes(rows: LinearRows, own: IntArray) -> Iterator[Suspect]:
+    """Yield the planes of some readings, as if these alone saw another one there."""
     for plane in np.unique(rows.readings.plane[own]).tolist():
         there = own[rows.readings.plane[own] == plane]
         yield Suspect(-1, there, rows.J[there, BEAM.dim :])

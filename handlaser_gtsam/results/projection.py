@@ -52,8 +52,8 @@ class LinearRows(SeenStations):
     how : Whitening
         Of these rows, beam by beam in the order of the beams.
     prior : (B, 2)
-        Standard deviations of the zero-mean prior on (k1, k2): infinite where a term is free, zero
-        where it is not in the model.
+        Standard deviations of the zero-mean prior on range errors [SI units]: infinite where a term
+        is free, zero where it is not in the model.
     channel : (B,), optional
         As of `SeenStations`; the columns of the recording in their order where not given.
     freed : FreedColumns, optional

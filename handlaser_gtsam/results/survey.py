@@ -30,15 +30,12 @@ from ..model.families import (
     DIRECTION,
     FAMILIES,
     LOCATION,
-    OF_DIRECTION,
-    OF_LOCATION,
-    OF_RANGE_ERROR,
     PLANE,
-    RANGE_ERROR,
     bases,
     pose_of,
 )
 from ..model.geometry import skew
+from ..model.joint import beam_lifts
 from ..model.sensor_limits import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
@@ -219,13 +216,8 @@ class BeamMount(Mount):
 
     def spot_by(self) -> FloatArray:
         """Return how the spot moves with the tangent coordinates of the beam (3, 7), in the hand."""
-        _, J = spot_of(
-            np.concatenate((self.location, self.direction, self.range_error)), self.reading
-        )
-        lift = np.zeros((BEAM.size, BEAM.dim))
-        lift[OF_LOCATION, LOCATION], lift[OF_RANGE_ERROR, RANGE_ERROR] = np.eye(3), np.eye(2)
-        lift[OF_DIRECTION, DIRECTION] = bases(self.direction)
-        return np.asarray(J @ lift)
+        at = np.concatenate((self.location, self.direction, self.range_error))
+        return np.asarray(spot_of(at, self.reading)[1] @ beam_lifts(bases(self.direction)[None])[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -414,11 +406,8 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
     located = R @ C[3:6, 3:6] @ R.T
     if found.estimate.status == "undetermined" and np.isnan(located).any():
         # An undetermined direction of the hand has a part along each axis of the sensor.
-        information, axes, unit = _information(found)
-        shift = found.rows.places().place[SENSOR.name][member] + np.arange(3, 6)
-        functionals = np.zeros((3, len(unit)))
-        functionals[:, shift] = R * unit[shift]
-        located = covariance_along(information, axes, functionals)
+        shift = int(found.rows.places().place[SENSOR.name][member]) + 3
+        located = covariance_along(_information(found), R, shift)
     used, rejected = _taken(found, SENSOR.name, member)
     return SensorMount(
         shots.name,
@@ -439,9 +428,8 @@ def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...])
 
 def _information(found: SurveyEstimate) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return `information_axes` of the rows that were used, at the estimate."""
-    problem, estimate = found.problem(), found.estimate
-    values = {name: x[None] for name, x in estimate.values.items()}
-    return information_axes(problem, kept_blocks(problem, estimate), values)
+    problem = found.problem()
+    return information_axes(problem, kept_blocks(problem, found.estimate), problem.start)
 
 
 def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
@@ -454,7 +442,7 @@ def _spot_of(kind: str, across: FloatArray, reading: float) -> FloatArray:
 def _beam(found: SurveyEstimate, member: int) -> BeamMount:
     x, C = found.estimate.values[BEAM.name][member], found.estimate.marginal(BEAM.name, member)
     rows = found.rows
-    own = [i.reading for i in rows.items if (i.family, i.member) == (BEAM.name, member)]
+    own = [i.reading for i in rows.items if i.mount == (BEAM.name, member)]
     read, rejected = _taken(found, BEAM.name, member)
     return BeamMount(
         rows.survey.beam_names[member],
@@ -472,7 +460,7 @@ def _beam(found: SurveyEstimate, member: int) -> BeamMount:
 
 def _taken(found: SurveyEstimate, family: str, member: int) -> tuple[int, int]:
     """Return how many shots or readings there are of a sensor or beam, and how many are rejected."""
-    own = [(one.family, one.member) == (family, member) for one in found.rows.items]
+    own = [one.mount == (family, member) for one in found.rows.items]
     return sum(own), int((~found.used[own]).sum())
 
 
@@ -491,17 +479,16 @@ def _target(found: SurveyEstimate, family: str, member: int, label: str) -> Surv
 
 def _rejected(found: SurveyEstimate) -> Iterator[Rejected]:
     rows, stations = found.rows, found.rows.survey.stations
-    sensors, edgeless = [shots.name for shots in rows.survey.shots], rows.edgeless
+    names, mounts = stations.station_names, rows.mounts
     for item, used in zip(rows.items, found.used, strict=True):
         if not used:
-            names = sensors if item.family == SENSOR.name else rows.survey.beam_names
-            station, target = stations.station_names[item.station], rows.label(item.target)
             reason = "grazing" if item.grazing else "contradicted"
-            yield Rejected(station, names[item.member], target, reason)
+            label = rows.label(item.target)
+            yield Rejected(names[item.station], mounts[item.mount], label, reason)
     for member, at in rows.lost:
         label = stations.plane_labels[at]
-        reason = "no-edge" if label in edgeless else "too-few-points"
-        yield Rejected(stations.station_names[at], sensors[member], label, reason)
+        reason = "no-edge" if label in rows.edgeless else "too-few-points"
+        yield Rejected(names[at], mounts[SENSOR.name, member], label, reason)
 
 
 def _rejected_since(found: SurveyEstimate) -> Iterator[str]:
@@ -524,31 +511,28 @@ def _rejected_since(found: SurveyEstimate) -> Iterator[str]:
 
 def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
     """Return tests of the range errors that are held at zero, by sensor."""
-    problem, estimate = found.problem(), found.estimate
-    blocks = kept_blocks(problem, estimate)
-    values = {name: x[None] for name, x in estimate.values.items()}
-    if SENSOR.name not in values:
+    problem = found.problem()
+    if SENSOR.name not in problem.start:
         return {}
+    blocks = kept_blocks(problem, found.estimate)
     whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
-    J, e = dense_rows(blocks, values, whole).whitened()
+    J, e = dense_rows(blocks, problem.start, whole).whitened()
     own = problem.places()
-    columns, zero = {}, np.zeros_like(e)
-    for member in range(len(found.rows.survey.shots)):
+    columns: dict[tuple[int, str], FloatArray] = {}
+    for member, shots in enumerate(found.rows.survey.shots):
         for code in RAY_ERRORS:
             name = f"{SENSOR.name}[{member}].{code}"
             column = J[:, whole.names.index(name)]
             if name not in own.names and column.any():
-                columns[name] = column
-        both = [columns.get(f"{SENSOR.name}[{member}].{code}", zero) for code in ALIKE]
-        if found.rows.survey.shots[member].kind == "profiler" and all(map(np.any, both)):
-            columns[f"{SENSOR.name}[{member}].{BOTH_AXES}"] = both[0] + both[1]
+                columns[member, code] = column
+        both = [columns[member, code] for code in ALIKE if (member, code) in columns]
+        if shots.kind == "profiler" and len(both) == len(ALIKE):
+            columns[member, BOTH_AXES] = both[0] + both[1]
     index = [whole.names.index(name) for name in own.names]
     effects: dict[int, list[SensorError]] = {}
-    for name, (tested, follows) in tested_columns(J[:, index], e, columns).items():
+    for (member, code), (tested, follows) in tested_columns(J[:, index], e, columns).items():
         if not np.isfinite(tested.sigma):
             continue  # it only moves the mount: nothing tells it, and nothing needs to
-        first, _, code = name.partition("].")
-        member = int(first.partition("[")[2])
         shots = found.rows.survey.shots[member]
         spot = _spot_of(shots.kind, shots.across, float(np.median(shots.reading)))
         turn = follows[own.place[SENSOR.name][member] + np.arange(6)]

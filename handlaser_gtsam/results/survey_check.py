@@ -20,7 +20,7 @@ from ..estimation.survey import estimate_survey, first_fit, first_image, first_s
 from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import SurveyRows, rows_of
 from ..model.distributions import FEW_DEGREES
-from ..model.families import BEAM, pose_of
+from ..model.families import BEAM, DIRECTION, LOCATION, pose_of
 from ..model.sensors.mounted import SENSOR
 from ..observability.motion import PlaneMotion, motion_before
 from ..observability.wording import open_sentence
@@ -154,8 +154,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     targets = tuple(_targets(rows))
     numbers, unknowns = counts_of(rows)
     # A search wanders along what is undetermined by metres, at no cost, and derivatives with it.
-    whose = [f"sensor:{one.name}" for one in survey.shots]
-    whose += [f"beam:{name}" for name in survey.beam_names]
+    whose = [f"{family}:{name}" for (family, _), name in rows.mounts.items()]
     # Mounts are held to the hand to ten typical ranges (1 sigma), which hides nothing.
     near = 10.0 * rows.length
     holds = [Known("mount", (one,), sigma=near, sigma_angle=1e3, pose=np.eye(4)) for one in whose]
@@ -210,39 +209,38 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
 
 def _held(rows: SurveyRows, found: Estimate | None) -> Iterator[SensorHeld]:
     """Yield what there is of each sensor and beam; nothing of its mount without an estimate."""
-    survey = rows.survey
-    entities = [(SENSOR.name, i, one.name, str(one.kind)) for i, one in enumerate(survey.shots)]
-    entities += [(BEAM.name, i, name, BEAM.name) for i, name in enumerate(survey.beam_names)]
-    for family, member, name, kind in entities:
-        own = [item for item in rows.items if (item.family, item.member) == (family, member)]
-        points = len(survey.shots[member].reading) if family == SENSOR.name else len(own)
+    for mount, name in rows.mounts.items():
+        family, member = mount
+        own = [item for item in rows.items if item.mount == mount]
+        kind, points, lost = BEAM.name, len(own), 0
+        if family == SENSOR.name:
+            shots = rows.survey.shots[member]
+            kind, points = str(shots.kind), len(shots.reading)
+            lost = sum(i == member for i, _ in rows.lost)
         on_target = sum(1 if item.points is None else len(item.points) for item in own)
-        lost = sum(family == SENSOR.name and i == member for i, _ in rows.lost)
         shift = turn = np.inf
         if found is not None and own:
             C = found.marginal(family, member)
+            located, turned = C[LOCATION, LOCATION], C[DIRECTION, DIRECTION]
             if family == SENSOR.name:
                 R = pose_of(found.values[family][member])[0]
-                C = C[:6, :6]
-                C = np.block(
-                    [[R @ C[3:, 3:] @ R.T, np.zeros((3, 3))], [np.zeros((3, 3)), C[:3, :3]]]
-                )
-            sigma = np.nan_to_num(np.sqrt(np.diagonal(C)[:6]), nan=np.inf)
-            shift, turn = float(sigma[:3].max()), float(sigma[3 : 6 if kind != "beam" else 5].max())
+                located, turned = R @ C[3:6, 3:6] @ R.T, C[:3, :3]
+            shift, turn = (
+                float(np.nan_to_num(np.sqrt(np.diagonal(each)), nan=np.inf).max())
+                for each in (located, turned)
+            )
         yield SensorHeld(name, kind, len(own), points, on_target, lost, shift, turn)
 
 
 def _targets(rows: SurveyRows) -> Iterator[PlaneMotion]:
     """Yield the motion before each target that was read."""
-    survey, of = rows.survey, rows.survey.stations
+    of = rows.survey.stations
     labels = np.array([normal_label(label) for label in of.plane_labels])
-    entities = [(SENSOR.name, i) for i in range(len(survey.shots))]
-    entities += [(BEAM.name, i) for i in range(len(survey.beam_names))]
     stations = np.array(sorted({item.station for item in rows.items}), dtype=np.intp)
     for label in dict.fromkeys(labels[stations].tolist()):
         at = stations[labels[stations] == label]
-        read = {(i.family, i.member, i.station) for i in rows.items if labels[i.station] == label}
-        counts = [sum(key[:2] == entity for key in read) for entity in entities]
+        read = {(i.mount, i.station) for i in rows.items if labels[i.station] == label}
+        counts = [sum(mount == one for mount, _ in read) for one in rows.mounts]
         names = [of.station_names[j] for j in at]
         yield motion_before(
             label, of.world_R_hand[at], of.world_t_hand[at], names, np.array(counts)

@@ -15,7 +15,7 @@ from ..model.known_relations import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
-from ..observability.poor_motion import COUNTED_TURN, PoorMotion, named
+from ..observability.motion import COUNTED_TURN, PoorMotion, named
 from ..observability.wording import MOUNTED, WORTH_A_WORD, Kind, OpenPart, vector_words
 from ..quantities import FAR_SIGMAS, IN_DEG
 from ..text import some
@@ -67,11 +67,14 @@ def open_words(
         return circles, (CURE_OF_A_CIRCLE,)
     level = {} if motion is None else _level(rows, found, motion, images)
     if motion is not None and level:
-        moving, others = _of_level_sensors(level, motion)
+        names = some([f"{kind} {name}" for name, kind in level.items()], NAMES_IN_LINE)
+        up, one = vector_words(motion.axis), len(level) == 1
+        lean, them = ("it leans", "it") if one else ("they lean", "them")
+        what = (said("open:level", names=names, up=up, lean=lean), *what)
+        cures = (*cures, said("cure:level", them=them, up=up))
         parts = tuple(part for part in parts if part.kind in MOUNTED and part.name not in level)
         if not parts:
-            return (*moving, *what), (*cures, *others)
-        what, cures = (*moving, *what), (*cures, *others)
+            return what, cures
     errors = any(part.quantity == "range error" for part in parts)
     leans = motion is None or _leans(rows, found, motion, images)
     mount = SENSOR.name if rows.survey.shots else BEAM.name
@@ -150,7 +153,7 @@ def _level(
         return {}
     level: dict[str, str] = {}
     for member, shots in enumerate(rows.survey.shots):
-        own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
+        own = [i for i in rows.items if i.mount == (SENSOR.name, member)]
         kind = KINDS[shots.kind]
         if not kind.flat or any(i.target[0] != PLANE.name for i in own):
             continue
@@ -165,18 +168,6 @@ def _level(
         if lean < COUNTED_TURN or (lean < np.radians(5.0) and not known):
             level[shots.name] = shots.kind
     return level
-
-
-def _of_level_sensors(
-    level: Mapping[str, str], motion: PoorMotion
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return what level sensors leave undetermined in planar motion, and what cures it."""
-    names = some([f"{kind} {name}" for name, kind in level.items()], NAMES_IN_LINE)
-    up, one = vector_words(motion.axis), len(level) == 1
-    lean, them = ("it leans", "it") if one else ("they lean", "them")
-    return (said("open:level", names=names, up=up, lean=lean),), (
-        said("cure:level", them=them, up=up),
-    )
 
 
 def _leans(
@@ -248,7 +239,7 @@ def _on_one_circle(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterat
     """Yield the shifts of sensors that saw one plane whose normals lie on one circle for them."""
     stations = rows.survey.stations
     for member, shots in enumerate(rows.survey.shots):
-        own = [i for i in rows.items if (i.family, i.member) == (SENSOR.name, member)]
+        own = [i for i in rows.items if i.mount == (SENSOR.name, member)]
         planes = {i.target for i in own}
         if len(planes) != 1 or next(iter(planes))[0] != PLANE.name:
             continue

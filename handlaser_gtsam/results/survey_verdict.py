@@ -15,8 +15,6 @@ import numpy as np
 
 from ..estimation.estimate import covariance_along, information_axes
 from ..estimation.survey_trials import ALIKE, BOTH_AXES
-from ..model.families import BEAM
-from ..model.sensors.mounted import SENSOR
 from ..quantities import IN_PERCENT
 from ..text import some
 from .limits import LimitCheck, Limits, sigmas_checked
@@ -61,7 +59,12 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     """
     if result.status != "converged":
         return _of_no_calibration(result)
-    checks = tuple(_checked(result, limits or Limits()))
+    limits = limits or Limits()
+    checks = tuple(
+        check
+        for one in result.mounts
+        for check in sigmas_checked(one.subject, one.largest_sigmas, one.largest_sigmas, limits)
+    )
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(result)
     contradicted = [one.message for one in result.warnings if one.code == FALSE_RELATION]
@@ -74,7 +77,9 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     elif moved is not None and float(moved.values["times"]) > 1.0:
         code, first = "systematic-error", moved.message
     elif harmful is not None and excess > 1.0:
-        code, first = "systematic-error", _range_error_of(result, harmful[0])
+        named = (one for one in result.warnings if one.code == "range-error")
+        code = "systematic-error"
+        first = next(one.message for one in named if one.values["sensor"] == harmful[0])
     elif unsure:
         code, first = "undetermined", unsure[0]
     elif failed:
@@ -125,12 +130,6 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
     return Verdict(code, findings, best, math.nan, causes=result.warnings)
 
 
-def _checked(result: "SurveyCalibration", limits: Limits) -> Iterator[LimitCheck]:
-    """Compare the standard deviations of a result with the limits that there are."""
-    for one in result.mounts:
-        yield from sigmas_checked(one.subject, one.largest_sigmas, one.largest_sigmas, limits)
-
-
 def _located(result: "SurveyCalibration") -> Iterator[str]:
     """Say how well each sensor and beam is known: its spot, or where it is if its spot is open."""
     for one in result.mounts:
@@ -143,12 +142,6 @@ def _located(result: "SurveyCalibration") -> Iterator[str]:
 def _least_certain(result: "SurveyCalibration") -> int:
     """Return the number of the mount whose spot is least certain."""
     return int(np.argmax([one.spot_error for one in result.mounts]))
-
-
-def _range_error_of(result: "SurveyCalibration", sensor: str) -> str:
-    """Return the words of the warning that readings of a sensor show a range error."""
-    warnings = (one for one in result.warnings if one.code == "range-error")
-    return next(one.message for one in warnings if one.values["sensor"] == sensor)
 
 
 def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, float]:
@@ -215,13 +208,10 @@ def _pose_share(result: "SurveyCalibration") -> float:
 
 def _spot_variance(result: "SurveyCalibration", number: int, times: float) -> float:
     """Return the trace of the covariance of a spot [m^2], for the pose variances times a factor."""
-    found, J, sensors = result._found, result.mounts[number].spot_by(), len(result.sensors)
-    entity = (SENSOR.name, number) if number < sensors else (BEAM.name, number - sensors)
+    found, J = result._found, result.mounts[number].spot_by()
+    family, member = list(found.rows.mounts)[number]
     problem = found.problem(times)
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    information, axes, unit = information_axes(problem, problem.blocks, values)
+    axes = information_axes(problem, problem.blocks, problem.start)
     # Range errors of a sensor stand after the unknowns of where it is.
-    index = problem.places().place[entity[0]][entity[1]] + np.arange(J.shape[1])
-    functionals = np.zeros((3, len(unit)))
-    functionals[:, index] = J * unit[index]
-    return float(np.trace(covariance_along(information, axes, functionals)))
+    first = int(problem.places().place[family][member])
+    return float(np.trace(covariance_along(axes, J, first)))

@@ -1,26 +1,56 @@
-"""The warnings of a survey: what its readings say of labels, poses, sigmas, range errors and mounts."""
+"""The warnings of a survey: what its readings say of labels, poses, sigmas, range errors and mounts.
+
+Few readings of a beam may have several minima, with mounts far from each other, and standard deviations
+say how well one of them is known. Every beam is searched for others by itself, with its targets where
+they are, from mounts that are turned about its location and about its middle spot; all unknowns of the
+survey then move to the ends that may fit as well.
+"""
 
 import math
 from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import FloatArray, evenly
 from ..data.screening import REPEATED, repeated
 from ..data.survey import kind_of, normal_label
 from ..errors import CalibrationWarning
+from ..estimation.estimate import BlockProblem, descended, search_from
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import SurveyRows
+from ..estimation.survey_state import SurveyState
 from ..estimation.survey_trials import displacement
 from ..model.condensed_shots import condensed_shots
-from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_cdf, chi2_sf, gaussian_sf, p_words
-from ..model.families import BEAM, FAMILIES, PLANE
+from ..model.distributions import (
+    FEW_DEGREES,
+    SINGLE_LEVEL,
+    UNLIKELY_EXCESS,
+    chi2_cdf,
+    chi2_sf,
+    gaussian_sf,
+    p_words,
+)
+from ..model.families import (
+    BEAM,
+    DIRECTION,
+    FAMILIES,
+    OF_DIRECTION,
+    OF_LOCATION,
+    OF_RANGE_ERROR,
+    PLANE,
+    bases,
+)
 from ..model.sensor_limits import Rejected
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
 from ..observability.wording import open_sentence
-from ..quantities import IN_MM
+from ..quantities import FAR_SIGMAS, IN_MM
+from ..starts.beam_minima import MINIMUM_READINGS, MINIMUM_STARTS
+from ..starts.directions import sphere
+from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, warned
@@ -35,9 +65,8 @@ from .survey_misfit import (
     unconfirmed,
 )
 from .survey_motion import MORE_STATIONS, counts_of, opening, unconfirmed_mount
-from .survey_rivals import rival_mounts
 from .survey_verdict import FEW, TOO_FEW, free_of
-from .warnings import DISPLACED, MANY_OUTLIERS
+from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, WORTH_REFINING
 
 if TYPE_CHECKING:
     from .survey import BeamMount, Mount, SensorMount
@@ -54,8 +83,7 @@ def survey_warnings(
     yield from contradictions(relations)
     causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
     causes += tuple(implausible(found.rows, found.estimate.values))
-    values = {name: x[None] for name, x in found.estimate.values.items()}
-    causes += tuple(mislabelled(found.at(values, found.noise), found.estimate))
+    causes += tuple(mislabelled(found.ended(), found.estimate))
     unread = tuple(unread_stations(found.rows))
     moved: tuple[CalibrationWarning, ...] = ()
     if found.estimate.status == "converged" or not (
@@ -100,12 +128,11 @@ def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[Cal
     moved = displacement(found) if found.estimate.status != "undetermined" else None
     if moved is None:
         return
-    (family, member), size, sensors = moved.entity, moved.tried.size, len(found.rows.survey.shots)
+    (family, member), size = moved.entity, moved.tried.size
     place, times = found.rows.places().place, []
-    for number, mount in enumerate(mounts):
-        own = (SENSOR.name, number) if number < sensors else (BEAM.name, number - sensors)
+    for mount, (own, number) in zip(mounts, found.rows.mounts, strict=True):
         J = mount.spot_by()
-        shift = J @ moved.tried.moved[place[own[0]][own[1]] + np.arange(J.shape[1])]
+        shift = J @ moved.tried.moved[place[own][number] + np.arange(J.shape[1])]
         times.append(float(np.linalg.norm(shift)) / mount.spot_error)
     name, of_mount = found.rows.names(family)[member], family in (SENSOR.name, BEAM.name)
     values: Values = {
@@ -195,7 +222,7 @@ def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     if found.estimate.status != "converged" or not learned.any():
         return
     survey = found.rows.survey
-    names = [f"sensor {shots.name}" for shots in survey.shots]
+    names = [f"{SENSOR.name} {name}" for name in found.rows.names(SENSOR.name)]
     names += [f"{BEAM.name} {some(survey.beam_names, NAMES_IN_LINE)}", "the aiming at points"]
     spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
     for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
@@ -271,3 +298,67 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         if p < SINGLE_LEVEL:
             values = {"times": times, "p": p}
             yield warned(f"sigmas-too-{how}:survey", values, likely=p_words(p, 1))
+
+
+def rival_mounts(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of mounts of beams that are nearly as probable, and not within what is stated.
+
+    At most one of each beam.
+    """
+    if found.estimate.status != "converged":
+        return
+    state = found.ended()
+    for member, name in enumerate(found.rows.survey.beam_names):
+        turn = found.estimate.marginal(BEAM.name, member)[DIRECTION, DIRECTION]
+        if not np.isfinite(turn).all():
+            continue
+        v = state.values[BEAM.name][0, member, OF_DIRECTION]
+        far = max(FAR_SIGMAS * float(np.sqrt(np.linalg.eigvalsh(turn)[-1])), SAME_DIRECTION)
+        for mount in _minima(state, member):
+            beams = state.values[BEAM.name].copy()
+            beams[0, member] = mount
+            problem, _ = replace(state, values={**state.values, BEAM.name: beams}).problem()
+            there = descended(problem, problem.blocks, problem.start, LAST_STEPS)
+            if there is None:
+                continue
+            excess = _squares(replace(state, values=there)) - _squares(state)
+            angle = float(np.linalg.norm(there[BEAM.name][0, member, OF_DIRECTION] - v))
+            if excess <= UNLIKELY_EXCESS and angle >= far:
+                words: Values = {"beam": name, "turn_deg": float(np.degrees(angle)), "chi2": excess}
+                yield warned(RIVAL, words, more=max(excess, 0.0))
+                break
+
+
+def _minima(state: SurveyState, member: int) -> Iterator[FloatArray]:
+    """Yield other minima (8,) of a beam, with its targets where they are, from the best on."""
+    items, x = state.rows.items, state.values[BEAM.name][0, member]
+    own = np.flatnonzero([i.mount == (BEAM.name, member) for i in items] & state.used)
+    some = own[evenly(len(own), MINIMUM_READINGS)]
+    alone, _ = replace(state, used=np.isin(np.arange(len(items)), some)).problem()
+    v, d = x[OF_DIRECTION], float(np.median([items[i].reading for i in some]))
+    # Twice as many as before planes: spheres have minima on every side of where a beam meets them.
+    half = sphere(4 * MINIMUM_STARTS)[: 2 * MINIMUM_STARTS]
+    turned = half @ np.column_stack((bases(v), v)).T
+    starts = np.repeat(x[None], 2 * len(turned) + 1, axis=0)  # the first is the mount itself
+    starts[1:, OF_DIRECTION], starts[1:, OF_RANGE_ERROR] = np.tile(turned, (2, 1)), 0.0
+    starts[len(turned) + 1 :, OF_LOCATION] += d * (v - turned)
+    beams = np.repeat(state.values[BEAM.name], len(starts), axis=0)
+    beams[:, member] = starts
+    unknown = {BEAM.name: alone.unknown[BEAM.name]}
+    problem = BlockProblem(alone.blocks, {**state.values, BEAM.name: beams}, unknown, alone.length)
+    ends = search_from(problem, problem.blocks, problem.start, LAST_STEPS)
+    mounts, excess = ends.values[BEAM.name][:, member], 2.0 * (ends.cost - ends.cost[0])
+    seen = [v]
+    for k in np.argsort(excess).tolist():
+        if excess[k] > WORTH_REFINING or len(seen) > 4:
+            return
+        w = mounts[k, OF_DIRECTION]
+        if min(float(np.linalg.norm(w - one)) for one in seen) > SAME_DIRECTION:
+            seen.append(w)
+            yield mounts[k]
+
+
+def _squares(state: SurveyState) -> float:
+    """Return chi2 of all that counts."""
+    _, e = state.dense()[0].whitened()
+    return float(e @ e)

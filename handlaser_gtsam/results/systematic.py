@@ -130,7 +130,7 @@ def systematic_errors(
     *,
     known: bool,
     dof: int,
-    plausible: Mapping[str, float] | None = None,
+    plausible: Mapping[str, float],
 ) -> tuple[tuple[SystematicError, ...], Dependence]:
     """Test the residuals at a solution for systematic errors, and for correlation in time.
 
@@ -146,7 +146,7 @@ def systematic_errors(
     known : bool
         Whether the size of the noise was given; else a common factor was estimated.
     dof : int
-    plausible : mapping, optional
+    plausible : mapping
         The largest plausible size by code; of codes that are not there it is not known.
 
     Returns
@@ -159,7 +159,6 @@ def systematic_errors(
     """
     if dof < (1 if known else 2):
         return (), INDEPENDENT
-    plausible = {} if plausible is None else plausible
     tests = ScoreTests(rows, None if known else dof, plausible)
     together = dependence(rows, tests.projection, known=known, found=tests.found_columns())
     if together != INDEPENDENT:

@@ -33,7 +33,7 @@ from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import EXACT, FAR_SIGMAS
+from ..quantities import EXACT, FAR_SIGMAS, MM
 from ..solvers.refine import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.choice import POOR_START
@@ -45,14 +45,8 @@ from .messages import Values, warned
 
 TEN_TIMES = 10.0
 """A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""
-SAME_PLACE = 1e-3
-"""Two beams that lie nearer [m], and differ by less than ten times as much [rad], are one: no two
-sensors fit there."""
 MANY_OUTLIERS = 0.1
 """More outliers than this part of the readings are no accident, but have a cause."""
-MOST_LOST = 0.5
-"""A beam that loses this part of its readings or more is not calibrated: another solution would do as
-well."""
 FAR_BEAM = 3.0
 """A beam further from the hand's origin than this [m] is no robot's."""
 NO_MOUNT = 10.0
@@ -84,7 +78,9 @@ def misfit(
     """Say that the readings that were used do not fit at all, where that is so; None otherwise."""
     beams = recording.beam_names
     for name, (lost, readings_of) in zip(beams, lost_of_beams(fit, beams), strict=True):
-        if lost and lost >= MOST_LOST * readings_of:
+        # A beam that loses half of its readings or more is not calibrated: another solution would do
+        # as well.
+        if lost and 2 * lost >= readings_of:
             values: Values = {"beam": name, "rejected": lost, "readings": readings_of}
             return warned("contradicting-beam", values)
     if fit.range_sigma_given and fit.dof > 0 and fit.sigma0 > TEN_TIMES:
@@ -193,16 +189,19 @@ def fit_warnings(
 def _same_mounts(
     parameters: Parameters, fit: Fit, names: Sequence[str]
 ) -> Iterator[CalibrationWarning]:
-    """Warn of two beams in one place: a channel logged twice, with noise of its own."""
+    """Warn of two beams in one place: a channel logged twice, with noise of its own.
+
+    No two sensors fit within a millimetre of each other, and point the same way to 0.01 rad.
+    """
     order = np.argsort(parameters.locations[:, 0], kind="stable").tolist()
     for number, i in enumerate(order):
         for j in order[number + 1 :]:
             apart = parameters.locations[j] - parameters.locations[i]
-            if apart[0] > SAME_PLACE:
+            if apart[0] > MM:
                 break
             turned = parameters.directions[j] - parameters.directions[i]
-            near = np.linalg.norm(apart) < min(SAME_PLACE, 0.1 * fit.typical_range)
-            if near and np.linalg.norm(turned) < 10.0 * SAME_PLACE:
+            near = np.linalg.norm(apart) < min(MM, 0.1 * fit.typical_range)
+            if near and np.linalg.norm(turned) < 10.0 * MM:
                 yield warned("column-twice", {"first": names[i], "second": names[j]})
 
 

@@ -18,7 +18,7 @@ from .. import model
 from ..arrays import BoolArray
 from ..data.noise import LEAST_SIGMA, Noise
 from ..data.parameters import Beams, Parameters
-from ..data.recording import Readings, join
+from ..data.recording import Order, Readings, join
 from ..errors import HandlaserError, InputError
 from ..estimation.joint_solution import settle
 from ..estimation.learning_scales import (
@@ -39,7 +39,7 @@ from ..pipeline import calibrate
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SAME_OPTIMUM
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
-from ..results.named_problem import Problem
+from ..results.problem import Problem
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
@@ -348,7 +348,9 @@ def problem_of(contents: Contents, config: SessionConfig) -> Problem:
     recording = arranged(whole, config.names)
     origins = np.array([plane.origin for plane in contents.fitted.values()])
     readings, sensor = config.readings(recording), config.options.sensor
-    return Problem.as_recorded(recording, readings, origins, config.noise, sensor)
+    sizes = len(recording.plane_labels), len(recording.beam_names), len(recording.plane_names)
+    order = Order(*map(np.arange, sizes))  # readings are numbered as in the recording
+    return Problem(recording, readings, order, origins, config.noise, sensor)
 
 
 def used_of(problem: Problem, contents: Contents, reason: str | None = None) -> BoolArray:

@@ -222,7 +222,7 @@ def fits(calibration: SurveyCalibration) -> bool:
 def _problem(found: SurveyEstimate) -> ReferenceProblem:
     """Return what SciPy solves of a survey: every point that counts, of the shots that count."""
     rows, values, survey = found.rows, found.estimate.values, found.rows.survey
-    state = found.at({name: x[None] for name, x in values.items()}, found.noise)
+    state = found.ended()
     sigmas = state.sigmas()
     groups: dict[tuple[str, int, str], list[Item]] = defaultdict(list)
     for item, used in zip(rows.items, found.used, strict=True):

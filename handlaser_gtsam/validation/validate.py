@@ -185,7 +185,7 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
             values[kind][0, [labels.index(label) for label in found.rows.targets[kind]]] = x
         elif kind != POSE.name:
             values[kind][0, : len(x)] = x
-    state = whole.at(values, found.noise)
+    state = replace(whole.ended(found.noise), values=values)
     rows, owner = state.dense()
     J, e = rows.whitened()
     predicted = (owner >= 0) & out[state.stations(owner)]

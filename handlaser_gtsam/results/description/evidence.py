@@ -9,7 +9,7 @@ import numpy as np
 
 from ...estimation.scales import NoiseComponent
 from ...model.effects.effect import size_in_words
-from ...model.families import BEAM, RANGE_ERROR
+from ...model.families import BEAM, OF_RANGE_ERROR, RANGE_ERROR
 from ...model.joint import STRONG
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
@@ -51,8 +51,8 @@ def fit_facts(described: "Description") -> Facts:
     fit = calibration.fit
     station, beam = fit.max_residual_at
     facts = [
-        ("rms residual", small_mm(fit.rms, 3)),
-        ("largest residual", f"{small_mm(fit.max_residual, 3)} (station {station}, beam {beam})"),
+        ("rms residual", small_mm(fit.rms)),
+        ("largest residual", f"{small_mm(fit.max_residual)} (station {station}, beam {beam})"),
     ]
     if described.solved:
         far, (station, beam) = fit.max_standardized_residual, fit.max_standardized_residual_at
@@ -233,7 +233,7 @@ def noise_words(result: CalibrationData) -> str:
         parts = [f"a reading {min(sigmas):.2g} to {max(sigmas):.2g} mm, by beam ({how})"]
     if not parts:
         how = "given" if result.fit.range_sigma_given else "estimated"
-        parts = [f"a reading {small_mm(result.fit.range_sigma, 3)} ({how})"]
+        parts = [f"a reading {small_mm(result.fit.range_sigma)} ({how})"]
     parts += [_estimate(component) for component in estimated if component.quantity != "range"]
     return ", ".join([*parts, *_fixed_poses(result)])
 
@@ -264,25 +264,24 @@ def _fixed_poses(result: CalibrationData) -> list[str]:
     ]
 
 
-def zero_excluded(result: CalibrationData, beam: str) -> tuple[bool, bool]:
-    """Tell whether the 95 % intervals of k1 and of k2 exclude zero."""
-    interval = result.intervals(beam)
-    if interval is None or not np.isfinite(interval[6:]).all():
-        return False, False
-    k1, k2 = ((interval[6:, 0] > 0.0) | (interval[6:, 1] < 0.0)).tolist()
-    return k1, k2
-
-
 def range_error_words(result: CalibrationData) -> str:
     """Return which range errors differ from zero, and their learned scales."""
     if not any(beam.terms for beam in result.beams.values()):
         return "taken as zero"
-    excluded = {name: zero_excluded(result, name) for name in result.beams}
+    intervals = {
+        name: interval[OF_RANGE_ERROR]
+        for name in result.beams
+        if (interval := result.intervals(name)) is not None
+    }
     listed = []
     for index, term in enumerate(BEAM.coordinates[RANGE_ERROR]):
-        names = [name for name, found in excluded.items() if found[index]]
+        names = [
+            name
+            for name, k in intervals.items()
+            if np.isfinite(k).all() and (k[index, 0] > 0.0 or k[index, 1] < 0.0)
+        ]
         whose = f" of beam{'s' * (len(names) > 1)} {some(names, NAMES_IN_LINE)}"
-        if len(names) == len(excluded):
+        if len(names) == len(result.beams):
             whose = " of all beams" if len(names) > 1 else ""
         if names:
             listed.append(f"{term}{whose}")
@@ -290,10 +289,9 @@ def range_error_words(result: CalibrationData) -> str:
     if listed:
         words = f"zero is excluded (95 %) for {' and '.join(listed)}"
     learned = result.range_error_scales
-    form = "d + k1 d + k2 d^2"
-    if learned is not None:
-        form = f"learned scales k1 {learned.k1:.2g}, k2 {learned.k2_per_m:.2g}/m"
-    return f"{form}: {words}"
+    if learned is None:
+        return said("range-errors", words=words)
+    return said("range-errors:learned", words=words, first=learned.k1, second=learned.k2_per_m)
 
 
 def effect_words(result: CalibrationData) -> str:

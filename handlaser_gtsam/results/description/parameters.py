@@ -40,8 +40,8 @@ NUMBERS, K1 = range(BEAM.size), OF_RANGE_ERROR.start
 PARTS = {
     "location": (NUMBERS[OF_LOCATION], "mm", IN_MM, 5),
     "direction": (NUMBERS[OF_DIRECTION], "1", 1.0, 7),
-    "k1": (NUMBERS[K1 : K1 + 1], "1", 1.0, 7),
-    "k2": (NUMBERS[K1 + 1 :], "1/m", 1.0, 5),
+    "slope": (NUMBERS[K1 : K1 + 1], "1", 1.0, 7),
+    "curvature": (NUMBERS[K1 + 1 :], "1/m", 1.0, 5),
 }
 """The coordinates of each part of a mount, the unit in which they are shown, that unit per SI unit, and
 their decimals at most: no sensor shows what is smaller."""

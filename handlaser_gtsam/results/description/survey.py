@@ -19,16 +19,17 @@ from ..messages import said
 from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
 from ..survey_warnings import rejected_shot
 from ..verdict import Verdict
-from .rendering import full_table, text_lines
 from .tables import (
     Cell,
     Facts,
     Table,
     coordinates,
+    full_table,
     listed,
     name_cell,
     significant,
     text,
+    text_lines,
 )
 
 SHOWN = {1: ("mm", IN_MM), 0: ("%", IN_PERCENT), -1: ("%/m", IN_PERCENT)}

@@ -1,12 +1,15 @@
-"""Tables and facts: text, and the number behind a cell, by which a page sorts."""
+"""Tables and facts: text, and the number behind a cell, by which a page sorts.
+
+And the same as plain text of bounded width, for terminals and files.
+"""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple, TypeVar
 
 from ...arrays import FloatArray
 from ...text import count, shortened
-from ..lines import UNDETERMINED, decimals
+from ..lines import UNDETERMINED, decimals, wrapped
 from ..messages import MESSAGES, TITLES, said
 
 NONE = "\N{EN DASH}"
@@ -51,20 +54,16 @@ class Table(NamedTuple):
 
 def number(value: float | None, digits: int, mark: str = "") -> Cell:
     """Return a cell with this number of decimals; a dash where there is no number."""
-    return _cell(value, plain, digits, mark)
-
-
-def significant(value: float | None, digits: int = 3, mark: str = "") -> Cell:
-    """Return a cell with this number of significant digits; a dash where there is no number."""
-    return _cell(value, concise, digits, mark)
-
-
-def _cell(
-    value: float | None, written: Callable[[float, int], str], digits: int, mark: str
-) -> Cell:
     if value is None or not math.isfinite(value):
         return Cell(NONE, None, mark)
-    return Cell(written(value, digits), float(value), mark)
+    return Cell(plain(value, digits), float(value), mark)
+
+
+def significant(value: float | None, digits: int = 3) -> Cell:
+    """Return a cell with this number of significant digits; a dash where there is no number."""
+    if value is None or not math.isfinite(value):
+        return Cell(NONE)
+    return Cell(concise(value, digits), float(value))
 
 
 def determined(value: float, sigma: float, digits: int, unknown: str = UNDETERMINED) -> Cell:
@@ -112,9 +111,9 @@ def more(left: int, noun: str) -> str:
     return words if left > 0 else ""
 
 
-def text(words: str, mark: str = "") -> Cell:
+def text(words: str) -> Cell:
     """Return a cell of words."""
-    return Cell(words, None, mark)
+    return Cell(words)
 
 
 def sentence(words: str) -> str:
@@ -148,3 +147,79 @@ def digits_of(sigmas: Iterable[float], most: int) -> int:
     """Return the decimals that show two digits of the smallest standard deviation."""
     finite = [sigma for sigma in sigmas if math.isfinite(sigma) and sigma > 0.0]
     return decimals(min(finite), most) if finite else most
+
+
+PLAIN = str.maketrans({MINUS: "-", NONE: "-", "±": "+-", "²": "^2", "·": "."})
+"""Letters that not every terminal shows."""
+GAPS = ("  ", " ")
+"""Between columns: the narrow one where a table then fits."""
+
+
+def text_table(table: Table, width: int, most_rows: int | None = None) -> list[str]:
+    """Return a table as lines of at most `width` columns.
+
+    Where it is wider, its columns stand in several parts below each other, each with the first column.
+    A cell that is wider than the screen is wrapped.
+
+    Parameters
+    ----------
+    table : Table
+    width : int
+    most_rows : int, optional
+        Rows that are shown; how many more there are is said.
+    """
+    shown = table.rows[:most_rows]
+    columns = [
+        [column.title.translate(PLAIN), *(row[i].text.translate(PLAIN) for row in shown)]
+        for i, column in enumerate(table.columns)
+    ]
+    sizes = [max(map(len, column)) for column in columns]
+    room = width - sum(sizes[1:]) - len(GAPS[1]) * (len(sizes) - 1)
+    # A name of less than eight characters does not tell one from another: then the table stands in
+    # parts, and the first column has a quarter of the width before each of them.
+    longest = room if room >= 8 else width // 4
+    columns[0] = [shortened(cell, longest) for cell in columns[0]]
+    sizes[0] = max(map(len, columns[0]))
+    right = [column.number for column in table.columns]
+    lines: list[str] = []
+    wide, narrow = (sum(sizes) + len(gap) * (len(sizes) - 1) for gap in GAPS)
+    gap = GAPS[1] if narrow <= width < wide else GAPS[0]
+    for part in _parts(sizes, len(gap), width):
+        for cells in zip(*(columns[i] for i in part), strict=True):
+            padded = (
+                cell.rjust(sizes[i]) if right[i] else cell.ljust(sizes[i])
+                for i, cell in zip(part, cells, strict=True)
+            )
+            lines += wrapped(gap.join(padded), None, width)
+    if len(shown) < len(table.rows):
+        lines.append(f"and {len(table.rows) - len(shown)} more: --verbose")
+    return lines
+
+
+def _parts(sizes: list[int], gap: int, width: int) -> Iterator[list[int]]:
+    """Yield the columns of every part, the first column always among them."""
+    part, used = [0], sizes[0]
+    for i, size in enumerate(sizes[1:], 1):
+        if used + gap + size > width and len(part) > 1:
+            yield part
+            part, used = [0], sizes[0]
+        part.append(i)
+        used += gap + size
+    yield part
+
+
+def full_table(title: str, table: Table, width: int) -> list[str]:
+    """Return a table with its title, caption and note, and a blank line after it."""
+    caption = [f"{title}. {table.caption}".rstrip() if table.caption else title]
+    note = [table.note] if table.note else []
+    return [
+        *text_lines(caption, width),
+        *text_table(table, width),
+        *text_lines(note, width),
+        "",
+    ]
+
+
+def text_lines(sentences: list[str], width: int) -> list[str]:
+    """Return sentences as lines of at most `width` columns."""
+    return [line for words in sentences for line in wrapped(words.translate(PLAIN), None, width)]

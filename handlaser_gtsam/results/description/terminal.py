@@ -1,7 +1,9 @@
 """What a person sees of a calibration: the verdict first, on one screen of 30 lines of 100 columns.
 
-And in full, where every table is asked for.
+And in full, where every table is asked for; and what a notebook shows.
 """
+
+from html import escape
 
 from ...model.distributions import p_words
 from ...model.effects.effect import size_in_words
@@ -11,8 +13,7 @@ from ..lines import NAMES_IN_LINE, WIDTH, as_many, wrapped
 from ..messages import said
 from ..systematic import SystematicError
 from .description import Description
-from .rendering import PLAIN, full_table, text_lines, text_table
-from .tables import ROWS_ON_SCREEN, Facts
+from .tables import PLAIN, ROWS_ON_SCREEN, Facts, full_table, text_lines, text_table
 
 LINES = 30
 """Lines of the whole answer, which then stands on one screen."""
@@ -158,3 +159,19 @@ def _warnings(described: Description, room: int, width: int) -> list[str]:
             return [*lines, f"and {count(rest + 1, 'more warning')}: --verbose"]
         lines += own if len(own) <= left else wrapped(warning, max(left, 1), width)
     return lines
+
+
+def notebook_html(described: Description) -> str:
+    """Return the verdict, the sizes and the table of the beams as HTML; names are escaped."""
+    html = f"<p><b>{escape(described.verdict.sentence)}</b></p><p>{escape(described.sizes)}</p>"
+    beams = described.beams
+    if beams is None:
+        return html
+    head = "".join(f"<th>{escape(column.title)}</th>" for column in beams.columns)
+    rows = (
+        "<tr>" + "".join(f"<td>{escape(cell.text)}</td>" for cell in row) + "</tr>"
+        for row in beams.rows
+    )
+    html += f"<p>{escape(beams.caption)}</p><table><thead><tr>{head}</tr></thead>"
+    html += f"<tbody>{''.join(rows)}</tbody></table>"
+    return html + (f"<p>{escape(beams.note)}</p>" if beams.note else "")
