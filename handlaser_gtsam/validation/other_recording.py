@@ -278,7 +278,7 @@ class _Squares(NamedTuple):
     scale : float
         Square of the noise, in units of the stated one.
     rank, dof : int
-        Of the information, and of what it leaves.
+        Of the information, and degrees of freedom beside it.
     known : bool
         Whether the noise is known; else it is what the readings show.
     """
