@@ -144,7 +144,6 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         systematic = tuple(
             replace(one, explained_by=DISPLACED) if one.found else one for one in systematic
         )
-    in_time = [warned("correlated-in-time", together._asdict())] if together != INDEPENDENT else []
     result = Calibration(
         status,
         message,
@@ -153,7 +152,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
             *signs,
             *rival_warnings(used, solution, joint, names),
             *filter(None, (moved,)),
-            *in_time,
+            *together.warnings,
             *(() if freed is None else freed.warnings(effects)),
             *(
                 CalibrationWarning(f"systematic-{s.code}", s.warning, s.values)

@@ -33,8 +33,10 @@ from scipy.optimize import nnls
 
 from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
+from ..errors import CalibrationWarning
 from ..model.families import BEAM
 from ..quantities import FAR_SIGMAS, NUMBERS_AT_ONCE
+from .messages import warned
 from .projection import LinearRows, Projection
 
 LEAST_DRAWS = 20
@@ -61,6 +63,13 @@ class Dependence(NamedTuple):
     length: float = 0.0
     growth: float = 1.0
     plane_growth: float = 1.0
+
+    @property
+    def warnings(self) -> tuple[CalibrationWarning, ...]:
+        """What to say about it; nothing where readings are independent."""
+        if self == INDEPENDENT:
+            return ()
+        return (warned("correlated-in-time", self._asdict()),)
 
 
 INDEPENDENT = Dependence()
