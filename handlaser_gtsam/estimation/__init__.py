@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..solvers.many_problems import SolvedMany as SolvedMany
+    from ..solvers.beam_problem import SolvedMany as SolvedMany
     from .estimate import BlockProblem as BlockProblem
     from .estimate import Estimate as Estimate
     from .estimate import TestedEffect as TestedEffect

@@ -25,8 +25,7 @@ from ..model.families import PLANE
 from ..model.joint import beam_lifts
 from ..model.reduced_information import eliminated
 from ..model.weighting import Variances, Whitening, unequal
-from ..solvers.beam_problem import beam_problem
-from ..solvers.many_problems import SolvedMany, solve_together
+from ..solvers.beam_problem import SolvedMany, beam_problem, solve_together
 from ..starts import find_start
 
 

@@ -23,8 +23,7 @@ from ..model.families import MOUNT_DIM
 from ..model.reduction import damped_step
 from ..model.weighting import Whitening
 from ..quantities import KNOWN, MOST_ROUNDS, NEGLIGIBLE, ROUNDING
-from ..solvers.beam_problem import linearized, moved
-from ..solvers.refine import LEAST_DAMPING, refine
+from ..solvers.beam_problem import LEAST_DAMPING, linearized, moved, refine
 from .poor_motion import poor_motion, some_plane_leans
 from .rank import Observability, ObservabilityOptions, observability
 

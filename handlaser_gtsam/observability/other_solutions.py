@@ -24,8 +24,7 @@ from ..data.recording import Readings
 from ..errors import GrazingBeamError
 from ..model.equation import plausible_range_errors
 from ..model.families import BEAM, MOUNT_DIM, PLANE
-from ..solvers.beam_problem import linearized
-from ..solvers.refine import refine, refine_many
+from ..solvers.beam_problem import linearized, refine, refine_many
 from ..starts.directions import direction_starts, random_starts
 from ..starts.growing import EXCERPT_READINGS, grow
 from .held import Judge, held, upright
@@ -56,7 +55,7 @@ def mirror_image_fits(
         return False
     directions = refined.parameters.directions
     same_side = np.einsum("bi,bi->b", directions, solution.directions) > 0.0
-    worse = refined.squares - squares
+    worse = refined.criterion - squares
     return not same_side.any() and worse <= CHI2_MARGIN * range_sigma**2
 
 

@@ -36,8 +36,7 @@ from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import MOUNT_DIM, count_unknowns
 from ..observability.rank import Observability, observability
 from ..quantities import EXACT, FAR_SIGMAS, MAJORITY, MOST_ROUNDS, NEGLIGIBLE
-from ..solvers.beam_problem import jacobian_columns
-from ..solvers.refine import refine
+from ..solvers.beam_problem import jacobian_columns, refine
 from ..starts.rounds import LAST_STEPS
 
 LEAST_CUT = 3.0

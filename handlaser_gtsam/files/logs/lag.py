@@ -55,7 +55,7 @@ from ...model.families import count_unknowns
 from ...model.weighting import Variances, whitening
 from ...quantities import FAR_SIGMAS, MOST_ROUNDS, NUMBERS_AT_ONCE, ROUNDING, SINGULAR
 from ...results.projection import LinearRows, Projection
-from ...solvers.many_problems import solve_together
+from ...solvers.beam_problem import solve_together
 from ...starts import find_start
 from .motion import MOVES_M, MOVES_RAD, interpolated, neighbours
 from .stands import Track
