@@ -46,8 +46,7 @@ from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings, Recording
 from handlaser_gtsam.estimation.joint_solution import SolutionTask
-from handlaser_gtsam.estimation.posterior import covariance
-from handlaser_gtsam.estimation.solution import Solution
+from handlaser_gtsam.estimation.solution import Solution, covariance
 from handlaser_gtsam.model import damped_search
 from handlaser_gtsam.model.reduction import Normal
 from handlaser_gtsam.model.weighting import Variances

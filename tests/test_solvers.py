@@ -8,7 +8,7 @@ from helpers import GRIPPER, bench, motion, recording_of, solved_by_gtsam
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import Parameters, RangeErrorPrior
 from handlaser_gtsam.errors import GrazingBeamError
-from handlaser_gtsam.estimation.posterior import covariance
+from handlaser_gtsam.estimation.solution import covariance
 from handlaser_gtsam.factors import SharedEvaluation
 from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.model.damped_search import COST_RESOLUTION

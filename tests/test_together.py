@@ -10,7 +10,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.estimation.many_recordings import _inverses
-from handlaser_gtsam.estimation.posterior import covariance
+from handlaser_gtsam.estimation.solution import covariance
 from handlaser_gtsam.model import damped_search as searching
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.damped_search import LevenbergOptions

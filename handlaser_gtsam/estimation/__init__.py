@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from .estimate import score_test as score_test
     from .learning_scales import LearnedScales as LearnedScales
     from .many_recordings import solve_many as solve_many
-    from .range_error_grid import RangeErrorGrid as RangeErrorGrid
+    from .scale_mixture import RangeErrorGrid as RangeErrorGrid
     from .scales import Scale as Scale
     from .scales import Scales as Scales
 else:

@@ -19,10 +19,9 @@ from ..data.recording import Readings
 from ..model.beams_on_planes import CENTRE, parameters_of, values_of
 from ..model.damped_search import LevenbergOptions, RobustLoss, Searched, search
 from ..model.equation import residuals, residuals_or_infinite, scene
-from ..model.errors_in_variables import weighed
 from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
-from ..model.weighting import Variances, Whitening, unequal, whitening
+from ..model.weighting import Variances, Whitening, unequal, weighed, whitening
 from ..observability.held import Judge
 from ..observability.other_solutions import least_observed
 from ..observability.rank import Observability, observability
@@ -35,9 +34,8 @@ from ..solvers.gtsam_sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
 from .options import CalibrationOptions
-from .posterior import covariance_by_gtsam, numbered, posterior
 from .scales import Scales, start_of, unknown_scales, with_scales
-from .solution import Minimum, Solution
+from .solution import Minimum, Solution, covariance_by_gtsam, numbered, posterior
 
 WEIGHTS_SETTLED = 1e-3
 """New weights that moved the solution by fewer standard deviations are settled: others would move it by

@@ -29,9 +29,14 @@ from .survey_mirror import best_image, with_images
 from .survey_noise import USUALLY_AGAIN, Components, Inside, components
 from .survey_outliers import (
     GROSS,
+    OF_OTHERS,
     leave_out_gross,
     misfits,
     most_contradicted,
+    of_others,
+    slackness,
+    sortable,
+    sorted_again,
     started_from_halves,
     worst_changed,
 )
@@ -47,7 +52,6 @@ from .survey_rows import (
 )
 from .survey_starts import start_beside, start_of
 from .survey_state import Columns, SurveyState, grazing, own_sizes
-from .survey_zones import OF_OTHERS, of_others, slackness, sortable, sorted_again
 
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""

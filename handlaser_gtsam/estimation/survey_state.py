@@ -10,8 +10,7 @@ from ..data.noise import Noise
 from ..data.survey import Known
 from ..model.block import Block
 from ..model.families import BEAM
-from ..model.known_relations import BODY, held
-from ..model.relation import Relation
+from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE

@@ -10,7 +10,7 @@ In a graph in which more ties planes together (hand poses with odometry between 
 for known beams is added.
 
 Coordinates are tangent (location 3, direction 2, range-error terms a beam; normal 2, offset a plane)
-or ambient (x, y, z, vx, vy, vz, k1, k2 a beam; nx, ny, nz, b a plane), B S B' with the bases B.
+or ambient (the numbers of `BEAM`; nx, ny, nz, b a plane), B S B' with the bases B.
 
 Unknowns of beams whose correlation is strong can hardly be separated (`strong_correlations`).
 """
@@ -310,7 +310,7 @@ def correlation_matrix(
     beams : B names
     directions : (B, 3)
     covariance : (8 B, 8 B)
-        Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
+        Over the numbers of every beam, ambient.
     """
     width = BEAM.size
     variance = np.diagonal(covariance)

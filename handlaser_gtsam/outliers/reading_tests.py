@@ -203,7 +203,7 @@ def judge(
     predicted = scale * unit * np.sqrt(1.0 + h)
     vague = FAR_SIGMAS * predicted > 0.5 * float(np.ptp(readings.distance[kept]))
     t[~kept & vague] = np.inf
-    # Far beyond the others a reading decides k2 alone, and would be consistent with any.
+    # Far beyond the others a reading decides a range error alone, and would be consistent with any.
     t[~model.plausible_corrections(parameters, readings)] = np.inf
     return scale * typical, t
 

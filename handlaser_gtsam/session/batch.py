@@ -11,12 +11,11 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording, join
 from ..estimation.joint_solution import settle
 from ..estimation.learning_scales import LearnedScales, ScaleProblem
-from ..estimation.posterior import covariance_of_determined, posterior
 from ..estimation.selection import Selection
-from ..estimation.solution import Solution
-from ..model.errors_in_variables import weighed
+from ..estimation.solution import Solution, covariance_of_determined, posterior
 from ..model.families import BEAM
 from ..model.sensor_limits import FLAT, OUTSIDE
+from ..model.weighting import weighed
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
 from ..results.named_problem import Problem

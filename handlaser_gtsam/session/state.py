@@ -2,7 +2,7 @@
 
 Unknown scales are integrated over as in the batch solution.
 Every plane is remembered by its information on the beams for each set of noise scales
-(`estimation.information`), counted from beams that all share. The graph holds the most probable scales.
+(`LinearReadings`), counted from beams that all share. The graph holds the most probable scales.
 Integrating over all scales changes the mean; the change follows from the sums over the planes, and is
 added to the estimate of iSAM2. The covariance is that of these sums, as in a batch solution.
 A new plane therefore costs the same however many there are.

@@ -67,8 +67,8 @@ class SolvedMany(Value):
     iterations : (K,)
         Steps of the last solution.
     covariances : (K, B, 8, 8)
-        Of (x, y, z, vx, vy, vz, k1, k2) of every beam, SI units, NaN of a problem whose information is
-        singular; `solve_many` alone computes them.
+        Of the numbers of every beam, SI units, NaN of a problem whose information is singular;
+        `solve_many` alone computes them.
     """
 
     parameters: tuple[Parameters, ...]
