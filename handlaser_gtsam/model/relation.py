@@ -7,9 +7,9 @@ Trapp, SIAM Review 40(1), 1998, doi 10.1137/S003614459631241X).
 Functions return the relations that `[[known]]` states, between planes, of a sphere, a body, or mounts,
 with rows in standard deviations. Planes are n . (x - c) + h = 0 with the normal n away from the
 sensors; p = c - h n is the foot of the centre c on the plane. sigma is a length [m] and sigma_angle an
-angle [rad]. A unit vector that is to lie along another has two rows: its components along the tangents
-of the other. Where both are variables, the tangents T of the first are held, and the part of the second along
-the first is taken out: T' (m - (m . n) n).
+angle [rad]. A unit vector that is to lie along another has two rows: its components along the
+tangents of the other. Where both are variables, the tangents T of the first are held, and the part of
+the second along the first is taken out: T' (m - (m . n) n).
 """
 
 from collections.abc import Callable, Sequence
