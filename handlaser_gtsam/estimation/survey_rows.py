@@ -43,10 +43,9 @@ LEAST_SEGMENT = 5
 """Points of a profile that each side of a groove has at least."""
 RANGE_ERRORS = np.array([0.05, 0.02, 0.1, 0.05])
 """Standard deviations of `RAY_ERRORS` before any reading [m, 1, 1/m, 1]."""
-AIMING = ("aiming", 0)
-"""Names the standard deviation of spots across their rays, where they are aimed at points."""
 AIMING_SIGMA = 0.5 * MM
-"""Its first value [m]: about the width of a spot."""
+"""First standard deviation of spots across their rays, where they are aimed at points [m]: about the
+width of a spot."""
 
 
 Entity = tuple[str, int]
@@ -395,7 +394,8 @@ def blocks_of(
     ----------
     items : sequence of Item
     sigmas : mapping
-        Standard deviation of a reading of each sensor and beam, and of the aiming [m].
+        Standard deviation of a reading of each sensor and beam, and of the aiming at any point, which
+        (`point`, 0) names [m].
     values : mapping
         Where spots on points are seen along their rays.
     """
@@ -418,7 +418,7 @@ def blocks_of(
         robot, shots = PoseVariables(station), [i.shot for i in some if i.shot is not None]
         reading = np.array([[item.reading] for item in some])[None]
         if target == POINT.name:
-            root = np.hstack((root, np.full((len(some), 2), 1.0 / sigmas[AIMING])))
+            root = np.hstack((root, np.full((len(some), 2), 1.0 / sigmas[POINT.name, 0])))
             axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), BeamSensor(member)
             blocks.append(SpotsOnPoints(beam, robot, seen, reading, axes, weights(root)))
         elif not shots:

@@ -17,12 +17,7 @@ from ..model.targets.sphere import SPHERE
 from .dense import DenseRows, with_pose_errors
 from .estimate import BlockProblem, descended, minimum
 from .survey_noise import Components
-from .survey_rows import (
-    AIMING,
-    SurveyRows,
-    blocks_of,
-    priors_of,
-)
+from .survey_rows import SurveyRows, blocks_of, priors_of
 
 
 @dataclass(slots=True)
@@ -111,7 +106,7 @@ class SurveyState:
         *sensors, beams, aiming = self.sizes.sigma.tolist()
         found = {(SENSOR.name, i): sigma for i, sigma in enumerate(sensors)}
         found |= {(BEAM.name, i): beams for i in range(len(self.rows.survey.beam_names))}
-        return found | {AIMING: aiming}
+        return found | {(POINT.name, 0): aiming}
 
     def pose_covariance(self) -> FloatArray:
         """Return the covariance (M, 6, 6) of the hand poses."""
