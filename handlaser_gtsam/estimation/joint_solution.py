@@ -82,7 +82,9 @@ def settle(
     task = SolutionTask(readings, noise, options, scale, prior)
     task.solution = first = task.equally_weighted(start)
     unknown = noise.range_sigma is None and task.redundancy <= 0
-    if first.at.status == "interrupted" or unknown or task.is_exact() or not task.fits:
+    # Residuals are rounding, and not because there are unknowns for all of them.
+    exact = task.redundancy > 0 and task.sigma < EXACT * readings.largest_range()
+    if first.at.status == "interrupted" or unknown or exact or not task.fits:
         return task
     task.scales, task.base = unknown_scales(readings, noise, options, task.sigma)
     base, given = task.base, not options.range_sigma_by_beam
@@ -165,10 +167,6 @@ class SolutionTask:
     def redundancy(self) -> int:
         """How many readings there are beyond all unknowns, range errors included."""
         return len(self.readings) - self.rank
-
-    def is_exact(self) -> bool:
-        """Tell whether residuals are rounding, and not because there are unknowns for all of them."""
-        return self.redundancy > 0 and self.sigma < EXACT * self.readings.largest_range()
 
     def weighed(self, parameters: Parameters, variances: Variances) -> tuple[Readings, Whitening]:
         """Return the readings with the regressors of the range errors, and their weights."""

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import logsumexp
 
 from ..arrays import BoolArray, FloatArray, evenly
 from ..data.parameters import Parameters, RangeErrorPrior
@@ -360,7 +361,9 @@ class ScaleProblem:
 
     def _log_posterior(self, points: FloatArray) -> FloatArray:
         part = self._part
-        return part.beams(points)[0].log_marginal(part._wide) + self.scales.log_prior(points)
+        evidence = part.beams(points)[0].log_evidence_of(part._wide)
+        likelihood = logsumexp(evidence + part._wide.log_prior, axis=1)
+        return np.asarray(likelihood + self.scales.log_prior(points))
 
     def _probable(self, mode: FloatArray) -> list[tuple[RangeErrorGrid, FloatArray]]:
         """Return scales of the range errors, and their posterior weights (G,), noise known."""

@@ -39,7 +39,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import helmert
-from scipy.special import logsumexp
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
@@ -324,10 +323,6 @@ class BeamPosterior:
             evidence[j] = -0.5 * (root[:, size, :size] ** 2).sum(axis=1) - log_root
         evidence += self.log_evidence[:, None] - np.log(spread).sum(axis=1)
         return evidence
-
-    def log_marginal(self, grid: RangeErrorGrid) -> FloatArray:
-        """Return the logarithm of the likelihood (J,) of the noise scales."""
-        return np.asarray(logsumexp(self.log_evidence_of(grid) + grid.log_prior, axis=1))
 
     def worst_known(self) -> FloatArray | None:
         """Return the angles (B,) of the least known combinations of k1 and k2 D in the first set."""

@@ -140,24 +140,28 @@ class SurveyEstimate:
         """Whether most shots fit each other, at once or with noise that was learned."""
         return self.first.fits or self.estimate.status == "converged"
 
+    @property
+    def values(self) -> dict[str, FloatArray]:
+        """Members (1, n, size) of each family, as blocks take them."""
+        return {name: x[None] for name, x in self.estimate.values.items()}
+
     def problem(self, pose_variances: float = 1.0) -> BlockProblem:
         """Return the blocks of what was used, in standard deviations, errors of the hand counted.
 
         They are made again: rules of relations cannot be pickled with a result. The variances of the
         hand poses may be other ones, by a factor.
         """
-        values = {name: x[None] for name, x in self.estimate.values.items()}
         root = float(np.sqrt(pose_variances))
         turn, shift, again = (root * size for size in (*self.noise.pose, self.noise.again))
         sizes = replace(self.noise, pose=(turn, shift), again=again)
-        return self.at(values, sizes).problem()[0]
+        return self.at(self.values, sizes).problem()[0]
 
     def redundancy(self) -> FloatArray:
         """Return how many numbers beyond the unknowns tell the noise of each sensor, beams and aiming.
 
         A row has the part of one that the unknowns leave of it; readings inside shots count, too.
         """
-        state = self.at({name: x[None] for name, x in self.estimate.values.items()}, self.noise)
+        state = self.at(self.values, self.noise)
         rows, owner = state.dense()
         J, _ = rows.whitened()
         scale = np.sqrt((J**2).sum(axis=0))
@@ -169,8 +173,7 @@ class SurveyEstimate:
 
     def learning(self) -> "SurveyState":
         """Return the state where the estimate ended, whose sizes of the noise may be learned again."""
-        values = {name: x[None] for name, x in self.estimate.values.items()}
-        return replace(self.at(values, self.noise), stated=self.stated)
+        return replace(self.at(self.values, self.noise), stated=self.stated)
 
     def at(self, values: Mapping[str, FloatArray], sizes: Components) -> "SurveyState":
         """Return the same shots at other values and sizes of the noise, which are not learned."""
@@ -393,7 +396,10 @@ def _settle(state: SurveyState) -> bool:
     for _ in range(MOST_ROUNDS * 4):
         if not state.minimize():
             return False
-        if not _learned(state) and not worst_changed(state):
+        before, state.sizes = state.sizes.vector(), learned_sizes(state)
+        after = state.sizes.vector()
+        learned = (np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any()
+        if not learned and not worst_changed(state):
             return True
     return False
 
@@ -470,14 +476,6 @@ def learned_sizes(state: SurveyState, beside: Columns | None = None) -> Componen
     again = np.where(state.rows.shared[state.stations(owner)], owner, -1)
     noise = state.sizes, state.stated, usual, finest
     return components(rows, source, inside, *noise, again, own_sizes(state.noise))
-
-
-def _learned(state: SurveyState) -> bool:
-    """Learn the sizes of the noise at the values; tell whether one has changed."""
-    new = learned_sizes(state)
-    before, after = state.sizes.vector(), new.vector()
-    state.sizes = new
-    return bool((np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any())
 
 
 def _spread(state: SurveyState, found: Estimate) -> FloatArray:

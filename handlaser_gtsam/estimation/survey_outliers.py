@@ -139,30 +139,25 @@ def worst_changed(state: SurveyState) -> bool:
 
 
 def _agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return how the shots that count agree with all others: p, chi2 and the number of each item."""
+    """Return how the shots that count agree with all others: p, chi2 and the number of each item.
+
+    Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
+    be wrong: the ratio to what the others say of the noise follows an F distribution.
+    """
     rows, group = state.dense()
     tested, number = np.unique(group[group >= 0], return_inverse=True)
     group[group >= 0] = number
     chi2, dof = tests_of(rows, group)
-    redundancy = len(rows.residuals) - rows.derivatives.shape[1]
-    return _by_chance(chi2, dof, redundancy, state), chi2, tested
+    some, redundancy = np.maximum(dof, 1), len(rows.residuals) - rows.derivatives.shape[1]
+    p = chi2_sf(chi2, some)
+    if state.learning:
+        p = f_sf(chi2 / some, some, max(redundancy, 1))
+    return np.where(dof > 0, p, 1.0), chi2, tested
 
 
 def most_contradicted(p: FloatArray, chi2: FloatArray) -> int:
     """Return the least probable; if all probabilities are rounded to zero, by the largest chi2."""
     return int(np.lexsort((-chi2, p))[0])
-
-
-def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: SurveyState) -> FloatArray:
-    """Return the probability that a shot is so far off by chance.
-
-    Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
-    be wrong: the ratio to what the others say of the noise follows an F distribution.
-    """
-    some = np.maximum(dof, 1)
-    by_f = f_sf(chi2 / some, some, max(redundancy, 1))
-    p = by_f if state.learning else chi2_sf(chi2, some)
-    return np.where(dof > 0, p, 1.0)
 
 
 OF_OTHERS = 0.15
