@@ -25,7 +25,6 @@ from ..model.families import BEAM, PLANE
 from ..model.range_blocks import PoseVariables, Ranges
 from ..model.relation import Relation
 from ..model.sensors.beam import BeamSensor
-from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS, Rayset
 from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.targets.plane import PlaneTarget
@@ -422,8 +421,7 @@ def blocks_of(
             axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), BeamSensor(member)
             blocks.append(SpotsOnPoints(beam, robot, seen, reading, axes, weights(root)))
         elif not shots:
-            angle = some[0].half_angle
-            sensor = Cone(member, angle) if angle else BeamSensor(member)
+            sensor = BeamSensor(member, some[0].half_angle)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
             origin = np.stack([s.rays.origin for s in shots])  # (G, r, 3)
