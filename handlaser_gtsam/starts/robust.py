@@ -62,8 +62,8 @@ def robust_search(
     rng = np.random.default_rng(0)
     least = least_scale(readings, range_sigma)
 
-    def judged(one: Candidate, method: str) -> Candidate:
-        return one._replace(criterion=criterion(one), method=method)
+    def judged(one: Candidate) -> Candidate:
+        return one._replace(criterion=criterion(one), method=METHOD)
 
     def mend(best: Sequence[Candidate], latest: Round) -> list[Candidate | None]:
         """Return the best eight candidates with planes that more readings agree with.
@@ -74,16 +74,11 @@ def robust_search(
         new = [mended(one.parameters, readings, 3.0 * one.scale, rng) for one in best[:8]]
         loose = refine_many(new, readings, terms, FIRST_STEPS, rule)
         tight = _tight(loose, readings, terms, rule)
-        return [
-            None if new is None else judged(new, old.method)
-            for new, old in zip(tight, best, strict=False)
-        ]
+        return [None if one is None else judged(one) for one in tight]
 
     candidates, _ = search(
         rounds(readings, others, terms, rng),
-        lambda latest: [
-            judged(one, one.method) for one in refined_starts(latest, readings, terms, least)
-        ],
+        lambda latest: list(map(judged, refined_starts(latest, readings, terms, least))),
         convinced,
         mend,
     )
@@ -137,8 +132,7 @@ def refined_starts(latest: Round, readings: Readings, terms: int, least: float) 
     """Return all starts of a round after Cauchy's loss and then Tukey's."""
     rule, starts = RobustLoss(CAUCHY, least, latest.good), [start for _, start in latest.starts]
     loose = refine_many(starts, readings, 0, LAST_STEPS, rule)
-    pairs = zip(latest.starts, _tight(loose, readings, terms, rule), strict=True)
-    return [one._replace(method=method) for (method, _), one in pairs if one is not None]
+    return [one for one in _tight(loose, readings, terms, rule) if one is not None]
 
 
 def _tight(
