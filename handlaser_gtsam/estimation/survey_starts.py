@@ -22,24 +22,26 @@ from ..arrays import FloatArray, IntArray
 from ..errors import HandlaserError
 from ..model.block import Values, whitened
 from ..model.condensed_shots import shape_of
+from ..model.damped_search import LeastSquares, LevenbergOptions, search
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE, pose_of
 from ..model.geometry import nearest_rotation, tangent_basis
+from ..model.reduction import Reduction
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..outliers.consensus import find_consensus
-from ..quantities import NEGLIGIBLE, ROUNDING
+from ..quantities import NEGLIGIBLE, SINGULAR
 from ..starts import find_start
-from ..starts.directions import least_squares, sphere
-from ..starts.one_beam_one_plane import NORMALS
+from ..starts.directions import least_squares
 from ..starts.rounds import FINALISTS, FIRST_STEPS, LAST_STEPS
-from .estimate import BlockProblem, search_from
 from .survey_rows import Entity, Item, SurveyRows, blocks_of, priors_of, relations_of
 
 VIRTUAL = 3
 """Rays of a flat sensor that serve as beams; a sensor in space has one more."""
+SWEPT = 400
+"""Normals that are tried."""
 RANDOM = 300
 """Random mounts that are tried where nothing else leads to a good fit."""
 TRIMMED = 0.75
@@ -256,19 +258,19 @@ def _swept(rows: SurveyRows, items: Sequence[Item]) -> Iterator[FloatArray]:
     axes = [a for a in range(3) if points[..., a].any()]
     R, t = _hand_at(rows, items)
     t = t - t.mean(axis=0)
-    normals = sphere(2 * NORMALS)[:NORMALS]
+    normals = _hemisphere(SWEPT)
     m = np.einsum("kc,nca->kna", normals, R)  # R'n
     rows_ = [points[None, :, :, a, None] * m[:, :, None] for a in axes]
     shape = (*rows_[0].shape[:3], 3)
     rows_ += [np.broadcast_to(m[:, :, None], shape), np.ones((*shape[:3], 1))]
-    A = np.concatenate(rows_, axis=3).reshape(NORMALS, -1, 3 * len(axes) + 4)
+    A = np.concatenate(rows_, axis=3).reshape(SWEPT, -1, 3 * len(axes) + 4)
     right = -np.repeat(normals @ t.T, points.shape[1], axis=1)
-    x = least_squares(A, right, ROUNDING)
-    X = nearest_rotation(_columns(x[:, : 3 * len(axes)].reshape(NORMALS, len(axes), 3), axes))
+    x = least_squares(A, right, SINGULAR**0.75)
+    X = nearest_rotation(_columns(x[:, : 3 * len(axes)].reshape(SWEPT, len(axes), 3), axes))
     turned = np.einsum("kab,nrb->knra", X, points)
-    offset = np.einsum("kna,knra->knr", m, turned).reshape(NORMALS, -1)
+    offset = np.einsum("kna,knra->knr", m, turned).reshape(SWEPT, -1)
     B = A[..., -4:]
-    y = least_squares(B, right - offset, ROUNDING)
+    y = least_squares(B, right - offset, SINGULAR**0.75)
     e = (B @ y[..., None])[..., 0] + offset - right
     # The linear systems that fit best are searched.
     for k in np.argsort((e**2).sum(axis=1))[:40]:
@@ -414,6 +416,14 @@ def _mount(R: FloatArray, t: FloatArray) -> FloatArray:
     return np.concatenate((R.ravel(), t, np.zeros(SENSOR.size - 12)))
 
 
+def _hemisphere(count: int) -> FloatArray:
+    """Return unit vectors that cover half a sphere evenly (a Fibonacci lattice)."""
+    i = np.arange(count) + 0.5
+    z, a = i / count, np.pi * (1.0 + 5.0**0.5) * i
+    root = np.sqrt(1.0 - z**2)
+    return np.stack((root * np.cos(a), root * np.sin(a), z), axis=1)
+
+
 # --- searched --------------------------------------------------------------------------------------
 
 
@@ -450,12 +460,15 @@ def _searched(
     sought = {entity[0]} if held is not None else set(rows.counts()) - {"body"}
     unknown = {f: u for f, u in rows.unknown().items() if f in sought}
     every = [*blocks, *priors_of(rows), *ties]
-    problem = BlockProblem(every, start, unknown)
-    ended = search_from(problem, every, values, LAST_STEPS if thorough else FIRST_STEPS)
+    reduction = Reduction(every, rows.counts(), unknown)
+    task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
+    steps = LAST_STEPS if thorough else FIRST_STEPS
+    ended = search(task, values, LevenbergOptions(steps, least_damping=SINGULAR))
     if not thorough:  # the promising ones to the end
         some = np.argsort(ended.cost, kind="stable")[: max(FINALISTS, K // 4)]
-        values = {name: x[some] for name, x in ended.values.items()}
-        ended = search_from(problem, every, values, LAST_STEPS)
+        values = {name: x if len(x) == 1 else x[some] for name, x in ended.values.items()}
+        options = LevenbergOptions(LAST_STEPS, least_damping=SINGULAR)
+        ended = search(task.picked(some), values, options)
     # The mean square misfits of the shots, those that fit worst left out.
     white = (whitened(block.evaluate(ended.values), block.weights)[-1] for block in blocks)
     q = np.sort(np.concatenate([(e**2).mean(axis=2) for e in white], axis=1), axis=1)

@@ -163,12 +163,9 @@ def structure_of(block: Block) -> tuple[object, ...]:
     return slots if station is None else (*slots, station.shape, station.tobytes())
 
 
-def whitened(rows: Rows, weights: Weights, more: FloatArray | None = None) -> FloatArray:
-    """Return the columns times the roots of their weights, `more` (K, G, S) being further roots."""
-    columns = rows.columns
-    if weights.root is not None:
-        columns = columns * weights.root
-    return columns if more is None else np.asarray(columns * more)
+def whitened(rows: Rows, weights: Weights) -> FloatArray:
+    """Return the columns times the roots of their weights."""
+    return rows.columns if weights.root is None else rows.columns * weights.root
 
 
 def impossible(rows: Rows, block: Block) -> BoolArray:

@@ -323,13 +323,13 @@ def correlation_matrix(
     return unknowns, covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma)
 
 
-def strong_correlations(joint: JointCovariance, limit: float = STRONG) -> tuple[Correlation, ...]:
-    """Return the pairs of beam unknowns whose correlation exceeds `limit`, strongest first."""
+def strong_correlations(joint: JointCovariance) -> tuple[Correlation, ...]:
+    """Return the pairs of beam unknowns whose correlation exceeds `STRONG`, strongest first."""
     # The direction is perpendicular to its tangent plane; its sign does not matter here.
     directions = np.cross(joint.beam_bases[:, :, 0], joint.beam_bases[:, :, 1])
     unknowns, C = correlation_matrix(joint.beam_names, directions, joint.matrix(planes=[]))
     first, second = np.triu_indices(len(unknowns), 1)
-    strong = np.flatnonzero(np.abs(C[first, second]) > limit)
+    strong = np.flatnonzero(np.abs(C[first, second]) > STRONG)
     strong = strong[np.argsort(-np.abs(C[first, second])[strong], kind="stable")]
     return tuple(
         Correlation(unknowns[first[i]], unknowns[second[i]], float(C[first[i], second[i]]))

@@ -154,10 +154,7 @@ def _planes_through(
 def least_squares(
     A: FloatArray, rhs: FloatArray, ridge: float, weights: FloatArray | None = None
 ) -> FloatArray:
-    """Return x (C, K) of least |A x - rhs| for every A (C, M, K), and a part of the trace as ridge.
-
-    The ridge is for normal equations that a motion may leave singular.
-    """
+    """Return x (C, K) of least |A x - rhs| for every A (C, M, K), and a part of the trace as ridge."""
     At = np.swapaxes(A if weights is None else A * weights[..., None], 1, 2)
     H: FloatArray = At @ A
     trace = np.trace(H, axis1=1, axis2=2)[:, None, None]

@@ -34,6 +34,8 @@ LIFTED_READINGS = 24
 """Readings that a block needs: the lifted form has 22 numbers up to one scale."""
 NORMALS = 300
 """Normals tried over the half sphere: they lie about 8 degrees apart."""
+RIDGE = 1e-10
+"""Part of the trace that is added to normal equations which a motion may leave singular."""
 
 
 def lifted_starts(readings: Readings, count: int) -> list[PartialStart]:
@@ -141,11 +143,11 @@ def _linear_solutions(readings: Readings, count: int) -> list[Parameters]:
     scale = np.abs(readings.distance).mean()
     reach = n_hand * (readings.distance / scale)[:, None]
     rhs = -np.einsum("ci,mi->cm", n, readings.world_t_hand - centre)
-    v = least_squares(np.concatenate((n_hand, reach, ones), axis=2), rhs, ROUNDING)[:, 3:6]
+    v = least_squares(np.concatenate((n_hand, reach, ones), axis=2), rhs, RIDGE)[:, 3:6]
     v /= np.maximum(np.linalg.norm(v, axis=1, keepdims=True), TINY)
     cosine = np.einsum("cmi,ci->cm", n_hand, v)
     A, rest = np.concatenate((n_hand, ones), axis=2), rhs - readings.distance * cosine
-    x = least_squares(A, rest, ROUNDING)
+    x = least_squares(A, rest, RIDGE)
     error = (A @ x[:, :, None])[..., 0] - rest
     slope = np.einsum("cm,cm->c", cosine, cosine) + TINY
     order = np.argsort(np.einsum("cm,cm->c", error, error) / slope)
