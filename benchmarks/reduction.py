@@ -20,8 +20,7 @@ from benchmarks.studies import Studies, add_options
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.readings import Readings
 from handlaser_gtsam.model.families import count_unknowns
-from handlaser_gtsam.solvers.beam_problem import jacobian_columns, linearized, moved
-from handlaser_gtsam.solvers.many_problems import solve_together
+from handlaser_gtsam.solvers.beam_problem import jacobian_columns, linearized, moved, solve_together
 from handlaser_gtsam.validation.scenes import ERRORS, SCENES, Layout
 from handlaser_gtsam.validation.simulate import simulate
 

@@ -46,16 +46,15 @@ from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Readings, Recording
 from handlaser_gtsam.estimation.joint_solution import SolutionTask
-from handlaser_gtsam.estimation.posterior import covariance
-from handlaser_gtsam.estimation.solution import Solution
+from handlaser_gtsam.estimation.solution import Solution, covariance
 from handlaser_gtsam.model import damped_search
 from handlaser_gtsam.model.reduction import Normal
 from handlaser_gtsam.model.weighting import Variances
 from handlaser_gtsam.pipeline import calibrate
+from handlaser_gtsam.solvers.beam_problem import solve_together
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
 from handlaser_gtsam.solvers.gtsam_sums import eliminated_sums
-from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.solvers.reference.problem import Residuals, minimize
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.growing import grow

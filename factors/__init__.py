@@ -9,7 +9,7 @@ from .range_block import range_factor as range_factor
 from .range_block import require_rows as require_rows
 from .range_error_prior import range_error_prior as range_error_prior
 from .range_to_plane import range_to_plane as range_to_plane
-from .range_to_plane_from_pose import range_to_plane_from_pose as range_to_plane_from_pose
+from .range_to_plane import range_to_plane_from_pose as range_to_plane_from_pose
 from .shared_evaluation import Evaluation as Evaluation
 from .shared_evaluation import SharedEvaluation as SharedEvaluation
 from .shared_evaluation import evaluated_together as evaluated_together

@@ -39,7 +39,7 @@ def beam_drift(
     direction_sigma : float
         Sigma of the turn about each axis across the beam [rad].
     range_error_sigmas : one a term
-        Sigmas of the change of k1 [1] and k2 [1/m].
+        Sigmas of the change of each range error [1, 1/m].
 
     Raises
     ------

@@ -25,7 +25,7 @@ class BeamKeys:
     direction : int
         Key of a Unit3: where the beam points, hand frame.
     range_error : int, optional
-        Key of a vector (k1,) or (k1, k2), units 1 and 1/m. None: the readings are taken as true.
+        Key of the vector of one or two range errors [1, 1/m]. None: the readings are taken as true.
 
     Raises
     ------

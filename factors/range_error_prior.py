@@ -1,8 +1,8 @@
 r"""A prior on the range error of a beam.
 
-The residual is k - mean for the vector k = (k1,) or (k1, k2). With zero mean and the scales that a
-calibration has learned (`Calibration.range_error_scales`) it keeps both terms of a beam in a graph
-whether or not its readings determine them.
+The residual is k - mean for the vector k of one or two range errors. With zero mean and the scales
+that a calibration has learned (`Calibration.range_error_scales`) it keeps both terms of a beam in a
+graph whether or not its readings determine them.
 """
 
 from collections.abc import Sequence
@@ -26,9 +26,9 @@ def range_error_prior(
     Parameters
     ----------
     key : int
-        Of the vector (k1,) or (k1, k2).
+        Of the vector of one or two range errors.
     sigmas : (1,) or (2,)
-        Standard deviations of k1 [1] and k2 [1/m].
+        Standard deviations of the range errors [1, 1/m].
     mean : same shape, optional
         Zero where not given.
 

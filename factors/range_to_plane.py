@@ -1,4 +1,4 @@
-r"""Ranges along a hand-mounted beam to one plane, from known hand poses, for graphs of your own.
+r"""Ranges along a hand-mounted beam to one plane, for graphs of your own.
 
 `hl.calibrate` builds the same blocks for all its readings at once (`solvers.graph`).
 
@@ -9,6 +9,13 @@ from the hand as n_H = R'n, b_H = b + n . t. Predicted range [m], equation (6) o
 
 The residual is s - (d + k1 d + k2 d^2) for a reading d [m], equations (7) and (8). Undetermined
 where the beam grazes the plane (n_H . v near 0): evaluation then raises GrazingBeamError.
+
+The hand pose (R, t) = world_T_hand is known, or a Pose3 of the graph. Moving it on the right by
+(omega, u) changes the predicted range by
+
+    ds/domega = -(x x n_H)' / (n_H . v),   ds/du = -n_H' / (n_H . v),   x = r + s v
+
+with x the laser spot in the hand frame.
 """
 
 from collections.abc import Sequence
@@ -56,3 +63,29 @@ def range_to_plane(
     R = np.array([pose.rotation().matrix() for pose in world_T_hand]).reshape(-1, 3, 3)
     t = np.array([pose.translation() for pose in world_T_hand]).reshape(-1, 3)
     return range_factor(checked_block(beam, plane, ranges, (R, t)), noise)
+
+
+def range_to_plane_from_pose(
+    beam: BeamKeys, plane: int, pose: int, ranges: ArrayLike, noise: Noise
+) -> gtsam.CustomFactor:
+    """Return a factor on (r, v, [k,] plane, pose) for readings of one beam at one station.
+
+    Parameters
+    ----------
+    beam : BeamKeys
+        Keys of the Point3 location, Unit3 direction and, if modelled, vector range error.
+    plane : int
+        Key of the OrientedPlane3, world frame.
+    pose : int
+        Key of the Pose3 `world_T_hand`.
+    ranges : float or (N,)
+        One reading of the station [m], or several repeated ones.
+    noise : float or gtsam.noiseModel.Base
+        Standard deviation of a reading [m], or a model of dimension N.
+
+    Raises
+    ------
+    InputError
+        Readings that are not positive, or noise of the wrong dimension.
+    """
+    return range_factor(checked_block(beam, plane, ranges, None, pose), noise)

@@ -19,7 +19,7 @@ from handlaser_gtsam.files.input_reading import read_any_kind
 from handlaser_gtsam.files.rig_toml import read_rig
 from handlaser_gtsam.model.families import BEAM, FAMILIES, PLANE, POSE
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
-from handlaser_gtsam.model.sensors.cone import Cone
+from handlaser_gtsam.model.sensors.beam import BeamSensor
 from handlaser_gtsam.model.targets.plane import PlaneTarget
 from handlaser_gtsam.model.targets.sphere import SPHERE, Sphere
 
@@ -152,7 +152,7 @@ def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
             POSE.name: np.concatenate((np.eye(3).ravel(), np.zeros(3)))[None, None],
         }
         zero = np.array([0])
-        block = Ranges(Cone(zero, HALF), seen, PoseVariables(zero), np.full((1, 1, 1), 0.7))
+        block = Ranges(BeamSensor(zero, HALF), seen, PoseVariables(zero), np.full((1, 1, 1), 0.7))
         columns = block.evaluate(values).columns[:, 0, 0, 0]
         g = 0.7 * (1.0 + 0.01 + 0.02 * 0.7)
         assert columns[-1] + g == pytest.approx(nearest_in_cone(r, v, ahead), abs=1e-9)

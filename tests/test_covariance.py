@@ -8,7 +8,7 @@ import pytest
 from helpers import simulated
 
 from handlaser_gtsam.errors import InputError
-from handlaser_gtsam.estimation.posterior import covariance, covariance_of_determined
+from handlaser_gtsam.estimation.solution import covariance, covariance_of_determined
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.solvers.graph import build_graph, pose_priors, read_parameters

@@ -11,11 +11,10 @@ from handlaser_gtsam import model
 from handlaser_gtsam.model.damped_search import RobustLoss
 from handlaser_gtsam.model.losses import Loss
 from handlaser_gtsam.outliers.consensus import ConsensusJudge
-from handlaser_gtsam.solvers.refine import refine_many
+from handlaser_gtsam.solvers.beam_problem import Candidate, refine_many
 from handlaser_gtsam.starts.directions import direction_starts, subset_starts
 from handlaser_gtsam.starts.growing import grow
 from handlaser_gtsam.starts.robust import mended
-from handlaser_gtsam.starts.rounds import Candidate
 
 EXACT = Scene(joint_sigma_deg=0.0, range_sigma=0.0, k1=0.0, k2=0.0)
 
@@ -115,7 +114,7 @@ def solved_without_the_wrong(readings, bad):
     good = readings.subset(np.flatnonzero(~bad))
     starts = [grow(start, good) for start in direction_starts(good, 8)]
     found = refine_many(starts, good, 2, 40)
-    return min((f for f in found if f is not None), key=lambda f: f.squares).parameters
+    return min((f for f in found if f is not None), key=lambda f: f.criterion).parameters
 
 
 def test_a_robust_refinement_passes_beams_that_graze_a_plane():
@@ -150,7 +149,7 @@ def test_a_plane_is_mended_from_its_beams():
 def test_agreement_by_chance_is_told_from_a_solution():
     readings, _, bad = labelled()
     at = solved_without_the_wrong(readings, bad)
-    solution = Candidate("", at, 0.0, 1e-4)
+    solution = Candidate(at, 0.0, 1e-4)
     assert ConsensusJudge(readings, 2, None).beyond_chance(solution) > 100.0
     rng = np.random.default_rng(0)
     noise = replace(readings, distance=rng.uniform(0.1, 0.5, len(readings)))

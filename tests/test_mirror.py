@@ -7,7 +7,7 @@ import pytest
 
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.observability import other_solutions as mirror
-from handlaser_gtsam.solvers.refine import refine
+from handlaser_gtsam.solvers.beam_problem import refine
 from handlaser_gtsam.validation.scenes import Layout, arm, paper, unplanned
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -31,7 +31,7 @@ def solved(seed):
     origins = readings.plane_means(readings.world_t_hand)
     readings = readings.seen_from(origins)
     found = refine(truth.seen_from(origins), readings, 0, 30)
-    return None if found is None else (found.parameters, found.squares, readings, sigma)
+    return None if found is None else (found.parameters, found.criterion, readings, sigma)
 
 
 def searched(solution, squares, readings, sigma):
@@ -40,7 +40,7 @@ def searched(solution, squares, readings, sigma):
     if image is None:
         return False
     same = (image.parameters.directions * solution.directions).sum(axis=1) > 0.0
-    return not same.any() and image.squares - squares <= mirror.CHI2_MARGIN * sigma**2
+    return not same.any() and image.criterion - squares <= mirror.CHI2_MARGIN * sigma**2
 
 
 @pytest.mark.slow

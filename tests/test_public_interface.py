@@ -15,7 +15,7 @@ import pytest
 from helpers import ROOT
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.estimation.posterior import covariance
+from handlaser_gtsam.estimation.solution import covariance
 
 EXACT = {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
 

@@ -13,23 +13,23 @@ import handlaser_gtsam as hl
 from benchmarks.noise_components import NAMES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.estimation import learning_scales as learned
-from handlaser_gtsam.estimation.information import Information, LinearReadings
-from handlaser_gtsam.estimation.learning_scales import ScaleProblem
-from handlaser_gtsam.estimation.posterior import posterior
-from handlaser_gtsam.estimation.range_error_grid import (
+from handlaser_gtsam.estimation.learning_scales import LinearReadings, ScaleProblem
+from handlaser_gtsam.estimation.scale_mixture import (
     GRID_POINTS,
     SCALE_SPAN,
+    BeamPosterior,
+    Information,
     RangeErrorGrid,
     near_largest,
     refined_grid,
     widest_grids,
     worst_known,
 )
-from handlaser_gtsam.estimation.scale_mixture import BeamPosterior
 from handlaser_gtsam.estimation.scales import RANGE as RANGES
 from handlaser_gtsam.estimation.scales import ROTATION as ROTATIONS
 from handlaser_gtsam.estimation.scales import TRANSLATION as TRANSLATIONS
 from handlaser_gtsam.estimation.scales import Scale, Scales
+from handlaser_gtsam.estimation.solution import posterior
 from handlaser_gtsam.model.weighting import Variances
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate

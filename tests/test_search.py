@@ -14,10 +14,10 @@ from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers import consensus
 from handlaser_gtsam.outliers.reading_tests import leverages, price
 from handlaser_gtsam.results import rereading
-from handlaser_gtsam.solvers.refine import Refined
+from handlaser_gtsam.solvers.beam_problem import Candidate
 from handlaser_gtsam.starts import choice, robust
 from handlaser_gtsam.starts.growing import excerpt_of
-from handlaser_gtsam.starts.rounds import Candidate, Round, search
+from handlaser_gtsam.starts.rounds import Round, search
 from handlaser_gtsam.validation.scenes import Layout
 
 NOISE = hl.Noise(3e-5, 0.0, 0.0)
@@ -144,16 +144,13 @@ def test_mistakes_are_looked_for_with_one_beam_where_its_readings_suffice():
 
 
 class _Rounds:
-    """A loss that keeps starts as they are, and a judge of the first coordinate."""
+    """A loss that keeps starts as they are and compares their first offsets, and a judge of these."""
 
     def refined(self, latest):
-        return [(method, Refined(at, 0.0, 0.0)) for method, at in latest.starts]
+        return [Candidate(at, float(at.offsets[0]), 0.0, method) for method, at in latest.starts]
 
     def mended(self, best, _latest):
         return [None] * len(best)
-
-    def criterion(self, refined):
-        return float(refined.parameters.offsets[0])
 
     def convinced(self, found, latest, before):
         self.before = before
@@ -172,10 +169,8 @@ def test_the_search_draws_no_round_after_it_is_convinced():
             yield Round([at(value) for value in values], 1.0, enough)
 
     both = _Rounds()
-    known = Candidate("known", bench(1, 1), 9.0, 0.0)
-    found, convinced = search(
-        rounds(), both.refined, both.criterion, both.convinced, both.mended, [known]
-    )
+    known = Candidate(bench(1, 1), 9.0, 0.0, "known")
+    found, convinced = search(rounds(), both.refined, both.convinced, both.mended, [known])
     assert convinced
     assert drawn == [(5, 3), (4, 1)]
     assert [one.criterion for one in found] == [1.0, 3.0, 4.0, 5.0, 9.0]

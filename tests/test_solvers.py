@@ -8,13 +8,13 @@ from helpers import GRIPPER, bench, motion, recording_of, solved_by_gtsam
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import Parameters, RangeErrorPrior
 from handlaser_gtsam.errors import GrazingBeamError
-from handlaser_gtsam.estimation.posterior import covariance
+from handlaser_gtsam.estimation.solution import covariance
 from handlaser_gtsam.factors import SharedEvaluation
 from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.model.damped_search import COST_RESOLUTION
 from handlaser_gtsam.model.losses import GAUSSIAN, Loss
 from handlaser_gtsam.model.weighting import Variances, whitening
-from handlaser_gtsam.solvers.beam_problem import linearized
+from handlaser_gtsam.solvers.beam_problem import linearized, refine
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters, start_values
 from handlaser_gtsam.solvers.graph_levenberg import (
     LevenbergOptions,
@@ -24,7 +24,6 @@ from handlaser_gtsam.solvers.graph_levenberg import (
     of_calibration,
 )
 from handlaser_gtsam.solvers.reference.problem import solve
-from handlaser_gtsam.solvers.refine import refine
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.validation.cross_check import recording_problem
 

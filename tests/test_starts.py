@@ -15,9 +15,9 @@ from handlaser_gtsam.estimation.joint_solution import STEPS_IN_VAIN
 from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.files.recording_csv import read_recording
 from handlaser_gtsam.pipeline import calibrate
+from handlaser_gtsam.solvers.beam_problem import refine_many
 from handlaser_gtsam.solvers.graph import build_graph
 from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
-from handlaser_gtsam.solvers.refine import refine_many
 from handlaser_gtsam.starts import find_start
 from handlaser_gtsam.starts.choice import mean_squares_at_a_glance
 from handlaser_gtsam.starts.directions import direction_starts, random_starts, sphere
@@ -259,7 +259,7 @@ def test_random_starts_reach_what_the_sweeps_do_not_need():
     readings = recording.readings()
     starts = [grow(s, readings) for s in random_starts(readings, 40, np.random.default_rng(0))]
     refined = [one for one in refine_many(starts, readings, 0, 60) if one is not None]
-    best = min(refined, key=lambda one: one.squares)
+    best = min(refined, key=lambda one: one.criterion)
     assert_exact(best.parameters, truth, 1e-6)
 
 
@@ -299,7 +299,7 @@ def test_many_candidates_refine_as_each_alone():
         alone = refine_many([start], readings, 0, 12)[0]
         assert (one is None) == (alone is None)
         if one is not None and alone is not None:
-            assert one.squares == pytest.approx(alone.squares, rel=1e-6)
+            assert one.criterion == pytest.approx(alone.criterion, rel=1e-6)
 
 
 def test_a_grazing_candidate_is_dropped():
@@ -320,7 +320,7 @@ def test_of_starts_that_end_at_one_optimum_the_first_one_tried_is_named(monkeypa
             found = refine_many(*arguments)
             moved = 1.0 + 1e-13 * rng.standard_normal(len(found))
             return [
-                one if one is None else replace(one, squares=one.squares * factor)
+                one if one is None else one._replace(criterion=one.criterion * factor)
                 for one, factor in zip(found, moved, strict=True)
             ]
 

@@ -19,7 +19,7 @@ from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, normal_label
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.files.logs.bag_points import READ_FROM
 from handlaser_gtsam.files.points_table import COLUMNS
-from handlaser_gtsam.model import known_relations
+from handlaser_gtsam.model import relation as relations
 from handlaser_gtsam.model.condensed_shots import condensed_shots
 from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
@@ -297,19 +297,19 @@ def motion(rng):
 
 
 RELATIONS = {
-    "angle": known_relations.at_an_angle("plane", 0, 1, 1.2, 1e-3),
-    "angle of beams": known_relations.at_an_angle("beam", 0, 1, 1.2, 1e-3),
-    "along": known_relations.along(0, np.array([0.0, 0.1, 1.0]), 1e-3),
-    "upright": known_relations.upright(0, np.array([0.0, 0.1, 1.0]), 1e-3),
-    "plane": known_relations.plane_at(0, np.array([0.0, 0.1, 1.0]), 0.3, 1e-3, 1e-3),
-    "radius": known_relations.radius(0, 0.1, 1e-3),
-    "position": known_relations.position("sphere", 0, np.ones(3), 1e-3),
-    "distance": known_relations.distance(("sphere", 0), ("point", 0), 0.5, 1e-3),
-    "face": known_relations.face(0, 0, np.array([0.0, 0.1, 1.0]), 0.2, 1e-3, 1e-3),
-    "mount": known_relations.mounted_at(0, np.eye(4), 1e-3, 1e-3),
-    "mounts": known_relations.mounted_together(0, 1, np.eye(4), 1e-3, 1e-3),
-    "beam": known_relations.beam_at(0, np.zeros(3), np.array([0.0, 0.1, 1.0]), 1e-3, 1e-3),
-    "held": known_relations.held(0, np.append(np.eye(3).ravel(), np.zeros(3)), np.eye(2, 4), 1e-2),
+    "angle": relations.at_an_angle("plane", 0, 1, 1.2, 1e-3),
+    "angle of beams": relations.at_an_angle("beam", 0, 1, 1.2, 1e-3),
+    "along": relations.along(0, np.array([0.0, 0.1, 1.0]), 1e-3),
+    "upright": relations.upright(0, np.array([0.0, 0.1, 1.0]), 1e-3),
+    "plane": relations.plane_at(0, np.array([0.0, 0.1, 1.0]), 0.3, 1e-3, 1e-3),
+    "radius": relations.radius(0, 0.1, 1e-3),
+    "position": relations.position("sphere", 0, np.ones(3), 1e-3),
+    "distance": relations.distance(("sphere", 0), ("point", 0), 0.5, 1e-3),
+    "face": relations.face(0, 0, np.array([0.0, 0.1, 1.0]), 0.2, 1e-3, 1e-3),
+    "mount": relations.mounted_at(0, np.eye(4), 1e-3, 1e-3),
+    "mounts": relations.mounted_together(0, 1, np.eye(4), 1e-3, 1e-3),
+    "beam": relations.beam_at(0, np.zeros(3), np.array([0.0, 0.1, 1.0]), 1e-3, 1e-3),
+    "held": relations.held(0, np.append(np.eye(3).ravel(), np.zeros(3)), np.eye(2, 4), 1e-2),
 }
 
 
@@ -355,7 +355,7 @@ def test_parallel_planes_have_right_derivatives_where_they_are_parallel():
     first, second = planes(rng), planes(rng)
     second[:3] = first[:3]
     relation, values = (
-        known_relations.parallel(0, 1, 0.3, 1e-3, 1e-3),
+        relations.parallel(0, 1, 0.3, 1e-3, 1e-3),
         {"plane": np.stack((first, second))[None]},
     )
     columns = relation.evaluate(values).columns

@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_rays
-from handlaser_gtsam.estimation.survey_zones import reach_of_noise
+from handlaser_gtsam.estimation.survey_outliers import reach_of_noise
 from handlaser_gtsam.results.survey_misfit import better_convention
 
 LCSPC = Path(os.environ.get("HANDLASER_SHARED", ROOT.parent / "shared")) / "data" / "lcspc"

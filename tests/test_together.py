@@ -10,16 +10,15 @@ import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.parameters import RangeErrorPrior
 from handlaser_gtsam.estimation.many_recordings import _inverses
-from handlaser_gtsam.estimation.posterior import covariance
+from handlaser_gtsam.estimation.solution import covariance
 from handlaser_gtsam.model import damped_search as searching
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.damped_search import LevenbergOptions
 from handlaser_gtsam.model.reduction import damped_step
 from handlaser_gtsam.model.weighting import Variances, whitening
-from handlaser_gtsam.solvers.beam_problem import jacobian_columns, linearized
+from handlaser_gtsam.solvers.beam_problem import jacobian_columns, linearized, solve_together
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters
 from handlaser_gtsam.solvers.graph_levenberg import levenberg_marquardt
-from handlaser_gtsam.solvers.many_problems import solve_together
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 

@@ -3,14 +3,14 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ..solvers.many_problems import SolvedMany as SolvedMany
+    from ..solvers.beam_problem import SolvedMany as SolvedMany
     from .estimate import BlockProblem as BlockProblem
     from .estimate import Estimate as Estimate
     from .estimate import TestedEffect as TestedEffect
     from .estimate import score_test as score_test
     from .learning_scales import LearnedScales as LearnedScales
     from .many_recordings import solve_many as solve_many
-    from .range_error_grid import RangeErrorGrid as RangeErrorGrid
+    from .scale_mixture import RangeErrorGrid as RangeErrorGrid
     from .scales import Scale as Scale
     from .scales import Scales as Scales
 else:

@@ -19,10 +19,9 @@ from ..data.recording import Readings
 from ..model.beams_on_planes import CENTRE, parameters_of, values_of
 from ..model.damped_search import LevenbergOptions, RobustLoss, Searched, search
 from ..model.equation import residuals, residuals_or_infinite, scene
-from ..model.errors_in_variables import weighed
 from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
-from ..model.weighting import Variances, Whitening, unequal, whitening
+from ..model.weighting import Variances, Whitening, unequal, weighed, whitening
 from ..observability.other_solutions import Judge, least_observed
 from ..observability.rank import Observability, observability
 from ..progress import Trial, tell_trial
@@ -34,9 +33,8 @@ from ..solvers.gtsam_sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
 from .options import CalibrationOptions
-from .posterior import covariance_by_gtsam, numbered, posterior
 from .scales import Scales, start_of, unknown_scales, with_scales
-from .solution import Minimum, Solution
+from .solution import Minimum, Solution, covariance_by_gtsam, numbered, posterior
 
 WEIGHTS_SETTLED = 1e-3
 """New weights that moved the solution by fewer standard deviations are settled: others would move it by
@@ -83,7 +81,9 @@ def settle(
     task = SolutionTask(readings, noise, options, scale, prior)
     task.solution = first = task.equally_weighted(start)
     unknown = noise.range_sigma is None and task.redundancy <= 0
-    if first.at.status == "interrupted" or unknown or task.is_exact() or not task.fits:
+    # Residuals are rounding, and not because there are unknowns for all of them.
+    exact = task.redundancy > 0 and task.sigma < EXACT * readings.largest_range()
+    if first.at.status == "interrupted" or unknown or exact or not task.fits:
         return task
     task.scales, task.base = unknown_scales(readings, noise, options, task.sigma)
     base, given = task.base, not options.range_sigma_by_beam
@@ -166,10 +166,6 @@ class SolutionTask:
     def redundancy(self) -> int:
         """How many readings there are beyond all unknowns, range errors included."""
         return len(self.readings) - self.rank
-
-    def is_exact(self) -> bool:
-        """Tell whether residuals are rounding, and not because there are unknowns for all of them."""
-        return self.redundancy > 0 and self.sigma < EXACT * self.readings.largest_range()
 
     def weighed(self, parameters: Parameters, variances: Variances) -> tuple[Readings, Whitening]:
         """Return the readings with the regressors of the range errors, and their weights."""

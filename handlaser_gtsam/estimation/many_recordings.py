@@ -20,13 +20,11 @@ from ..data.recording import Recording
 from ..errors import InputError
 from ..model.beams_on_planes import values_of
 from ..model.damped_search import LevenbergOptions
-from ..model.errors_in_variables import weighed
 from ..model.families import PLANE
 from ..model.joint import beam_lifts
 from ..model.reduced_information import eliminated
-from ..model.weighting import Variances, Whitening, unequal
-from ..solvers.beam_problem import beam_problem
-from ..solvers.many_problems import SolvedMany, solve_together
+from ..model.weighting import Variances, Whitening, unequal, weighed
+from ..solvers.beam_problem import SolvedMany, beam_problem, solve_together
 from ..starts import find_start
 
 
@@ -47,7 +45,7 @@ def solve_many(
     noise : Noise
         With a range sigma and the errors of the poses.
     terms : int
-        Range-error terms of every beam: 0, 1 (k1) or 2 (k1 and k2).
+        Range-error terms of every beam: 0, 1 or 2.
     starts : K Parameters, optional
         Planes in the world frame; found for each recording where not given.
     prior : RangeErrorPrior, optional

@@ -247,7 +247,7 @@ def _upwards(
 
 
 def design(
-    log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray, least: float = 0.0
+    log_posterior: LogPosterior, mode: FloatArray, bounds: FloatArray, least: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the points about `mode` (d,), within `bounds` (d, 2), to integrate the scales over.
 

@@ -73,8 +73,7 @@ def select(
     InputError
         The sensor's limits leave a beam or a plane without readings.
     """
-    inside = np.zeros(len(readings), dtype=bool)
-    inside[limits.within_range(readings, options.sensor)] = True
+    inside = options.sensor.can_read(readings.distance)
     limits.require_all(recording, readings.subset(np.flatnonzero(inside)))
     rows = np.flatnonzero(inside)
     part = readings.subset(rows)
@@ -87,7 +86,7 @@ def select(
         if taken is not None:
             kept &= taken[rows]
         first = Consensus((), kept, start, "given", _scale(part, start))
-    used, flat = inside.copy(), np.zeros(len(readings), dtype=bool)
+    used, flat = inside.copy(), np.zeros_like(inside)
     used[rows] = first.kept
 
     def solved(start: Parameters, used: BoolArray) -> SolutionTask:
@@ -104,11 +103,10 @@ def select(
         before, solution = used.copy(), settled.solution
         if options.outliers == "reject":
             used = _tested(readings, inside & ~flat, used, solution, noise)
-        flat = np.zeros(len(readings), dtype=bool)
+        flat = np.zeros_like(inside)
         if solution.observability.full:  # else the incidence is any
-            steep = limits.within_incidence(readings, solution.parameters, options.sensor)
-            flat = inside.copy()
-            flat[steep] = False
+            at, sensor = solution.parameters, options.sensor
+            flat = inside & ~limits.within_incidence(readings, at, sensor)
         used &= ~flat
         if (used == before).all():
             break

@@ -29,9 +29,14 @@ from .survey_mirror import best_image, with_images
 from .survey_noise import USUALLY_AGAIN, Components, Inside, components
 from .survey_outliers import (
     GROSS,
+    OF_OTHERS,
     leave_out_gross,
     misfits,
     most_contradicted,
+    of_others,
+    slackness,
+    sortable,
+    sorted_again,
     started_from_halves,
     worst_changed,
 )
@@ -47,7 +52,6 @@ from .survey_rows import (
 )
 from .survey_starts import start_beside, start_of
 from .survey_state import Columns, SurveyState, grazing, own_sizes
-from .survey_zones import OF_OTHERS, of_others, slackness, sortable, sorted_again
 
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
@@ -136,6 +140,11 @@ class SurveyEstimate:
         """Whether most shots fit each other, at once or with noise that was learned."""
         return self.first.fits or self.estimate.status == "converged"
 
+    @property
+    def values(self) -> dict[str, FloatArray]:
+        """Members (1, n, size) of each family, as blocks take them."""
+        return {name: x[None] for name, x in self.estimate.values.items()}
+
     def problem(self, pose_variances: float = 1.0) -> BlockProblem:
         """Return the blocks of what was used, in standard deviations, errors of the hand counted.
 
@@ -168,9 +177,8 @@ class SurveyEstimate:
 
     def ended(self, sizes: Components | None = None) -> "SurveyState":
         """Return the state where the estimate ended, perhaps with other sizes; none is learned."""
-        values = {name: x[None] for name, x in self.estimate.values.items()}
         sizes, relations = sizes or self.noise, relations_of(self.rows)
-        return SurveyState(self.rows, self.given, values, sizes, self.used, relations, sizes)
+        return SurveyState(self.rows, self.given, self.values, sizes, self.used, relations, sizes)
 
 
 def estimate_survey(
@@ -388,7 +396,10 @@ def _settle(state: SurveyState) -> bool:
     for _ in range(MOST_ROUNDS * 4):
         if not state.minimize():
             return False
-        if not _learned(state) and not worst_changed(state):
+        before, state.sizes = state.sizes.vector(), learned_sizes(state)
+        after = state.sizes.vector()
+        learned = (np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any()
+        if not learned and not worst_changed(state):
             return True
     return False
 
@@ -465,14 +476,6 @@ def learned_sizes(state: SurveyState, beside: Columns | None = None) -> Componen
     again = np.where(state.rows.shared[state.stations(owner)], owner, -1)
     noise = state.sizes, state.stated, usual, finest
     return components(rows, source, inside, *noise, again, own_sizes(state.noise))
-
-
-def _learned(state: SurveyState) -> bool:
-    """Learn the sizes of the noise at the values; tell whether one has changed."""
-    new = learned_sizes(state)
-    before, after = state.sizes.vector(), new.vector()
-    state.sizes = new
-    return bool((np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any())
 
 
 def _spread(state: SurveyState, found: Estimate) -> FloatArray:

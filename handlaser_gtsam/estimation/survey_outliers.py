@@ -1,23 +1,40 @@
-"""Shots of a survey that the others contradict: rejected, and taken back.
+r"""Shots and readings of a survey that the others contradict: rejected, and taken back.
 
 Shots are tested as wholes, because their points share what made them wrong; points within a shot were
 sorted out when it was condensed.
+
+Of the few zones of a ToF array a shot hardly tells which read something else than its target: an edge,
+a thing before it. Where mount and target are known from all shots, each reading tells by itself. The
+distances e of all readings of a sensor from their planes are a mixture of noise and of anything else
+within the typical range L of the sensor (Banfield and Raftery, Biometrics 49, 1993, page 808):
+
+    p(e) = w N(e; 0, sigma^2) + (1 - w) / L,
+
+with w and sigma by expectation maximisation. A reading counts where it is rather noise than anything
+else. Where errors of the hand are larger than those of a reading, a shot sorts its readings better.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..data.survey import kind_of, normal_label
+from ..model.block import Values
+from ..model.condensed_shots import MANY, condensed_shots
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
-from ..quantities import MOST_ROUNDS
+from ..model.equation import corrected
+from ..model.families import PLANE, POSE, pose_of
+from ..model.sensors.kinds import KINDS
+from ..model.sensors.mounted import SENSOR
+from ..model.targets.plane import PlaneTarget
+from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
 from .dense import dense_rows, tests_of, with_pose_errors
 from .estimate import BlockProblem
 from .joint_solution import STEPS_IN_VAIN
 from .survey_mirror import numbers_of
-from .survey_rows import (
-    blocks_of,
-)
+from .survey_rows import Item, SurveyRows, blocks_of
 from .survey_starts import TRIMMED, start_of
 from .survey_state import SurveyState, grazing
 
@@ -122,13 +139,20 @@ def worst_changed(state: SurveyState) -> bool:
 
 
 def _agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return how the shots that count agree with all others: p, chi2 and the number of each item."""
+    """Return how the shots that count agree with all others: p, chi2 and the number of each item.
+
+    Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
+    be wrong: the ratio to what the others say of the noise follows an F distribution.
+    """
     rows, group = state.dense()
     tested, number = np.unique(group[group >= 0], return_inverse=True)
     group[group >= 0] = number
     chi2, dof = tests_of(rows, group)
-    redundancy = len(rows.residuals) - rows.derivatives.shape[1]
-    return _by_chance(chi2, dof, redundancy, state), chi2, tested
+    some, redundancy = np.maximum(dof, 1), len(rows.residuals) - rows.derivatives.shape[1]
+    p = chi2_sf(chi2, some)
+    if state.learning:
+        p = f_sf(chi2 / some, some, max(redundancy, 1))
+    return np.where(dof > 0, p, 1.0), chi2, tested
 
 
 def most_contradicted(p: FloatArray, chi2: FloatArray) -> int:
@@ -136,13 +160,199 @@ def most_contradicted(p: FloatArray, chi2: FloatArray) -> int:
     return int(np.lexsort((-chi2, p))[0])
 
 
-def _by_chance(chi2: FloatArray, dof: IntArray, redundancy: int, state: SurveyState) -> FloatArray:
-    """Return the probability that a shot is so far off by chance.
+OF_OTHERS = 0.15
+"""Where sensors and targets are as stated, at most this part of the readings fits no shape: edges of a
+target, and rays on something else. Of real arrays before clutter it is up to a half: what counts then
+is not all noise, and errors of one station are alike."""
 
-    Where sizes of the noise are learned from few readings, a shot that is far in units of them need not
-    be wrong: the ratio to what the others say of the noise follows an F distribution.
+BESIDE_REACH = 0.2
+"""The density of distances at the reach of the noise is the mean of so large a part of it on each side:
+a tenth of a hundred readings are enough for it."""
+
+
+def sortable(rows: SurveyRows, sigma: FloatArray, by_hand: float) -> list[int]:
+    """Return the arrays before planes whose readings err more than the hand makes them.
+
+    Parameters
+    ----------
+    rows : SurveyRows
+    sigma : (sensors, ...)
+        Standard deviation of a reading of each [m].
+    by_hand : float
+        Standard deviation of what errors of the hand, as stated or usual, do to a reading [m].
     """
-    some = np.maximum(dof, 1)
-    by_f = f_sf(chi2 / some, some, max(redundancy, 1))
-    p = by_f if state.learning else chi2_sf(chi2, some)
-    return np.where(dof > 0, p, 1.0)
+    every = range(len(rows.survey.shots))
+    return [i for i in every if sigma[i] > by_hand and any(_small_shots(rows, i))]
+
+
+def sorted_again(
+    rows: SurveyRows, values: Values, used: BoolArray, members: Sequence[int]
+) -> tuple[SurveyRows, BoolArray] | None:
+    """Return the rows with the readings of some arrays before planes sorted by the whole survey.
+
+    A shot that was rejected, or had too few readings on its target, counts again where at least half
+    of its readings do.
+
+    Parameters
+    ----------
+    rows : SurveyRows
+    values : mapping
+        Of a minimum.
+    used : (items,) of bool
+    members : sequence of int
+        Numbers of these arrays (`sortable`).
+
+    Returns
+    -------
+    (SurveyRows, (items,) of bool), optional
+        None where nothing changes.
+    """
+    items, lost, counts = list(rows.items), list(rows.lost), used.tolist()
+    place = {
+        (item.member, item.station): i for i, item in enumerate(items) if item.shot is not None
+    }
+    changed = False
+    for member in members:
+        shots, tables = rows.survey.shots[member], list(_small_shots(rows, member))
+        misses, reach = _misses_and_reach(rows, values, member)
+        for (station, plane, table), e in zip(tables, misses, strict=True):
+            near = np.abs(e) <= reach
+            at = place.get((member, station))
+            before = items[at].points if at is not None and counts[at] else None
+            if not near.any() or (before is None and near.mean() < 0.5):
+                continue
+            points = table[near]
+            one = [(shots.across[points], shots.reading[points])]
+            (shot,) = condensed_shots(KINDS[shots.kind], PLANE.name, one, sorted_out=True)
+            if shot is None:
+                continue
+            points = points[shot.kept]
+            if before is not None and np.array_equal(points, before):
+                continue
+            changed = True
+            item = Item(
+                SENSOR.name,
+                member,
+                station,
+                int(rows.stops[station]),
+                (PLANE.name, plane),
+                shot,
+                points=points,
+            )
+            if at is None:
+                items.append(item)
+                counts.append(True)
+                lost.remove((member, station))
+            else:
+                items[at], counts[at] = item, True
+    if not changed:
+        return None
+    return replace(rows, items=tuple(items), lost=tuple(lost)), np.array(counts)
+
+
+def of_others(rows: SurveyRows, member: int) -> float:
+    """Return the part of the readings of an array before planes that are not on their plane."""
+    tables = {station: table for station, _, table in _small_shots(rows, member)}
+    many = sum(map(len, tables.values()))
+    kept = sum(
+        len(item.points)
+        for item in rows.items
+        if item.points is not None and item.member == member and item.station in tables
+    )
+    return 1.0 - kept / many if many else 0.0
+
+
+def slackness(rows: SurveyRows, values: Values, member: int) -> float:
+    """Return how much farther readings that may be sorted either way let the unknowns go: 1 for none.
+
+    Where unknowns move, readings at the reach c of the noise come in on one side and go out on the
+    other, and pull them along. For the density f of the distances, and the part P within the reach, the
+    mean derivative of the influence is P - c (f(c) + f(-c)) (Huber, Robust Statistics, 1981, page 45).
+    """
+    misses, reach = _misses_and_reach(rows, values, member)
+    size = np.abs(np.concatenate(misses))
+    inside = float((size <= reach).sum())
+    low, high = (1.0 - BESIDE_REACH) * reach, (1.0 + BESIDE_REACH) * reach
+    at_reach = float(((size > low) & (size <= high)).sum()) / (2.0 * BESIDE_REACH)
+    return inside / max(inside - at_reach, 0.5 * inside) if inside else 1.0
+
+
+def _misses_and_reach(
+    rows: SurveyRows, values: Values, member: int
+) -> tuple[list[FloatArray], float]:
+    """Return `misses_of` the readings of each small shot of an array, and the reach of their noise."""
+    shots = _small_shots(rows, member)
+    misses = [misses_of(rows, values, member, plane, table) for _, plane, table in shots]
+    length = float(np.median(rows.survey.shots[member].reading))
+    return misses, reach_of_noise(np.concatenate(misses), length)
+
+
+def reach_of_noise(e: FloatArray, length: float) -> float:
+    """Return the distance up to which a reading is rather noise than anything within a length [m].
+
+    Parameters
+    ----------
+    e : (n,)
+        Distances of readings from their targets [m]; infinite where a ray misses.
+    length : float
+        Where anything else is [m].
+    """
+    e = e[np.isfinite(e)]
+    if not e.size:
+        return 0.0
+    sigma, share = max(MEDIAN_TO_SIGMA * float(np.median(np.abs(e))), TINY), 0.5
+    for _ in range(MOST_ROUNDS):
+        noise = share * np.exp(-0.5 * (e / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
+        p = noise / (noise + (1.0 - share) / length)
+        if not p.sum() > 0.0:
+            return 0.0
+        sigma = max(float(np.sqrt((p * e**2).sum() / p.sum())), TINY)
+        share = min(float(p.mean()), 1.0 - TINY)
+    odds = share * length / (max(1.0 - share, TINY) * np.sqrt(2.0 * np.pi) * sigma)
+    return float(sigma * np.sqrt(2.0 * np.log(max(odds, 1.0))))
+
+
+def _small_shots(rows: SurveyRows, member: int) -> Iterator[tuple[int, int, IntArray]]:
+    """Yield station, plane and rows (n,) of the table of each small shot of an array before planes."""
+    shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
+    planes = {label: i for i, label in enumerate(rows.targets.get(PLANE.name, ()))}
+    if shots.kind != "array":
+        return
+    for station in np.unique(shots.station).tolist():
+        table = np.flatnonzero(shots.station == station)
+        label = normal_label(labels[station])
+        if kind_of(label) == PLANE.name and label in planes and len(table) < MANY:
+            yield station, planes[label], table
+
+
+def misses_of(
+    rows: SurveyRows, values: Values, member: int, plane: int, some: IntArray
+) -> FloatArray:
+    """Return by how much readings of a sensor are longer than the way to a plane [m].
+
+    Infinite where a ray does not meet it.
+
+    Parameters
+    ----------
+    rows : SurveyRows
+    values : mapping
+        Of a minimum.
+    member, plane : int
+        Numbers of the sensor and of the plane.
+    some : (n,)
+        Rows of the table of the sensor.
+    """
+    shots, sensor = rows.survey.shots[member], values[SENSOR.name][0, member]
+    rays, d = KINDS[shots.kind].rays(shots.across[some]), shots.reading[some]
+    k0, *k, scale = sensor[POSE.size :]
+    R = rows.survey.stations.world_R_hand[shots.station[some]]
+    t = rows.survey.stations.world_t_hand[shots.station[some]]
+    X, location = pose_of(sensor)
+    direction = (rays.direction + scale * rays.direction_by_scale) @ X.T
+    direction = np.einsum("nij,nj->ni", R, direction)
+    hits = PlaneTarget(np.array([plane])).hit(
+        values, (R @ location + t).T[:, None, None], direction.T[:, None, None]
+    )
+    s = hits.range[0, 0]
+    e = k0 + corrected(d, np.array(k)) - s
+    return np.asarray(np.where(hits.impossible[0, 0] | (s <= 0.0), np.inf, e))

@@ -10,7 +10,7 @@ from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices, ga
 from ..data.noise import Noise
 from ..data.readings import Readings
 from ..data.survey import RAY_ERRORS, Known, Shots, Survey, kind_of, normal_label
-from ..model import known_relations
+from ..model import relation as relations
 from ..model.block import Block, Rows, Values, VectorPrior, Weights
 from ..model.condensed_shots import (
     MOST_SLANTED,
@@ -25,7 +25,6 @@ from ..model.families import BEAM, PLANE, POSE, pose_of
 from ..model.range_blocks import GivenPoses, PoseVariables, Ranges, RobotModel
 from ..model.relation import Relation
 from ..model.sensors.beam import BeamSensor
-from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS, Rayset
 from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.targets.plane import PlaneTarget
@@ -42,11 +41,10 @@ TARGETS: dict[str, type[PlaneTarget] | type[Sphere]] = {
 LEAST_SEGMENT = 5
 """Points of a profile that each side of a groove has at least."""
 RANGE_ERRORS = np.array([0.05, 0.02, 0.1, 0.05])
-"""Standard deviations of range errors before any reading: k0 [m], k1 [1], k2 [1/m] and scale [1]."""
-AIMING = ("aiming", 0)
-"""Names the standard deviation of spots across their rays, where they are aimed at points."""
+"""Standard deviations of `RAY_ERRORS` before any reading [m, 1, 1/m, 1]."""
 AIMING_SIGMA = 0.5 * MM
-"""Its first value [m]: about the width of a spot."""
+"""First standard deviation of spots across their rays, where they are aimed at points [m]: about the
+width of a spot."""
 
 
 Entity = tuple[str, int]
@@ -159,7 +157,7 @@ class SurveyRows:
         counts = {name: len(labels) for name, labels in self.targets.items()}
         counts[SENSOR.name] = len(self.survey.shots)
         counts[BEAM.name] = len(self.survey.beam_names)
-        counts[known_relations.BODY.name] = len(self.bodies)
+        counts[relations.BODY.name] = len(self.bodies)
         return {name: number for name, number in counts.items() if number}
 
     def unknown(self) -> dict[str, bool | np.ndarray]:
@@ -407,7 +405,8 @@ def blocks_of(
     ----------
     items : sequence of Item
     sigmas : mapping
-        Standard deviation of a reading of each sensor and beam, and of the aiming [m].
+        Standard deviation of a reading of each sensor and beam, and of the aiming at any point, which
+        (`point`, 0) names [m].
     values : mapping
         Where spots on points are seen along their rays.
     """
@@ -434,12 +433,11 @@ def blocks_of(
         shots = [i.shot for i in some if i.shot is not None]
         reading = np.array([[item.reading] for item in some])[None]
         if target == POINT.name:
-            root = np.hstack((root, np.full((len(some), 2), 1.0 / sigmas[AIMING])))
+            root = np.hstack((root, np.full((len(some), 2), 1.0 / sigmas[POINT.name, 0])))
             axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), BeamSensor(member)
             blocks.append(SpotsOnPoints(beam, robot, seen, reading, axes, weights(root)))
         elif not shots:
-            angle = some[0].half_angle
-            sensor = Cone(member, angle) if angle else BeamSensor(member)
+            sensor = BeamSensor(member, some[0].half_angle)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
             origin = np.stack([s.rays.origin for s in shots])  # (G, r, 3)
@@ -523,7 +521,7 @@ def relations_of(rows: SurveyRows) -> list[tuple[Known, Relation]]:
         body, sigmas = rows.bodies.index(known), (known.sigma, known.sigma_angle)
         assert known.faces is not None
         for (_, plane), (*normal, offset) in zip(of, known.faces, strict=True):
-            face = known_relations.face(plane, body, np.array(normal), float(offset), *sigmas)
+            face = relations.face(plane, body, np.array(normal), float(offset), *sigmas)
             found.append((known, face))
     return found
 
@@ -535,18 +533,18 @@ def _relation(known: Known, of: Sequence[tuple[str, int]]) -> Relation:
     direction = np.zeros(3) if known.direction is None else known.direction
     pose = np.eye(4) if known.pose is None else known.pose
     if known.relation == "mount" and family == BEAM.name:
-        return known_relations.beam_at(first, pose[:3, 3], pose[:3, 2], sigma, turn)
+        return relations.beam_at(first, pose[:3, 3], pose[:3, 2], sigma, turn)
     make = {
-        "angle": lambda: known_relations.at_an_angle(family, first, second, value, turn),
-        "parallel": lambda: known_relations.parallel(first, second, value, sigma, turn),
-        "along": lambda: known_relations.along(first, direction, turn),
-        "upright": lambda: known_relations.upright(first, direction, turn),
-        "plane": lambda: known_relations.plane_at(first, direction, value, sigma, turn),
-        "radius": lambda: known_relations.radius(first, value, sigma),
-        "position": lambda: known_relations.position(family, first, direction, sigma),
-        "distance": lambda: known_relations.distance(of[0], of[1], value, sigma),
-        "mount": lambda: known_relations.mounted_at(first, pose, sigma, turn),
-        "mounts": lambda: known_relations.mounted_together(first, second, pose, sigma, turn),
+        "angle": lambda: relations.at_an_angle(family, first, second, value, turn),
+        "parallel": lambda: relations.parallel(first, second, value, sigma, turn),
+        "along": lambda: relations.along(first, direction, turn),
+        "upright": lambda: relations.upright(first, direction, turn),
+        "plane": lambda: relations.plane_at(first, direction, value, sigma, turn),
+        "radius": lambda: relations.radius(first, value, sigma),
+        "position": lambda: relations.position(family, first, direction, sigma),
+        "distance": lambda: relations.distance(of[0], of[1], value, sigma),
+        "mount": lambda: relations.mounted_at(first, pose, sigma, turn),
+        "mounts": lambda: relations.mounted_together(first, second, pose, sigma, turn),
     }
     return make[known.relation]()
 

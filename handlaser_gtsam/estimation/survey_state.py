@@ -10,20 +10,14 @@ from ..data.noise import Noise
 from ..data.survey import Known
 from ..model.block import Block
 from ..model.families import BEAM
-from ..model.known_relations import BODY, held
-from ..model.relation import Relation
+from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from .dense import DenseRows, with_pose_errors
 from .estimate import BlockProblem, descended, minimum
 from .survey_noise import Components
-from .survey_rows import (
-    AIMING,
-    SurveyRows,
-    blocks_of,
-    priors_of,
-)
+from .survey_rows import SurveyRows, blocks_of, priors_of
 
 
 @dataclass(slots=True)
@@ -112,7 +106,7 @@ class SurveyState:
         *sensors, beams, aiming = self.sizes.sigma.tolist()
         found = {(SENSOR.name, i): sigma for i, sigma in enumerate(sensors)}
         found |= {(BEAM.name, i): beams for i in range(len(self.rows.survey.beam_names))}
-        return found | {AIMING: aiming}
+        return found | {(POINT.name, 0): aiming}
 
     def pose_covariance(self) -> FloatArray:
         """Return the covariance (M, 6, 6) of the hand poses."""

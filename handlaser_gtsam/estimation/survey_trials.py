@@ -21,7 +21,7 @@ from ..arrays import FloatArray, IntArray, evenly
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
-from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
+from ..model.effects.columns import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, PLANE, POSE
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -72,24 +72,6 @@ class Tried(Value):
     left: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Displacement(Value):
-    """A target, or a sensor or beam in the hand, that is elsewhere from a station on.
-
-    Attributes
-    ----------
-    entity : (family, number)
-    station : int
-        The first one after the displacement.
-    tried : Tried
-        Of the coordinates of `PLACES_OF`; its p-value counts all displacements that were looked for.
-    """
-
-    entity: Entity
-    station: int
-    tried: Tried
-
-
 def try_free(state: SurveyState, columns: Columns) -> Tried:
     """Return further unknowns of a state at its minimum, as free ones."""
     state = replace(state, sizes=learned_sizes(state, columns))
@@ -116,13 +98,21 @@ def too_small_alike(found: SurveyEstimate, member: int) -> Tried:
     return try_free(state, columns)
 
 
-def displacement(found: SurveyEstimate) -> Displacement | None:
+def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
     """Return the target, sensor or beam that most surely was moved amid the survey; None for none.
 
     Where a target may be what was moved, it is: a hand of which all targets seem to move takes more.
     Stations of one stop may lie before and after: what was moved between two rounds of a program shows
     best where its poses repeat. Where shots do not fit each other, all count, and it is what was moved
     only if most that misfit do no more.
+
+    Returns
+    -------
+    entity : (family, number)
+    station : int
+        The first one after the displacement.
+    tried : Tried
+        Of the coordinates of `PLACES_OF`; its p-value counts all displacements that were looked for.
     """
     state, looked_for = found.learning(), 0
     converged = found.estimate.status == "converged"
@@ -147,12 +137,12 @@ def displacement(found: SurveyEstimate) -> Displacement | None:
             free = try_free(state, partial(_since, entity, station))
             p = min(free.p_value * looked_for, 1.0)
             if p < FAMILY_LEVEL:
-                moves.append(Displacement(entity, station, replace(free, p_value=p)))
+                moves.append((entity, station, replace(free, p_value=p)))
     if not moves:
         return None
-    surest = max(one.tried.chi2 for one in moves)
-    alike = [one for one in moves if one.tried.chi2 > surest - UNLIKELY_EXCESS]
-    return next((one for one in alike if one.entity[0] in (PLANE.name, SPHERE.name)), alike[0])
+    surest = max(tried.chi2 for *_, tried in moves)
+    alike = [move for move in moves if move[2].chi2 > surest - UNLIKELY_EXCESS]
+    return next((move for move in alike if move[0][0] in (PLANE.name, SPHERE.name)), alike[0])
 
 
 def _explained(owner: IntArray, before: FloatArray, left: FloatArray) -> bool:

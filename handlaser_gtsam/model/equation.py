@@ -120,7 +120,7 @@ def plausible_corrections(parameters: Parameters, readings: Readings) -> BoolArr
 
 
 def plausible_factors(k: FloatArray, distance: FloatArray) -> BoolArray:
-    """Tell of readings (N,) [m] with range errors k1 and k2 whether true ranges are of their order."""
+    """Tell of readings (N,) [m] with range errors k (2, ...) whether true ranges are of their order."""
     factor = 1.0 + k[0] + k[1] * distance
     return np.asarray((factor >= LEAST_FACTOR) & (factor <= MOST_FACTOR))
 

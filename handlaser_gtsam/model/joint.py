@@ -10,7 +10,7 @@ In a graph in which more ties planes together (hand poses with odometry between 
 for known beams is added.
 
 Coordinates are tangent (location 3, direction 2, range-error terms a beam; normal 2, offset a plane)
-or ambient (x, y, z, vx, vy, vz, k1, k2 a beam; nx, ny, nz, b a plane), B S B' with the bases B.
+or ambient (the numbers of `BEAM`; nx, ny, nz, b a plane), B S B' with the bases B.
 
 Unknowns of beams whose correlation is strong can hardly be separated (`strong_correlations`).
 """
@@ -310,7 +310,7 @@ def correlation_matrix(
     beams : B names
     directions : (B, 3)
     covariance : (8 B, 8 B)
-        Over (x, y, z, vx, vy, vz, k1, k2) of every beam, ambient.
+        Over the numbers of every beam, ambient.
     """
     width = BEAM.size
     variance = np.diagonal(covariance)
@@ -323,13 +323,13 @@ def correlation_matrix(
     return unknowns, covariance[np.ix_(rows, rows)] / np.outer(sigma, sigma)
 
 
-def strong_correlations(joint: JointCovariance, limit: float = STRONG) -> tuple[Correlation, ...]:
-    """Return the pairs of beam unknowns whose correlation exceeds `limit`, strongest first."""
+def strong_correlations(joint: JointCovariance) -> tuple[Correlation, ...]:
+    """Return the pairs of beam unknowns whose correlation exceeds `STRONG`, strongest first."""
     # The direction is perpendicular to its tangent plane; its sign does not matter here.
     directions = np.cross(joint.beam_bases[:, :, 0], joint.beam_bases[:, :, 1])
     unknowns, C = correlation_matrix(joint.beam_names, directions, joint.matrix(planes=[]))
     first, second = np.triu_indices(len(unknowns), 1)
-    strong = np.flatnonzero(np.abs(C[first, second]) > limit)
+    strong = np.flatnonzero(np.abs(C[first, second]) > STRONG)
     strong = strong[np.argsort(-np.abs(C[first, second])[strong], kind="stable")]
     return tuple(
         Correlation(unknowns[first[i]], unknowns[second[i]], float(C[first[i], second[i]]))

@@ -126,12 +126,7 @@ def eliminated(
 
 
 def inverse_of(matrix: FloatArray) -> FloatArray:
-    """Return the inverse of a positive definite matrix (n, n), whatever the units of its rows."""
-    return inverse_and_log_det(matrix)[0]
-
-
-def inverse_and_log_det(matrix: FloatArray) -> tuple[FloatArray, float]:
-    """Return the inverse of a positive definite matrix, and the logarithm of its determinant.
+    """Return the inverse of a positive definite matrix (n, n), whatever the units of its rows.
 
     Raises
     ------
@@ -142,10 +137,9 @@ def inverse_and_log_det(matrix: FloatArray) -> tuple[FloatArray, float]:
     if not (np.isfinite(scale).all() and scale.all()):
         raise np.linalg.LinAlgError("the information is singular")
     root = np.linalg.cholesky(matrix / scale[:, None] / scale)
-    log_det = 2.0 * float(np.log(np.diagonal(root) * scale).sum())
     inverse = _inverse_of_root(root)
     inverse /= scale[:, None] * scale
-    return inverse, log_det
+    return inverse
 
 
 def _inverse_of_root(root: NDArray[np.floating]) -> FloatArray:

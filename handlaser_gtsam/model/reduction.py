@@ -23,10 +23,9 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..quantities import SINGULAR, TINY
-from .block import Block, Slot, Values, structure_of
+from .block import Block, Slot, SumsByKey, Values, structure_of
 from .families import FAMILIES
 from .reduced_information import ReducedInformation, eliminated, inverse_stack, solve_definite
-from .sums import SumsByKey
 
 Index = slice | IntArray
 COMMON_NUMBERS = 400_000

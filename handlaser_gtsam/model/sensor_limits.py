@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 from ..checks import require_kind, require_number, require_word
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import InputError, NumberError
-from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
+from ..quantities import LARGEST_LENGTH, NEGLIGIBLE, SINGULAR
 from . import equation
 from .effects.plausible import KINDS, Plausible, plausible_sizes
 
@@ -121,15 +121,10 @@ def within(recording: Recording, sensor: Sensor) -> Recording:
     return replace(recording, ranges=np.where(sensor.can_read(d), d, np.nan))
 
 
-def within_range(readings: Readings, sensor: Sensor) -> IntArray:
-    """Return the rows whose reading the sensor can give."""
-    return np.flatnonzero(sensor.can_read(readings.distance))
-
-
-def within_incidence(readings: Readings, parameters: Parameters, sensor: Sensor) -> IntArray:
-    """Return the rows whose beam meets its plane no flatter than the sensor allows."""
+def within_incidence(readings: Readings, parameters: Parameters, sensor: Sensor) -> BoolArray:
+    """Tell which readings (N,) have a beam that meets its plane no flatter than the sensor allows."""
     cosine = np.abs(equation.cosines(equation.scene(parameters, readings)))
-    return np.flatnonzero(cosine >= math.cos(sensor.max_incidence) - 1e-12)
+    return np.asarray(cosine >= math.cos(sensor.max_incidence) - SINGULAR)
 
 
 def require_all(recording: Recording, readings: Readings) -> None:

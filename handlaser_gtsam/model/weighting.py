@@ -4,7 +4,7 @@ The residuals of the readings d of one station have, to first order, the covaria
 
     C = diag((g'(d) sigma)^2 / m + (tau tan a)^2) + J S J'
 
-with g'(d) = 1 + k1 + 2 k2 d for the corrected reading, m the number of independent readings that d is
+with the slope g'(d) of the corrected reading, m the number of independent readings that d is
 the mean of (else one), sigma the range sigma of the beam, tau the
 incidence sigma, a the angle of incidence, S the covariance (6, 6) of the hand pose and J the derivative
 of the residuals by it. J S J' couples the readings of a station. Stations are independent.
@@ -19,6 +19,19 @@ which is all that weights need. With the eigenvectors A and eigenvalues m of V'V
     I - E E',    E = V A / sqrt(1 + sqrt(1 - m)),
 
 so that R = (I - E E') inv(sqrt(D)) has R C R' = I.
+
+Noise is kept out of the columns of the range errors. The residual e = s - g(d) errs by -g'(d) eps,
+where eps is the noise of the reading d. Its derivatives by the range errors, -d and -d^2, hold the same
+noise: least squares over N readings then pull k1 by about sqrt(N) sigma / spread of the readings, in
+its standard deviations, however large N is (errors in variables; Fuller, Measurement Error Models,
+1987).
+The residuals of a station themselves say what the noise probably is,
+
+    E[eps | e] = -g'(d) sigma^2 inv(C) e,
+
+and a reading freed of it, l = d - E[eps | e], is uncorrelated with e. Where the range error is taken at
+that, e = s - (c + g(l) - l), nothing is pulled, to first order. With c = g(d) - g(l) + l at the
+parameters where this is done, residuals stay there what they are.
 """
 
 from collections.abc import Sequence
@@ -30,9 +43,11 @@ from scipy.sparse import csr_array
 
 from ..arrays import FloatArray, IntArray, renumbered
 from ..data.parameters import Parameters
-from ..data.recording import Readings
+from ..data.readings import Readings, Regressors
 from ..data.value import Value
+from ..quantities import FAR_SIGMAS
 from . import equation
+from .equation import corrected, residuals, scene
 from .families import POSE
 
 LEAST_OWN = 1e-8
@@ -318,3 +333,46 @@ def unequal(variances: Variances, terms: int, readings: Readings) -> bool:
         or variances.incidence_sigma > 0.0
         or np.ptp(variances.range_sigma) > 0.0
     )
+
+
+def weighed(
+    readings: Readings, parameters: Parameters, variances: Variances, terms: int
+) -> tuple[Readings, Whitening]:
+    """Return the readings with the regressors of their range errors, and their whitening.
+
+    The readings are returned as they are where they have no range-error `terms`, else
+    `freed_of_noise`, which may raise.
+    """
+    how = whitening(parameters, readings, variances)
+    return (freed_of_noise(readings, parameters, variances, how) if terms else readings), how
+
+
+def freed_of_noise(
+    readings: Readings, parameters: Parameters, variances: Variances, how: Whitening
+) -> Readings:
+    """Return readings of which the range error is taken without their probable noise.
+
+    Parameters
+    ----------
+    readings : Readings
+    at : Parameters
+        Where the noise is judged.
+    variances : Variances
+    how : Whitening
+        Of the readings at these parameters, errors of the hand poses included.
+
+    Raises
+    ------
+    GrazingBeamError
+        A beam is parallel to its plane.
+    """
+    d, x = readings.distance, scene(parameters, readings)
+    variance = variances.range_sigma[readings.beam] ** 2
+    if readings.samples is not None:
+        variance = variance / readings.samples
+    heavy = how.weighed(residuals(x, d)[:, None])[:, 0] / how.sigma**2
+    share = slopes(parameters, readings) * variance
+    most = FAR_SIGMAS * np.sqrt(variance)  # a larger residual is no noise
+    level = d + np.clip(share * heavy, -most, most)
+    constant = corrected(d, x.k) - level * (x.k[:, 0] + x.k[:, 1] * level)
+    return readings.with_regressors(Regressors(constant, level))

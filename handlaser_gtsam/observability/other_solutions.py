@@ -40,8 +40,7 @@ from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.reduction import damped_step
 from ..model.weighting import Whitening
 from ..quantities import KNOWN, MOST_ROUNDS, NEGLIGIBLE, ROUNDING
-from ..solvers.beam_problem import linearized, moved
-from ..solvers.refine import LEAST_DAMPING, refine, refine_many
+from ..solvers.beam_problem import LEAST_DAMPING, linearized, moved, refine, refine_many
 from ..starts.directions import direction_starts, random_starts
 from ..starts.growing import EXCERPT_READINGS, grow
 from .motion import poor_motion, some_plane_leans
@@ -211,7 +210,7 @@ def mirror_image_fits(
         return False
     directions = refined.parameters.directions
     same_side = np.einsum("bi,bi->b", directions, solution.directions) > 0.0
-    worse = refined.squares - squares
+    worse = refined.criterion - squares
     return not same_side.any() and worse <= CHI2_MARGIN * range_sigma**2
 
 

@@ -19,13 +19,13 @@ from ..model.equation import plausible_range_errors
 from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import count_unknowns
 from ..quantities import FAR_SIGMAS, KNOWN, MAJORITY
-from ..solvers.refine import Refined, refine_many
+from ..solvers.beam_problem import Candidate, refine_many
 from ..starts import Start, find_start
 from ..starts.beam_minima import with_better_beams
 from ..starts.choice import MISFIT, POOR_START, fits_sigma, usable_terms
 from ..starts.growing import Excerpt, excerpt_of
 from ..starts.robust import CAUCHY, METHOD, SAME_CRITERION, least_scale, robust_search
-from ..starts.rounds import FINALISTS, LAST_STEPS, Candidate, Round, agreeing
+from ..starts.rounds import FINALISTS, LAST_STEPS, Round, agreeing
 from .reading_tests import Screening, enough, evidence, price, screen, sigma_of
 
 SUSPICIOUS = 0.35
@@ -107,7 +107,7 @@ class ConsensusJudge:
             return screening.range_sigma <= MISFIT * self.range_sigma
         return screening.range_sigma <= part * self.readings.spread()
 
-    def criterion(self, candidate: Refined) -> float:
+    def criterion(self, candidate: Candidate) -> float:
         """Return the evidence for a candidate as it is, with the cut that makes it strongest."""
         readings, at = self.readings, candidate.parameters
         e, best = np.abs(residuals(at, readings)), np.inf
@@ -119,7 +119,7 @@ class ConsensusJudge:
                 best = min(best, evidence(readings, kept, at, self.terms, sigma))
         return float(best)
 
-    def beyond_chance(self, candidate: Refined | Candidate) -> float:
+    def beyond_chance(self, candidate: Candidate) -> float:
         r"""Return by how many nats the readings that agree on a candidate are beyond chance.
 
         As many readings as there are unknowns u can be fitted whatever they are. That m of N readings
@@ -223,8 +223,4 @@ def _robust(
     rule = RobustLoss(CAUCHY, least_scale(part.whole, sigma), MAJORITY)
     grown = [part.extended(candidate.parameters) for candidate in candidates[:SCREENED]]
     whole = refine_many(grown, part.whole, terms, LAST_STEPS, rule)
-    return [
-        Candidate(METHOD, refined.parameters, 0.0, refined.scale)
-        for refined in whole
-        if refined is not None
-    ]
+    return [candidate for candidate in whole if candidate is not None]

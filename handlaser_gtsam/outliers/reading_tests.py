@@ -36,8 +36,7 @@ from ..model.equation import residuals_or_infinite as residuals
 from ..model.families import MOUNT_DIM, count_unknowns
 from ..observability.rank import Observability, observability
 from ..quantities import EXACT, FAR_SIGMAS, MAJORITY, MOST_ROUNDS, NEGLIGIBLE
-from ..solvers.beam_problem import jacobian_columns
-from ..solvers.refine import refine
+from ..solvers.beam_problem import jacobian_columns, refine
 from ..starts.rounds import LAST_STEPS
 
 LEAST_CUT = 3.0
@@ -204,7 +203,7 @@ def judge(
     predicted = scale * unit * np.sqrt(1.0 + h)
     vague = FAR_SIGMAS * predicted > 0.5 * float(np.ptp(readings.distance[kept]))
     t[~kept & vague] = np.inf
-    # Far beyond the others a reading decides k2 alone, and would be consistent with any.
+    # Far beyond the others a reading decides a range error alone, and would be consistent with any.
     t[~model.plausible_corrections(parameters, readings)] = np.inf
     return scale * typical, t
 

@@ -14,10 +14,9 @@ import numpy as np
 from ..data.parameters import RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
-from ..estimation.posterior import covariance_of_determined
 from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
-from ..estimation.solution import Solution
+from ..estimation.solution import Solution, covariance_of_determined
 from ..model.equation import residuals_or_infinite
 from ..model.families import PLANE
 from ..model.joint import JointCovariance, strong_correlations

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import InputError
-from ..model.errors_in_variables import weighed
 from ..model.families import BEAM, PLANE, Family
 from ..model.losses import Loss
-from ..model.weighting import whitening
+from ..model.weighting import weighed, whitening
 from ..quantities import UNIT_SIGMA
 from .calibration_data import Beam, CalibrationData, Plane
 from .limits import Limits

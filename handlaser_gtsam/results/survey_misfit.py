@@ -23,10 +23,9 @@ from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import MOST_REJECTED, Estimate
 from ..estimation.survey import FirstFit, RelationTest, SurveyEstimate, estimate_survey, first_state
-from ..estimation.survey_outliers import GROSS, MOST_LEFT_OUT, misfits
+from ..estimation.survey_outliers import GROSS, MOST_LEFT_OUT, OF_OTHERS, misfits, misses_of
 from ..estimation.survey_rows import SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
-from ..estimation.survey_zones import OF_OTHERS, misses_of
 from ..model.condensed_shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
 from ..model.equation import plausible_factors

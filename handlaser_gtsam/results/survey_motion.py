@@ -11,7 +11,7 @@ from ..estimation.survey_mirror import motion_of, numbers_of
 from ..estimation.survey_rows import SurveyRows
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, PLANE, RANGE_ERROR, bases, pose_of
-from ..model.known_relations import BODY
+from ..model.relation import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE

@@ -128,22 +128,23 @@ def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[Cal
     moved = displacement(found) if found.estimate.status != "undetermined" else None
     if moved is None:
         return
-    (family, member), size = moved.entity, moved.tried.size
+    (family, member), station, tried = moved
+    size = tried.size
     place, times = found.rows.places().place, []
     for mount, (own, number) in zip(mounts, found.rows.mounts, strict=True):
         J = mount.spot_by()
-        shift = J @ moved.tried.moved[place[own][number] + np.arange(J.shape[1])]
+        shift = J @ tried.moved[place[own][number] + np.arange(J.shape[1])]
         times.append(float(np.linalg.norm(shift)) / mount.spot_error)
     name, of_mount = found.rows.names(family)[member], family in (SENSOR.name, BEAM.name)
     values: Values = {
         "target": f"{family} {name}" if of_mount else name,
-        "station": found.rows.survey.stations.station_names[moved.station],
+        "station": found.rows.survey.stations.station_names[station],
         "shift": float(abs(size[2]) if family == PLANE.name else np.linalg.norm(size)),
         "turn_deg": float(np.degrees(np.hypot(*size[:2]))) if family == PLANE.name else 0.0,
-        "p": moved.tried.p_value,
+        "p": tried.p_value,
         "times": max(times),
     }
-    likely = p_words(moved.tried.p_value, 1)
+    likely = p_words(tried.p_value, 1)
     if of_mount:
         yield warned(f"{DISPLACED}:mount", values, likely=likely)
     else:

@@ -34,7 +34,7 @@ from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import EXACT, FAR_SIGMAS, MM
-from ..solvers.refine import refine
+from ..solvers.beam_problem import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.choice import POOR_START
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
@@ -284,7 +284,7 @@ def rival_warnings(
         if best is None or other is None:
             continue
         turn = float(np.linalg.norm(other.parameters.directions[beam] - at.directions[beam]))
-        chi2 = (other.squares - best.squares) / size**2
+        chi2 = (other.criterion - best.criterion) / size**2
         if chi2 > UNLIKELY_EXCESS or turn < FAR_SIGMAS * sigma[beam]:
             continue
         values: Values = {"beam": listed[beam], "turn_deg": float(np.degrees(turn)), "chi2": chi2}

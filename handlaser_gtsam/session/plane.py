@@ -3,7 +3,7 @@ r"""One plane beside beams that are known: fitted, judged, and made into factors
 A plane is linearised at the beams about which the session counts everything, `at`. With the residuals e
 of its N readings, their covariance C, and the derivatives A (N, n) by the beams' unknowns x from there
 and B (N, 3) by the plane, its readings alone determine the plane where B' inv(C) B has full rank, and
-say of the beams the information that is left once the plane is eliminated (`estimation.information`).
+say of the beams the information that is left once the plane is eliminated (`LinearReadings`).
 """
 
 from collections.abc import Mapping
@@ -19,13 +19,13 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..errors import GrazingBeamError
 from ..estimation.estimate import MOST_REJECTED
-from ..estimation.information import Information, LinearReadings
+from ..estimation.learning_scales import LinearReadings
+from ..estimation.scale_mixture import Information
 from ..factors.keys import plane_key, pose_key
 from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
-from ..model.errors_in_variables import weighed
 from ..model.families import BEAM, PLANE
 from ..model.joint import beams_lift
-from ..model.weighting import Whitening, whitening
+from ..model.weighting import Whitening, weighed, whitening
 from ..quantities import KNOWN, NEGLIGIBLE
 from ..solvers.beam_problem import jacobian_columns, moved
 from ..solvers.graph import grouped_blocks, pose_priors

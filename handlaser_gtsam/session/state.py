@@ -1,7 +1,7 @@
 """Everything a session knows once there is a calibration, and what follows from it; never changed.
 
 Planes that join are fitted beside the beams, and judged. Every plane is remembered by its information
-on the beams for each set of noise scales (`estimation.information`), counted from beams that all share.
+on the beams for each set of noise scales (`LinearReadings`), counted from beams that all share.
 The graph holds the most probable scales. Unknown scales are integrated over as in the batch solution:
 that changes the mean; the change follows from the sums over the planes, and is added to the estimate of
 iSAM2. The covariance is that of these sums, as in a batch solution. A new plane therefore costs the
@@ -27,13 +27,12 @@ from ..estimation.learning_scales import (
     beam_posterior,
     integrated_over,
 )
-from ..estimation.posterior import covariance_of_determined, posterior
 from ..estimation.selection import Selection
-from ..estimation.solution import Solution
-from ..model.errors_in_variables import weighed
+from ..estimation.solution import Solution, covariance_of_determined, posterior
 from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
 from ..model.joint import beams_lift
 from ..model.sensor_limits import FLAT, OUTSIDE, within_incidence
+from ..model.weighting import weighed
 from ..outliers.reading_tests import price
 from ..pipeline import calibrate
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SAME_OPTIMUM

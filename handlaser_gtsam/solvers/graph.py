@@ -148,7 +148,7 @@ def build_graph(
     priors : PosePriors, optional
         Makes the hand pose of every station a variable; needs a whitening.
     range_errors : RangeErrorPrior, optional
-        Of k1 and k2 of every beam.
+        Of every beam.
     """
     require_kind("readings", readings, Readings)
     require_kind("start", start, Parameters)

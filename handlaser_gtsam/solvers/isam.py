@@ -39,7 +39,7 @@ class BeamState:
     locations, directions : (B, 3)
     range_errors : (B, 2)
     covariance : (8 B, 8 B)
-        Ambient, over (x, y, z, vx, vy, vz, k1, k2) of every beam.
+        Ambient, over the numbers of every beam.
     information : float
         Logarithm of the determinant of the tangent information [nats], up to the units.
     """
@@ -94,8 +94,7 @@ class GraphPart:
 
 
 RELINEARIZED = 2e-4
-"""Variables that have moved by more than this part of their natural units are relinearised: 1 rad, the
-typical range, 1 for k1 and the inverse of the range for k2."""
+"""Variables that have moved by more than this part of their natural units are relinearised."""
 FINE_PART = 0.05
 """Once one variable must be relinearised, all are that have moved by this part of their threshold."""
 

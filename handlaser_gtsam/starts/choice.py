@@ -18,7 +18,7 @@ from ..data.recording import Readings
 from ..model.equation import plausible_range_errors, residuals_or_infinite
 from ..model.families import count_unknowns
 from ..quantities import MAJORITY, ROUNDING
-from ..solvers.refine import Refined, refine_many
+from ..solvers.beam_problem import Candidate, refine_many
 from .beam_minima import with_better_beams
 from .directions import direction_starts, random_starts
 from .growing import PartialStart, excerpt_of, grow
@@ -28,7 +28,6 @@ from .rounds import (
     FINALISTS,
     FIRST_STEPS,
     LAST_STEPS,
-    Candidate,
     Round,
     agreeing,
     rank,
@@ -115,7 +114,6 @@ def find_start(
     candidates, believed = search(
         rounds,
         lambda latest: refined_starts(latest, some, terms, last_steps),
-        lambda refined: refined.squares,
         partial(_convinced, some, range_sigma, terms, certain, accepts),
         earlier=() if earlier is None else earlier.candidates,
     )
@@ -199,7 +197,7 @@ def _grown(
 
 def refined_starts(
     latest: Round, readings: Readings, terms: int, last_steps: int
-) -> list[tuple[str, Refined]]:
+) -> list[Candidate]:
     """Refine all starts a little by least squares, and the best of them to the end.
 
     Return these, with range errors where those are plausible.
@@ -209,15 +207,16 @@ def refined_starts(
         refined = refine_many(starts, readings, terms, FIRST_STEPS)[0]
         if refined is not None and not plausible_range_errors(refined.parameters, readings):
             refined = refine_many(starts, readings, 0, FIRST_STEPS)[0]
-        return [] if refined is None else [(latest.starts[0][0], refined)]
+        return [] if refined is None else [refined._replace(method=latest.starts[0][0])]
     first = zip(latest.starts, refine_many(starts, readings, 0, FIRST_STEPS), strict=True)
-    usable = [(method, refined) for (method, _), refined in first if refined is not None]
-    best = sorted(usable, key=lambda pair: rank(pair[1].squares))
-    best = best[: max(FINALISTS, len(starts) // 4)]
-    last = refine_many([refined.parameters for _, refined in best], readings, terms, last_steps)
+    usable = [one._replace(method=method) for (method, _), one in first if one is not None]
+    best = sorted(usable, key=rank)[: max(FINALISTS, len(starts) // 4)]
+    last = refine_many([one.parameters for one in best], readings, terms, last_steps)
     return [
-        (method, late if late and plausible_range_errors(late.parameters, readings) else early)
-        for (method, early), late in zip(best, last, strict=True)
+        late._replace(method=early.method)
+        if late and plausible_range_errors(late.parameters, readings)
+        else early
+        for early, late in zip(best, last, strict=True)
     ]
 
 
@@ -273,5 +272,5 @@ def mean_squares_at_a_glance(recordings: Sequence[Readings]) -> FloatArray:
     starts = [grow(one, part) for part in parts for one in direction_starts(part, kept, tried)]
     each = [part for part in parts for _ in range(kept)]
     refined = refine_many(starts, each, 0, FIRST_STEPS)
-    squares = np.array([np.inf if one is None else one.squares for one in refined])
+    squares = np.array([np.inf if one is None else one.criterion for one in refined])
     return np.asarray(squares.reshape(-1, kept).min(axis=1) / len(parts[0]))

@@ -25,7 +25,7 @@ from ..arrays import IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..quantities import ROUNDING, TINY
-from ..solvers.refine import refine_many
+from ..solvers.beam_problem import refine_many
 from .directions import least_squares, sphere
 from .growing import PartialStart
 from .rounds import SAME_DIRECTION
@@ -103,7 +103,7 @@ def sweep_starts(
         # A few steps tell the solutions of one block apart.
         tried = refine_many(_linear_solutions(alone, refined), alone, 0, 12)
         best: list[Parameters] = []  # the different solutions, the lowest cost first
-        for solution in sorted((f for f in tried if f is not None), key=lambda f: f.squares):
+        for solution in sorted((f for f in tried if f is not None), key=lambda f: f.criterion):
             v = solution.parameters.directions[0]
             if all(np.linalg.norm(v - other.directions[0]) > SAME_DIRECTION for other in best):
                 best.append(solution.parameters)

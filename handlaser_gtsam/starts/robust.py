@@ -26,10 +26,10 @@ from ..model.damped_search import RobustLoss
 from ..model.families import count_unknowns
 from ..model.losses import Loss
 from ..quantities import FAR_SIGMAS, ROUNDING
-from ..solvers.refine import Refined, refine_many
+from ..solvers.beam_problem import Candidate, refine_many
 from .directions import FLATTEST, direction_starts, random_starts, subset_starts
 from .growing import PartialStart, grow
-from .rounds import AGREEING, FINALISTS, FIRST_STEPS, LAST_STEPS, Candidate, Round, search
+from .rounds import AGREEING, FINALISTS, FIRST_STEPS, LAST_STEPS, Round, search
 
 METHOD = "consensus"
 CAUCHY = Loss("cauchy")
@@ -42,7 +42,7 @@ def robust_search(
     others: Sequence[Parameters],
     range_sigma: float | None,
     terms: int,
-    criterion: Callable[[Refined], float],
+    criterion: Callable[[Candidate], float],
     convinced: Callable[[Sequence[Candidate], Round, float], bool],
 ) -> list[Candidate]:
     """Return the best candidates for readings with outliers that differ, the best first.
@@ -62,7 +62,10 @@ def robust_search(
     rng = np.random.default_rng(0)
     least = least_scale(readings, range_sigma)
 
-    def mend(best: Sequence[Candidate], latest: Round) -> list[Refined | None]:
+    def judged(one: Candidate) -> Candidate:
+        return one._replace(criterion=criterion(one), method=METHOD)
+
+    def mend(best: Sequence[Candidate], latest: Round) -> list[Candidate | None]:
         """Return the best eight candidates with planes that more readings agree with.
 
         Readings within three scales of a candidate support a plane that replaces its own.
@@ -70,12 +73,12 @@ def robust_search(
         rule = RobustLoss(CAUCHY, least, latest.good)
         new = [mended(one.parameters, readings, 3.0 * one.scale, rng) for one in best[:8]]
         loose = refine_many(new, readings, terms, FIRST_STEPS, rule)
-        return _tight(loose, readings, terms, rule)
+        tight = _tight(loose, readings, terms, rule)
+        return [None if one is None else judged(one) for one in tight]
 
     candidates, _ = search(
         rounds(readings, others, terms, rng),
-        lambda latest: refined_starts(latest, readings, terms, least),
-        criterion,
+        lambda latest: list(map(judged, refined_starts(latest, readings, terms, least))),
         convinced,
         mend,
     )
@@ -125,19 +128,16 @@ def rounds(
             yield Round(drawn, part, 2)
 
 
-def refined_starts(
-    latest: Round, readings: Readings, terms: int, least: float
-) -> list[tuple[str, Refined]]:
+def refined_starts(latest: Round, readings: Readings, terms: int, least: float) -> list[Candidate]:
     """Return all starts of a round after Cauchy's loss and then Tukey's."""
     rule, starts = RobustLoss(CAUCHY, least, latest.good), [start for _, start in latest.starts]
     loose = refine_many(starts, readings, 0, LAST_STEPS, rule)
-    pairs = zip(latest.starts, _tight(loose, readings, terms, rule), strict=True)
-    return [(method, refined) for (method, _), refined in pairs if refined is not None]
+    return [one for one in _tight(loose, readings, terms, rule) if one is not None]
 
 
 def _tight(
-    loose: list[Refined | None], readings: Readings, terms: int, rule: RobustLoss
-) -> list[Refined | None]:
+    loose: list[Candidate | None], readings: Readings, terms: int, rule: RobustLoss
+) -> list[Candidate | None]:
     """Return candidates after Tukey's loss."""
     usable = [refined.parameters for refined in loose if refined is not None]
     rule = replace(rule, loss=Loss("tukey"))

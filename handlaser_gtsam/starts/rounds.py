@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..data.parameters import Parameters
-from ..solvers.refine import Refined
+from ..solvers.beam_problem import Candidate
 
 FIRST_STEPS = 10
 """Refinement steps of many starts, which tell the promising ones from the others."""
@@ -22,26 +22,6 @@ AGREEING = 4
 """Starts at one optimum that are believed without other evidence: wrong optima mostly differ."""
 SAME_DIRECTION = 0.02
 """Beam directions that differ by less than this [rad] belong to one minimum."""
-
-
-class Candidate(NamedTuple):
-    """A refined start.
-
-    Attributes
-    ----------
-    method : str
-        How its start was found.
-    parameters : Parameters
-    criterion : float
-        What the judge compares; lower is better.
-    scale : float
-        Of the residuals of good readings [m], where the loss follows it.
-    """
-
-    method: str
-    parameters: Parameters
-    criterion: float
-    scale: float
 
 
 class Round(NamedTuple):
@@ -63,10 +43,9 @@ class Round(NamedTuple):
 
 def search(
     rounds: Iterable[Round],
-    refine: Callable[[Round], list[tuple[str, Refined]]],
-    criterion: Callable[[Refined], float],
+    refine: Callable[[Round], list[Candidate]],
     convinced: Callable[[Sequence[Candidate], Round, float], bool],
-    mend: Callable[[Sequence[Candidate], Round], list[Refined | None]] | None = None,
+    mend: Callable[[Sequence[Candidate], Round], list[Candidate | None]] | None = None,
     earlier: Sequence[Candidate] = (),
 ) -> tuple[list[Candidate], bool]:
     """Return the candidates, the best first, and whether the search ended on evidence.
@@ -76,9 +55,7 @@ def search(
     rounds : iterable of Round
         The cheap ones first; drawn one by one, so that what is not needed is not computed.
     refine : callable
-        Returns the refined starts of a round that are worth comparing, with their methods.
-    criterion : callable
-        Returns what a candidate is compared by; lower is better.
+        Returns the refined starts of a round that are worth comparing.
     convinced : callable
         Takes the candidates, the best first, the latest round, and the criterion of the best one
         before it; tells whether the best needs no rivals.
@@ -87,20 +64,15 @@ def search(
     earlier : sequence of Candidate
         Of an earlier search that this one goes on with.
     """
-
-    def candidate(method: str, refined: Refined) -> Candidate:
-        return Candidate(method, refined.parameters, criterion(refined), refined.scale)
-
     ordered = list(earlier)
     for latest in rounds:
         before = ordered[0].criterion if ordered else np.inf
-        ordered += [candidate(method, refined) for method, refined in refine(latest)]
-        ordered.sort(key=_rank_of)
-        for place, refined in enumerate(mend(ordered, latest) if mend else ()):
-            if refined is not None:
-                other = candidate(ordered[place].method, refined)
-                ordered[place] = min(ordered[place], other, key=_rank_of)
-        ordered.sort(key=_rank_of)
+        ordered += refine(latest)
+        ordered.sort(key=rank)
+        for place, other in enumerate(mend(ordered, latest) if mend else ()):
+            if other is not None:
+                ordered[place] = min(ordered[place], other, key=rank)
+        ordered.sort(key=rank)
         if ordered and convinced(ordered, latest, before):
             return ordered, True
     return ordered, False
@@ -111,14 +83,10 @@ def agreeing(candidates: Sequence[Candidate], limit: float) -> int:
     return sum(candidate.criterion <= limit for candidate in candidates)
 
 
-def _rank_of(candidate: Candidate) -> float:
-    return rank(candidate.criterion)
-
-
-def rank(criterion: float) -> float:
+def rank(candidate: Candidate) -> float:
     """Return what candidates are sorted by: equal where their criteria differ by rounding alone.
 
     Criteria that agree to nine digits are one optimum, and the candidate tried first wins: further
     digits are rounding, which differs between machines.
     """
-    return float(f"{criterion:.9g}")
+    return float(f"{candidate.criterion:.9g}")

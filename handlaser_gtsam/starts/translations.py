@@ -56,7 +56,7 @@ def translation_start(readings: Readings) -> PartialStart | None:
 
 
 def translation_start_with_range_errors(readings: Readings) -> PartialStart | None:
-    """Return the same with k1 and k2 of every beam, or None where they are not determined."""
+    """Return the same with the range errors of every beam, or None where they are not determined."""
     series = _series(readings)
     kappa = None if series is None else _kappas(series, readings)
     if kappa is None:

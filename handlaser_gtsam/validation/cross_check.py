@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..estimation.survey import SurveyEstimate
 from ..estimation.survey_rows import Item, SurveyRows
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE, POSE
-from ..model.known_relations import BODY
+from ..model.relation import BODY
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE

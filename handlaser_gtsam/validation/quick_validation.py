@@ -19,11 +19,10 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
 from ..data.recording import Recording
 from ..errors import SolverError
-from ..estimation.posterior import covariance_of_determined
-from ..model.errors_in_variables import weighed
+from ..estimation.solution import covariance_of_determined
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
-from ..model.weighting import Variances, Whitening
+from ..model.weighting import Variances, Whitening, weighed
 from ..observability.rank import Observability, observability
 from ..quantities import MOST_ROUNDS, NEGLIGIBLE
 from ..results.calibration import Calibration

@@ -19,7 +19,6 @@ from ..model.condensed_shots import OF_MANY
 from ..model.families import BEAM, PLANE, POSE
 from ..model.range_blocks import PoseVariables, Ranges
 from ..model.sensors.beam import BeamSensor
-from ..model.sensors.cone import Cone
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
@@ -178,7 +177,7 @@ def _ranges_of_beams(
             aimed = passed < FAR_SIGMAS * AIMING_SIGMA
             s[station, beam] = np.where(aimed, e[:, 0], np.nan)
             continue
-        sensor = Cone(beam, half_angle) if half_angle else BeamSensor(beam)
+        sensor = BeamSensor(beam, half_angle)
         rows = Ranges(sensor, TARGETS[family](target), robot, zero).evaluate(values)
         met = np.where(missed(family, rows), np.nan, rows.columns[-1, 0])[:, 0]
         s[station, beam] = np.where(met > 0.0, met, np.nan)

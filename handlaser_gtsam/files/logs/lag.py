@@ -62,7 +62,7 @@ from ...quantities import (
     SINGULAR,
 )
 from ...results.projection import LinearRows, Projection
-from ...solvers.many_problems import solve_together
+from ...solvers.beam_problem import solve_together
 from ...starts import find_start
 from .motion import MOVES_M, MOVES_RAD, Track, interpolated, neighbours
 

@@ -196,7 +196,7 @@ def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> fl
     latest = latest._replace(good=GOOD)
     residuals = [
         good_square(residuals_or_infinite(one.parameters, readings))
-        for _, one in refined_starts(latest, readings, terms, least_scale(readings, None))
+        for one in refined_starts(latest, readings, terms, least_scale(readings, None))
         if np.linalg.norm(one.parameters.locations, axis=1).max() <= reach
         and plausible_range_errors(one.parameters, readings)
     ]

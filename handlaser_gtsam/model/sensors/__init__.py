@@ -1,5 +1,5 @@
 """Sensors: rays in the hand, and what their readings mean.
 
-Beams and cones have a file each; of sensors of many rays `kinds` has the rays, and `mounted` pose and
+Beams have a file; of sensors of many rays `kinds` has the rays, and `mounted` pose and
 range errors.
 """

@@ -21,8 +21,7 @@ from ...arrays import FloatArray, IntArray
 from ...data.survey import Known
 from .errors import SystematicErrors
 from .readings import DIFFERENCE, Observed
-from .relations import relation_residuals
-from .unknowns import At, ReferenceUnknowns
+from .unknowns import At, ReferenceUnknowns, relation_residuals
 
 ERRORS_BEFORE = (0.05, 0.02, 0.1, 0.05)
 """Standard deviations of `RAY_ERRORS` before any reading; stated again, for nothing is shared."""
