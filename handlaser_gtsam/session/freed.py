@@ -16,7 +16,6 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import InputError
 from ..estimation.options import CalibrationOptions
-from ..model.reduced_information import inverse_and_log_det
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..solvers.isam import BeamState
@@ -69,8 +68,8 @@ class FreedState:
         """The beams with all scales integrated over, and what is not known of the errors."""
         joint = self.batch.covariance
         assert joint is not None, "what is converged has a covariance"
-        _, log_det = inverse_and_log_det(joint.matrix(planes=[], ambient=False))
-        return BeamState(*self.batch.parameters().beams, joint.matrix(planes=[]), -log_det)
+        _, log_det = np.linalg.slogdet(joint.matrix(planes=[], ambient=False))
+        return BeamState(*self.batch.parameters().beams, joint.matrix(planes=[]), -float(log_det))
 
     @property
     def learned_with(self) -> int:

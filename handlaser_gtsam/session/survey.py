@@ -17,7 +17,6 @@ from ..data.noise import Noise
 from ..data.survey import Known, Survey, normal_label
 from ..errors import InputError
 from ..model.families import BEAM
-from ..model.reduced_information import inverse_and_log_det
 from ..model.sensors.mounted import SENSOR
 from ..pipeline import calibrate_survey
 from ..results.survey import SurveyCalibration
@@ -161,5 +160,5 @@ def _gain(*calibrations: SurveyCalibration | None) -> float:
         C = one._found.estimate.covariance[np.ix_(rows, rows)]
         if not np.isfinite(C).all():
             return math.nan
-        log_dets.append(inverse_and_log_det(C)[1])
+        log_dets.append(float(np.linalg.slogdet(C)[1]))
     return 0.5 * (log_dets[0] - log_dets[1]) if len(mounts) == 1 else math.nan
