@@ -12,7 +12,6 @@ from .data.recording import Recording, beyond_planes, sorted_readings
 from .data.screening import screened
 from .data.survey import Survey
 from .errors import InputError
-from .estimation.estimate import BlockProblem, Estimate, estimate
 from .estimation.options import CalibrationOptions
 from .estimation.selection import select
 from .progress import LOGGER, Listener, told_to
@@ -21,6 +20,7 @@ from .results.calibration import Calibration
 from .results.problem import Problem
 
 if TYPE_CHECKING:
+    from .estimation.estimate import BlockProblem, Estimate
     from .results.survey import SurveyCalibration
 
 
@@ -38,11 +38,11 @@ def calibrate(recording: Survey, noise: Noise | None = None) -> "SurveyCalibrati
 
 
 @overload
-def calibrate(recording: BlockProblem) -> Estimate: ...
+def calibrate(recording: "BlockProblem") -> "Estimate": ...
 
 
 def calibrate(
-    recording: Recording | Survey | BlockProblem,
+    recording: "Recording | Survey | BlockProblem",
     noise: Noise | None = None,
     options: CalibrationOptions | None = None,
     progress: Listener | None = None,
@@ -75,14 +75,19 @@ def calibrate(
         pose covariances of another number of stations; a survey none of whose shots shows its target;
         arguments of other types, or contradictory.
     """
-    if isinstance(recording, BlockProblem):
-        if any(given is not None for given in (noise, options, progress)):
-            raise InputError("noise, options or progress beside blocks", "weights of the blocks")
-        return estimate(recording)
     if isinstance(recording, Survey):
         if options is not None or progress is not None:
             raise InputError("options or progress with a survey", "its own fields, such as free")
         return calibrate_survey(recording, Noise() if noise is None else noise)
+    if not isinstance(recording, Recording):
+        from .estimation.estimate import BlockProblem, estimate
+
+        if isinstance(recording, BlockProblem):
+            if any(given is not None for given in (noise, options, progress)):
+                raise InputError(
+                    "noise, options or progress beside blocks", "weights of the blocks"
+                )
+            return estimate(recording)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
     return calibrate_from(None, recording, noise, options, progress)
