@@ -9,7 +9,7 @@ from helpers import GRIPPER, ROOT, degenerate
 import handlaser_gtsam as hl
 from handlaser_gtsam.model.effects import EFFECTS
 from handlaser_gtsam.model.families import BEAM
-from handlaser_gtsam.results.description import rendering, terminal
+from handlaser_gtsam.results.description import tables, terminal
 from handlaser_gtsam.results.verdict import OPENING
 
 PAGE = (ROOT / "docs" / "glossary.md").read_text()
@@ -83,7 +83,7 @@ def folder(tmp_path_factory):
 def headings(monkeypatch):
     """Collect the heads of columns of the tables that are shown."""
     found = set()
-    for module in (rendering, terminal):
+    for module in (tables, terminal):
         show = module.text_table
 
         def showing(table, *rest, show=show):

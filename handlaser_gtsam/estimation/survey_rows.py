@@ -21,8 +21,8 @@ from ..model.condensed_shots import (
     of_single_readings,
     some_of,
 )
-from ..model.families import BEAM, PLANE, POSE, pose_of
-from ..model.range_blocks import GivenPoses, PoseVariables, Ranges, RobotModel
+from ..model.families import BEAM, PLANE
+from ..model.range_blocks import PoseVariables, Ranges
 from ..model.relation import Relation
 from ..model.sensors.beam import BeamSensor
 from ..model.sensors.kinds import KINDS, Rayset
@@ -391,15 +391,9 @@ def _derivatives(items: Sequence[Item], values: Values) -> list[FloatArray]:
 
 
 def blocks_of(
-    items: Sequence[Item],
-    sigmas: Mapping[tuple[str, int], float],
-    values: Values,
-    *,
-    poses_vary: bool = True,
+    items: Sequence[Item], sigmas: Mapping[tuple[str, int], float], values: Values
 ) -> tuple[list[Block], IntArray]:
     """Return the blocks of some items, and the number of the item of each of their rows.
-
-    Derivatives by the poses are among those of the rows only where they `poses_vary`.
 
     Parameters
     ----------
@@ -426,11 +420,7 @@ def blocks_of(
         numbers_of = [(i.member, i.station, i.stop, i.target[1]) for i in some]
         member, station, stop, seen = np.array(numbers_of).T
         root = 1.0 / np.array([[sigmas[family, item.member]] for item in some])  # (G, 1)
-        robot: RobotModel = PoseVariables(station)
-        if not poses_vary:
-            R, t = pose_of(values[POSE.name][0, station])
-            robot = GivenPoses.of(R[:, None], t[:, None])
-        shots = [i.shot for i in some if i.shot is not None]
+        robot, shots = PoseVariables(station), [i.shot for i in some if i.shot is not None]
         reading = np.array([[item.reading] for item in some])[None]
         if target == POINT.name:
             root = np.hstack((root, np.full((len(some), 2), 1.0 / sigmas[POINT.name, 0])))

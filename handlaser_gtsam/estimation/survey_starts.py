@@ -462,7 +462,7 @@ def _searched(
         _complete(rows, [item for item in own if item.target == target], values)
     values = {**values, POSE.name: rows.poses()}
     start = {name: x[:1] for name, x in values.items()}
-    blocks, _ = blocks_of(own, sigmas, start, poses_vary=False)
+    blocks, _ = blocks_of(own, sigmas, start)
     # Relations between targets that a sensor sees, and no more.
     seen = {rows.label(item.target) for item in own}
     ties = [r for known, r in relations_of(rows) if seen.issuperset(known.of)]

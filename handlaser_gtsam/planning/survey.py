@@ -123,6 +123,8 @@ def plan_survey(
         look, at = _Look(calibration, items), targets.index(target)
         stations = look.drawn(workspace, at, rng, from_seen=from_seen)
         stations = stations[inside(workspace, stations)]
+        if not len(stations):
+            continue
         seen, said = look.rows(stations)
         stations, plates[at] = stations[seen], look.plate()
         near = reached(workspace, stations, plates)
