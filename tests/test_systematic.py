@@ -16,7 +16,7 @@ from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.model.distributions import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.model.distributions import holm, needed, two_sided
 from handlaser_gtsam.model.effects import EFFECTS
-from handlaser_gtsam.model.effects.columns import directions
+from handlaser_gtsam.model.effects.tool_displaced import directions
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import BeamAndPlaneNames
 from handlaser_gtsam.quantities import POWER

@@ -21,7 +21,7 @@ from ..arrays import FloatArray, IntArray, evenly
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
 from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
-from ..model.effects.columns import LEAST_STATIONS, MOST_SPLITS
+from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, PLANE, POSE
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT

@@ -25,7 +25,7 @@ from ..arrays import FloatArray, IntArray, evenly
 from ..errors import CalibrationWarning, GrazingBeamError
 from ..estimation.selection import Selection
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf, p_words
-from ..model.effects.columns import LEAST_STATIONS, MOST_SPLITS
+from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION
 from ..model.joint import beam_lifts
 from ..model.weighting import Variances, whitening

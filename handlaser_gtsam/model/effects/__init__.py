@@ -2,34 +2,42 @@
 
 What `effects.toml` states, with words and plausible sizes, is named in every view and counted in the
 verdict; a size that users may state instead is a field of `plausible.py`. What a recording can show has
-its function in `columns.py`, and is tested for; what none can, because unknowns of the calibration are
-the same, is only counted.
+its column in a file of its own, and is tested for; what none can, because unknowns of the calibration
+are the same, is only counted.
 """
 
 from collections.abc import Callable
 
-from . import columns
+from . import (
+    beam_on_plane,
+    displaced,
+    drift,
+    lag,
+    sag,
+    tool_displaced,
+    translation_scale,
+    turn_scale,
+)
+from .carry_over import column as carried_over
+from .cubic import column as cubic
 from .effect import STATED, Effect, Everywhere, OnPlanes, SeenStations
+from .incidence import column as of_incidence
 
-OF_READINGS = {
-    "incidence": columns.by_incidence,
-    "cubic": columns.cubic,
-    "carry-over": columns.carry_over,
-}
+OF_READINGS = {"incidence": of_incidence, "cubic": cubic, "carry-over": carried_over}
 """Columns of the errors that a reading has by itself, whenever it is taken."""
 MEMBERS: dict[str, Callable[[SeenStations], Everywhere | OnPlanes]] = {
-    "sag": columns.sag,
-    "drift": columns.drift,
-    "displaced": columns.displaced,
-    "tool-displaced": columns.tool_displaced,
-    "beam-on-plane": columns.beam_on_plane,
+    "sag": sag.members,
+    "drift": drift.members,
+    "displaced": displaced.members,
+    "tool-displaced": tool_displaced.members,
+    "beam-on-plane": beam_on_plane.members,
 }
 """Columns of errors that have a size for each beam or plane."""
 TWISTS = {
-    "lag": columns.lag,
-    "tool-displaced": columns.tool_moves,
-    "turn-scale": columns.turn_scale,
-    "translation-scale": columns.translation_scale,
+    "lag": lag.twists,
+    "tool-displaced": tool_displaced.twists,
+    "turn-scale": turn_scale.twists,
+    "translation-scale": translation_scale.twists,
 }
 """Errors of the hand poses."""
 EFFECTS = {
