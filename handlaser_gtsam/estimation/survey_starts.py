@@ -289,7 +289,6 @@ def _from_spheres(rows: SurveyRows, member: int, items: Sequence[Item]) -> Itera
         X, y, _ = _linear_mounts(R, t, shapes[None, :, :3], fixed)
         yield _mount(X[0], y[0, :3])
         return
-    across, rng = kind.across, np.random.default_rng(len(items))
     # An unknown radius is tried at these times the second largest circle of the shots.
     parts = np.array([1.0, 1.02, 1.06, 1.12, 1.25, 1.5])
     aside = np.zeros((len(parts), len(items)))
@@ -297,32 +296,52 @@ def _from_spheres(rows: SurveyRows, member: int, items: Sequence[Item]) -> Itera
         radii = np.sort(shapes[sphere == s, 2])
         largest = radii[max(len(radii) - 2, 0)] * parts[:, None]
         aside[:, sphere == s] = np.sqrt(np.maximum(largest**2 - shapes[sphere == s, 2] ** 2, 0.0))
-    # Signs of a profile's distance from the centre of a sphere, which alternate with the mount.
-    drawn = rng.choice([-1.0, 1.0], (len(parts), 23, len(items)))
-    side = np.concatenate((np.ones((len(parts), 1, len(items))), drawn), axis=1)
-    centres = np.zeros((*side.shape, 3))
-    centres[..., kind.axes] = shapes[:, :2]
-    K = parts.size * side.shape[1]
-    aside = np.broadcast_to(aside[:, None], side.shape).reshape(K, -1)
-    side, centres = side.reshape(K, -1), centres.reshape(K, -1, 3)
-    mounts, misfit = np.zeros((K, SENSOR.size)), np.zeros(K)
-    open_ = np.arange(K)
+    # Signs of a profile's distance from the centre of a sphere: all alike, and drawn.
+    side = np.ones((len(parts), 24, len(items)))
+    side[:, 1:] = np.random.default_rng(len(items)).choice([-1.0, 1.0], side[:, 1:].shape)
+    centres = np.zeros((len(items), 3))
+    centres[:, kind.axes] = shapes[:, :2]
+    every, tries = (
+        np.repeat(aside, side.shape[1], axis=0),
+        side.reshape(len(aside) * side.shape[1], -1),
+    )
+    mounts, misfit = _settled(R, t, centres, kind.across, fixed, tries, every)
+    best = misfit.reshape(side.shape[:2]).argmin(axis=1)
+    yield from mounts.reshape(*side.shape[:2], -1)[np.arange(len(parts)), best]
+
+
+def _settled(
+    R: FloatArray,
+    t: FloatArray,
+    centres: FloatArray,
+    across: int,
+    fixed: FloatArray,
+    side: FloatArray,
+    aside: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return mounts (K, size) for centres of spheres that are out of the planes of their profiles.
+
+    By `aside` (K, n) [m], on the `side` (K, n) of plus or minus one, which follows the mount and the
+    mount it, in turns. With the mounts go their root mean square misfits (K,) [m].
+    """
+    K, side = len(side), side.copy()
+    mounts, misfit, moving = np.zeros((K, SENSOR.size)), np.zeros(K), np.arange(K)
     # Most settle within ten.
     for _ in range(30):
-        centres[open_, :, across] = side[open_] * aside[open_]
-        X, y, e = _linear_mounts(R, t, centres[open_], fixed)
-        mounts[open_] = [_mount(*at) for at in zip(X, y[:, :3], strict=True)]
-        misfit[open_] = np.sqrt((e**2).mean(axis=(1, 2)))
+        m = np.repeat(centres[None], len(moving), axis=0)
+        m[:, :, across] = side[moving] * aside[moving]
+        X, y, e = _linear_mounts(R, t, m, fixed)
+        mounts[moving] = [_mount(*at) for at in zip(X, y[:, :3], strict=True)]
+        misfit[moving] = np.sqrt((e**2).mean(axis=(1, 2)))
         ahead = np.einsum("nij,kj->kni", R, X[:, :, across])
-        left = e - ahead * (side[open_] * aside[open_])[..., None]
+        left = e - ahead * m[:, :, across, None]
         new = np.where(np.einsum("kni,kni->kn", left, ahead) > 0.0, -1.0, 1.0)
-        changed = (new != side[open_]).any(axis=1)
-        side[open_] = new
-        open_ = open_[changed]
-        if not open_.size:
+        changed = (new != side[moving]).any(axis=1)
+        side[moving] = new
+        moving = moving[changed]
+        if not moving.size:
             break
-    best = misfit.reshape(len(parts), -1).argmin(axis=1)
-    yield from mounts.reshape(len(parts), -1, SENSOR.size)[np.arange(len(parts)), best]
+    return mounts, misfit
 
 
 def _linear_mounts(
