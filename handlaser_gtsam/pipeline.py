@@ -133,10 +133,10 @@ def calibrate_from(
     options: CalibrationOptions,
     progress: Listener | None = None,
 ) -> Calibration:
-    """Do as `calibrate`, from the parameters of another calibration of these beams and planes.
+    """Do as `calibrate`, perhaps from the parameters of another calibration of these beams and planes.
 
-    No start is sought then. Where nothing fits, a search would try everything, which takes long; a
-    model that lacks a beam or a term is known to fit less well.
+    No start is sought where one is given. Where nothing fits, a search would try everything, which
+    takes long; a model that lacks a beam or a term is known to fit less well.
     """
     options = _checked(recording, noise, options)
     # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.

@@ -79,12 +79,15 @@ def test_what_a_plan_promises_is_what_its_stations_bring():
     assert brought < 0.9 * other.sensors["profiler"].spot_error
 
 
-def test_a_plan_determines_what_a_poor_motion_left_open():
-    rng = np.random.default_rng(3)
+@pytest.mark.parametrize("seed", [3, 4, 8])
+def test_a_plan_determines_what_a_poor_motion_left_open(seed):
+    """Of mounts that fit alike the one near the hand counts; from others stations see no plate."""
+    rng = np.random.default_rng(seed)
     about_one_axis = [(tilt, 0.0) for tilt in np.linspace(-0.5, 0.5, 8)]
     poses = list(looking(about_one_axis, rng))
     first = hl.calibrate(measured(poses, rng), EXACT)
     assert first.status == "undetermined"
+    assert np.linalg.norm(first.sensors["profiler"].location - MOUNT[1]) < 0.1
     plan = hl.plan(first, 4)
     assert plan.undetermined == first.undetermined
     assert np.isnan(plan.forecast.spot[0])
@@ -92,7 +95,8 @@ def test_a_plan_determines_what_a_poor_motion_left_open():
     added = zip(plan.stations.world_R_hand, plan.stations.world_t_hand, strict=True)
     after = hl.calibrate(measured([*poses, *added], rng), EXACT)
     assert after.status == "converged"
-    assert after.sensors["profiler"].spot_error < 1e-3
+    assert after.sensors["profiler"].shots == 12
+    assert after.sensors["profiler"].spot_error < 1e-4
 
 
 def test_without_a_workspace_targets_are_looked_at_from_where_they_were_seen():

@@ -199,8 +199,8 @@ def estimate_survey(
     rows = rows_of(survey, noise)
     state = first_state(rows, noise, earlier)
     first = first_fit(state)
-    settled = _settle_sorted(state)
-    again, others = best_image(state, _settle_sorted)
+    settled = _settle_near(state)
+    again, others = best_image(state, _settle_near)
     settled = settled if again is None else again
     doubtful = _doubtful(state)
     if doubtful and state.relations and _blames_relations(state):
@@ -402,6 +402,15 @@ def _settle(state: SurveyState) -> bool:
         if not learned and not worst_changed(state):
             return True
     return False
+
+
+def _settle_near(state: SurveyState) -> bool:
+    """Settle, where something is undetermined at the minimum near the hand; tell whether it rests."""
+    settled = _settle_sorted(state)
+    problem, _ = state.problem()
+    if judged(problem, problem.blocks, dict(state.values)).status == "undetermined":
+        state.draw_to_the_hand()
+    return settled
 
 
 def _settle_sorted(state: SurveyState) -> bool:

@@ -516,6 +516,17 @@ def relations_of(rows: SurveyRows) -> list[tuple[Known, Relation]]:
     return found
 
 
+def near_the_hand(rows: SurveyRows) -> tuple[Known, ...]:
+    """Return weak relations that hold every mount near the hand.
+
+    A search wanders along what is undetermined by metres, at no cost, and derivatives with it. Ten
+    typical ranges (1 sigma) hide nothing.
+    """
+    near = 10.0 * rows.length
+    of = (f"{family}:{name}" for (family, _), name in rows.mounts.items())
+    return tuple(Known("mount", (one,), sigma=near, sigma_angle=1e3, pose=np.eye(4)) for one in of)
+
+
 def _relation(known: Known, of: Sequence[tuple[str, int]]) -> Relation:
     """Return one relation of given variables."""
     (family, first), second = of[0], of[-1][1]

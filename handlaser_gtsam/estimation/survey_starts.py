@@ -319,10 +319,10 @@ def _settled(
     side: FloatArray,
     aside: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return mounts (K, size) for centres of spheres that are out of the planes of their profiles.
+    """Return mounts (K, size) of a profiler before spheres, and their rms misfits (K,) [m].
 
-    By `aside` (K, n) [m], on the `side` (K, n) of plus or minus one, which follows the mount and the
-    mount it, in turns. With the mounts go their root mean square misfits (K,) [m].
+    The `centres` (n, 3) are in the planes of the profiles, and `aside` (K, n) [m] is how far they are
+    beside them, to the `side` (K, n) of plus or minus one. Sides and mounts follow each other in turns.
     """
     K, side = len(side), side.copy()
     mounts, misfit, moving = np.zeros((K, SENSOR.size)), np.zeros(K), np.arange(K)

@@ -17,7 +17,7 @@ from ..model.targets.sphere import SPHERE
 from .dense import DenseRows, with_pose_errors
 from .estimate import BlockProblem, descended, minimum
 from .survey_noise import Components
-from .survey_rows import SurveyRows, blocks_of, priors_of
+from .survey_rows import SurveyRows, blocks_of, near_the_hand, priors_of, relations_of
 
 
 @dataclass(slots=True)
@@ -89,6 +89,15 @@ class SurveyState:
             return False
         self.values = again
         return True
+
+    def draw_to_the_hand(self) -> None:
+        """Go to the minimum near the hand, of several that fit alike."""
+        relations, holds = self.relations, near_the_hand(self.rows)
+        held = relations_of(replace(self.rows, known=(*self.rows.known, *holds)))[-len(holds) :]
+        self.relations = [*relations, *held]
+        self.minimize()
+        self.relations = relations
+        self.minimize()
 
     def _held(self) -> Iterator[Block]:
         """Yield what holds bodies along what their faces leave open."""

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..data.noise import Noise
-from ..data.survey import Known, Survey, normal_label
+from ..data.survey import Survey, normal_label
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
 from ..estimation.survey import estimate_survey, first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
-from ..estimation.survey_rows import SurveyRows, rows_of
+from ..estimation.survey_rows import SurveyRows, near_the_hand, rows_of
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, DIRECTION, LOCATION, pose_of
 from ..model.sensors.mounted import SENSOR
@@ -153,11 +153,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     warnings = (*lost, *causes, *unread, *survey.warnings)
     targets = tuple(_targets(rows))
     numbers, unknowns = counts_of(rows)
-    # A search wanders along what is undetermined by metres, at no cost, and derivatives with it.
-    whose = [f"{family}:{name}" for (family, _), name in rows.mounts.items()]
-    # Mounts are held to the hand to ten typical ranges (1 sigma), which hides nothing.
-    near = 10.0 * rows.length
-    holds = [Known("mount", (one,), sigma=near, sigma_angle=1e3, pose=np.eye(4)) for one in whose]
+    holds = near_the_hand(rows)
     try:
         state = first_state(replace(rows, known=(*rows.known, *holds)), noise)
     except InputError as error:
