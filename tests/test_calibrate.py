@@ -188,7 +188,8 @@ def test_no_range_error_is_rarely_found():
         recording, _ = with_range_errors((0.0, 0.0), 4, seed)
         calibration = hl.calibrate(recording)
         wrong += int(excluded(calibration).sum())
-        ratio.append(calibration.range_error_scales.k1 / calibration.range_error_scales.linearity)
+        learned = calibration.learned
+        ratio.append(learned.range_error_sigma[0] / learned.linearity)
     assert wrong <= 10  # 5 of 96 are expected
     assert np.median(ratio) < 0.5
 
@@ -198,16 +199,16 @@ def test_the_learned_scale_follows_the_truth(scale):
     recording, k = with_range_errors((scale, 0.0), 16, 3)
     options = hl.CalibrationOptions(poses="exact")
     calibration = hl.calibrate(recording, hl.Noise(1e-4), options)
-    assert calibration.range_error_scales.linearity == 0.01
+    assert calibration.learned.linearity == 0.01
     # 16 values tell their standard deviation to 18 %; three of them, and as much for noise in k.
-    learned = calibration.range_error_scales.k1
+    learned, curvature = calibration.learned.range_error_sigma
     assert abs(math.log(learned / k[:, 0].std())) < 0.6
     sigma = np.array([beam.range_error_sigma[0] for beam in calibration.beams.values()])
     # Two sigmas for the interval, and two for what the estimate is off.
     large = np.abs(k[:, 0]) > 4.0 * sigma
     assert large.sum() >= 5
     assert excluded(calibration)[large, 0].all()
-    assert calibration.range_error_scales.k2_per_m < 0.02
+    assert curvature < 0.02
 
 
 def near_one_distance(sigma):
@@ -251,7 +252,7 @@ def test_range_error_can_be_forced(gripper, choice, terms):
     assert beam.terms == terms
     assert (beam.range_error[terms:] == 0.0).all()
     assert (beam.range_error_sigma[terms:] == 0.0).all()
-    assert calibration.range_error_scales is None
+    assert calibration.learned is None or calibration.learned.range_error_sigma is None
 
 
 @functools.cache

@@ -510,10 +510,10 @@ def test_the_rig_file_changes_what_is_expected(tmp_path):
     options = hl.CalibrationOptions(sensor=known.sensor)
     found = hl.calibrate(recording, known.noise, options)
     usual = hl.calibrate(recording)
-    assert found.range_error_scales.linearity == pytest.approx(0.03)
+    assert found.learned.linearity == pytest.approx(0.03)
     sigma, before = ({x.name: x.sigma for x in one.noise_estimate} for one in (found, usual))
     assert sigma["pose translation"] < 0.5 * before["pose translation"]
-    assert found.range_error_scales.k1 > usual.range_error_scales.k1
+    assert found.learned.range_error_sigma[0] > usual.learned.range_error_sigma[0]
 
 
 def test_beside_a_robust_loss_scales_are_estimated_but_not_integrated_over():

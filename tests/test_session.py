@@ -325,7 +325,7 @@ def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
     assert found.largest_sigma < 0.01
     whole = session.calibration()
     assert np.allclose(whole.beams["1"].sigma, session.beams().sigma[0], rtol=0.01)
-    assert whole.range_error_scales is not None
+    assert whole.learned.range_error_sigma is not None
 
 
 def test_scales_that_were_learned_from_fewer_planes_are_named(monkeypatch):

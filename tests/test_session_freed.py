@@ -128,11 +128,11 @@ def test_a_plane_that_is_not_determined_or_does_not_fit_waits():
     assert session.waiting == (*third.plane_names, *update.inconsistent)
     assert_batch(session)
     (change,) = session.recalibrate().changes
-    assert change.code == "not-converged"
+    assert change == "not-converged"
     assert_batch(session)
     session.remove_plane("wrong")
     (change,) = session.recalibrate().changes
-    assert change.code == "excluded-planes"
+    assert change == "excluded-planes"
     assert session.waiting == third.plane_names
     assert_batch(session)
 

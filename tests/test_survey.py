@@ -432,7 +432,7 @@ def test_a_range_error_that_is_held_is_found_and_freed():
     rig = rigs_by_rays.scanner(4, planes=3, stations=14)
     rig.tables["scanner"]["reading"] -= 2e-4
     held = hl.calibrate(survey_of(rig), EXACT)
-    (error,) = [e for e in held.sensors["scanner"].errors if e.code == "k0"]
+    error = held.sensors["scanner"].errors["k0"]
     assert error.found
     assert error.size == pytest.approx(2e-4, abs=5.0 * error.sigma)
     assert any(w.code == "range-error" for w in held.warnings)

@@ -9,6 +9,7 @@ tests, so that a problem may have some thousand rows and some hundred unknowns.
 """
 
 import contextlib
+import math
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
@@ -87,12 +88,15 @@ class TestedEffect(Value):
     detectable : float
         The smallest size that is found with a probability of `POWER`.
     found : bool
+    spot_shift : float
+        How far one of size 1 moves a spot of the sensor [m]; NaN where that is not asked.
     """
 
     size: float
     sigma: float
     detectable: float
     found: bool
+    spot_shift: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

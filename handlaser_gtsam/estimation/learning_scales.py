@@ -206,12 +206,15 @@ class LearnedScales(Value):
     range_error: FloatArray
     left: FloatArray
 
+    @property
+    def range_error_sigma(self) -> FloatArray | None:
+        """What k1 [1] and k2 [1/m] (2,) of all beams typically are; None where they have no prior."""
+        return None if self.linearity is None else self.range_error / np.array([1.0, self.length])
+
     def prior(self, count: int) -> RangeErrorPrior | None:
         """Return the prior of the range errors of `count` beams at the most probable scales."""
-        if self.linearity is None:
-            return None
-        sigma = self.range_error / np.array([1.0, self.length])
-        return RangeErrorPrior(np.tile(sigma, (count, 1)))
+        sigma = self.range_error_sigma
+        return None if sigma is None else RangeErrorPrior(np.tile(sigma, (count, 1)))
 
     def along(self, angles: FloatArray | None) -> tuple[RangeErrorGrid, ...]:
         """Return the grids, those of turned axes along the angles (B,) where these are given."""

@@ -59,7 +59,8 @@ def calibration_text(
 def _of_beams(calibration: Calibration, reading: float) -> Record:
     """Return what is said of beams before planes, with the laser spots at a reading [m]."""
     joint, fit = calibration.covariance, calibration.fit
-    seen, scales = calibration.observability, calibration.range_error_scales
+    seen, learned = calibration.observability, calibration.learned
+    scales = None if learned is None else learned.range_error_sigma
     return {
         "beams": [_beam(beam, calibration, reading) for beam in calibration.beams.values()],
         "beam_covariance": None if joint is None else joint.matrix(planes=[]),
@@ -99,8 +100,8 @@ def _of_beams(calibration: Calibration, reading: float) -> Record:
             for one in calibration.correlations
         ],
         "range_error_scales": None
-        if scales is None
-        else record(scales, f"{RANGE_ERROR} linearity"),
+        if learned is None or scales is None
+        else record((*scales.tolist(), learned.linearity), f"{RANGE_ERROR} linearity"),
         "systematic": [
             record(
                 one,
@@ -142,7 +143,9 @@ def _of_survey(result: "SurveyCalibration") -> Record:
                 one,
                 sensor,
                 working_distance_m=one.reading,
-                range_errors_tested=records(one.errors, tested),
+                range_errors_tested=[
+                    record(error, tested, code=code) for code, error in one.errors.items()
+                ],
             )
             for one in result.sensors.values()
         ],

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from .calibration_data import Fit as Fit
     from .calibration_data import FreedEffect as FreedEffect
     from .calibration_data import Plane as Plane
-    from .calibration_data import RangeErrorScales as RangeErrorScales
     from .calibration_data import ScaledSolution as ScaledSolution
     from .calibration_data import StartReport as StartReport
     from .limits import LimitCheck as LimitCheck
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
     from .spots import VarianceShares as VarianceShares
     from .survey import BeamMount as BeamMount
     from .survey import Mount as Mount
-    from .survey import SensorError as SensorError
     from .survey import SensorMount as SensorMount
     from .survey import SurveyCalibration as SurveyCalibration
     from .survey import SurveyTarget as SurveyTarget

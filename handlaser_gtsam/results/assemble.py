@@ -45,7 +45,6 @@ from .calibration_data import (
     Fit,
     FreedEffect,
     Plane,
-    RangeErrorScales,
     ScaledSolution,
     StartReport,
     Status,
@@ -399,12 +398,7 @@ def with_scales(
     )
     if found is None:
         return result
-    scales = None
-    learned = found.learned
-    if learned.linearity is not None:
-        of_slope, of_curvature = (learned.range_error / [1.0, learned.length]).tolist()
-        scales = RangeErrorScales(of_slope, of_curvature, learned.linearity)
-    result = replace(result, range_error_scales=scales, learned=learned)
+    result = replace(result, learned=found.learned)
     if result.covariance is None:
         return result
     at_scales = ScaledSolution(

@@ -53,12 +53,10 @@ class Calibration(CalibrationData):
         Of all beams and planes together; None unless everything is determined.
     correlations : tuple of Correlation
         Unknowns of the beams that the recording hardly tells apart.
-    range_error_scales : RangeErrorScales or None
-        Learned scales of the range errors; None where they have no prior.
     at_scales : ScaledSolution or None
         The solution at the most probable scales, where they were.
     learned : LearnedScales or None
-        The scales that were integrated over.
+        The scales of noise and range errors that were integrated over.
     systematic : tuple of SystematicError
         What the recording says of errors that the model leaves out.
     recording : Recording or None

@@ -212,23 +212,6 @@ class Fit(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class RangeErrorScales(Value):
-    """What the range errors of all beams typically are, learned from them.
-
-    Attributes
-    ----------
-    k1, k2_per_m : float
-        Standard deviations of the zero-mean prior of k1 [1] and k2 [1/m]: posterior means.
-    linearity : float
-        About which both are learned, as a part of the reading: see `Sensor`.
-    """
-
-    k1: float
-    k2_per_m: float
-    linearity: float
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FreedEffect(Value):
     """A systematic error that was an unknown, or one of its unknowns.
 
@@ -358,7 +341,6 @@ class CalibrationData(Value):
     noise_estimate: tuple[NoiseComponent, ...] = ()
     covariance: JointCovariance | None = None
     correlations: tuple[Correlation, ...] = ()
-    range_error_scales: RangeErrorScales | None = None
     at_scales: ScaledSolution | None = None
     learned: LearnedScales | None = None
     systematic: tuple[SystematicError, ...] = ()

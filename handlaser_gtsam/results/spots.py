@@ -220,9 +220,9 @@ def _spot_variance(
     at = calibration.parameters()
     how = whitening(at, readings, variances)
     normal, _ = linearized(at, readings, 2, how)
-    prior, learned = np.zeros((len(calibration.beams), BEAM.dim)), calibration.range_error_scales
-    if learned is not None:
-        prior[:, MOUNT_DIM:] = np.array([learned.k1, learned.k2_per_m]) ** -2.0
+    prior, learned = np.zeros((len(calibration.beams), BEAM.dim)), calibration.learned
+    if learned is not None and learned.range_error_sigma is not None:
+        prior[:, MOUNT_DIM:] = learned.range_error_sigma**-2.0
     terms, length = [b.terms for b in calibration.beams.values()], calibration.fit.typical_range
     active = modelled(terms).ravel()
     unit = np.tile(BEAM.natural_units(length), len(calibration.beams))

@@ -3,7 +3,7 @@
 import math
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -51,22 +51,6 @@ from .verdict import Verdict
 from .warnings import DISPLACED
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
-
-
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SensorError(TestedEffect):
-    """A range error of all rays of a sensor that the model leaves out.
-
-    Attributes
-    ----------
-    code : "k0", "k1", "k2", "scale" or "x-and-z"
-        The last one is k1 and scale at once: both axes of a profiler err by the same part.
-    spot_shift : float
-        How far it moves a spot of this sensor if it is of size 1 [m].
-    """
-
-    code: str
-    spot_shift: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -152,7 +136,9 @@ class SensorMount(Mount):
     spot : (3,)
         Of the ray in the middle at the working distance, in the sensor's frame [m].
     shots : int
-    errors : tuple of SensorError
+    errors : mapping of str to TestedEffect
+        Range errors of all its rays that the model leaves out: k0, k1, k2, scale, or x-and-z, which is
+        k1 and scale at once: both axes of a profiler err by the same part.
     """
 
     kind: str
@@ -160,7 +146,7 @@ class SensorMount(Mount):
     range_error: Mapping[str, float]
     spot: FloatArray
     shots: int
-    errors: tuple[SensorError, ...]
+    errors: Mapping[str, TestedEffect]
 
     noun = SENSOR.name
 
@@ -339,7 +325,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     tested = restless or estimate.status in ("converged", "contradicted")
     effects = _effects(found) if tested else {}
     sensors = {
-        shots.name: _sensor(found, i, effects.get(i, ())) for i, shots in enumerate(survey.shots)
+        shots.name: _sensor(found, i, effects.get(i, {})) for i, shots in enumerate(survey.shots)
     }
     beams = {name: _beam(found, i) for i, name in enumerate(survey.beam_names)}
     targets = {
@@ -393,7 +379,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     )
 
 
-def _sensor(found: SurveyEstimate, member: int, errors: tuple[SensorError, ...]) -> SensorMount:
+def _sensor(found: SurveyEstimate, member: int, errors: Mapping[str, TestedEffect]) -> SensorMount:
     shots = found.rows.survey.shots[member]
     x = found.estimate.values[SENSOR.name][member]
     R, location = pose_of(x)
@@ -509,7 +495,7 @@ def _rejected_since(found: SurveyEstimate) -> Iterator[str]:
             yield said("displaced", target=label, where=f"up to station {last}")
 
 
-def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
+def _effects(found: SurveyEstimate) -> dict[int, dict[str, TestedEffect]]:
     """Return tests of the range errors that are held at zero, by sensor."""
     problem = found.problem()
     if SENSOR.name not in problem.start:
@@ -529,7 +515,7 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
         if shots.kind == "profiler" and len(both) == len(ALIKE):
             columns[member, BOTH_AXES] = both[0] + both[1]
     index = [whole.names.index(name) for name in own.names]
-    effects: dict[int, list[SensorError]] = {}
+    effects: dict[int, dict[str, TestedEffect]] = {}
     for (member, code), (tested, follows) in tested_columns(J[:, index], e, columns).items():
         if not np.isfinite(tested.sigma):
             continue  # it only moves the mount: nothing tells it, and nothing needs to
@@ -539,9 +525,8 @@ def _effects(found: SurveyEstimate) -> dict[int, tuple[SensorError, ...]]:
         shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
         if code == BOTH_AXES:
             tested = _tried(found, tested, member, len(columns))
-        parts = tested.size, tested.sigma, tested.detectable, tested.found
-        effects.setdefault(member, []).append(SensorError(*parts, code, shift))
-    return {member: tuple(errors) for member, errors in effects.items()}
+        effects.setdefault(member, {})[code] = replace(tested, spot_shift=shift)
+    return effects
 
 
 def _tried(found: SurveyEstimate, tested: TestedEffect, member: int, of: int) -> TestedEffect:

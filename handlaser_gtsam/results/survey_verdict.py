@@ -150,9 +150,9 @@ def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, 
     That is in units of the 95 % radius of the spot.
     """
     moved = {
-        (sensor.name, error.code): abs(error.size) * error.spot_shift / sensor.spot_error
+        (sensor.name, code): abs(error.size) * error.spot_shift / sensor.spot_error
         for sensor in result.sensors.values()
-        for error in sensor.errors
+        for code, error in sensor.errors.items()
         if error.found
     }
     worst = max(moved, key=lambda one: moved[one], default=None)

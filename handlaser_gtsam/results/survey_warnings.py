@@ -102,15 +102,15 @@ def survey_warnings(
     yield from _few(found)
     yield from rival_mounts(found)
     for sensor in sensors.values():
-        found_errors = [error for error in sensor.errors if error.found]
-        if found_errors:
+        errors = [(code, error) for code, error in sensor.errors.items() if error.found]
+        if errors:
             # One error shows in the tests of others that look like it: the most significant is named.
-            first, *others = sorted(found_errors, key=lambda e: -abs(e.size) / e.sigma)
+            (code, first), *others = sorted(errors, key=lambda e: -abs(e[1].size) / e[1].sigma)
             p = 2.0 * float(gaussian_sf(abs(first.size) / first.sigma))
-            alike = " or ".join(error.code for error in others)
+            alike = " or ".join(other for other, _ in others)
             also = f"; an error {alike} would look much like it" if others else ""
-            free = free_of(first.code)
-            which = {"sensor": sensor.name, "code": first.code, "alike": alike, "free": free}
+            free = free_of(code)
+            which = {"sensor": sensor.name, "code": code, "alike": alike, "free": free}
             sizes = {"size": first.size, "sigma": first.sigma, "p": p}
             yield warned("range-error", {**which, **sizes}, likely=p_words(p, 1), also=also)
     yield from moved

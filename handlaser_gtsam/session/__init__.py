@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .reports import Change as Change
     from .reports import Comparison as Comparison
     from .reports import Update as Update
 else:

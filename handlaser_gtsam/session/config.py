@@ -19,7 +19,7 @@ from ..quantities import IN_MM, KNOWN, SAME_OPTIMUM
 from ..results.calibration import Calibration
 from ..solvers.graph import range_error_priors, start_values
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
-from .reports import Change
+from .reports import ChangeCode
 
 
 @dataclass(frozen=True)
@@ -140,15 +140,15 @@ class SessionConfig:
         r, v, k = (array[order] for array in batch.parameters().beams)
         return state.apart((r, v, k), sigmas)
 
-    def changes(self, before: "SessionConfig") -> tuple[Change, ...]:
+    def changes(self, before: "SessionConfig") -> dict[ChangeCode, str]:
         """Return what is estimated differently than before."""
         if self.learned is not None and before.learned is not None:
             same = self.learned.apart(before.learned) < SAME_OPTIMUM
-            return () if same else (Change("scales", "scales learned again"),)
+            return {} if same else {"scales": "scales learned again"}
         # Below half of it, no standard deviation shows the change.
         if abs(self.sigma / before.sigma - 1.0) < 0.5 * SAME_OPTIMUM:
-            return ()
-        return (Change("range-sigma", f"range sigma {IN_MM * self.sigma:.3g} mm"),)
+            return {}
+        return {"range-sigma": f"range sigma {IN_MM * self.sigma:.3g} mm"}
 
     def graph(
         self, beams: Beams, parts: dict[int, GraphPart], *, fine: bool

@@ -24,7 +24,7 @@ from .config import SessionConfig
 from .contents import Contents
 from .moved_beam import recent, search
 from .plane import fit_plane
-from .reports import Change, Comparison
+from .reports import ChangeCode, Comparison
 from .state import fitted_planes, undetermined
 
 
@@ -109,10 +109,10 @@ class FreedState:
         batch = self._calibrated(contents, self._determined(contents))
         if batch.status != "converged":
             words = f"everything together does not converge: {batch.message}"
-            return self, replace(self.compare(), changes=(Change("not-converged", words),))
-        changes: tuple[Change, ...] = ()
+            return self, replace(self.compare(), changes={"not-converged": words})
+        changes: dict[ChangeCode, str] = {}
         if self.contents.excluded:
-            changes = (Change("excluded-planes", "planes that did not fit taken in again"),)
+            changes = {"excluded-planes": "planes that did not fit taken in again"}
         new = FreedState.of(batch, contents, self.config.noise, self.config.options)
         return new, Comparison(*self.config.apart(self.integrated, batch), changes)
 

@@ -1,6 +1,7 @@
 """What a session says about what happened to it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 from ..arrays import FloatArray
@@ -11,24 +12,6 @@ from ..validation.other_recording import BeamDrift
 ChangeCode = Literal[
     "scales", "range-sigma", "outliers", "excluded-planes", "from-batch", "not-converged"
 ]
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """A difference that a comparison with the batch solution has shown, and that was taken over.
-
-    Attributes
-    ----------
-    code : str
-        `scales` of noise and range errors, an estimated `range-sigma`, the choice of `outliers`,
-        `excluded-planes` that take part again, or `from-batch`: the graph was restarted from the batch
-        solution, which it had left. `not-converged`: the batch calibration did not converge, and
-        nothing was taken over.
-    message : str
-    """
-
-    code: ChangeCode
-    message: str
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -44,18 +27,22 @@ class Comparison(Value):
         Largest difference of a coordinate of a beam, in its standard deviations.
     largest_sigma : float
         Largest relative difference of a standard deviation.
-    changes : tuple of Change
-        Changes that followed; none where the two agree and nothing was chosen again.
+    changes : mapping of str to str
+        Differences that were taken over, in words, by `scales` of noise and range errors, an estimated
+        `range-sigma`, the choice of `outliers`, `excluded-planes` that take part again, `from-batch`,
+        where the graph was restarted from the batch solution it had left. `not-converged`: the batch
+        calibration did not converge, and nothing was taken over. None where the two agree and nothing
+        was chosen again.
     """
 
     largest: float
     largest_sigma: float
-    changes: tuple[Change, ...] = ()
+    changes: Mapping[ChangeCode, str] = field(default_factory=dict)
 
     @property
     def message(self) -> str:
         """The changes in words; empty where there are none."""
-        return "; ".join(change.message for change in self.changes)
+        return "; ".join(self.changes.values())
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

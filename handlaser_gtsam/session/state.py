@@ -45,7 +45,7 @@ from .config import SessionConfig
 from .contents import Contents, PlaneContents, arranged
 from .moved_beam import recent, search
 from .plane import FittedPlane, fit_plane
-from .reports import Change, Comparison
+from .reports import Comparison
 
 REWEIGHED_MOVE = 5e-4
 """Weights, and the information of planes, are updated once the beams have moved by this part of their
@@ -198,8 +198,7 @@ class SessionState:
                 new, _, _ = new.changed(new.contents.included(), excluded)
         comparison = new.compare()
         if max(comparison.largest, comparison.largest_sigma) > SAME_OPTIMUM:
-            words = "restarted from the batch solution, which it had left"
-            changes = (*changes, Change("from-batch", words))
+            changes |= {"from-batch": "restarted from the batch solution, which it had left"}
             new = begin(new.contents, new.config, new.solution.parameters.beams)
         planes = len(new.contents.inside)
         new = replace(new, compared=new.state, changes=0, learned_with=planes)
@@ -216,15 +215,14 @@ class SessionState:
         batch, config = self.calibrated()
         if batch.status != "converged":
             words = f"everything together does not converge: {batch.message}"
-            return self, replace(self.compare(), changes=(Change("not-converged", words),))
+            return self, replace(self.compare(), changes={"not-converged": words})
         changes = config.changes(self.config)
         contents = self.contents.restarted(batch.fit.rejected)
         out = [{(r.station, r.sensor) for r in each.rejected} for each in (contents, self.contents)]
         if out[0] != out[1]:
-            changes = (*changes, Change("outliers", "outliers chosen again"))
+            changes |= {"outliers": "outliers chosen again"}
         if self.contents.excluded:
-            words = "planes that did not fit taken in again"
-            changes = (*changes, Change("excluded-planes", words))
+            changes |= {"excluded-planes": "planes that did not fit taken in again"}
         new = self
         if changes:  # from the estimate so far, not from what it is to be compared with
             order = [self.config.names.index(name) for name in batch.beams]

@@ -288,10 +288,10 @@ def range_error_words(result: CalibrationData) -> str:
     words = "zero is not excluded"
     if listed:
         words = f"zero is excluded (95 %) for {' and '.join(listed)}"
-    learned = result.range_error_scales
-    if learned is None:
+    typical = None if result.learned is None else result.learned.range_error_sigma
+    if typical is None:
         return said("range-errors", words=words)
-    return said("range-errors:learned", words=words, first=learned.k1, second=learned.k2_per_m)
+    return said("range-errors:learned", words=words, first=typical[0], second=typical[1])
 
 
 def effect_words(result: CalibrationData) -> str:

@@ -209,12 +209,12 @@ def _errors(errors: Mapping[str, float], sigmas: FloatArray) -> str:
 def _tested(sensor: SensorMount) -> str:
     """Say which range errors were found, and the largest that could be there all the same."""
     parts = []
-    for error in sensor.errors:
-        unit, factor = UNITS[error.code]
+    for code, error in sensor.errors.items():
+        unit, factor = UNITS[code]
         size, least = (
             f"{x * factor:{d}} {unit}" for x, d in ((error.size, ".3g"), (error.detectable, ".2g"))
         )
         moved = error.detectable * error.spot_shift
-        hidden = said("tested:hidden", code=error.code, size=least, moved=moved)
-        parts.append(f"{error.code} of {size} found" if error.found else hidden)
+        hidden = said("tested:hidden", code=code, size=least, moved=moved)
+        parts.append(f"{code} of {size} found" if error.found else hidden)
     return "; ".join(parts)
