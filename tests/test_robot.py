@@ -358,7 +358,18 @@ def test_a_first_motion_is_reached_too(small):
     check_drive(here.robot, plan.stations, {"A": rig.bounds.plate})
 
 
-@pytest.mark.slow
+@needs_pinocchio
+@pytest.mark.parametrize("name", ["small", *ARMS])
+def test_no_pose_of_the_arm_is_too_far(name, small):
+    robot = small if name == "small" else example(name)
+    arm = robot._scene().arm
+    _, t = robot.poses(np.random.default_rng(0).uniform(*robot.limits, (3000, len(arm.low))))
+    assert not arm.too_far(t).any()
+    # With every link straightened out it would reach farther, but less than twice as far.
+    farthest = np.linalg.norm(t - robot.base_t, axis=1).argmax()
+    assert arm.too_far(robot.base_t + 2.0 * (t[farthest] - robot.base_t)[None]).all()
+
+
 @needs_pinocchio
 def test_an_arm_too_far_away_is_said(small, calibrated):
     far = replace(small, base_t=small.base_t + 3.0)

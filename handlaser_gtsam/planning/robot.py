@@ -127,12 +127,12 @@ class Robot(Value):
         check_poses(R, t, numbered(len(t)))
         arm, touches, rng = self._scene().arm, self._touching(plate), np.random.default_rng(0)
         stands = self.start if len(self.start) else 0.5 * (arm.low + arm.high)
-        joints = np.full((len(t), len(arm.low)), np.nan)
+        joints, near = np.full((len(t), len(arm.low)), np.nan), ~arm.too_far(t)
         # Two starts that are known to be near, then eight random ones: about one pose in two hundred
         # that an arm reaches is missed from all of them.
         for attempt in range(10):
             missing = np.isnan(joints).any(axis=1)
-            left, reached = np.flatnonzero(missing), np.flatnonzero(~missing)
+            left, reached = np.flatnonzero(missing & near), np.flatnonzero(~missing)
             if not left.size:
                 break
             if attempt == 0:

@@ -7,7 +7,7 @@ show it inside, and with errors of the hand as are usual.
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
 from ..estimation.survey import estimate_survey, first_fit, first_image, first_state
 from ..estimation.survey_mirror import with_images
-from ..estimation.survey_rows import SurveyRows, near_the_hand, rows_of
+from ..estimation.survey_rows import SurveyRows, rows_of
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, DIRECTION, LOCATION, pose_of
 from ..model.sensors.mounted import SENSOR
@@ -153,20 +153,18 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     warnings = (*lost, *causes, *unread, *survey.warnings)
     targets = tuple(_targets(rows))
     numbers, unknowns = counts_of(rows)
-    holds = near_the_hand(rows)
     try:
-        state = first_state(replace(rows, known=(*rows.known, *holds)), noise)
+        state = first_state(rows, noise)
     except InputError as error:
         if not rows.items:
             raise with_causes(error, causes) from error
         said = ((error.found,), True, (error.expected,), (), np.nan, warnings)
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
+    if first_fit(state).fits:
+        state.draw_to_the_hand()
     others = first_image(state)
     first = first_fit(state)
     warnings = (*implausible(rows, state.values), *warnings)
-    if not first.fits:  # in the words of `calibrate`, which holds nothing near the hand
-        first = first_fit(first_state(rows, noise))
-    state = replace(state, relations=[one for one in state.relations if one[0] not in holds])
     problem, _ = state.problem()
     information, axes, _ = information_axes(problem, problem.blocks, state.values)
     exact = information < NEGLIGIBLE**2 * information.max()
@@ -175,13 +173,13 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     found, images = with_images(found, others)
     warnings = (*mislabelled(state, found), *warnings)
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
-    if not first.fits:
-        warnings = (no_fit(rows, first, causes, noise), *warnings)
-    elif (
-        rows.known
-    ):  # whether relations hold depends on the noise, which is learned with everything
+    contradicted: tuple[CalibrationWarning, ...] = ()
+    if rows.known:  # whether relations hold depends on the noise, which is learned with everything
         with suppress(InputError):
-            warnings = (*warnings, *contradictions(estimate_survey(survey, noise).tests))
+            contradicted = tuple(contradictions(estimate_survey(survey, noise).tests))
+    warnings = (*warnings, *contradicted)
+    if not first.fits and not contradicted:
+        warnings = (no_fit(rows, first, causes, noise), *warnings)
     another = unconfirmed_mount(rows)
     if another and not undetermined:
         undetermined, advice = (another,), (MORE_STATIONS,)

@@ -230,7 +230,8 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStatio
             way = Way(row[kept], np.arange(len(kept), dtype=np.intp))
             if given.interpolate:
                 way = Way.between(clock, times)
-            names = tuple(readings.names[i] for i in kept.tolist())
+            every_name = readings.names
+            names = tuple(every_name[i] for i in kept.tolist())
             labels = (readings, kept), (poses, row[kept])
             twice = first_repeated(names)
             if twice is not None:

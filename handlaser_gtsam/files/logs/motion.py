@@ -18,8 +18,8 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import InputError
 from ...model.conventions import Convention, inverted, poses_of
 from ...model.distributions import chi2_quantile
-from ...model.geometry import nearest_rotation, steps_between
-from ...quantities import FAR_SIGMAS, MM, ROWS_AT_ONCE
+from ...model.geometry import nearest_rotation
+from ...quantities import FAR_SIGMAS, MM, ROWS_AT_ONCE, TINY
 from .format import LogFormat
 
 MOVES_M, MOVES_RAD = 1e-3, np.radians(0.1)
@@ -135,9 +135,17 @@ def interpolated(
     Positions are linear, and rotations go along the shortest turn.
     """
     before, after = rows.T
-    w, first, second = part[:, None], Rotation.from_quat(q[before]), Rotation.from_quat(q[after])
-    turn, shift = steps_between(first, second, p[before], p[after])
-    return first * Rotation.from_rotvec(w * turn), p[before] + w * shift
+    w, q = part[:, None], q / np.linalg.norm(q, axis=1, keepdims=True)
+    first, second = q[before], q[after]
+    # Slerp (Shoemake 1985); quaternions of both signs are one rotation.
+    second = np.where((first * second).sum(axis=1, keepdims=True) < 0.0, -second, second)
+    between, across = (np.linalg.norm(x, axis=1)[:, None] for x in (first - second, first + second))
+    half = 2.0 * np.arctan2(between, across)  # of the turn
+    rests = half < TINY
+    sine = np.where(rests, 1.0, np.sin(half))
+    turned = np.where(rests, 1.0 - w, np.sin((1.0 - w) * half) / sine) * first
+    turned += np.where(rests, w, np.sin(w * half) / sine) * second
+    return Rotation.from_quat(turned), p[before] + w * (p[after] - p[before])
 
 
 def nearest(times: FloatArray, wanted: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from ...arrays import FloatArray
+from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
 from ...quantities import ROUNDING, SINGULAR
 
@@ -114,6 +114,12 @@ class Arm:
         self.low[limited] = model.lowerPositionLimit[listed]
         self.high[limited] = model.upperPositionLimit[listed]
         self._turning = self.hand(np.zeros(model.nv))[2][3:].any(axis=0)
+        # Straightened out, from one joint to the next, with all that slides drawn out.
+        shoulder, *links = [placement.translation for placement in list(model.jointPlacements)[1:]]
+        links.append(model.frames[self._frame].placement.translation)
+        slides = np.maximum(np.abs(self.low), np.abs(self.high))[~self._turning]
+        self._shoulder = np.array(shoulder)
+        self._reach = float(np.linalg.norm(links, axis=1).sum() + slides.sum())
 
     def require_joints(self, name: str, joints: FloatArray) -> None:
         """Refuse joints of another number, or beyond the limits."""
@@ -144,6 +150,10 @@ class Arm:
         hand = pin.updateFramePlacement(model, data, frame)
         J = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         return np.array(hand.rotation), np.array(hand.translation), J
+
+    def too_far(self, t: FloatArray) -> BoolArray:
+        """Tell which positions (M, 3) the hand cannot reach, whatever the joints."""
+        return np.asarray(np.linalg.norm(t - self._shoulder, axis=1) > self._reach + ROUNDING)
 
     def inverse(self, R: FloatArray, t: FloatArray, start: FloatArray) -> FloatArray | None:
         """Return joints (J,) within the limits at which the hand is at a pose, sought from a start.
