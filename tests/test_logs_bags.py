@@ -128,11 +128,10 @@ def test_rays_of_a_scan_are_beams_and_no_readings_are_none(tmp_path, driven, kin
         hl.read_log(bag, hl.LogFormat(**given))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["ros1", "ros2", "mcap"])
-def test_the_lag_of_a_bag_is_estimated_to_ten_milliseconds(tmp_path, kind):
+@pytest.mark.slow  # bags of other kinds give the same rows, as tests above say
+def test_the_lag_of_a_bag_is_estimated_to_ten_milliseconds(tmp_path):
     drive, _ = example(noise=1e-3, seed=4)
-    bag = write_bag(tmp_path, kind, partial(published, drive, lag=0.1))
+    bag = write_bag(tmp_path, "mcap", partial(published, drive, lag=0.1))
     half = 0.5 * (drive.stand[11, 1] + drive.stand[12, 0])
     by_time = (f"A=0s..{half}s", f"B={half + 1e-6}s..{drive.pose_time[-1] + 1.0}s")
     for ranges in (PLANES, by_time):

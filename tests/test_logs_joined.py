@@ -245,7 +245,7 @@ def with_lag(folder, drive, put, **more):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("put", "noise"), [(0.1, 2e-3), (-0.07, 0.0), (0.0, 2e-3)])
+@pytest.mark.parametrize(("put", "noise"), [(-0.07, 0.0), (0.0, 2e-3)])
 def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
     drive, _ = example(noise=noise, seed=3)
     report = with_lag(tmp_path, drive, put)
@@ -255,8 +255,10 @@ def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 2, 6, 14])
-@pytest.mark.parametrize(("noise", "most"), [(0.0, 1e-5), (2e-3, 2e-3)])
+@pytest.mark.parametrize(
+    ("seed", "noise", "most"),
+    [(0, 0.0, 1e-5), (14, 0.0, 1e-5), (2, 2e-3, 2e-3), (6, 2e-3, 2e-3)],
+)
 def test_the_lag_is_that_of_the_calibration(tmp_path, seed, noise, most):
     """The polynomials alone were 6 ms off in these, with a standard deviation of one.
 

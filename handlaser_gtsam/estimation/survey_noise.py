@@ -105,7 +105,11 @@ class _Likelihood:
         diagonal = np.where(self.source >= 0, np.append(factor, 1.0)[self.source], 1.0)
         np.einsum("sii->si", V)[:] += diagonal + rounding[:, None]
         L = np.linalg.cholesky(V)
-        white = np.linalg.solve(L, self.X)
+        # Forward substitution, one row of all stations at a time: they have a few rows each.
+        white = np.empty_like(self.X)
+        for i in range(white.shape[1]):
+            known = (L[:, i, None, :i] @ white[:, :i])[:, 0]
+            white[:, i] = (self.X[:, i] - known) / L[:, i, i, None]
         white = white.reshape(-1, white.shape[2])
         N = white.T @ white
         H, g = N[:-1, :-1], N[:-1, -1]
