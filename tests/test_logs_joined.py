@@ -9,6 +9,7 @@ from moving import example, range_of
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.files.logs.rows import Rows
 
 POSE = "x,y,z,qx,qy,qz,qw"
 
@@ -130,6 +131,26 @@ def test_each_reading_has_the_nearest_pose(tmp_path, driven):
         hl.read_log(
             tmp_path / "poses.csv", hl.LogFormat(readings=tmp_path / "readings.csv", plane="A")
         )
+
+
+def test_names_of_rows_are_made_a_few_times_however_many_rows_there_are(
+    tmp_path, driven, monkeypatch
+):
+    """They were made again for each row, so that the time grew with the square of the rows."""
+    drive, _ = driven
+    write_poses(tmp_path / "poses.csv", drive)
+    write_readings(tmp_path / "readings.csv", drive)
+    names, made = Rows.names.fget, []
+    monkeypatch.setattr(Rows, "names", property(lambda rows: made.append(1) or names(rows)))
+    given = hl.LogFormat(
+        readings=tmp_path / "readings.csv",
+        tolerance_s=0.05,
+        interpolate=True,
+        plane="A",
+        as_stated=True,
+    )
+    assert len(hl.read_log(tmp_path / "poses.csv", given).plane_labels) > 1000
+    assert 0 < len(made) < 10
 
 
 def test_a_pose_has_the_mean_of_the_readings_around_it(tmp_path, driven):
