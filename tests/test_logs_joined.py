@@ -9,7 +9,7 @@ from moving import example, range_of
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.files.logs.rows import Rows
+from handlaser_gtsam.files.logs.rows import LogRows
 
 POSE = "x,y,z,qx,qy,qz,qw"
 
@@ -140,8 +140,8 @@ def test_names_of_rows_are_made_a_few_times_however_many_rows_there_are(
     drive, _ = driven
     write_poses(tmp_path / "poses.csv", drive)
     write_readings(tmp_path / "readings.csv", drive)
-    names, made = Rows.names.fget, []
-    monkeypatch.setattr(Rows, "names", property(lambda rows: made.append(1) or names(rows)))
+    names, made = LogRows.names.fget, []
+    monkeypatch.setattr(LogRows, "names", property(lambda rows: made.append(1) or names(rows)))
     given = hl.LogFormat(
         readings=tmp_path / "readings.csv",
         tolerance_s=0.05,
