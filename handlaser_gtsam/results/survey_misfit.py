@@ -436,7 +436,7 @@ def _squares(
         Standard deviation of a reading [m], where it is known.
     """
     # An array of nine zones says it with ten shots.
-    some_of_all = list(kinds)[:: max(len(kinds) // 60, 1)]
+    some_of_all = list(kinds)[:: max(len(kinds) // 20, 1)]
     total, dof, lost = 0.0, 0, 0
     for target in OTHER_KIND:
         seen = [s for s in some_of_all if kinds[s] == target]
