@@ -3,7 +3,7 @@
 import json
 import re
 from dataclasses import replace
-from itertools import product
+from functools import cache
 
 import numpy as np
 import polars as pl
@@ -82,6 +82,12 @@ def cell(seed, *, background=False, exchanged=(), labels=()):
     return hl.Survey(stations, (hl.Shots.profiler("profiler", station, x, z),))
 
 
+@cache
+def calibrated(seed, **options):
+    """The calibration of a cell, made once for all tests."""
+    return hl.calibrate(cell(seed, **options))
+
+
 def two_rounds(seed, moved=(0.0, 0.0, 0.0), sensor=(0.0, 0.0, 0.0)):
     """A survey of a program that ran twice, with the ball, or the sensor, elsewhere the second time.
 
@@ -110,15 +116,16 @@ def two_rounds(seed, moved=(0.0, 0.0, 0.0), sensor=(0.0, 0.0, 0.0)):
     return hl.Survey(hl.StationList(R, t, tuple(label * 2)), (shots,))
 
 
-@pytest.mark.parametrize("seed", first_and_slow(*range(4)))
+@pytest.mark.parametrize("seed", first_and_slow(0, 3))
 def test_two_rounds_of_a_program_contradict_nothing(seed):
     found = hl.calibrate(two_rounds(seed))
     require_right(found)
     assert "displaced" not in {one.code for one in found.warnings}
 
 
-@pytest.mark.parametrize("seed", first_and_slow(*range(4)))
-@pytest.mark.parametrize("what", ["sphere:ball", "sensor profiler"])
+@pytest.mark.parametrize(
+    ("what", "seed"), first_and_slow(("sphere:ball", 3), ("sensor profiler", 0))
+)
 def test_what_was_moved_between_two_rounds_is_named(what, seed):
     """Poses of one stop lie before and after: splits by stops could not tell the rounds apart."""
     move = np.array([6e-4, -5e-4, 6.2e-4])
@@ -148,15 +155,15 @@ def left_out(found):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", first_and_slow(*range(6)))
+@pytest.mark.parametrize("seed", first_and_slow(0, 3))
 def test_a_wrong_label_is_left_out_and_nothing_else(seed):
-    found = hl.calibrate(cell(seed, labels=[(12, "plane:plate")]))
+    found = calibrated(seed, labels=((12, "plane:plate"),))
     require_right(found)
     assert left_out(found) == {12}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "pair"), first_and_slow(*product((1, 0, 2), ((1, 2), (13, 14)))))
+@pytest.mark.parametrize(("seed", "pair"), first_and_slow((1, (1, 2)), (0, (13, 14))))
 def test_two_exchanged_stations_are_left_out_and_nothing_else(seed, pair):
     found = hl.calibrate(cell(seed, exchanged=[pair]))
     require_right(found)
@@ -178,7 +185,6 @@ def test_a_radius_that_is_roughly_known_is_no_contradiction(sigma):
 @pytest.mark.parametrize(
     ("wrong", "right", "how"),
     [
-        ("plane:plat", "plane:plate", "a misspelt"),
         ("plane:door", "plane:plate", "another name of"),
         ("sphere:ball2", "sphere:ball", "a misspelt"),
     ],
@@ -203,7 +209,7 @@ def test_a_label_of_its_own_whose_shot_fits_another_target_is_named(wrong, right
     }
 
 
-@pytest.mark.parametrize("seed", first_and_slow(2, 4, *range(2), 3, *range(5, 8)))
+@pytest.mark.parametrize("seed", first_and_slow(2, 4))
 def test_of_six_stations_both_verbs_say_the_same(seed):
     """Two numbers more than unknowns: minima far from the truth fit, as of seed 2, 96 mm off."""
     few = cell(seed).part(np.isin(np.arange(18), (0, 1, 2, 9, 10, 11)))
@@ -215,7 +221,7 @@ def test_of_six_stations_both_verbs_say_the_same(seed):
     assert found.verdict.findings[0].startswith(words)
 
 
-@pytest.mark.parametrize("seed", first_and_slow(2, *range(2), *range(3, 8)))
+@pytest.mark.parametrize("seed", first_and_slow(2, 0))
 def test_one_station_more_tells_the_mount(seed):
     few = cell(seed).part(np.isin(np.arange(18), (0, 1, 2, 9, 10, 11, 12)))
     found, check = hl.calibrate(few), check_survey(few)
@@ -233,19 +239,20 @@ def test_spaces_about_the_colon_of_a_label_are_nothing():
     require_right(hl.calibrate(survey))
 
 
-@pytest.mark.parametrize("seed", first_and_slow(*range(4)))
-def test_a_table_behind_the_ball_is_not_the_ball(seed):
-    found = hl.calibrate(cell(seed, background=True))
+@pytest.mark.parametrize(("seed", "lost"), first_and_slow((0, 4), (3, 7)))
+def test_a_table_behind_the_ball_is_not_the_ball(seed, lost):
+    """Up to seven of nine shots may be lost where two that count agree with all others."""
+    found = calibrated(seed, background=True)
     require_right(found)
     # What is lost are profiles with a third of their points or less on the ball.
-    assert len(left_out(found)) <= 7
+    assert len(left_out(found)) == lost
     assert found.targets["sphere:ball"].values["radius"] == pytest.approx(RADIUS, abs=2e-4)
 
 
 @pytest.mark.slow
 def test_a_search_that_does_not_come_to_rest_states_no_sigma(monkeypatch):
     survey = cell(0)
-    assert hl.calibrate(survey).usable
+    assert calibrated(0).usable
     monkeypatch.setattr("handlaser_gtsam.estimation.survey.MOST_ROUNDS", 0)
     found = hl.calibrate(survey)
     assert found.status == "not_converged"
@@ -317,7 +324,7 @@ KINDS_EXCHANGED = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("case", "seed"), first_and_slow(*product(KINDS_EXCHANGED, (0, 1, 2))))
+@pytest.mark.parametrize(("case", "seed"), first_and_slow(*zip(KINDS_EXCHANGED, (1, 2), strict=True)))
 def test_a_target_of_the_other_kind_is_named(case, seed):
     right, wrong, words = KINDS_EXCHANGED[case]
     named = relabelled(cell(seed), right, wrong)
@@ -390,11 +397,9 @@ def test_where_half_of_the_shots_are_lost_nothing_is_usable(about):
     }
     assert "so that no shot of sphere:ball counts" in found.message
     # Reversed again, they fit.
-    assert hl.calibrate(turned_round(reversed_z, 0.0)).usable
-    # As many lost shots are nothing where two that count agree with all others.
-    aside = cell(3, background=True)
-    assert len(left_out(hl.calibrate(aside))) == 7
-    assert hl.calibrate(aside).usable
+    again = turned_round(reversed_z, 0.0)
+    assert (hl.calibrate(again) if about else calibrated(0)).usable
+    assert about or (again.shots[0].reading == cell(0).shots[0].reading).all()
 
 
 def test_a_target_of_which_no_shot_counts_is_in_the_headline():
@@ -544,8 +549,11 @@ def test_a_wrong_unit_that_no_sensor_refutes_is_named(tmp_path, handlaser, refus
     else:
         table = pl.read_csv(made / name)
         table.with_columns(pl.col(column) * factor for column in what).write_csv(made / name)
-    for verb in ("check", "calibrate"):
-        assert words in refusal(verb, made / "stations.csv", "--rig", made / "rig.toml")
+    with pytest.raises(hl.InputError, match=re.escape(words)):
+        hl.read_survey(made / "stations.csv", made / "rig.toml")
+    if case == "z in mm, x in m":  # both verbs read it so
+        for verb in ("check", "calibrate"):
+            assert words in refusal(verb, made / "stations.csv", "--rig", made / "rig.toml")
 
 
 def test_beams_and_targets_without_any_reading_are_named(tmp_path, handlaser, refusal):
