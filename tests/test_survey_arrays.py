@@ -70,14 +70,6 @@ def test_the_wrong_convention_is_noticed():
         assert better_convention(survey.shots[0], labels) == better
 
 
-@pytest.mark.slow  # 10 s: starts are looked for in halves of shots that do not fit
-def test_the_wrong_convention_is_named_in_the_headline():
-    survey, _, _ = rough(3, stations=12, sigma=2e-4, stated="perpendicular")
-    found = hl.calibrate(survey)
-    assert not found.usable
-    assert 'set convention = "radial"' in found.verdict.sentence
-
-
 def test_the_reach_of_noise_is_where_anything_else_is_as_probable():
     rng = np.random.default_rng(5)
     sigma, share, length = 6e-3, 0.75, 0.25
@@ -209,10 +201,10 @@ def test_echoes_before_are_checked():
     assert np.array_equal(half.before, shots.before[::2], equal_nan=True)
 
 
-def recorded(name, convention):
+def recorded(name, convention, every=1):
     """Far echoes of a real array of nine zones on a UR5, and the echo that stands before each."""
     text = (LCSPC / f"{name}.csv").read_text(encoding="utf-8")
-    rows = list(csv.DictReader(text.splitlines()))
+    rows = list(csv.DictReader(text.splitlines()))[::every]
     T = np.array([[float(row[f"T{i}{j}"]) for i in range(3) for j in range(4)] for row in rows])
     T = T.reshape(-1, 3, 4)
     zones = json.loads((LCSPC / "zone_spec.json").read_text(encoding="utf-8"))
@@ -230,24 +222,24 @@ def recorded(name, convention):
 
 
 @cache
-def calibrated(name, convention):
-    """The calibration of a recording, made once for all tests."""
-    return hl.calibrate(recorded(name, convention))
+def calibrated(name, convention, every=1):
+    """The calibration of a recording, or of one station in so many, made once for all tests."""
+    return hl.calibrate(recorded(name, convention, every))
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not LCSPC.is_dir(), reason=f"no recordings in {LCSPC}")
 @pytest.mark.parametrize(
-    ("name", "convention"),
+    ("name", "convention", "every"),
     [
-        ("tall_block", "radial"),
-        ("tall_block", "perpendicular"),
-        ("tall_block_random", "radial"),
+        ("tall_block", "radial", 1),
+        ("tall_block", "perpendicular", 2),
+        ("tall_block_random", "radial", 1),
     ],
 )
-def test_a_real_array_is_told_what_pulls_its_far_echoes(name, convention):
+def test_a_real_array_is_told_what_pulls_its_far_echoes(name, convention, every):
     """At one pose two recordings see the table in one bin of the histogram, and read it 45 mm apart."""
-    found = calibrated(name, convention)
+    found = calibrated(name, convention, every)
     assert not found.usable
     limit = int(re.search(r"set clear_mm = (\d+)", found.verdict.sentence).group(1))
     assert 60 <= limit <= 85

@@ -15,7 +15,6 @@ from helpers import first_and_slow
 from profiler_example import FOLDER, calibrated_example, example
 from scipy.spatial.transform import Rotation
 from test_survey_arrays import rough
-from test_survey_mistakes import require_no_promise
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
@@ -232,12 +231,25 @@ def test_beams_beside_sensors_are_said():
     assert stated.noise[-1] == "hand 0.1 mm as stated and 0.02 deg assumed"
 
 
-@pytest.mark.slow  # 15 s: starts are looked for in halves of shots that do not fit
+def require_no_promise(check):
+    """Where most shots do not fit each other, nothing is said of how well mounts would be known."""
+    assert not check.undetermined
+    assert all(np.isinf(one.location_sigma) for one in check.sensors)
+    lines = list(check_lines(check))
+    assert check.doubt in lines
+    assert check.doubt.startswith("most shots do not fit each other: a typical one misses")
+    assert not any("to be known to" in line or "determines" in line for line in lines)
+
+
+@pytest.mark.slow  # starts are looked for in halves of shots that do not fit
 def test_an_array_that_reads_the_other_way_is_asked_for_its_convention():
+    """A calibration says so in its headline, too."""
     survey, _, _ = rough(3, stations=12, sigma=2e-4, stated="perpendicular")
-    check = check_survey(survey)
+    check, found = check_survey(survey), hl.calibrate(survey)
     require_no_promise(check)
     assert check.doubt.endswith('set convention = "radial"')
+    assert not found.usable
+    assert 'set convention = "radial"' in found.verdict.sentence
 
 
 @pytest.mark.slow
