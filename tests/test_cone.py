@@ -4,6 +4,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -24,6 +25,8 @@ from handlaser_gtsam.model.targets.plane import PlaneTarget
 from handlaser_gtsam.model.targets.sphere import SPHERE, Sphere
 
 HALF = math.radians(12.0)
+NARROW = math.radians(6.0)
+"""Cones of half the width; those of which wrong angles are tried are read far sooner."""
 SIGMA = 1e-3
 STATED = hl.Noise(range_sigma=SIGMA, pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 Array = NDArray[np.float64]
@@ -71,7 +74,8 @@ def survey(seed: int, tilt: float, stations: int = 20) -> tuple[hl.Survey, Array
     return made, r, v
 
 
-def two_cones(seed: int) -> tuple[hl.Survey, Array]:
+@cache
+def two_cones(seed: int, half: float = HALF) -> tuple[hl.Survey, Array]:
     """Return a survey of two cones on a hand before two planes and a ball, with their locations.
 
     At some stations before the ball the nearest ray of a cone only just meets it.
@@ -96,18 +100,18 @@ def two_cones(seed: int) -> tuple[hl.Survey, Array]:
                 ahead /= np.linalg.norm(ahead)
                 place = centre - (away + radius) * ahead
             about, roll = rng.uniform(0.0, 6.28), Rotation.from_euler("z", rng.uniform(-3.0, 3.0))
-            lean = rng.uniform(0.0, 2.5 * HALF) * np.array([math.cos(about), math.sin(about), 0.0])
+            lean = rng.uniform(0.0, 2.5 * half) * np.array([math.cos(about), math.sin(about), 0.0])
             turn = Rotation.align_vectors([ahead], [[0.0, 0.0, 1.0]])[0] * roll
             hand = (turn * Rotation.from_rotvec(lean)).as_matrix()
             place = place - 0.04 * hand[:, 2]
             for i, (r, v) in enumerate(zip(locations, axes, strict=True)):
                 o, u = place + hand @ r, hand @ v
                 if label in planes:
-                    beyond = max(math.acos(u @ n) - HALF, 0.0)
+                    beyond = max(math.acos(u @ n) - half, 0.0)
                     read[i] = (offset - n @ o) / math.cos(beyond)
                     continue
                 L = float(np.linalg.norm(centre - o))
-                beyond = max(math.acos(u @ (centre - o) / L) - HALF, 0.0)
+                beyond = max(math.acos(u @ (centre - o) / L) - half, 0.0)
                 under = radius**2 - (L * math.sin(beyond)) ** 2
                 read[i] = L * math.cos(beyond) - math.sqrt(under) if under > 0.0 else np.nan
         R.append(hand)
@@ -115,7 +119,13 @@ def two_cones(seed: int) -> tuple[hl.Survey, Array]:
         labels.append(label)
         ranges.append(read + SIGMA * rng.normal(size=2))
     listed = hl.StationList(np.array(R), np.array(t), tuple(labels))
-    return hl.Survey(listed, (), np.array(ranges), ("1", "2"), half_angle=HALF), locations
+    return hl.Survey(listed, (), np.array(ranges), ("1", "2"), half_angle=half), locations
+
+
+@cache
+def two_calibrated(seed: int) -> hl.results.SurveyCalibration:
+    """Return the calibration of two cones, made once for all tests."""
+    return hl.calibrate(two_cones(seed)[0], STATED)
 
 
 @pytest.mark.parametrize("kind", ["plane", "sphere"])
@@ -170,10 +180,12 @@ def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cones", [2, 8])
-def test_a_cone_is_found_from_nothing(cones):
-    """Errors are as large as their covariances say, and SciPy finds the same."""
-    squares = []
+def test_a_cone_is_found_from_nothing():
+    """Errors are as large as their covariances say, and SciPy finds the same.
+
+    Two cones on a hand have a test of their covariances with ten cones below.
+    """
+    squares, cones = [], 4
     for seed in range(cones):
         made, r, v = survey(seed, 2.0 * HALF)
         result = hl.calibrate(made, STATED)
@@ -192,8 +204,8 @@ def test_a_cone_is_found_from_nothing(cones):
 @pytest.mark.parametrize("seed", [4, 21])
 def test_readings_that_graze_a_ball_end_no_search(seed):
     """On the way, or with noise, a ray misses: such a reading is left out, and said to be."""
-    made, locations = two_cones(seed)
-    result = hl.calibrate(made, STATED)
+    _, locations = two_cones(seed)
+    result = two_calibrated(seed)
     assert result.usable, result.verdict.sentence
     for beam, r in zip(result.beams.values(), locations, strict=True):
         assert (np.abs(beam.location - r) < 4.0 * beam.location_sigma).all()
@@ -202,42 +214,37 @@ def test_readings_that_graze_a_ball_end_no_search(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("seed", "factor", "noise"),
+    ("seed", "half", "factor", "noise"),
     [
-        (0, 1.0 / 0.6, STATED),
-        (0, 1.0 / 0.6, replace(STATED, range_sigma=None)),
-        (12, 2.0, STATED),
-        (14, 0.5, STATED),
+        (0, NARROW, 1.0 / 0.6, replace(STATED, range_sigma=None)),
+        (5, NARROW, 2.0, STATED),
+        (14, HALF, 0.5, STATED),
     ],
 )
-def test_a_wrong_half_angle_is_named(seed, factor, noise):
+def test_a_wrong_half_angle_is_named(seed, half, factor, noise):
     """With estimated noise it was usable, and fourteen standard deviations off.
 
-    On the way to the right one the misfit of seeds 12 and 14 grows first.
+    On the way to the right one the misfit of seed 14 grows first.
     """
-    made, _ = two_cones(seed)
-    result = hl.calibrate(replace(made, half_angle=factor * HALF), noise)
+    made, _ = two_cones(seed, half)
+    result = hl.calibrate(replace(made, half_angle=factor * half), noise)
     assert not result.usable
     warning = next(one for one in result.warnings if one.code == "half-angle")
-    assert warning.values["half_angle"] == pytest.approx(HALF)
+    assert warning.values["half_angle"] == pytest.approx(half)
 
 
 @pytest.mark.slow
-def test_cones_on_a_hand_are_honest_and_their_half_angle_is_known_to_be_wrong():
-    """Right ones are all usable, within chi2 of their truth; wrong half angles are all named."""
-    squares, cones = 0.0, 5
-    for seed in range(cones):
-        made, locations = two_cones(seed)
-        result = hl.calibrate(made, STATED)
+def test_cones_on_a_hand_are_honest():
+    """With the right half angle all are usable, and within chi2 of their truth."""
+    squares, seeds = 0.0, (0, 1, 2, 4, 21)
+    for seed in seeds:
+        _, locations = two_cones(seed)
+        result = two_calibrated(seed)
         assert result.usable, (seed, result.verdict.sentence)
         for beam, r in zip(result.beams.values(), locations, strict=True):
             error = beam.location - r
             squares += error @ np.linalg.solve(beam.covariance[:3, :3], error)
-        if seed < 3:
-            unstated = replace(STATED, range_sigma=None)
-            wrong = hl.calibrate(replace(made, half_angle=HALF / 0.6), unstated)
-            assert "half-angle" in {one.code for one in wrong.warnings}
-    least, most = chi2.ppf([1e-3, 1.0 - 1e-3], 2 * 3 * cones)
+    least, most = chi2.ppf([1e-3, 1.0 - 1e-3], 2 * 3 * len(seeds))
     assert least < squares < most
 
 
@@ -263,18 +270,18 @@ def test_within_the_cone_its_direction_is_open_and_its_location_is_not() -> None
 def test_cones_are_made_and_read_by_the_command(handlaser, refusal, tmp_path):
     """From a rig file to a calibration; what is no cone is refused."""
     rig, made, targets = tmp_path / "rig.toml", tmp_path / "made", "plane:A,plane:B,sphere:S"
-    rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 12\n")
+    rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 6\n")
     words = ["simulate", made, "--rig", rig, "--targets", targets, "--seed", "3"]
     assert "with --beams" in refusal(*words)
     assert handlaser(*words, "--beams", "2")[0] == 0
-    assert "half_angle_deg = 12" in (made / "rig.toml").read_text()
+    assert "half_angle_deg = 6" in (made / "rig.toml").read_text()
     survey = read_any_kind(read_rig(made / "rig.toml"), made / "stations.csv")
-    assert survey.half_angle == pytest.approx(math.radians(12.0))
+    assert survey.half_angle == pytest.approx(NARROW)
     code, out, _ = handlaser("calibrate", made / "stations.csv", "--rig", made / "rig.toml")
     assert code == 0
     assert "Usable: beam 1 " in out
     rays = '[[sensors]]\nname = "s"\nkind = "profiler"\npoints = "p.csv"\n'
-    rig.write_text(f"{rays}half_angle_deg = 12\n")
+    rig.write_text(f"{rays}half_angle_deg = 6\n")
     err = refusal("calibrate", made / "stations.csv", "--rig", rig)
     assert err.rstrip().endswith("; half_angle_deg stands in [sensor], which is of single beams")
     rig.write_text("[sensor]\nhalf_angle_deg = 95\n")
@@ -285,7 +292,7 @@ def test_cones_are_made_and_read_by_the_command(handlaser, refusal, tmp_path):
 def test_range_errors_and_noise_of_cones_are_shown(handlaser, tmp_path):
     """As of any beam: a k1 of 3 % is found, and stands on the screen with its noise."""
     rig, made = tmp_path / "rig.toml", tmp_path / "made"
-    rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 12\n")
+    rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 6\n")
     words = [
         "simulate",
         made,
@@ -322,7 +329,8 @@ def test_ultrasonic_sensors_without_a_half_angle_are_said_to_be_read_as_beams(
     words = ["simulate", made, "--rig", rig, "--targets", "plane:A,sphere:S", "--beams", "1"]
     assert handlaser(*words, "--seed", "3")[0] == 0
     for recording in (ROOT / "examples/gripper/recording.csv", made / "stations.csv"):
-        for half_angle in ("", "half_angle_deg = 5\n"):
+        # A check shows that nothing is said where the half angle is stated.
+        for half_angle in ("", "half_angle_deg = 5\n") if verb == "check" else ("",):
             rig.write_text(f'[sensor]\nkind = "ultrasonic"\n{half_angle}')
             _, out, err = handlaser(verb, recording, "--rig", rig)
             said = " ".join(f"{out} {err}".split())

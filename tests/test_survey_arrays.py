@@ -5,6 +5,7 @@ import json
 import os
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +49,8 @@ def rough(seed, *, stations=40, sigma=8e-3, stated="radial"):
 def test_noise_of_a_rough_array_is_no_range_error():
     """Residuals are in units of the reading: else k1 would be found near -1 in each."""
     exact = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
-    tested = []
-    for seed in range(8):
+    tested, runs = [], 4
+    for seed in range(runs):
         survey, mount, place = rough(seed, stations=25)
         found = hl.calibrate(survey, exact)
         sensor = found.sensors["tof"]
@@ -58,7 +59,7 @@ def test_noise_of_a_rough_array_is_no_range_error():
         assert error @ np.linalg.solve(sensor.covariance[:6, :6], error) < 30.0
         k1 = sensor.errors["k1"]
         tested.append(k1.size / k1.sigma)
-    assert abs(np.mean(tested)) < 4.0 / np.sqrt(8.0)
+    assert abs(np.mean(tested)) < 4.0 / np.sqrt(runs)  # of numbers of standard deviation one
     assert np.abs(tested).max() < 4.0
 
 
@@ -67,14 +68,6 @@ def test_the_wrong_convention_is_noticed():
         survey, _, _ = rough(3, stations=12, sigma=2e-4, stated=stated)
         labels = survey.stations.plane_labels
         assert better_convention(survey.shots[0], labels) == better
-
-
-@pytest.mark.slow  # 10 s: starts are looked for in halves of shots that do not fit
-def test_the_wrong_convention_is_named_in_the_headline():
-    survey, _, _ = rough(3, stations=12, sigma=2e-4, stated="perpendicular")
-    found = hl.calibrate(survey)
-    assert not found.usable
-    assert 'set convention = "radial"' in found.verdict.sentence
 
 
 def test_the_reach_of_noise_is_where_anything_else_is_as_probable():
@@ -141,19 +134,25 @@ def test_a_near_echo_that_pulls_nothing_is_no_reason():
     assert error_of(found, mount, place) < BY_CHANCE
 
 
+@cache
+def calibrated_clutter(seed):
+    """The calibration of a survey with readings of something else, made once for all tests."""
+    return hl.calibrate(cluttered(seed, others=0.3)[0], EXACT)
+
+
 @pytest.mark.slow
 def test_zones_on_something_else_are_sorted_out_by_all_shots():
     squares = []
-    for seed in range(4):
-        survey, mount, place = cluttered(seed, others=0.3)
-        found = hl.calibrate(survey, EXACT)
+    for seed in (0, 3):
+        _, mount, place = cluttered(seed, others=0.3)
+        found = calibrated_clutter(seed)
         squares.append(error_of(found, mount, place))
         assert found.sensors["tof"].reading_sigma < 7e-3  # 5 mm, and what cannot be told from it
         assert (found._found.spread >= 1.0).all()
         assert found._found.spread.max() > 1.0
-        check = hl.validation.cross_check_survey(found)
-        assert check.largest_sigma < 0.05  # SciPy, of the noise alone; linear to first order
     assert max(squares) < BY_CHANCE
+    check = hl.validation.cross_check_survey(found)
+    assert check.largest_sigma < 0.05  # SciPy, of the noise alone; linear to first order
     clean, _, _ = cluttered(0)
     assert (hl.calibrate(clean, EXACT)._found.spread == 1.0).all()
 
@@ -161,7 +160,7 @@ def test_zones_on_something_else_are_sorted_out_by_all_shots():
 @pytest.mark.slow
 def test_the_growth_counts_in_plans_and_at_few_stations():
     survey, _, _ = cluttered(3, others=0.3)
-    found = hl.calibrate(survey, EXACT)
+    found = calibrated_clutter(3)
     assert found._found.spread.max() > 1.0
     planned = hl.plan(found, 1)
     # As the calibration has it, to first order at the same values; without the growth it is 12 % less.
@@ -202,10 +201,10 @@ def test_echoes_before_are_checked():
     assert np.array_equal(half.before, shots.before[::2], equal_nan=True)
 
 
-def recorded(name, convention):
+def recorded(name, convention, every=1):
     """Far echoes of a real array of nine zones on a UR5, and the echo that stands before each."""
     text = (LCSPC / f"{name}.csv").read_text(encoding="utf-8")
-    rows = list(csv.DictReader(text.splitlines()))
+    rows = list(csv.DictReader(text.splitlines()))[::every]
     T = np.array([[float(row[f"T{i}{j}"]) for i in range(3) for j in range(4)] for row in rows])
     T = T.reshape(-1, 3, 4)
     zones = json.loads((LCSPC / "zone_spec.json").read_text(encoding="utf-8"))
@@ -222,13 +221,25 @@ def recorded(name, convention):
     return hl.Survey(stations, (shots,))
 
 
+@cache
+def calibrated(name, convention, every=1):
+    """The calibration of a recording, or of one station in so many, made once for all tests."""
+    return hl.calibrate(recorded(name, convention, every))
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not LCSPC.is_dir(), reason=f"no recordings in {LCSPC}")
-@pytest.mark.parametrize("convention", ["radial", "perpendicular"])
-@pytest.mark.parametrize("name", ["tall_block", "tall_block_random"])
-def test_a_real_array_is_told_what_pulls_its_far_echoes(name, convention):
+@pytest.mark.parametrize(
+    ("name", "convention", "every"),
+    [
+        ("tall_block", "radial", 1),
+        ("tall_block", "perpendicular", 2),
+        ("tall_block_random", "radial", 1),
+    ],
+)
+def test_a_real_array_is_told_what_pulls_its_far_echoes(name, convention, every):
     """At one pose two recordings see the table in one bin of the histogram, and read it 45 mm apart."""
-    found = hl.calibrate(recorded(name, convention))
+    found = calibrated(name, convention, every)
     assert not found.usable
     limit = int(re.search(r"set clear_mm = (\d+)", found.verdict.sentence).group(1))
     assert 60 <= limit <= 85
@@ -241,7 +252,8 @@ def test_two_recordings_of_a_real_array_agree():
     mounts = []
     for name in ("tall_block", "tall_block_random"):
         survey = recorded(name, "radial")
-        (pulled,) = [one for one in hl.calibrate(survey).warnings if one.code == "behind-echo"]
+        warnings = calibrated(name, "radial").warnings
+        (pulled,) = [one for one in warnings if one.code == "behind-echo"]
         clear = survey.shots[0].clear_of(pulled.values["limit_mm"] / 1e3)
         found = hl.calibrate(replace(survey, shots=(clear,)))
         # In one of them readings seem 7 % short, which would move a spot by more than is stated.

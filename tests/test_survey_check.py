@@ -11,7 +11,8 @@ import shutil
 
 import numpy as np
 import pytest
-from helpers import ROOT, first_and_slow
+from helpers import first_and_slow
+from profiler_example import FOLDER, calibrated_example, example
 from scipy.spatial.transform import Rotation
 from test_survey_arrays import rough
 
@@ -24,7 +25,6 @@ from handlaser_gtsam.results.survey_check import check_lines, check_survey
 from handlaser_gtsam.validation.survey_scenes import fan_of
 from handlaser_gtsam.validation.survey_simulate import SurveyTruth, simulate_survey
 
-FOLDER = ROOT / "examples" / "profiler"
 WALLS = {
     "vertical": [(0, 0), (60, 0), (-50, 0)],
     "one leans": [(0, 0), (60, 0), (-50, 25)],
@@ -80,14 +80,11 @@ def test_a_station_before_a_target_without_truth_is_named():
 
 VEHICLES = [
     ("profiler", "planar", "vertical", HEIGHT),
-    ("profiler", "planar", "one leans", COMMON),
     ("profiler", "planar", "a sphere", COMMON),
     ("scanner", "SCARA", "vertical", HEIGHT),
     ("scanner", "SCARA", "one leans", COMMON),
-    ("points", "planar", "vertical", HEIGHT),
     ("points", "never turning", "vertical", SHIFT),
     ("array", "planar", "one leans", COMMON),
-    ("array", "SCARA", "vertical", HEIGHT),
 ]
 
 
@@ -167,8 +164,7 @@ def test_the_example_is_determined_and_says_what_it_holds(handlaser):
     assert found["format"] == "handlaser-survey-check"
     assert [one["name"] for one in found["targets"]] == ["plane:plate", "sphere:ball"]
     # As well as calibrate knows it, up to the sizes of the noise, which are learned there.
-    survey = hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml")
-    known = float(hl.calibrate(survey).sensors["scanner"].location_sigma.max())
+    known = float(calibrated_example().sensors["scanner"].location_sigma.max())
     assert 0.3 * known < found["sensors"][0]["location_sigma_m"] < 5.0 * known
 
 
@@ -223,7 +219,7 @@ def test_too_few_stations_are_said(tmp_path, handlaser):
 
 
 @pytest.mark.slow
-def test_beams_beside_sensors_and_poses_that_do_not_fit_are_said():
+def test_beams_beside_sensors_are_said():
     rig = rigs_by_rays.mixed(101)
     survey = survey_of(rig)
     lines = list(check_lines(check_survey(survey)))
@@ -233,12 +229,6 @@ def test_beams_beside_sensors_and_poses_that_do_not_fit_are_said():
     stated = check_survey(survey, hl.Noise(2e-4, 1e-4, None))
     assert stated.noise[-2] == "beams 0.2 mm as stated"
     assert stated.noise[-1] == "hand 0.1 mm as stated and 0.02 deg assumed"
-    R = np.swapaxes(survey.stations.world_R_hand, 1, 2)
-    of = survey.stations
-    wrong = hl.StationList(R, of.world_t_hand, of.plane_labels, of.station_names)
-    check = check_survey(hl.Survey(wrong, survey.shots, survey.ranges, survey.beam_names))
-    require_no_promise(check)
-    assert check.doubt.endswith("and the labels of the targets with their kinds")
 
 
 def require_no_promise(check):
@@ -251,37 +241,21 @@ def require_no_promise(check):
     assert not any("to be known to" in line or "determines" in line for line in lines)
 
 
-@pytest.mark.slow  # 15 s: starts are looked for in halves of shots that do not fit
+@pytest.mark.slow  # starts are looked for in halves of shots that do not fit
 def test_an_array_that_reads_the_other_way_is_asked_for_its_convention():
+    """A calibration says so in its headline, too."""
     survey, _, _ = rough(3, stations=12, sigma=2e-4, stated="perpendicular")
-    check = check_survey(survey)
+    check, found = check_survey(survey), hl.calibrate(survey)
     require_no_promise(check)
     assert check.doubt.endswith('set convention = "radial"')
-
-
-@pytest.mark.slow  # 15 s: starts are looked for in halves of shots that do not fit
-def test_poses_in_a_wrong_format_end_with_exit_code_3(tmp_path, handlaser):
-    folder = shutil.copytree(FOLDER, tmp_path / "profiler")
-    rig = folder / "rig.toml"
-    kuka = 'pose_format = "kuka"'
-    assert kuka in rig.read_text()
-    rig.write_text(rig.read_text().replace(kuka, 'pose_format = "mitsubishi"\nas_stated = true'))
-    code, out, err = handlaser("check", str(folder / "poses.csv"), "--rig", str(rig))
-    assert code == 3
-    assert "to be known to" not in out
-    assert "scanner 0.04 mm from its shots, hand 0.1 mm and 0.02 deg assumed" in err
-    named = "times better if the poses are mm, deg, angles ZYX: log.pose_format kuka"
-    assert named in err
-    words = err.splitlines()[-1]
-    code, out, err = handlaser("calibrate", str(folder / "poses.csv"), "--rig", str(rig))
-    assert (code, err.splitlines()[-1]) == (3, words)
-    assert named in " ".join(out.split())
+    assert not found.usable
+    assert 'set convention = "radial"' in found.verdict.sentence
 
 
 @pytest.mark.slow
 def test_what_was_not_read_is_counted_as_by_a_calibration():
     """One station has no point, and those of another fit no ball."""
-    survey = hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml")
+    survey = example()
     shots = survey.shots[0]
     kept = shots.station != 3
     z = shots.reading.copy()

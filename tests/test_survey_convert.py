@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from profiler_example import FOLDER, example
 
 import handlaser_gtsam as hl
-
-FOLDER = ROOT / "examples" / "profiler"
+from handlaser_gtsam.results.survey_check import check_survey
 
 
 @pytest.fixture
@@ -55,32 +54,27 @@ def test_options_stand_in_for_the_table_and_become_one(handlaser, folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", ["convert", "calibrate"])
-def test_poses_in_another_convention_are_refused_with_the_one_that_fits(refusal, folder, command):
+def test_poses_in_another_convention_are_refused_with_the_one_that_fits(refusal, folder):
     stated(folder, 'pose_format = "kuka"', 'pose_format = "mitsubishi"')
-    words = [command, str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
-    err = refusal(*words)
+    err = refusal("calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"))
     assert "the poses are mm, deg, angles ZYX" in err
-    assert ("--pose-format kuka" if command == "convert" else "log.pose_format kuka") in err
+    assert "log.pose_format kuka" in err
     assert len(err.splitlines()) == 1
 
 
 @pytest.mark.slow
-def test_inverted_poses_are_named_and_who_insists_is_only_warned(handlaser, refusal, folder):
+def test_inverted_poses_are_named_and_who_insists_is_only_warned(refusal, folder):
     words = ["convert", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
     assert "the poses are not inverted: without --inverted" in refusal(*words, "--inverted")
-    code, out, err = handlaser(*words, "--inverted", "--as-stated")
-    assert code == 0
-    assert out.startswith("24 stations")
-    assert "WARNING: the readings fit" in err
-    # And every other verb that reads the log says so, too: the warning goes with the survey.
-    right = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    # Every verb that reads the log as it is stated warns: the warning goes with the survey.
     stated(
         folder, 'pose_format = "kuka"', 'pose_format = "kuka"\ninverted = true\nas_stated = true'
     )
     read = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
     assert [one.code for one in read.warnings] == ["pose-convention"]
-    assert read.warnings[0] in hl.calibrate(replace(right, warnings=read.warnings)).warnings
+    right = replace(example(), warnings=read.warnings)
+    for found in (check_survey(right), hl.calibrate(right)):
+        assert read.warnings[0] in found.warnings
 
 
 @pytest.mark.slow

@@ -108,7 +108,9 @@ def test_no_result_rests_on_rays_that_miss_their_ball(monkeypatch):
 @pytest.mark.slow
 def test_the_shift_of_a_target_left_out_is_that_of_the_spots():
     """Of beams, too: a location that moves along its beam moves no spot."""
-    survey = rigs.survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))
+    survey = rigs.survey_of(
+        rigs_by_rays.beams(3, targets="planes+sphere", planes=2, count=2, stations=8)
+    )
     whole = hl.calibrate(survey, STATED)
     found = hl.validate(survey, STATED, splits=0)
     assert len(found.targets) > 1

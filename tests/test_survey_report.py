@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from profiler_example import example
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
@@ -22,7 +22,6 @@ from handlaser_gtsam.files.report.survey_figures import (
     seen_by_all,
 )
 
-FOLDER = ROOT / "examples" / "profiler"
 WRONG = 4
 """The station whose shot is displaced, and so rejected."""
 
@@ -30,7 +29,7 @@ WRONG = 4
 @pytest.fixture(scope="module")
 def survey():
     """The example with one shot 40 mm too far and slanted."""
-    read = hl.read_survey(FOLDER / "poses.csv", FOLDER / "rig.toml")
+    read = example()
     shots = read.shots[0]
     z = np.array(shots.reading)
     mine = shots.station == WRONG
@@ -104,7 +103,8 @@ def test_points_are_in_the_frame_of_the_target(result, survey):
 
 
 def test_the_page_names_sensors_and_beams_and_has_all_figures():
-    survey = survey_of(rigs_by_rays.mixed(101))
+    sensors = ("profiler", "points", "beam")
+    survey = survey_of(rigs_by_rays.mixed(101, sensors=sensors, stations=8))
     result = hl.calibrate(survey)
     page = survey_report(result, ReportOptions())
     text = re.search(r'<script[^>]*id="figures"[^>]*>(.*?)</script>', page, re.DOTALL).group(1)

@@ -53,22 +53,21 @@ CASES = {
 def test_what_is_simulated_is_calibrated_within_its_covariance(handlaser, tmp_path, case):
     kinds, targets, more = CASES[case]
     rig = rig_of(tmp_path, *kinds)
-    for seed in ("1", "2"):
-        folder = tmp_path / seed
-        words = ["simulate", folder, "--rig", rig, "--targets", targets, "--seed", seed, *more]
-        code, out, err = handlaser(*words)
-        assert (code, err) == (0, "")
-        assert "stations.csv" in out
-        survey = hl.read_survey(folder / "stations.csv", folder / "rig.toml")
-        result = hl.calibrate(survey, hl.read_rig(folder / "rig.toml").noise)
-        assert result.status == "converged", result.message
-        truth = json.loads((folder / "truth.json").read_text())
-        assert far(result, truth) > 1e-4  # of a dozen mounts
-        for one in truth["beams"]:
-            found = result.beams[one["name"]]
-            e = found.location - one["location_m"]
-            C = found.covariance[:3, :3]
-            assert chi2.sf(float(e @ np.linalg.solve(C, e)), 3) > 1e-4
+    folder = tmp_path / "made"
+    words = ["simulate", folder, "--rig", rig, "--targets", targets, "--seed", "1", *more]
+    code, out, err = handlaser(*words)
+    assert (code, err) == (0, "")
+    assert "stations.csv" in out
+    survey = hl.read_survey(folder / "stations.csv", folder / "rig.toml")
+    result = hl.calibrate(survey, hl.read_rig(folder / "rig.toml").noise)
+    assert result.status == "converged", result.message
+    truth = json.loads((folder / "truth.json").read_text())
+    assert far(result, truth) > 1e-4  # of half a dozen mounts
+    for one in truth["beams"]:
+        found = result.beams[one["name"]]
+        e = found.location - one["location_m"]
+        C = found.covariance[:3, :3]
+        assert chi2.sf(float(e @ np.linalg.solve(C, e)), 3) > 1e-4
 
 
 FEW = {
@@ -79,19 +78,16 @@ FEW = {
     "three beams": ("profiler", "sphere:a,sphere:b,sphere:c", 10, 3),  # held targets find these
     "a beam beside the centres": ("scanner points", "sphere:a,sphere:b,sphere:c", 8, 2),
 }
-SEEDS = {"three beams": (3, 6), "a beam beside the centres": (7,)}
+SEEDS = {"three beams": 3, "a beam beside the centres": 7}
 
 
-@pytest.mark.parametrize(
-    ("case", "seed"), [(case, seed) for case in FEW for seed in SEEDS.get(case, (11, 1))]
-)
-def test_beams_with_few_readings_are_found_before_targets_of_others(
-    handlaser, tmp_path, case, seed
-):
+@pytest.mark.parametrize("case", FEW)
+def test_beams_with_few_readings_are_found_before_targets_of_others(handlaser, tmp_path, case):
     """By itself such a beam fits perfectly wherever its balls are, and other starts miss the balls."""
     kinds, targets, stations, beams = FEW[case]
     rig = rig_of(tmp_path, *kinds.split())
-    words = ("--targets", targets, "--stations", stations, "--beams", beams, "--seed", seed)
+    words = ("--targets", targets, "--stations", stations, "--beams", beams)
+    words += ("--seed", SEEDS.get(case, 1))
     assert handlaser("simulate", tmp_path / "out", "--rig", rig, *words)[0] == 0
     survey = hl.read_survey(tmp_path / "out" / "stations.csv", tmp_path / "out" / "rig.toml")
     result = hl.calibrate(survey, hl.read_rig(tmp_path / "out" / "rig.toml").noise)
@@ -111,8 +107,10 @@ def test_readings_without_errors_are_ranges_to_the_plane_by_another_formula(hand
     words = ["simulate", tmp_path / "out", "--rig", rig, "--range-sigma-mm", "0", "--k1", "0.01"]
     assert handlaser(*words, "--k2-per-m", "0.02")[0] == 0
     truth = json.loads((tmp_path / "out" / "truth.json").read_text())
-    survey = hl.read_survey(tmp_path / "out" / "stations.csv", tmp_path / "out" / "rig.toml")
-    shots, of = survey.shots[0], survey.stations
+    # A reading of the survey would look for another convention, because of the large range error.
+    of = hl.read_stations(tmp_path / "out" / "stations.csv")
+    tables = hl.read_rig(tmp_path / "out" / "rig.toml").survey
+    (shots,), *_ = tables.shots(of.station_names)
     d = shots.reading + 0.01 * shots.reading + 0.02 * shots.reading**2
     a = shots.across[:, 0]
     p = np.column_stack((d * np.cos(a), d * np.sin(a), 0.0 * a))

@@ -4,16 +4,13 @@ import json
 import shutil
 
 import pytest
-from helpers import ROOT
+from profiler_example import FOLDER, calibrated_example
 from test_survey_files import in_files
 
-import handlaser_gtsam as hl
 from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.files.sensor_tables import SurveyTables
 from handlaser_gtsam.files.watch.watched import Watched
 from handlaser_gtsam.files.watch.worker import Calibrator
-
-FOLDER = ROOT / "examples" / "profiler"
 
 
 @pytest.fixture
@@ -51,8 +48,7 @@ def test_a_survey_is_calibrated_again_as_it_grows(folder):
     assert "sphere:ball" in json.loads(answer.messages["section:targets"])["html"]
     assert {"figure:by-station", "figure:space-hand", "figure:profiles"} <= set(answer.messages)
     result = json.loads(answer.messages["result"])
-    survey = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
-    found = hl.calibrate(survey).sensors["scanner"]
+    found = calibrated_example().sensors["scanner"]
     assert result["sensors"][0]["location_m"] == pytest.approx(found.location)
     # What beams have and surveys have not is taken away.
     assert json.loads(answer.messages["section:systematic"])["html"] == ""
