@@ -265,11 +265,10 @@ def test_cones_beside_a_profiler_may_come_after_it():
 def test_gross_readings_of_a_ball_are_found_where_each_reading_counts_by_itself():
     """Seven zones of an array see a ball, and three readings of a hundred are 30 mm more.
 
-    Up to a third of the shots of a ball are wrong then, which is refused; what is usable is right. Of
-    these rigs two converge, and of the third the readings that are left contradict each other.
+    Up to a third of the shots of a ball are wrong then. In these rigs they are few enough to be found:
+    without the steps that reject shots one of the two does not converge.
     """
-    converged = 0
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         rig = rigs.GENERATORS["rays"].array(seed, targets="spheres")
         survey = rigs.survey_of(rig, [])
         rng, shots = np.random.default_rng(seed), survey.shots[0]
@@ -279,9 +278,7 @@ def test_gross_readings_of_a_ball_are_found_where_each_reading_counts_by_itself(
         few = shots.part(kept)
         reading = few.reading + 0.03 * (rng.random(len(few.reading)) < 0.03)
         result = hl.calibrate(replace(survey, shots=(replace(few, reading=reading),)))
-        if result.status == "converged":
-            converged += 1
-            (sensor,) = result.sensors.values()
-            off = np.abs(sensor.location - rigs.truth_of(rig, sensor.name)[:3, 3])
-            assert (off < 5.0 * sensor.location_sigma).all()
-    assert converged >= 2
+        assert result.status == "converged"
+        (sensor,) = result.sensors.values()
+        off = np.abs(sensor.location - rigs.truth_of(rig, sensor.name)[:3, 3])
+        assert (off < 5.0 * sensor.location_sigma).all()
