@@ -443,9 +443,7 @@ def test_every_view_has_the_error(tmp_path, handlaser, refusal):
         "calibrate", path, *files, "--free", "lag, incidence", "--cross-check"
     )
     assert code == 0, err
-    line = (
-        "freed errors: a lag between poses and readings by 0.2 % of the step to the next station (+-"
-    )
+    line = "freed errors: a lag between poses and readings by 0.2 % of the step to the next station (+-"
     assert line in text.replace("\n  ", " ")
     lag, incidence = json.loads(out.read_text())["effects"]
     assert (lag["code"], lag["unit"], lag["determined"]) == ("lag", "1", True)
