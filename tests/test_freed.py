@@ -32,7 +32,7 @@ SIZES = {
     "incidence": 1e-3,
     "cubic": 5e-4,
     "sag": 2e-4,
-    "lag": 0.05,
+    "lag": 1e-3,
     "turn-scale": 5e-4,
     "translation-scale": 5e-4,
     "carry-over": 0.01,
@@ -41,7 +41,10 @@ SIZES = {
     "displaced": 5e-4,
     "tool-displaced": 2e-4,
 }
-"""Sizes that are plausible of a triangulation sensor, a plate and a robot."""
+"""Sizes that are plausible of a triangulation sensor, a plate and a robot. That of the lag is ten of its
+standard deviations: readings fit so well even with it that no other start is searched for."""
+LARGE_LAG = 0.05
+"""Of which the turns show at second order, and the readings fit nothing until it is estimated."""
 
 
 def recorded(scene, seed=0, code="", size=0.0, sigma=SIGMA):
@@ -65,8 +68,16 @@ def state(found):
     )
 
 
-@pytest.mark.parametrize("range_error", ["none", "k1", "auto"])
-@pytest.mark.parametrize("code", first_and_slow(*SIZES))
+@pytest.mark.parametrize(
+    ("code", "range_error"),
+    first_and_slow(
+        ("incidence", "none"),
+        ("incidence", "auto"),
+        ("lag", "none"),
+        ("lag", "auto"),
+        *((code, "k1") for code in SIZES),
+    ),
+)
 def test_scipy_agrees_by_formulas_of_its_own(code, range_error):
     noise = NOISE if range_error == "none" else hl.Noise(SIGMA, 1e-4, 1e-4)
     scene = Scene(3)
@@ -99,7 +110,7 @@ def test_scipy_agrees_where_readings_of_which_an_error_is_made_are_rejected(code
 @pytest.mark.slow
 def test_scipy_knows_every_error_and_all_of_them_at_once():
     assert set(ERRORS) == {code for code, effect in EFFECTS.items() if effect.can_show}
-    found = freed(recorded(Scene(3), 0, "lag", 0.05), *ERRORS)
+    found = freed(recorded(Scene(3), 0, "lag", LARGE_LAG), *ERRORS)
     assert len(found.effects) == 81
     agrees(found)
     assert not [one for one in found.systematic if one.found]
@@ -113,19 +124,19 @@ def test_an_error_that_scipy_has_no_formula_of_is_refused():
 
 
 def test_several_errors_are_unknowns_at_once():
-    found = freed(recorded(Scene(3), 0, "lag", 0.05), "lag", "incidence", "turn-scale")
+    found = freed(recorded(Scene(3), 0, "lag", LARGE_LAG), "lag", "incidence", "turn-scale")
     check = cross_check(found, recorded(Scene(3)))
     # The turns of lag and scale are added, and the right Jacobian of their sum ends at second order.
     assert check.largest < 1e-3
     assert check.largest_sigma < 1e-3
     lag = next(one for one in found.effects if one.code == "lag")
-    assert abs(lag.size - 0.05) < 4.0 * lag.sigma < 2e-3
+    assert abs(lag.size - LARGE_LAG) < 4.0 * lag.sigma < 2e-3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", ["lag", "incidence", "drift", "sag"])
+@pytest.mark.parametrize("code", ["lag", "incidence"])
 def test_a_simulated_error_is_recovered_with_honest_covariances(code):
-    runs, size = 15, SIZES.get(code, 5e-4)
+    runs, size = 10, SIZES[code]
     squares, count, of_size = 0.0, 0, []
     for seed in range(runs):
         scene = Scene(seed)
@@ -251,7 +262,7 @@ def test_the_remedy_of_an_undetermined_error_is_whole_on_any_screen():
 
 
 def test_a_determined_size_is_an_unknown_as_every_other():
-    found = freed(recorded(Scene(3), 0, "lag", 0.05), "lag", range_error="none")
+    found = freed(recorded(Scene(3), 0, "lag", SIZES["lag"]), "lag", range_error="none")
     assert found.effects[0].determined
     known = freed(recorded(Scene(3)), range_error="none")
     assert found.observability.unknowns == known.observability.unknowns + 1
@@ -261,12 +272,12 @@ def test_a_determined_size_is_an_unknown_as_every_other():
 
 def test_poses_and_readings_are_kept_with_the_error_and_without():
     scene = Scene(3)
-    found = freed(recorded(scene, 0, "lag", 0.05), "lag", range_error="none")
+    found = freed(recorded(scene, 0, "lag", SIZES["lag"]), "lag", range_error="none")
     R, t = scene.true_poses("lag", found.effects[0].size)
     # The interpolated poses, moved by the size that was found.
     assert np.abs(found.recording.world_R_hand - R).max() < 1e-12
     assert np.abs(found.recording.world_t_hand - t).max() < 1e-12
-    assert found.recorded == recorded(scene, 0, "lag", 0.05)
+    assert found.recorded == recorded(scene, 0, "lag", SIZES["lag"])
     assert found.problem().graph.error(found.values) == pytest.approx(found.cost, rel=1e-6)
 
 
@@ -321,8 +332,10 @@ def test_what_cannot_be_an_unknown_is_refused(case):
         )
 
 
-@pytest.mark.parametrize("range_error", ["none", "k1"])
-@pytest.mark.parametrize("codes", [*((code,) for code in OF_STATIONS), OF_STATIONS])
+@pytest.mark.parametrize(
+    ("codes", "range_error"),
+    [*(((code,), "none") for code in OF_STATIONS), (OF_STATIONS, "k1")],
+)
 def test_a_plan_counts_the_errors_as_a_calibration_with_its_stations_will(codes, range_error):
     scene = Scene(3)
     whole = recorded(scene, 0, codes[0], SIZES[codes[0]])
@@ -368,20 +381,21 @@ def test_a_plan_says_which_errors_its_stations_are_taken_to_be_without(
     tmp_path, handlaser, refusal
 ):
     scene = Scene(3)
-    found = freed(recorded(scene, 0, "lag", 0.05), "lag", "incidence", "drift", range_error="none")
+    recording = recorded(scene, 0, "lag", SIZES["lag"])
+    found = freed(recording, "lag", "incidence", "drift", range_error="none")
     sensor = hl.Sensor(0.2, 0.6, kind="triangulation")
     plan = hl.plan(found, 2, sensor)
     assert plan.uncounted == ("lag", "drift")
     assert plan.forecast.location_sigma[0] == pytest.approx(
         max(beam.sigma[:3].max() for beam in found.beams.values())
     )
-    only = freed(recorded(scene, 0, "lag", 0.05), "lag", range_error="none")
+    only = freed(recording, "lag", range_error="none")
     assert belief_of(only).errors == ()
     assert any(
         "without the freed errors lag" in line for line in advice_lines(hl.plan(only, 1, sensor))
     )
     path, rig, out = tmp_path / "r.csv", tmp_path / "rig.toml", tmp_path / "c.json"
-    hl.write_recording(path, recorded(scene, 0, "lag", 0.05))
+    hl.write_recording(path, recording)
     rig.write_text(
         "[noise]\nrange_sigma_mm = 0.1\npose_translation_sigma_mm = 0\npose_rotation_sigma_deg = 0\n"
         '[sensor]\nkind = "triangulation"\nrange_mm = [200, 600]\n'
@@ -408,7 +422,7 @@ def test_more_sizes_than_are_known_together_are_refused():
 
 
 def test_validation_takes_the_error_out_as_the_whole_recording_has_it():
-    recording = recorded(Scene(3), 0, "lag", 0.05)
+    recording = recorded(Scene(3), 0, "lag", LARGE_LAG)
     options = hl.CalibrationOptions("none", free=("lag",), sensor=SENSOR)
     found = hl.validate(recording, NOISE, options, splits=1)
     assert found.calibration.effects[0].determined
@@ -419,7 +433,7 @@ def test_validation_takes_the_error_out_as_the_whole_recording_has_it():
 @pytest.mark.slow
 def test_every_view_has_the_error(tmp_path, handlaser, refusal):
     path, rig, out, page = (tmp_path / n for n in ("r.csv", "rig.toml", "c.json", "page.html"))
-    hl.write_recording(path, recorded(Scene(3), 0, "lag", 0.05))
+    hl.write_recording(path, recorded(Scene(3), 0, "lag", 2e-3))
     rig.write_text(
         "[noise]\nrange_sigma_mm = 0.1\npose_translation_sigma_mm = 0\npose_rotation_sigma_deg = 0\n"
         '[sensor]\nkind = "triangulation"\n'
@@ -429,16 +443,14 @@ def test_every_view_has_the_error(tmp_path, handlaser, refusal):
         "calibrate", path, *files, "--free", "lag, incidence", "--cross-check"
     )
     assert code == 0, err
-    line = (
-        "freed errors: a lag between poses and readings by 5 % of the step to the next station (+-"
-    )
+    line = "freed errors: a lag between poses and readings by 0.2 % of the step to the next station (+-"
     assert line in text.replace("\n  ", " ")
     lag, incidence = json.loads(out.read_text())["effects"]
     assert (lag["code"], lag["unit"], lag["determined"]) == ("lag", "1", True)
-    assert abs(lag["size"] - 0.05) < 4.0 * lag["sigma"]
+    assert abs(lag["size"] - 2e-3) < 4.0 * lag["sigma"]
     assert incidence["code"] == "incidence"
     assert hl.read_calibration(out).effects[0].size == lag["size"]
-    assert "a lag between poses and readings by 5 %" in page.read_text()
+    assert "a lag between poses and readings by 0.2 %" in page.read_text()
     verbose = handlaser("calibrate", path, "--rig", rig, "--free", "lag", "--verbose")[1]
     assert "freed errors: a lag" in verbose.replace("\n  ", " ")
     err = refusal("calibrate", GRIPPER / "recording.csv", "--free", "lags")

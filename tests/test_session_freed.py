@@ -47,7 +47,7 @@ def assert_batch(session):
     assert np.array_equal(beams.sigma, [found.beams[name].sigma for name in beams.names])
 
 
-@pytest.mark.parametrize("code", first_and_slow(*SIZES))
+@pytest.mark.parametrize("code", first_and_slow("incidence", "beam-on-plane"))
 def test_every_error_is_found_plane_by_plane_as_at_once(code):
     session, rest = begun(code, SIZES[code], code, range_error="none")
     for part in rest:
@@ -75,7 +75,7 @@ def test_random_sequences_are_the_batch_after_every_step(seed):
     whole = recorded(Scene(seed), 0, free[0], SIZES[free[0]])
     known = set(session.recording().station_names)
     fresh = [j for j, name in enumerate(whole.station_names) if name not in known]
-    for _ in range(7):
+    for _ in range(5):
         action = rng.choice(["add", "spoiled", "remove plane", "remove station", "recalibrate"])
         before = session.calibration()
         try:
@@ -94,6 +94,7 @@ def test_random_sequences_are_the_batch_after_every_step(seed):
                 assert session.recalibrate().largest < 1e-6
         except hl.InputError:
             assert session.calibration() == before
+            continue
         assert_batch(session)
 
 
@@ -113,7 +114,7 @@ def test_drifts_go_by_the_order_in_which_stations_came():
 
 @pytest.mark.slow
 def test_a_plane_that_is_not_determined_or_does_not_fit_waits():
-    session, (third, fourth) = begun("lag", 0.05, "lag", range_error="none")
+    session, (third, fourth) = begun("lag", SIZES["lag"], "lag", range_error="none")
     one = np.arange(third.ranges.size).reshape(third.ranges.shape) == 0
     update = session.add(third.without(~one).part([0]))  # one reading determines no plane
     assert update.waiting == third.plane_names
@@ -157,7 +158,7 @@ def test_a_beam_that_was_displaced_is_named_beside_the_error():
 
 @pytest.mark.slow
 def test_copies_and_what_is_raised_on_the_way_change_nothing(monkeypatch):
-    session, rest = begun("lag", 0.05, "lag", range_error="none")
+    session, rest = begun("lag", SIZES["lag"], "lag", range_error="none")
     copy = pickle.loads(pickle.dumps(session))
     before = session.calibration()
     with monkeypatch.context() as patch:
@@ -192,7 +193,7 @@ def test_what_cannot_be_an_unknown_of_a_session_is_refused_at_once():
 @pytest.mark.slow
 def test_the_command_says_what_every_plane_taught_beside_the_error(tmp_path, handlaser, refusal):
     path, rig, out = tmp_path / "r.csv", tmp_path / "rig.toml", tmp_path / "c.json"
-    recording = recorded(Scene(3), 0, "lag", 0.05)
+    recording = recorded(Scene(3), 0, "lag", SIZES["lag"])
     hl.write_recording(path, recording)
     rig.write_text(
         "[noise]\nrange_sigma_mm = 0.1\npose_translation_sigma_mm = 0\npose_rotation_sigma_deg = 0\n"

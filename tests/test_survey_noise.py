@@ -133,11 +133,27 @@ def test_a_beam_with_seven_readings_is_found_where_it_is(seed):
     assert np.linalg.norm(off) < 2e-3
 
 
+class Thin:
+    """Rigs by rays whose profiles have every fifth point: what is tried are the beams beside them."""
+
+    @staticmethod
+    def mixed(seed, **options):
+        rig = rigs_by_rays.mixed(seed, **options)
+        table = rig.tables["profiler"]
+        few = np.arange(len(table["z"])) % 5 == 0
+        table.update({column: table[column][few] for column in ("station", "x", "z")})
+        return rig
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("sigma", SIGMAS)
+@pytest.mark.parametrize("sigma", [SIGMAS[0], SIGMAS[-1]])
 def test_regions_of_beams_with_few_readings_hold_the_truth(sigma):
-    """Of 16 regions of 95 % chance leaves fewer than 13 with a probability of 0.7 per cent."""
-    found = coverage(rigs_by_rays, sigma, hl.Noise(), 8)
-    assert found.inside >= 13 / 16
+    """Errors of the hand are larger than the smaller noise, and smaller than the larger one.
+
+    Of 8 regions of 95 % chance leaves fewer than 6 with a probability of 0.6 per cent.
+    """
+    found = coverage(Thin, sigma, hl.Noise(), 4)
+    assert len(found.squares) == 8
+    assert found.inside >= 6 / 8
     assert found.wrong == 0
-    assert found.unusable <= 1
+    assert found.unusable == 0

@@ -1,6 +1,7 @@
 """A survey that grows target by target, against the calibration of the same stations at once."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,11 +14,18 @@ from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.estimation import survey as estimation
 from handlaser_gtsam.quantities import SAME_OPTIMUM
 
+SMALL = {"targets": "planes+sphere", "planes": 2, "spheres": 1, "stations": 6}
 KINDS = [
-    ("profiler", {"targets": "planes+sphere"}),
-    ("array", {"targets": "spheres"}),
-    ("mixed", {}),
+    ("rays", "profiler", SMALL),
+    ("rays", "array", {"targets": "spheres", "spheres": 2, "stations": 8, "zones": 4}),
+    ("distance", "mixed", {"sensors": ("profiler", "beam"), "planes": 2, "stations": 6}),
 ]
+
+
+@cache
+def small():
+    """A profiler before two planes and a ball."""
+    return rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, **SMALL), [])
 
 
 def targets_of(survey):
@@ -45,8 +53,7 @@ def assert_alike(one, other):
         assert mine.location_sigma == pytest.approx(sensor.location_sigma, rel=SAME_OPTIMUM)
 
 
-@pytest.mark.parametrize(("kind", "options"), first_and_slow(*KINDS))
-@pytest.mark.parametrize("generator", first_and_slow(*rigs.GENERATORS))
+@pytest.mark.parametrize(("generator", "kind", "options"), first_and_slow(*KINDS))
 def test_every_step_is_the_calibration_of_all_stations_so_far(generator, kind, options):
     survey = rigs.survey_of(getattr(rigs.GENERATORS[generator], kind)(0, **options), [])
     names, labels = targets_of(survey)
@@ -86,7 +93,7 @@ def test_what_the_parts_of_a_survey_say_is_what_it_says():
 
 
 def test_a_target_that_tells_too_little_waits_for_more():
-    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, targets="planes+sphere"), [])
+    survey = small()
     few = np.zeros(len(survey.stations), dtype=bool)
     few[0] = True
     session = hl.SurveySession()
@@ -105,7 +112,7 @@ def test_a_target_that_tells_too_little_waits_for_more():
 
 
 def test_what_contradicts_what_is_there_changes_nothing():
-    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, targets="planes+sphere"), [])
+    survey = small()
     session = hl.SurveySession()
     with pytest.raises(InputError, match="without stations"):
         session.survey  # noqa: B018
@@ -138,7 +145,7 @@ def test_what_contradicts_what_is_there_changes_nothing():
 
 
 def test_relations_come_and_go_with_their_targets():
-    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, targets="planes+sphere"), [])
+    survey = small()
     names, labels = targets_of(survey)
     sphere = next(name for name in names if name.startswith("sphere:"))
     known = hl.Known("radius", (sphere,), 0.04, 1e-4)
@@ -150,7 +157,7 @@ def test_relations_come_and_go_with_their_targets():
 
 
 def test_relations_between_targets_count_as_soon_as_all_are_there():
-    rig = rigs.GENERATORS["rays"].profiler(0, planes=3)
+    rig = rigs.GENERATORS["rays"].profiler(0, planes=3, stations=6)
     survey = rigs.survey_of(rig, [])
     names, labels = targets_of(survey)
     normals = [rig.truth["targets"][name]["normal"] for name in names[:2]]
@@ -168,7 +175,7 @@ def test_relations_between_targets_count_as_soon_as_all_are_there():
 
 def test_a_relation_that_a_survey_states_comes_back_with_it():
     """Stated with other spellings of the labels, in the session and in a survey, it is one relation."""
-    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, targets="planes+sphere"), [])
+    survey = small()
     names, labels = targets_of(survey)
     first, second, sphere = "plane:A", "plane:B", next(n for n in names if n.startswith("sphere:"))
     radius = hl.Known("radius", (sphere,), 0.04, 1.0)
@@ -214,7 +221,7 @@ def test_a_wrong_label_beside_a_ball_is_found_by_sessions_and_at_once(seed, zone
 
 
 def test_a_start_beside_whose_search_fails_is_none(monkeypatch):
-    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0), [])
+    survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, stations=6), [])
     names, labels = targets_of(survey)
     session = hl.SurveySession()
     session.add(survey.part(labels != names[0]))
@@ -230,7 +237,7 @@ def test_a_start_beside_whose_search_fails_is_none(monkeypatch):
 
 
 def test_a_body_that_comes_face_by_face_is_one():
-    rig = rigs.GENERATORS["rays"].profiler(0, targets="body")
+    rig = rigs.GENERATORS["rays"].profiler(0, targets="body", stations=6)
     survey = rigs.survey_of(rig, rigs.body_of(rig))
     names, labels = targets_of(survey)
     session = hl.SurveySession(known=survey.known)
@@ -258,10 +265,10 @@ def test_cones_beside_a_profiler_may_come_after_it():
 def test_gross_readings_of_a_ball_are_found_where_each_reading_counts_by_itself():
     """Seven zones of an array see a ball, and three readings of a hundred are 30 mm more.
 
-    Up to a third of the shots of a ball are wrong then, which is refused; what is usable is right.
+    Up to a third of the shots of a ball are wrong then. In these rigs they are few enough to be found:
+    without the steps that reject shots one of the two does not converge.
     """
-    converged = 0
-    for seed in range(1, 7):
+    for seed in (1, 2):
         rig = rigs.GENERATORS["rays"].array(seed, targets="spheres")
         survey = rigs.survey_of(rig, [])
         rng, shots = np.random.default_rng(seed), survey.shots[0]
@@ -271,9 +278,7 @@ def test_gross_readings_of_a_ball_are_found_where_each_reading_counts_by_itself(
         few = shots.part(kept)
         reading = few.reading + 0.03 * (rng.random(len(few.reading)) < 0.03)
         result = hl.calibrate(replace(survey, shots=(replace(few, reading=reading),)))
-        if result.status == "converged":
-            converged += 1
-            (sensor,) = result.sensors.values()
-            off = np.abs(sensor.location - rigs.truth_of(rig, sensor.name)[:3, 3])
-            assert (off < 5.0 * sensor.location_sigma).all()
-    assert converged >= 3
+        assert result.status == "converged"
+        (sensor,) = result.sensors.values()
+        off = np.abs(sensor.location - rigs.truth_of(rig, sensor.name)[:3, 3])
+        assert (off < 5.0 * sensor.location_sigma).all()
