@@ -41,8 +41,10 @@ SIZES = {
     "displaced": 5e-4,
     "tool-displaced": 2e-4,
 }
-"""Sizes that are plausible of a triangulation sensor, a plate and a robot. That of the lag is ten of its
-standard deviations: readings fit so well even with it that no other start is searched for."""
+"""Sizes that are plausible of a triangulation sensor, a plate and a robot.
+
+That of the lag is ten of its standard deviations: the readings fit so well even with it that no other
+start is searched for."""
 LARGE_LAG = 0.05
 """Of which the turns show at second order, and the readings fit nothing until it is estimated."""
 
@@ -443,9 +445,7 @@ def test_every_view_has_the_error(tmp_path, handlaser, refusal):
         "calibrate", path, *files, "--free", "lag, incidence", "--cross-check"
     )
     assert code == 0, err
-    line = (
-        "freed errors: a lag between poses and readings by 0.2 % of the step to the next station (+-"
-    )
+    line = "freed errors: a lag between poses and readings by 0.2 % of the step to the next station (+-"
     assert line in text.replace("\n  ", " ")
     lag, incidence = json.loads(out.read_text())["effects"]
     assert (lag["code"], lag["unit"], lag["determined"]) == ("lag", "1", True)

@@ -13,6 +13,7 @@ import handlaser_gtsam as hl
 from benchmarks.planned_cell import ERR, SENSOR, cell, errors_of
 from benchmarks.planned_loop import loop
 from handlaser_gtsam import model
+from handlaser_gtsam.model.damped_search import LevenbergOptions
 from handlaser_gtsam.model.families import BEAM
 from handlaser_gtsam.observability.motion import check_motion
 from handlaser_gtsam.planning.advice import missing_stations
@@ -234,12 +235,11 @@ def test_no_reading_leaves_the_limits_for_nearly_all_truths(belief, pool, count)
     assert unsafe <= max(2, 0.03 * count)
 
 
-@pytest.mark.parametrize("count", first_and_slow(400, 4000))
-def test_the_spread_of_readings_is_that_of_draws(belief, pool, count):
+def test_the_spread_of_readings_is_that_of_draws(belief, pool):
     rng = np.random.default_rng(2)
     few = Stations(pool.world_R_hand[::30], pool.world_t_hand[::30], pool.plane[::30])
     _, sigmas, _, _ = outlook(belief, few)
-    read = np.stack([simulate(belief.draw(rng), few, ERR, rng).ranges for _ in range(count)])
+    read = np.stack([simulate(belief.draw(rng), few, ERR, rng).ranges for _ in range(400)])
     ratio = read.std(axis=0) / sigmas
     # The standard deviation of 400 draws is known to 3.5 %; 16 readings are compared.
     assert np.abs(ratio - 1.0).max() < 0.12
@@ -297,7 +297,9 @@ def test_the_plate_put_anew_is_turned_where_that_tells_more(recorded):
 @pytest.mark.slow
 def test_a_calibration_without_a_covariance_is_no_guide(recorded):
     _, recording, _ = recorded
-    few = hl.calibrate(recording.part([0, 1, 2]), NOISE, RANGE_ERRORS)
+    stopped = replace(RANGE_ERRORS, solver=LevenbergOptions(max_iterations=1))
+    few = hl.calibrate(recording, NOISE, stopped)
+    assert few.status == "not_converged"
     with pytest.raises(hl.InputError, match="plan without a calibration"):
         hl.plan(few, 5, SENSOR, WORKSPACE)
 
@@ -385,20 +387,22 @@ def test_long_steps_are_divided(pool):
 # --- the first motion --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("count", "most_outside"), first_and_slow((10, 1), (100, 3)))
-def test_a_first_motion_satisfies_the_lemmas_and_is_safe(count, most_outside):
+def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
+    """A hundred mounts from the bounds stay within the limits; the first ten are calibrated."""
     here = cell(np.random.default_rng(4), 1)
     plan = hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
     assert plan.safe >= 0.99
     rng = np.random.default_rng(8)
     outside = 0
-    for _ in range(count):
+    for number in range(100):
         drawn = replace(here, truth=here.bounds.draw(rng))
         read = drawn.measured(plan, rng)
         outside += int(np.isnan(read.ranges).any())
+        if number >= 10:
+            continue
         found = hl.calibrate(read, here.noise, hl.CalibrationOptions(sensor=SENSOR))
         assert found.status == "converged"
-    assert outside <= most_outside
+    assert outside <= 3
     check = check_motion(read)
     (plane,) = check.planes
     assert plane.translations == 3  # Lemma 1
@@ -407,7 +411,7 @@ def test_a_first_motion_satisfies_the_lemmas_and_is_safe(count, most_outside):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("taken", [4, 5, 6])
+@pytest.mark.parametrize("taken", [4, 6])
 def test_what_a_first_motion_still_lacks_is_found(taken):
     """A first motion that was broken off, and mounts drawn from the bounds."""
     rng = np.random.default_rng(taken)

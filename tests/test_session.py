@@ -304,11 +304,12 @@ def test_the_calibration_is_that_of_everything_at_once(noise, options, k):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("poses", ["auto", "estimated"])
-@pytest.mark.parametrize("noise", [hl.Noise(), EXACT, ROBOT], ids=["nothing", "exact", "robot"])
+@pytest.mark.parametrize(
+    ("noise", "poses"),
+    [(hl.Noise(), "estimated"), (EXACT, "auto")],
+    ids=["nothing-estimated", "exact-auto"],
+)
 def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
-    if noise is EXACT and poses == "estimated":
-        pytest.skip("exact poses are no variables")
     recording = recorded(9, stations=9, beams=2, noise=ROBOT, k=(0.02, 0.3))
     session, messages = hl.Session(noise, hl.CalibrationOptions(poses=poses)), []
     for index in range(9):
@@ -362,6 +363,8 @@ def test_an_estimate_that_has_left_the_batch_is_begun_anew(monkeypatch):
         update = session.add(plane(recording, index))
         if update.comparison is not None:
             words.append(update.comparison.message)
+        if words and words[-1]:
+            break
     assert any("restarted from the batch solution" in one for one in words)
 
 

@@ -4,6 +4,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -55,6 +56,14 @@ def looking(tilts, rng):
         foot -= NORMAL * (foot @ NORMAL + OFFSET)
         R = sensor @ mount.T
         yield R, foot - rng.uniform(0.07, 0.13) * sensor[:, 2] - R @ place
+
+
+@cache
+def found_from_six(largest):
+    """Return six hand poses, tilted by up to `largest`, and the calibration of what is read there."""
+    rng = np.random.default_rng(2)
+    poses = list(looking(rng.uniform(-largest, largest, (6, 2)), rng))
+    return poses, hl.calibrate(measured(poses, rng), EXACT)
 
 
 def test_what_a_plan_promises_is_what_its_stations_bring():
@@ -117,8 +126,7 @@ def test_without_a_workspace_targets_are_looked_at_from_where_they_were_seen():
 
 
 def test_a_plan_ends_where_its_goal_is_reached():
-    rng = np.random.default_rng(2)
-    first = hl.calibrate(measured(list(looking(rng.uniform(-0.5, 0.5, (6, 2)), rng)), rng), EXACT)
+    _, first = found_from_six(0.5)
     whole = hl.plan(first, 6)
     enough = hl.planning.Goal(spot=float(whole.forecast.spot[3]) * 1.001)
     plan = hl.plan(first, 6, goal=enough)
@@ -188,9 +196,7 @@ def test_single_beams_are_planned_before_planes_and_spheres():
 @needs_pinocchio
 def test_an_arm_reaches_the_stations_of_a_survey(tmp_path):
     """Joints are at the poses, and nothing touches on the way, on a plate of the plan's own plane."""
-    rng = np.random.default_rng(2)
-    poses = list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng))
-    first = hl.calibrate(measured(poses, rng), EXACT)
+    poses, first = found_from_six(0.4)
     R, t = map(np.array, zip(*poses, strict=True))
     home = Rotation.from_matrix(R).mean().as_matrix()
     base = t.mean(axis=0) + home @ [-0.3, 0.0, 0.1]
@@ -229,15 +235,13 @@ def test_an_arm_before_several_targets_is_refused(tmp_path):
 
 @pytest.mark.parametrize("more", [{"criterion": "D"}, {"working_distance": 0.5}])
 def test_what_a_goal_cannot_say_of_a_survey_is_refused(more):
-    rng = np.random.default_rng(2)
-    first = hl.calibrate(measured(list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng)), rng), EXACT)
+    _, first = found_from_six(0.4)
     with pytest.raises(hl.InputError, match=r"criterion D or E, or working_distance_mm"):
         hl.plan(first, 3, goal=hl.planning.Goal(spot=1e-4, **more))
 
 
 def test_what_is_of_beams_before_planes_is_refused():
-    rng = np.random.default_rng(2)
-    first = hl.calibrate(measured(list(looking(rng.uniform(-0.4, 0.4, (6, 2)), rng)), rng), EXACT)
+    _, first = found_from_six(0.4)
     plate = hl.planning.Plate(np.zeros(3), NORMAL)
     given = ({"sensor": hl.Sensor()}, {"plates": {"B": plate}})
     for more in (*given, {"placement": hl.planning.Placement()}):
@@ -251,7 +255,7 @@ def test_a_cone_beside_a_profiler_does_not_hide_what_is_planned(handlaser, tmp_p
     (tmp_path / "given.toml").write_text(
         '[sensor]\nhalf_angle_deg = 5.0\n[[sensors]]\nname = "p"\nkind = "profiler"\n'
     )
-    words = ("--targets", "plane:A,plane:B,sphere:b", "--beams", 1, "--seed", 1, "--stations", 12)
+    words = ("--targets", "plane:A,sphere:b", "--beams", 1, "--seed", 1, "--stations", 12)
     assert handlaser("simulate", tmp_path / "out", "--rig", tmp_path / "given.toml", *words)[0] == 0
     survey = hl.read_survey(tmp_path / "out" / "stations.csv", tmp_path / "out" / "rig.toml")
     result = hl.calibrate(survey, hl.read_rig(tmp_path / "out" / "rig.toml").noise)
@@ -287,19 +291,22 @@ def test_the_command_says_what_is_open_and_whether_the_stations_mend_it(
         '[[sensors]]\nname = "profiler"\nkind = "profiler"\npoints = "points.csv"\n'
     )
     out = tmp_path / "next.csv"
-    words = ["plan", str(stations), "--rig", str(rig), "--stations", "8"]
-    ended, said, err = handlaser(*words, "--out", str(out))
+    words = ["plan", str(stations), "--rig", str(rig), "--stations", "4"]
+    ended, said, err = handlaser(*words, "--out", str(out), "--json")
+    answer = json.loads(said)
     assert ended == code
     assert err.startswith("WARNING: the recording leaves open: ")
     assert "an estimate that may be far off" in err
     assert ("would still leave something open" in err) == (code == 3)
-    assert re.search(r"^ +0 +unknown +unknown +unknown$", said, re.MULTILINE)
-    assert len(hl.read_stations(out).station_names) == 8
-    answer = json.loads(handlaser(*words, "--json")[1])
+    assert len(hl.read_stations(out).station_names) == 4
     assert answer["spot_error_m"] is None
     assert answer["undetermined"]
     assert answer["determined"] == (code == 0)
     assert (answer["stations"][-1]["spot_error_m"] is None) == (code == 3)
+    if code == 3:
+        _, said, err_of_text = handlaser(*words)
+        assert re.search(r"^ +0 +unknown +unknown +unknown$", said, re.MULTILINE)
+        assert err_of_text == err
 
 
 @pytest.mark.slow

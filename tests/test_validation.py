@@ -6,7 +6,7 @@ import runpy
 
 import numpy as np
 import pytest
-from helpers import ROOT, first_and_slow, simulated
+from helpers import ROOT, simulated
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
@@ -100,9 +100,9 @@ def test_what_is_no_calibration_is_not_validated():
 
 
 @pytest.mark.parametrize("pose_sigmas", [(2e-5, 1e-4), (0.0, 0.0)])
-@pytest.mark.parametrize("count", first_and_slow(200, 1000))
-def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas, count):
+def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas):
     """GTSAM's marginals and SciPy's Gauss-Markov matrix agree to 1e-5 (test_cross_check)."""
+    count = 200
     bootstrap = runpy.run_path(str(ROOT / "examples" / "07_bootstrap.py"))["bootstrap"]
     ratio = bootstrap(
         gripper, hl.validation.Errors(3e-5, *pose_sigmas), np.random.default_rng(0), count
