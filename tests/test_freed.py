@@ -43,9 +43,8 @@ SIZES = {
 }
 """Sizes that are plausible of a triangulation sensor, a plate and a robot.
 
-That of the lag is ten of its standard deviations: readings fit so well even with it that no other start
-is searched for.
-"""
+That of the lag is ten of its standard deviations: the readings fit so well even with it that no other
+start is searched for."""
 LARGE_LAG = 0.05
 """Of which the turns show at second order, and the readings fit nothing until it is estimated."""
 
