@@ -83,6 +83,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CASES)
 def test_what_a_bag_has_is_what_was_published_at_the_stops(tmp_path, kind):
     messages, options, format_ = CASES[kind]
@@ -103,6 +104,7 @@ def test_what_a_bag_has_is_what_was_published_at_the_stops(tmp_path, kind):
         assert error @ np.linalg.solve(C, error) < 50.0
 
 
+@pytest.mark.slow
 def test_units_are_not_stated_of_messages(tmp_path):
     rig = rigs_by_rays.scanner(6, planes=3, stations=8)
     bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, scans))
@@ -111,6 +113,7 @@ def test_units_are_not_stated_of_messages(tmp_path):
         hl.read_survey(bag, file)
 
 
+@pytest.mark.slow
 def test_zones_of_an_array_are_topics_of_ranges(tmp_path):
     rig = rigs_by_rays.array(3, planes=3, zones=4, convention="radial", stations=10)
     table = rig.tables["array"]
@@ -126,6 +129,7 @@ def test_zones_of_an_array_are_topics_of_ranges(tmp_path):
         assert error @ np.linalg.solve(C, error) < 50.0
 
 
+@pytest.mark.slow
 def test_the_command_calibrates_a_bag_and_says_what_is_wrong_with_one(tmp_path, handlaser, refusal):
     rig = rigs_by_rays.scanner(6, planes=3, stations=8)
     bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, scans))

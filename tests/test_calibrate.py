@@ -79,6 +79,7 @@ def test_shipped_recording_lies_inside_its_covariance(gripper):
     assert chi2.ppf(0.005, 136) < 2 * result.cost < chi2.ppf(0.995, 136)
 
 
+@pytest.mark.slow
 def test_shipped_recording_agrees_with_scipy(gripper):
     calibration = hl.calibrate(gripper, hl.Noise(SIGMA))
     check = hl.cross_check(calibration, gripper)
@@ -194,6 +195,7 @@ def test_no_range_error_is_rarely_found():
     assert np.median(ratio) < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.004, 0.04])
 def test_the_learned_scale_follows_the_truth(scale):
     recording, k = with_range_errors((scale, 0.0), 16, 3)
@@ -223,6 +225,7 @@ def near_one_distance(sigma):
     return recording_of(truth, R, t - gap[:, None] * n, plane.tolist(), sigma), truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", first_and_slow(hl.Noise(), hl.Noise(1e-4, 0.0, 0.0)))
 def test_readings_that_do_not_determine_range_errors_leave_nothing_undetermined(noise):
     """6 mm about one distance tell the direction, and k1 and k2 apart not even to 10 %."""
@@ -262,6 +265,7 @@ def left_open(case, range_error="auto", sigma=1e-4):
     return hl.calibrate(degenerate(case, sigma), options=options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", DEGENERATE)
 @pytest.mark.parametrize(("range_error", "sigma"), [("auto", 1e-4), ("auto", 0.0), ("k1k2", 0.0)])
 def test_degenerate_motion_is_unobservable(case, range_error, sigma):
@@ -284,6 +288,7 @@ def test_one_axis_leaves_the_location_along_it_open():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", DEGENERATE)
 def test_range_errors_with_a_prior_are_never_undetermined(case):
     parts = left_open(case).observability.open_parts
@@ -326,6 +331,7 @@ def test_uncertain_poses_are_warned_of(gripper):
         assert (beam.location_sigma > exact.beams[name].location_sigma).all()
 
 
+@pytest.mark.slow
 def test_readings_outside_the_sensors_range_are_left_out(gripper):
     sensor = hl.Sensor(range_min=0.005, range_max=0.025)
     calibration = hl.calibrate(gripper, hl.Noise(SIGMA), hl.CalibrationOptions(sensor=sensor))
@@ -379,6 +385,7 @@ def test_cross_check_needs_a_converged_calibration():
         hl.cross_check(calibration, degenerate("pure translations"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("away", [5.0, 1000.0])
 def test_far_from_the_world_origin_nothing_changes(away):
     """Same beams, to the rounding of the positions; planes move with the origin."""

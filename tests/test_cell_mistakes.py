@@ -54,6 +54,7 @@ def test_a_beam_that_hits_the_plane_from_behind_is_named():
     assert "beam 1 looks inverted" in row.headline
 
 
+@pytest.mark.slow
 def test_readings_of_coarse_steps_are_called_coarse():
     """A sensor of 1 mm resolution at about 5 mm: neither stations nor the cell are at fault."""
     cell = make_cell(1)

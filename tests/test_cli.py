@@ -71,6 +71,7 @@ def test_the_cross_check_of_a_script_goes_to_stderr(handlaser):
     assert one_line(err)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", DEGENERATE)
 def test_exit_3_says_what_is_undetermined(handlaser, tmp_path, case):
     path, out_file = tmp_path / "recording.csv", tmp_path / "result.json"
@@ -226,6 +227,7 @@ def test_all_planes_are_listed_in_full(handlaser, tmp_path):
     assert [line.split()[0] for line in planes] == list(recording.plane_names)
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_is_no_bug():
     """Gone before the first line; what `head` leaves unread fits into the pipe."""
     command = [sys.executable, "-m", "handlaser_gtsam.cli", "check", RECORDING]
@@ -237,6 +239,7 @@ def test_a_reader_that_goes_away_is_no_bug():
     assert run.returncode == 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_with_130_and_no_traceback(tmp_path):
     recording, _ = simulated(layout=Layout(planes=300))
     write_recording(tmp_path / "recording.csv", recording)
@@ -284,6 +287,7 @@ def test_help_loads_nothing_heavy():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
+@pytest.mark.slow
 def test_calibrating_beams_imports_nothing_for_plans_logs_and_surveys(tmp_path):
     """Whoever follows the command with a debugger is not led through rooms that it does not use."""
     program = (
@@ -335,6 +339,7 @@ def test_simulate_refuses_impossible_range_errors_and_writes_nothing(
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_a_full_output_is_no_bug():
     command = [sys.executable, "-m", "handlaser_gtsam.cli", "check", "--json"]
     with Path("/dev/full").open("w") as full:

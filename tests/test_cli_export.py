@@ -202,6 +202,7 @@ def test_python_refuses_what_is_no_calibration():
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("to", first_and_slow("python", "kuka"))
 def test_the_screen_of_any_encoding_shows_it(tmp_path, to):
     names = ("β1", "壁", "3")

@@ -196,6 +196,7 @@ def test_what_a_terminal_cannot_show_is_escaped(foreign, monkeypatch, command, e
         assert "\\x1b[31mung" in texts[0]
 
 
+@pytest.mark.slow
 def test_the_encoding_of_the_environment_is_honoured(foreign):
     environment = os.environ | {"PYTHONIOENCODING": "ascii"}
     run = subprocess.run(

@@ -54,6 +54,7 @@ def test_every_module_with_examples_is_a_verb():
     assert shown == set(VERBS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 def test_examples_run_as_the_help_has_them(handlaser, folder, monkeypatch, verb):
     monkeypatch.chdir(folder)
@@ -161,6 +162,7 @@ def completed(*words):
     return run.stdout.split()
 
 
+@pytest.mark.slow
 def test_verbs_options_and_choices_are_completed():
     assert completed("handlaser", "ca") == ["calibrate"]
     assert set(completed("handlaser", "")) == set(VERBS)
@@ -231,6 +233,7 @@ def test_stages_are_logged_to_stderr(handlaser):
     assert logging.getLogger("handlaser_gtsam").level == logging.NOTSET
 
 
+@pytest.mark.slow
 def test_warnings_of_a_calibration_are_logged(handlaser):
     run = ("calibrate", RECORDING, *QUICK[:2], "--range-sigma-mm", "0.003", "--json")
     err = handlaser(*run, "--log-level", "warning")[2]
@@ -251,6 +254,7 @@ def test_names_are_logged_escaped(capsys):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_from_python_nothing_is_heard_unless_logging_is_set_up():
     code = (
         "import logging, sys\nimport handlaser_gtsam as hl\n"

@@ -13,6 +13,7 @@ import handlaser_gtsam as hl
 RECORDING, RIG = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
 
 
+@pytest.mark.slow
 def test_plane_by_plane_is_all_at_once(handlaser, tmp_path):
     paths = [tmp_path / name for name in ("one.json", "all.json")]
     code, out, err = handlaser(
@@ -52,6 +53,7 @@ def test_a_beam_that_has_moved_is_named(handlaser, tmp_path):
     assert "split the beam in a Session" in text
 
 
+@pytest.mark.slow
 def test_what_does_not_determine_the_beams_says_so_as_ever(handlaser, tmp_path):
     recording = hl.read_recording(RECORDING)
     path = tmp_path / "part.csv"
@@ -68,6 +70,7 @@ def test_what_cannot_be_done_plane_by_plane_is_refused(refusal):
     assert len(err.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_target_by_target_is_all_at_once(handlaser):
     """What the JSON says is the calibration of all stations; the table says what each target taught."""
     profiler = GRIPPER.parent / "profiler"
@@ -86,6 +89,7 @@ def test_target_by_target_is_all_at_once(handlaser):
     assert handlaser(*given, "--incremental", "--json")[1] == handlaser(*given, "--json")[1]
 
 
+@pytest.mark.slow
 def test_a_reading_that_the_others_hardly_predict_comes_back(handlaser, tmp_path):
     """At once, a beam that few stations see is rejected before the noise is known, being far off."""
     rig = GRIPPER.parent / "profiler" / "rig.toml"
@@ -97,6 +101,7 @@ def test_a_reading_that_the_others_hardly_predict_comes_back(handlaser, tmp_path
     assert "left out" not in out
 
 
+@pytest.mark.slow
 def test_a_target_without_readings_is_said_so(handlaser, tmp_path):
     for name in ("poses.csv", "rig.toml", "profiles.csv"):
         text = (GRIPPER.parent / "profiler" / name).read_text()

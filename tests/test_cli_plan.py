@@ -76,6 +76,7 @@ def test_json_alone_on_stdout(handlaser, tmp_path, rig):
     }
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_not_written_shows_its_stations(handlaser, rig):
     """A few with their poses; of more the command says how to get them."""
     plan = ("plan", RECORDING, "--rig", rig, "--stations")
@@ -89,6 +90,7 @@ def test_a_plan_that_is_not_written_shows_its_stations(handlaser, rig):
     assert text.splitlines()[-1] == "--out FILE writes the poses of the 11 stations"
 
 
+@pytest.mark.slow
 def test_from_a_result_and_with_the_plate_put_anew(handlaser, tmp_path, rig):
     result, out = tmp_path / "result.json", tmp_path / "stations.csv"
     assert handlaser("calibrate", RECORDING, "--rig", rig, "-q", "--out", result)[0] == 0
@@ -160,6 +162,7 @@ def test_faults_of_the_tables(tmp_path, text, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.slow
 def test_check_and_calibrate_end_with_the_next_best_stations(handlaser, rig):
     for verb in ("check", "calibrate"):
         code, text, err = handlaser(verb, RECORDING, "--rig", rig)
@@ -171,6 +174,7 @@ def test_check_and_calibrate_end_with_the_next_best_stations(handlaser, rig):
     assert "next best" not in handlaser("calibrate", RECORDING, "--rig", rig, "-q")[1]
 
 
+@pytest.mark.slow
 def test_check_and_calibrate_say_what_an_open_motion_lacks(handlaser, tmp_path):
     rng = np.random.default_rng(0)
     known = hl.read_rig(RIG)

@@ -54,6 +54,7 @@ def test_the_shipped_recording_fits_on_the_screen(handlaser, tmp_path):
         assert len(row.split()) == 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("beams", "scene"), [(1, "paper"), (8, "arm"), (20, "paper")])
 def test_simulated_scenes_fit_on_the_screen(handlaser, tmp_path, beams, scene):
     options = ("--scene", scene, "--beams", beams, "--planes", 6, "--k1", 0.01)
@@ -138,6 +139,7 @@ def test_the_worst_case_of_everything_fits(calibration):
     fits("\n".join(screen_lines(Description(wide, judged), closing=3)))
 
 
+@pytest.mark.slow
 def test_the_undetermined_is_named_in_words(handlaser, tmp_path):
     path = tmp_path / "recording.csv"
     hl.write_recording(path, degenerate("two planes, no rotation"))
@@ -148,6 +150,7 @@ def test_the_undetermined_is_named_in_words(handlaser, tmp_path):
     assert not any(line.startswith("1  ") for line in lines)  # no number means anything
 
 
+@pytest.mark.slow
 def test_the_stations_that_are_missing_leave_room_for_the_rest(handlaser, tmp_path, recording):
     """Twelve stations in words would be more than the screen has."""
     path, rig = tmp_path / "begun.csv", GRIPPER.parent / "planned" / "rig.toml"

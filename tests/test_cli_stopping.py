@@ -88,6 +88,7 @@ def test_a_stop_at_any_moment_is_one_line_and_130(long, tmp_path, command, secon
     assert not result.exists() or result.read_text().endswith("}\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "seconds"),
     first_and_slow(("validate", 0.2), ("calibrate --incremental", 0.2), ("calibrate", 0.0)),
@@ -98,6 +99,7 @@ def test_a_stop_of_the_computation_is_one_line_and_130(long, tmp_path, command, 
     assert set(out.split()) <= {"ready"}
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_does_after_a_second_and_takes_it_back(long, tmp_path):
     screen, terminal = pty.openpty()
     arguments = commands(long, tmp_path)["validate"]

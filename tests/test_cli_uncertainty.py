@@ -22,6 +22,7 @@ def one_line_each(text):
     return text.replace("\n  ", " ").splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poses", ["auto", "marginalised", "estimated"])
 def test_robot_errors_widen_the_result(handlaser, poses):
     code, out, _ = handlaser("calibrate", RECORDING, "--rig", RIG, "--json")
@@ -35,6 +36,7 @@ def test_robot_errors_widen_the_result(handlaser, poses):
         assert mine["sigma"]["location_m"][0] > other["sigma"]["location_m"][0]
 
 
+@pytest.mark.slow
 def test_sigmas_that_are_not_given_are_estimated(handlaser):
     """Those of the robot too, unless it is stated to be exact."""
     estimated = {}
@@ -54,6 +56,7 @@ def test_counting_the_errors_of_an_exact_robot_is_refused(refusal):
     )
 
 
+@pytest.mark.slow
 def test_the_result_says_what_the_tables_say(handlaser):
     arguments = ("calibrate", RECORDING, "--rig", RIG, *POSES, "--at-range-mm", "20")
     code, out, _ = handlaser(*arguments, "--json")
@@ -81,6 +84,7 @@ def test_the_result_says_what_the_tables_say(handlaser):
     assert listed == named
 
 
+@pytest.mark.slow
 def test_estimated_noise_is_printed_with_its_error(handlaser):
     arguments = ("calibrate", RECORDING, "--estimate-noise", "--range-sigma-by-beam")
     code, out, _ = handlaser(*arguments, "--verbose")
@@ -106,6 +110,7 @@ def test_a_rig_may_hold_a_pose_covariance(handlaser, refusal, tmp_path):
     assert "6 rows of 6 numbers" in refusal("calibrate", RECORDING, "--rig", rig)
 
 
+@pytest.mark.slow
 def test_a_recording_validates_itself(handlaser):
     code, out, _ = handlaser("validate", RECORDING, "--rig", RIG, *QUICK, "--splits", "2")
     assert code == 0
@@ -121,6 +126,7 @@ def test_a_recording_validates_itself(handlaser):
     assert found["reconstruction"]["tests"] == 1760
 
 
+@pytest.mark.slow
 def test_an_old_calibration_holds_until_a_beam_is_displaced(handlaser, tmp_path):
     old = tmp_path / "old.json"
     handlaser("calibrate", RECORDING, "--rig", RIG, "--out", old, "-q")
@@ -144,6 +150,7 @@ def test_an_old_calibration_holds_until_a_beam_is_displaced(handlaser, tmp_path)
     assert min(found["beams"], key=lambda beam: beam["p_value"])["name"] == "3"
 
 
+@pytest.mark.slow
 def test_limits_hold_for_planes_left_out(handlaser, tmp_path):
     """The residuals of the calibration pass, those of a plane that was left out do not."""
     rig = tmp_path / "rig.toml"
@@ -155,6 +162,7 @@ def test_limits_hold_for_planes_left_out(handlaser, tmp_path):
     assert err.strip().startswith("handlaser: Not usable, outside the limits: without plane D")
 
 
+@pytest.mark.slow
 def test_a_plane_that_contradicts_the_beams_exits_with_4(handlaser, tmp_path):
     """Every beam reads too much on plane D by a bias of its own, as on another surface."""
     recording = hl.read_recording(RECORDING)
@@ -178,6 +186,7 @@ def test_a_second_recording_is_a_hold_out(handlaser):
     assert "176 readings, planes fitted, beams as calibrated" in out
 
 
+@pytest.mark.slow
 def test_what_cannot_be_validated_is_refused(handlaser, refusal, tmp_path):
     assert "one of the two" in refusal(
         "validate", RECORDING, "--hold-out", "a", "--calibration", "b"

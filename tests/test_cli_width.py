@@ -58,6 +58,7 @@ SCREENS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("example", "encoding"),
     [*((example, "ascii") for example in SCREENS), (ENDING["calibrate"], "utf-8")],
@@ -89,6 +90,7 @@ def test_every_screen_fits_a_narrow_terminal_of_any_encoding(
         assert max(map(len, characters.splitlines())) <= 50
 
 
+@pytest.mark.slow
 def test_nothing_is_lost_on_a_narrow_screen(handlaser, monkeypatch):
     """The words are the same, but for where the lines end, and the mounts."""
     arguments = ("calibrate", RECORDING, "--rig", GRIPPER / "rig.toml", "--cross-check")
@@ -148,6 +150,7 @@ def test_a_table_that_does_not_fit_stands_in_parts():
     assert len(text_table(table, 80)) == 3
 
 
+@pytest.mark.slow
 def test_nothing_is_coloured(handlaser):
     """What a terminal gets is what a file gets."""
     arguments = ("calibrate", RECORDING, "--poses", "exact", "--range-error", "k1k2", "--verbose")
@@ -174,6 +177,7 @@ def on_a_terminal(*arguments):
 # --- encodings ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "environment",
     [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0"}],

@@ -128,6 +128,7 @@ def two_calibrated(seed: int) -> hl.results.SurveyCalibration:
     return hl.calibrate(two_cones(seed)[0], STATED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plane", "sphere"])
 def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
     """The range is the least over all rays of the cone, and derivatives are those of differences."""
@@ -248,6 +249,7 @@ def test_cones_on_a_hand_are_honest():
     assert least < squares < most
 
 
+@pytest.mark.slow
 def test_within_the_cone_its_direction_is_open_and_its_location_is_not() -> None:
     """What cures it is said; a stated mount does."""
     made, r, v = survey(1, 0.95 * HALF, stations=40)
@@ -319,6 +321,7 @@ def test_range_errors_and_noise_of_cones_are_shown(handlaser, tmp_path):
     assert abs(k1 - 3.0) < 4.0 * sigma
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", first_and_slow("check", "calibrate"))
 def test_ultrasonic_sensors_without_a_half_angle_are_said_to_be_read_as_beams(
     handlaser, tmp_path, verb

@@ -61,6 +61,7 @@ def test_standard_deviations_cover_correlated_noise():
     assert np.mean(squares) < 1.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [0, 20])
 def test_a_beam_that_is_knocked_is_named_whether_or_not_the_errors_vary_slowly(length):
     """By its station: those between it and the one that was tried first looked like slow errors."""
@@ -87,6 +88,7 @@ def test_errors_of_poses_that_change_smoothly_are_named_and_counted(given):
     assert not {code for one in runs for code in one.others} - {"far-reading"}
 
 
+@pytest.mark.slow
 def test_a_moving_robot_with_independent_errors_raises_no_alarm():
     assert moving_robot.outcome((0, True, 1)).length is None
 

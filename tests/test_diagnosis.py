@@ -227,6 +227,7 @@ def test_each_limit_passes_above_and_fails_below(calibration, name):
     assert all(name.split("_")[0] in word for word in words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mixed", [True, False])
 def test_the_cross_check_sees_a_wrong_calibration(calibration, mixed):
     """One beam moved by three sigmas, the standard deviations of one plane doubled."""

@@ -15,6 +15,7 @@ STUDIES = (ROOT / "docs" / "studies.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README + STUDIES, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", BLOCKS)
 def test_python_of_the_readme(block, monkeypatch):
     monkeypatch.chdir(ROOT)
@@ -50,6 +51,7 @@ def test_links_of_the_documents_lead_somewhere():
     assert [link for link in links if not (link[0].parent / link[1]).exists()] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", sorted((ROOT / "examples").glob("0*.py")), ids=lambda p: p.name)
 def test_examples_run(example, capsys):
     """As programs, under the warning filters of the tests themselves."""
@@ -71,6 +73,7 @@ def test_the_converter_refuses_folders_that_do_not_match(tmp_path, monkeypatch):
     assert not (tmp_path / "out.csv").exists()
 
 
+@pytest.mark.slow
 def test_the_benchmark_compares_solvers_on_one_optimum(tmp_path, monkeypatch):
     out = tmp_path / "rows.json"
     arguments = ["--planes", "4", "6", "--repeat", "1", "--together", "5", "--out"]
@@ -106,6 +109,7 @@ def test_every_code_has_its_row():
     assert codes <= listed, codes - listed
 
 
+@pytest.mark.slow
 def test_words_hold_what_their_call_gives_and_each_is_used():
     """Placeholders are keys of mappings, or keywords, in the function that warns or says them."""
     from handlaser_gtsam.results.dependence import Dependence

@@ -80,6 +80,7 @@ def of_a_robot(errors, seed=3):
     return simulate(truth, stations, errors, rng)
 
 
+@pytest.mark.slow
 def test_errors_that_no_robot_has_are_asked_about():
     """They stand for something else, as for gross errors, and nothing else says so."""
     recording = of_a_robot(Errors(SIGMA, 3e-3, 0.01))
@@ -94,6 +95,7 @@ def test_errors_that_a_robot_has_are_not_asked_about():
     assert "large-pose-errors" not in codes(hl.calibrate(recording, hl.Noise(SIGMA), NONE))
 
 
+@pytest.mark.slow
 def test_sensors_without_range_errors_do_not_make_sigmas_too_large():
     """Forty range errors of zero are less than any prior of some width says: chi2 is too small."""
     rng = np.random.default_rng(44)

@@ -44,6 +44,7 @@ def fed(recording, noise=NOISE, options=NONE, stop=None):
     return session, updates
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beam", [0, 2])
 def test_a_turned_beam_is_named_at_once_and_ever_after(beam):
     recording, _ = displaced(beam=beam)
@@ -72,6 +73,7 @@ def test_study_of_drift(case):
     assert not run_once(case, 0.0, "arm", 101)[3]
 
 
+@pytest.mark.slow
 def test_the_statistic_is_the_fall_of_chi2():
     """Against two batch solutions: one beam for all planes, and another one from an epoch on."""
     recording, _ = displaced(turn=math.radians(0.08), planes=8, before=5)
@@ -100,6 +102,7 @@ def _scores(pieces, epoch):
     return late.matrix - late.matrix @ T @ late.matrix, late.vector - late.matrix @ x
 
 
+@pytest.mark.slow
 def test_forgetting_recalibrates_the_beam_and_keeps_the_planes():
     recording, truth = displaced(planes=12)
     session, _ = fed(recording, stop=7)
@@ -127,6 +130,7 @@ def test_forgetting_recalibrates_the_beam_and_keeps_the_planes():
     assert np.array_equal(np.sort(session.recording().ranges), np.sort(recording.ranges))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", first_and_slow(NONE, hl.CalibrationOptions()))
 def test_a_split_is_the_calibration_of_one_beam_more(options):
     """What the session holds after a split, and planes that came after it, is that of `calibrate`."""
@@ -150,6 +154,7 @@ def test_a_split_is_the_calibration_of_one_beam_more(options):
     assert session.recording() == recording
 
 
+@pytest.mark.slow
 def test_a_beam_may_be_displaced_twice():
     recording, _ = displaced(planes=12, before=4)
     session, _ = fed(recording)
@@ -160,6 +165,7 @@ def test_a_beam_may_be_displaced_twice():
     assert session.beams().names == ("1", "2", "3")
 
 
+@pytest.mark.slow
 def test_what_cannot_be_forgotten_is_refused():
     session, _ = fed(displaced()[0])
     with pytest.raises(hl.InputError, match="beam 'x'"):
@@ -207,6 +213,7 @@ def test_new_garbage_is_left_out_and_a_plane_of_nothing_else_is_doubted():
     assert session.compare().largest < 0.01
 
 
+@pytest.mark.slow
 def test_a_plane_that_was_itself_moved_does_no_harm():
     """Shifted by a centimetre in the middle of its stations: it waits, and later planes are as ever."""
     recording, truth = displaced(planes=12, turn=0.0)
@@ -241,6 +248,7 @@ def test_a_large_displacement_is_named_too(degrees):
     assert (np.abs(beams.directions[1] - truth.directions[1]) < 5.0 * sigma).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [5.0, 10.0])
 def test_a_large_displacement_of_one_beam_of_five_is_no_gross_error(degrees):
     """Its readings are few enough of a plane to be thrown away one by one."""
@@ -250,6 +258,7 @@ def test_a_large_displacement_of_one_beam_of_five_is_no_gross_error(degrees):
         assert (update.moved.name, update.moved.since) == ("2", "F")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 10])
 def test_beams_that_are_poorly_known_at_first_have_not_moved(seed):
     """One plane leaves sixteen beams some degrees off: what it says of them has to follow them."""
@@ -259,6 +268,7 @@ def test_beams_that_are_poorly_known_at_first_have_not_moved(seed):
     assert all(update.moved is None for update in updates)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gone", ["ABC", "DEFGHIJ"])
 def test_the_planes_of_one_side_of_a_move_stay(gone):
     session, _ = fed(displaced(before=3)[0])
@@ -286,6 +296,7 @@ def test_an_estimate_that_moves_far_is_compared_at_once(monkeypatch):
     assert comparison.largest < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [20.0, 45.0])
 def test_a_far_move_that_was_told_raises_no_alarm(degrees):
     """What was assumed of the move is no sign of another, and no start is near enough."""

@@ -65,6 +65,7 @@ def off(calibration, x):
     )
 
 
+@pytest.mark.slow
 def test_it_is_the_most_probable_solution_for_noise_in_the_reading():
     recording, *told = cell(1, 4000)
     found = hl.calibrate(recording, hl.Noise(SIGMA, 0.0, 0.0), EXACT)

@@ -190,6 +190,7 @@ def test_python_code_gives_the_points():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 def test_c_code_compiles_without_a_warning_and_gives_the_points(tmp_path):
     (tmp_path / "beams.h").write_text(hl.export_text(FILE, "c"))
@@ -274,6 +275,7 @@ def of_new_shape(text):
     return re.sub(r"(?<=LREAL#)(-?\d+\.\d)\d*", r"\1", found)
 
 
+@pytest.mark.slow
 def test_structured_text_parses_and_gives_the_points():
     text = hl.export_text(FILE, "st")
     assert len(re.findall(" : HANDLASER_BEAM := ", text)) == len(V)

@@ -53,6 +53,7 @@ def test_identifiers_are_words_that_differ():
     )
 
 
+@pytest.mark.slow
 @given(st.lists(st.text(min_size=1, max_size=40), min_size=1, max_size=12, unique=True))
 def test_identifiers_differ_or_are_refused(names):
     try:
@@ -109,6 +110,7 @@ def test_a_fanuc_program_has_nothing_but_steps_and_positions():
     assert positions.count("P[") == len(HOSTILE)
 
 
+@pytest.mark.slow
 def test_parsers_read_hostile_names():
     for to in ("urdf", "xacro"):
         text = f"<robot>{TEXTS[to]}</robot>" if to == "urdf" else TEXTS[to]

@@ -20,6 +20,7 @@ def folder(monkeypatch, tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_page_runs_in_its_order(handlaser, folder):
     written = {"examples"}
     for line in COMMANDS:

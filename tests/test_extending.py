@@ -182,6 +182,7 @@ def test_readings_that_are_nan_are_none(page):
     assert found.dof == page["found"].dof
 
 
+@pytest.mark.slow
 def test_many_wrong_readings_or_a_wrong_sigma_contradict(page):
     """No number goes out as `converged` that the rows contradict."""
     problem = page["problem"]

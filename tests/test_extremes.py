@@ -137,6 +137,7 @@ STATED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("reading", "translation", "rotation"), STATED)
 def test_noise_of_beams(recording, reading, translation, rotation):
     noise = hl.Noise(
@@ -149,6 +150,7 @@ def test_noise_of_beams(recording, reading, translation, rotation):
     assert not result.verdict.usable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reading", "translation", "rotation"), [(1e-9, 0.0, None), (1e-9, 0.1, 0.0)]
 )

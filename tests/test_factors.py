@@ -61,6 +61,7 @@ def test_jacobians_on_known_poses(seed, terms):
     assert_jacobians_match(factor, values)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10**6), st.sampled_from([0, 1, 2]))
 def test_jacobians_on_a_pose_variable(seed, terms):
     values, poses, d = scene(seed, terms)
@@ -325,6 +326,7 @@ def test_range_error_of_three_terms_is_refused():
         factor.linearize(values)
 
 
+@pytest.mark.slow
 def test_factors_are_freed():
     """A callback that refers to its own factor would never be collected."""
     values, poses, d = scene(9, 0)

@@ -108,6 +108,7 @@ def test_a_rig_of_other_bytes_is_refused_with_their_place(tmp_path):
         read_rig(tmp_path / "rig.toml")
 
 
+@pytest.mark.slow
 def test_the_result_holds_what_the_calibration_does(tmp_path):
     recording = hl.read_recording(GRIPPER / "recording.csv")
     calibration = hl.calibrate(recording, hl.Noise(3e-5))
@@ -166,6 +167,7 @@ def test_what_is_no_regular_file_is_never_replaced(tmp_path):
     assert pipe.is_fifo()
 
 
+@pytest.mark.slow
 def test_a_start_that_failed_is_null_in_the_result():
     recording = hl.read_recording(GRIPPER / "recording.csv")
     calibration = hl.calibrate(recording, hl.Noise(3e-5))

@@ -102,6 +102,7 @@ def known(label):
     return all(any(re.match(rf"{re.escape(t)}s?(?![\w-])", part) for t in TERMS) for part in parts)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("screen", SCREENS, ids=" ".join)
 def test_what_lines_begin_with_and_heads_of_tables(
     handlaser, folder, monkeypatch, headings, screen

@@ -19,6 +19,7 @@ from handlaser_gtsam.starts.robust import mended
 EXACT = Scene(joint_sigma_deg=0.0, range_sigma=0.0, k1=0.0, k2=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 7])
 def test_one_wrong_label_before_a_table_and_a_wall_is_named(seed):
     found = run_once(Case("label", Scene(), wrong=1), False, seed)

@@ -16,6 +16,7 @@ from handlaser_gtsam.validation.scenes import Layout
 RIG = {"nothing": {}, "the rig": {"range_sigma": 3e-5}}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", RIG)
 def test_a_calibration_ends_with_gtsams_factors_and_marginals(monkeypatch, given):
     """Values and covariances at the mode of the scales are those that GTSAM alone has there."""

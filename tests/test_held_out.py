@@ -46,6 +46,7 @@ def test_it_is_what_calibrating_anew_gives(gripper, case):
             assert one.standardized == pytest.approx(other.standardized, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_nothing_is_calibrated_anew(gripper, monkeypatch):
     """What takes the time: `validate` solves for every plane and part (benchmarks.waiting)."""
     noise, options = CASES["exact poses"]
@@ -61,6 +62,7 @@ def test_nothing_is_calibrated_anew(gripper, monkeypatch):
     assert solved
 
 
+@pytest.mark.slow
 def test_a_plane_that_was_moved_while_it_was_read_is_contradicted():
     """Half its stations see it a millimetre nearer; the beams without it are not touched by that."""
     recording, _ = simulated(layout=Layout(planes=5))
@@ -74,6 +76,7 @@ def test_a_plane_that_was_moved_while_it_was_read_is_contradicted():
     assert min(p, key=p.get) == recording.plane_names[2]
 
 
+@pytest.mark.slow
 def test_there_is_a_reason_where_nothing_is_held_out(gripper):
     robust = hl.calibrate(gripper, hl.Noise(3e-5, **EXACT), hl.CalibrationOptions(loss="huber"))
     with pytest.raises(hl.SolverError, match="huber loss"):
@@ -118,6 +121,7 @@ def test_the_history_ends_where_the_calibration_is(gripper):
         assert found.location_sigma[12] == pytest.approx(own, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [hl.Noise(3e-5, **EXACT), hl.Noise(3e-5), hl.Noise()])
 def test_the_history_ends_there_where_scales_were_learned(gripper, noise):
     """Scales that are integrated over, and what the beams have in common, count at the end."""
@@ -136,11 +140,13 @@ def test_the_history_ends_there_where_scales_were_learned(gripper, noise):
     assert known.spot[-1] == pytest.approx(max(radii), rel=0.02)
 
 
+@pytest.mark.slow
 def test_no_history_without_a_calibration(gripper):
     open_ = hl.calibrate(gripper.part([0, 1, 2, 3]), hl.Noise(3e-5, **EXACT))
     assert history(open_, 0.015) is None
 
 
+@pytest.mark.slow
 def test_all_stations_are_the_solution_at_the_most_probable_scales(gripper):
     """With the prior of the range errors that was learned, and the errors of the poses."""
     calibration = hl.calibrate(gripper, hl.Noise())

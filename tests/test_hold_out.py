@@ -100,6 +100,7 @@ def with_a_wrong_label(b):
     return replace(b, plane_labels=(*b.plane_labels[:4], other, *b.plane_labels[5:]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -119,6 +120,7 @@ def test_what_explains_it_by_itself_is_named(undisturbed, change, expected):
             assert value in cause.values[name]
 
 
+@pytest.mark.slow
 def test_readings_in_another_unit_are_named(undisturbed):
     """Planes lie along beams then, or fit no beams."""
     m, b = undisturbed[0]

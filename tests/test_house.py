@@ -26,6 +26,7 @@ def test_the_page_names_every_folder_and_nothing_else():
     assert sorted(listed) == sorted(folders)
 
 
+@pytest.mark.slow
 def test_the_way_is_the_order_of_the_first_calls(tmp_path):
     """Traced: a recording is read and calibrated, judged and written."""
     way = section("From the CSV row to the verdict")
@@ -55,6 +56,7 @@ def test_every_file_that_the_page_names_is_there():
         assert (PACKAGE / file).exists(), file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL))
 def test_python_of_the_page(block, monkeypatch):
     monkeypatch.chdir(ROOT)

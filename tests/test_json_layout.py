@@ -43,6 +43,7 @@ def layout(value, path=""):
         yield path, type(value).__name__
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["determined", "undetermined"])
 def test_a_calibration_is_written_as_ever(name):
     text = calibration_text(hl.calibrate(recordings()[name], hl.Noise(3e-5)))
@@ -88,6 +89,7 @@ def documented(section):
     return {first: (names.findall(first), names.findall(rest)) for first, _, rest in rows}
 
 
+@pytest.mark.slow
 def test_sensors_and_beams_of_a_survey_are_written_as_documented():
     """A beam had no working distance, which its table promised."""
     survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))

@@ -301,6 +301,7 @@ def test_planes_by_stations_by_column_and_by_file(tmp_path, kuka):
     assert found.plane_names == ("w0", "w1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["mean", "median"])
 def test_repeated_readings_become_one_and_their_scatter_the_sigma(tmp_path, how):
     """Two hundred stations of nine readings: the scatter is known to 2 or 3 percent."""
@@ -511,6 +512,7 @@ OPTIONS = [
 ]
 
 
+@pytest.mark.slow
 def test_calibrate_check_and_validate_take_a_log(handlaser, gripper_log, tmp_path):
     file = tmp_path / "rig.toml"
     file.write_text((GRIPPER / "rig.toml").read_text())
@@ -546,6 +548,7 @@ def test_a_log_that_is_taken_for_a_recording_is_recognised(refusal, gripper_log)
     assert "convert LOG --write-log RIG" in err
 
 
+@pytest.mark.slow
 def test_what_was_converted_is_calibrated_with_the_rig_file_of_the_log(
     handlaser, refusal, gripper_log, tmp_path
 ):
@@ -562,6 +565,7 @@ def test_what_was_converted_is_calibrated_with_the_rig_file_of_the_log(
     assert "log.units m" in err or "log.pose_format ros" in err
 
 
+@pytest.mark.slow
 def test_a_recording_of_two_files_is_calibrated_with_their_rig_file(handlaser, tmp_path):
     poses, rig, out = (
         ROOT / "examples" / "logs" / "kuka_poses.csv",
@@ -576,6 +580,7 @@ def test_a_recording_of_two_files_is_calibrated_with_their_rig_file(handlaser, t
     assert handlaser("check", out, "--rig", rig)[:2] == handlaser("check", poses, "--rig", rig)[:2]
 
 
+@pytest.mark.slow
 def test_the_table_of_a_rig_file_is_written_beside_the_rest(handlaser, gripper_log, tmp_path):
     """The file keeps every byte, and gets the table once; what reads alike writes nothing."""
     rig = tmp_path / "rig.toml"
@@ -728,6 +733,7 @@ SIGNS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", SIGNS)
 def test_signs_of_a_wrong_convention_are_refused_and_the_right_one_named(tmp_path, case):
     name, change, given, words = SIGNS[case]
@@ -744,6 +750,7 @@ def test_signs_of_a_wrong_convention_are_refused_and_the_right_one_named(tmp_pat
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.slow
 def test_who_insists_is_warned(tmp_path):
     recording = log_recording("paper", "tool down")
     path = tmp_path / "log.csv"
@@ -758,6 +765,7 @@ def test_who_insists_is_warned(tmp_path):
     assert "--pose-format kuka" in warning.message
 
 
+@pytest.mark.slow
 def test_poses_that_were_held_are_warned_of(tmp_path):
     recording = log_recording("paper", "tool down")
     rows = numbers(recording, FORMATS["kuka"])

@@ -52,6 +52,7 @@ def csv_recording(tmp_path, drive):
     return tmp_path / "recording.csv"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_is_calibrated_to_the_same_answer_as_the_csv(tmp_path, handlaser, driven, kind):
     drive, mounts = driven
@@ -79,6 +80,7 @@ def test_a_bag_is_calibrated_to_the_same_answer_as_the_csv(tmp_path, handlaser, 
         assert (np.abs(np.subtract(one["location_m"], r)) < 5.0 * sigma).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_readings_without_noise_give_the_very_same_calibration(tmp_path, kind):
     """Then no reading more or less matters: what is left is single precision."""
@@ -92,6 +94,7 @@ def test_readings_without_noise_give_the_very_same_calibration(tmp_path, kind):
         assert np.abs(found.beams[name].direction - wanted.beams[name].direction).max() < 1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ros1", "ros2"])
 def test_frames_of_tf_are_chained(tmp_path, driven, kind):
     drive, _ = driven
@@ -110,6 +113,7 @@ def test_frames_of_tf_are_chained(tmp_path, driven, kind):
         hl.read_log(bag, hl.LogFormat(frames=("base", "tool"), plane="A"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ros1", "mcap"])
 def test_rays_of_a_scan_are_beams_and_no_readings_are_none(tmp_path, driven, kind):
     drive, _ = driven
@@ -142,6 +146,7 @@ def test_the_lag_of_a_bag_is_estimated_to_ten_milliseconds(tmp_path):
     assert abs(hl.describe_log(bag, receive).lag) < 0.01
 
 
+@pytest.mark.slow
 def test_a_bag_of_a_moving_arm_is_interpolated(tmp_path, driven):
     drive, _ = driven
     bag = write_bag(tmp_path, "ros2", partial(published, drive))
@@ -205,6 +210,7 @@ def test_compressed_bags_are_the_same(tmp_path, short, kind, compression, whole)
     assert hl.read_log(first, given) == hl.read_log(second, given)
 
 
+@pytest.mark.slow
 def test_chunks_of_a_bag_written_topic_by_topic_are_unpacked_once_a_topic(tmp_path, monkeypatch):
     """As programs write that convert logs; in the order of time, every message would take one."""
     frame = pytest.importorskip("lz4.frame")
@@ -253,6 +259,7 @@ def test_a_bag_that_ends_too_early_is_refused(tmp_path, short, kind, part):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_bags_with_broken_bytes_are_read_or_refused(tmp_path, short):
     """Never a traceback; what is read has poses and ranges that can be."""
     bag = write_bag(tmp_path, "ros1", partial(published, short))

@@ -264,6 +264,7 @@ def test_a_panic_of_a_library_is_one_line(tmp_path, log, monkeypatch, refusal):
 # --- bags -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunks", [1, 8])
 @pytest.mark.parametrize("compression", ["bz2", "lz4"])
 def test_chunks_of_a_bag_stop_at_the_limit(tmp_path, compression, chunks):
@@ -320,6 +321,7 @@ def test_two_publishers_on_one_topic_are_noticed(tmp_path, kind):
 # --- time and memory ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["XFD1048576.xlsx", "ZZ100000.xlsx", "bomb.xlsx", "bomb.bag", "deep.jsonl"]
 )

@@ -115,6 +115,7 @@ def test_labels_that_do_not_match_are_refused(tmp_path):
 # --- by time -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_each_reading_has_the_nearest_pose(tmp_path, driven):
     drive, _ = driven
     write_poses(tmp_path / "poses.csv", drive)
@@ -153,6 +154,7 @@ def test_names_of_rows_are_made_a_few_times_however_many_rows_there_are(
     assert 0 < len(made) < 10
 
 
+@pytest.mark.slow
 def test_a_pose_has_the_mean_of_the_readings_around_it(tmp_path, driven):
     """Poses that are fewer than the readings are the stations."""
     drive, _ = driven
@@ -171,6 +173,7 @@ def test_a_pose_has_the_mean_of_the_readings_around_it(tmp_path, driven):
     assert np.abs(found.ranges - expected).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_poses_between_two_rows_are_interpolated(tmp_path, driven):
     """Poses at a sixth of the rate: ranges of the poses found agree with the readings all the same."""
     drive, mounts = driven
@@ -232,6 +235,7 @@ def test_stations_are_the_moments_at_which_the_arm_stands(tmp_path, driven):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("part", "plane"), [(0.4, "B"), (0.6, "A")])
 def test_a_stand_is_before_the_plane_of_its_middle(tmp_path, driven, part, plane):
     drive, _ = driven
@@ -314,6 +318,7 @@ def test_lags_between_the_steps_of_the_search_differ_by_what_they_do(tmp_path, d
     assert found[1] - found[0] == pytest.approx(0.0007, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_stated_lag_is_taken_off(tmp_path, driven):
     drive, _ = driven
     write_poses(tmp_path / "poses.csv", drive)

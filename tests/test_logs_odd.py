@@ -301,6 +301,7 @@ def test_a_folder_that_is_no_bag_is_called_so(tmp_path, refusal):
         )
 
 
+@pytest.mark.slow
 def test_a_pipe_is_read_once(tmp_path, log, handlaser):
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
@@ -335,6 +336,7 @@ def kuka(tmp_path):
     return path, rig
 
 
+@pytest.mark.slow
 def test_plan_takes_a_log(kuka, handlaser):
     path, rig = kuka
     code, out, err = handlaser("plan", path, "--rig", rig, "--stations", "3", "--json")
@@ -347,6 +349,7 @@ def test_plan_takes_a_log(kuka, handlaser):
     assert first == pytest.approx(second, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_plot_takes_a_log(kuka, tmp_path, handlaser):
     pytest.importorskip("matplotlib", reason="needs the extra plots")
     path, rig = kuka

@@ -52,6 +52,7 @@ def log_of(path, seed, *, beams, plates, stations, written="", outliers=0.0):
 NAMED = {"reversed": "--pose-format fanuc", "inverted": "--inverted"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "beams", "stations"), [(0, 3, 24), (1, 2, 28)])
 @pytest.mark.parametrize("written", NAMED)
 def test_beams_tell_together_what_one_of_them_does_not(tmp_path, written, seed, beams, stations):
@@ -63,6 +64,7 @@ def test_beams_tell_together_what_one_of_them_does_not(tmp_path, written, seed, 
         hl.read_log(path, GIVEN)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outliers", [0.0, 0.2])
 def test_no_right_log_of_few_stations_is_accused(tmp_path, outliers):
     for seed in range(2):
@@ -70,6 +72,7 @@ def test_no_right_log_of_few_stations_is_accused(tmp_path, outliers):
         assert hl.read_log(path, GIVEN).warnings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("plates", "stations", "checked"), [(2, 24, True), (4, 24, False)])
 def test_one_beam_tells_with_ten_readings_more_than_unknowns(tmp_path, plates, stations, checked):
     """It has seven unknowns, and each plate three: 13 and 19 of 24 readings (docs/logs.md)."""

@@ -17,6 +17,7 @@ from handlaser_gtsam.observability.rank import ObservabilityOptions, observabili
 NONE = hl.CalibrationOptions("none")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", DEGENERATE)
 def test_what_the_motion_leaves_open_is_what_the_solution_leaves_open(case):
     recording = degenerate(case)
@@ -47,6 +48,7 @@ def test_free_motion_satisfies_no_lemma_one_and_determines_everything():
     assert all(plane.translations == 0 and plane.axes >= 2 for plane in check.planes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "code"), [("one plane, one axis", 3), (None, 0)])
 def test_the_command(handlaser, tmp_path, case, code):
     recording, path = degenerate(case) if case else simulated("arm")[0], tmp_path / "recording.csv"
@@ -91,6 +93,7 @@ def test_what_is_determined_is_not_moved_to_the_hand():
     assert still.full
 
 
+@pytest.mark.slow
 def test_open_coordinates_have_no_sigma_and_the_others_do():
     found = hl.calibrate(degenerate("one plane, one axis"), hl.Noise(1e-4), NONE)
     sigma = found.beams["1"].sigma

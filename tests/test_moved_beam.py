@@ -57,6 +57,7 @@ def shifted(metres):
     return lambda r, v: (r + np.where(np.arange(3)[:, None] == 1, [metres, 0.0, 0.0], 0.0), v)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moved", [bent(0.5), bent(1.0), shifted(3e-3)])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_beam_that_was_moved_is_named_with_its_station(moved, seed):
@@ -77,6 +78,7 @@ def test_how_far_the_spot_was_moved_is_told():
     assert warning.values["turn_deg"] < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_no_beam_of_a_good_recording_was_moved(seed):
     found = hl.calibrate(recorded(seed))
@@ -84,6 +86,7 @@ def test_no_beam_of_a_good_recording_was_moved(seed):
     assert not any(one.code == DISPLACED for one in found.warnings)
 
 
+@pytest.mark.slow
 def test_gross_errors_at_the_end_are_no_move():
     whole = recorded(4)
     ranges = whole.ranges.copy()
@@ -93,6 +96,7 @@ def test_gross_errors_at_the_end_are_no_move():
     assert not any(one.code == DISPLACED for one in found.warnings)
 
 
+@pytest.mark.slow
 def test_a_plate_or_a_tool_frame_that_was_moved_is_no_beam():
     whole = recorded(5)
     late = np.arange(len(whole.ranges)) >= 21
@@ -108,6 +112,7 @@ def test_a_plate_or_a_tool_frame_that_was_moved_is_no_beam():
         assert not any(one.code == DISPLACED for one in found.warnings)
 
 
+@pytest.mark.slow
 def test_a_beam_that_reads_something_else_than_one_plate_is_not_moved():
     """Its readings there are rejected, and the rest is as it was."""
     whole = recorded(6)
@@ -127,6 +132,7 @@ def test_a_single_beam_that_was_moved_is_the_tool_frame_as_well():
     assert codes & {DISPLACED, "systematic-tool-displaced"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_pure_noise_of_few_readings_shows_no_systematic_error(seed):
     """A sum of squares that one reading leaves says nothing, however small it is."""
@@ -136,6 +142,7 @@ def test_pure_noise_of_few_readings_shows_no_systematic_error(seed):
     assert not any(one.found for one in found.systematic)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_good_readings_are_not_left_out_until_few_agree(seed):
     """Noise of a millimetre at 15 stations: with 30 unknowns, any choice of 41 of 45 fits better."""
@@ -143,6 +150,7 @@ def test_good_readings_are_not_left_out_until_few_agree(seed):
     assert len(found.fit.rejected) <= 1
 
 
+@pytest.mark.slow
 def test_too_few_stations_to_have_moved_amid_them():
     whole = recorded(3)
     few = hl.calibrate(whole.part(np.arange(12)))

@@ -26,6 +26,7 @@ def shuffled(recording, seed):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "sigma"), [("paper", 3e-5), ("arm", None), ("arm", 1e-3)])
 @pytest.mark.parametrize("garbage", [False, True])
 def test_the_order_changes_nothing(scene, sigma, garbage):

@@ -42,6 +42,7 @@ def test_a_third_of_garbage_does_not_move_the_result(scene, told, seed):
     assert 0.25 * recording.ranges.size < len(found.fit.rejected) < 0.32 * recording.ranges.size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [True, False])
 def test_clean_readings_stay(told):
     rejected = readings = 0
@@ -191,6 +192,7 @@ def test_robust_starts_agree_on_the_good_readings():
     assert np.degrees(angle.max()) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [True, False])
 def test_a_reading_far_beyond_the_others_is_left_out(told):
     """100 m among ranges of centimetres would decide k2, and the scale of everything."""

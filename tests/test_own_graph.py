@@ -195,6 +195,7 @@ def test_the_covariance_is_that_of_gtsam(walk):
     assert hl.Mounts.of(found).covariance == pytest.approx(found.beams["laser"].covariance)
 
 
+@pytest.mark.slow
 def test_several_robots_share_one_plane_and_each_its_own_beam():
     first, second = robot("x", 40, 1), robot("y", 40, 5)
     graph = gtsam.NonlinearFactorGraph(first.graph)
@@ -229,6 +230,7 @@ def test_two_hands_share_one_beam_model():
     assert_near_truth(hl.read_graph(graph, solved.values, {"laser": BEAM}, PLANES))
 
 
+@pytest.mark.slow
 def test_beams_of_one_make_share_their_range_error():
     k, shared = (0.02, 0.005), gtsam.symbol("k", 0)
     one = hl.factors.BeamKeys(BEAM.location, BEAM.direction, shared)
@@ -352,6 +354,7 @@ def test_wrong_keys_are_refused(walk):
         hl.read_graph(graph, values, {"laser": BEAM}, {})
 
 
+@pytest.mark.slow
 def test_the_driver_of_own_graphs_meets_grazing_beams_and_interrupts(walk):
     graph, start = walk
     far = gtsam.Values(start)

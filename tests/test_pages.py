@@ -12,6 +12,7 @@ import handlaser_gtsam as hl
 DOCS = ROOT / "docs"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page", ["tutorial", "trust", pytest.param("sensors", marks=pytest.mark.slow)]
 )
@@ -31,6 +32,7 @@ def test_commands_of_a_page_run_in_order(page, handlaser, monkeypatch, tmp_path)
             assert (tmp_path / words[words.index("--out") + 1]).stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_the_tutorial_ends_with_urdf_and_report_in_three_commands(refusal):
     text = (DOCS / "tutorial.md").read_text()
     commands = re.findall(r"^handlaser .*$", text, re.MULTILINE)

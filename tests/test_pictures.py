@@ -72,6 +72,7 @@ def test_names_in_a_notebook_are_text(hostile):
     assert first == [shortened(name, NAME_IN_TABLE) for name in HOSTILE]
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_no_number_that_means_nothing(gripper, noise):
     page = hl.calibrate(gripper.part([0, 1, 2, 3]), noise)._repr_html_()
     assert "Not usable, undetermined" in page
@@ -111,6 +112,7 @@ def test_names_in_pictures_are_shown_as_they_are(hostile):
 # --- files -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_draws_a_recording(handlaser, tmp_path):
     pytest.importorskip("matplotlib", reason="needs the extra plots")
     recording, rig = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
@@ -130,6 +132,7 @@ def test_the_command_draws_a_recording(handlaser, tmp_path):
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_an_undetermined_recording_draws_what_it_can(handlaser, gripper, tmp_path):
     pytest.importorskip("matplotlib", reason="needs the extra plots")
     hl.write_recording(tmp_path / "few.csv", gripper.part([0, 1, 2, 3]))
@@ -141,6 +144,7 @@ def test_an_undetermined_recording_draws_what_it_can(handlaser, gripper, tmp_pat
     assert drawn == {"space-world", "by-range", "by-station", "by-plane"}
 
 
+@pytest.mark.slow
 def test_a_folder_that_cannot_be_made_is_refused(calibration, tmp_path):
     pytest.importorskip("matplotlib", reason="needs the extra plots")
     (tmp_path / "file").write_text("")

@@ -284,6 +284,7 @@ def test_every_criterion_gives_a_plan(recorded, criterion):
     assert plan.forecast.spot[-1] < plan.forecast.spot[0]
 
 
+@pytest.mark.slow
 def test_the_plate_put_anew_is_turned_where_that_tells_more(recorded):
     placement = hl.planning.Placement(2, largest_tilt=math.radians(20.0))
     plan = hl.plan(recorded[2], 8, SENSOR, WORKSPACE, placement=placement)
@@ -387,6 +388,7 @@ def test_long_steps_are_divided(pool):
 # --- the first motion --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
     """A hundred mounts from the bounds stay within the limits; the first ten are calibrated."""
     here = cell(np.random.default_rng(4), 1)

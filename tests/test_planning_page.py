@@ -11,6 +11,7 @@ PAGE = (ROOT / "docs" / "planning.md").read_text()
 COMMANDS = re.findall(r"```sh\n(.*?)```", PAGE, flags=re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL))
 def test_python_of_the_page(block, monkeypatch):
     monkeypatch.chdir(ROOT)

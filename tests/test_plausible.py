@@ -253,6 +253,7 @@ def planned_in_cell(free, seed=1):
     return before, plan, after, size
 
 
+@pytest.mark.slow
 def test_planned_stations_tell_an_error_with_incidence():
     before, plan, after, told = planned_in_cell(("incidence",))
     _, other, _, without = planned_in_cell(())

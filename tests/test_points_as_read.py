@@ -86,6 +86,7 @@ def test_a_code_of_a_profiler_is_left_out_counted_and_named(tmp_path, code):
     assert coded.shots[0] == plain.shots[0]
 
 
+@pytest.mark.slow
 def test_a_calibration_goes_on_without_codes_and_says_so(tmp_path, handlaser):
     survey(tmp_path, "330.000")
     code, out, _ = handlaser("calibrate", tmp_path / "poses.csv", "--rig", tmp_path / "rig.toml")
@@ -154,6 +155,7 @@ def test_what_stands_at_few_stations_is_no_code(stations):
     assert codes_of_shots(reading, station) == ()
 
 
+@pytest.mark.slow
 def test_codes_of_scanners_and_arrays_and_their_echoes(tmp_path):
     """The nearest echo of a zone is its nearest reading, not a code that is nearer."""
     (tmp_path / "zones.csv").write_text("zone,x_deg,y_deg\n0,0,0\n1,10,0\n2,0,10\n3,5,10\n")
@@ -188,6 +190,7 @@ def test_words_and_dashes_say_that_there_is_no_reading(tmp_path, word):
     assert read(tmp_path / "said").shots[0] == read(tmp_path / "plain").shots[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("end", "words"),
     [
@@ -229,6 +232,7 @@ def test_a_last_line_that_is_cut_is_refused_and_watch_waits_for_it(
     assert len(seen[-1].shots[0].reading) == count + 1
 
 
+@pytest.mark.slow
 def test_a_last_line_without_a_line_end_that_is_whole_is_read(tmp_path):
     survey(tmp_path, EMPTY)
     last = tmp_path / "scans" / f"scan_{STATIONS:03d}.csv"

@@ -131,6 +131,7 @@ def test_marginalised_and_estimated_poses_agree_to_a_tenth_of_a_sigma(range_erro
     assert second.fit.dof == first.fit.dof
 
 
+@pytest.mark.slow
 def test_scipy_agrees_with_marginalised_poses():
     recording, _ = robot(missing=10)
     found = hl.calibrate(recording, NOISE, NONE)
@@ -139,6 +140,7 @@ def test_scipy_agrees_with_marginalised_poses():
     assert check.largest_sigma < 1e-5
 
 
+@pytest.mark.slow
 def test_covariances_a_station_come_in_the_order_of_the_recording():
     recording, _ = robot()
     rng = np.random.default_rng(0)
@@ -210,6 +212,7 @@ def test_covariances_tell_the_truth_when_the_robot_errs(axes):
         assert found["marginalised"].direction < 0.75 * found["exact"].direction
 
 
+@pytest.mark.slow
 def test_robot_errors_that_are_not_counted_are_noticed():
     recording, _ = robot()
     exact = replace(NONE, poses="exact")

@@ -17,6 +17,7 @@ def test_every_phase_of_a_calibration_tells(gripper):
     assert numbers[:2] == [1, 2]
 
 
+@pytest.mark.slow
 def test_a_validation_counts_its_parts(gripper):
     told = []
     hl.validate(gripper, hl.Noise(3e-5), EXACT, splits=1, progress=told.append)

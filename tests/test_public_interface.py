@@ -192,6 +192,7 @@ def test_tables_name_their_units(calibration):
 # --- files -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["determined", "undetermined", "robust"])
 def test_a_calibration_file_is_read_as_it_was_written(tmp_path, calibration, gripper, case):
     found = calibration

@@ -39,6 +39,7 @@ def test_the_end_of_a_range_is_named(far, seed):
     assert any("end of the range" in one or "near end" in one for one in reasons)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_beam_that_misses_the_plate_is_another_matter(seed):
     """What it reads is far, but too long."""
@@ -50,6 +51,7 @@ def test_a_beam_that_misses_the_plate_is_another_matter(seed):
     assert "range-end" not in codes(found)
 
 
+@pytest.mark.slow
 def test_outliers_by_chance_look_so_as_rarely_as_stated():
     """Half of them as likely at an end as anywhere, with either sign."""
     readings = simulated("arm", range_sigma=SIGMA)[0].readings()

@@ -79,6 +79,7 @@ def test_the_sensor_of_p3_reads_nothing_beyond_564_mm(mount_p3):
     assert warning.values["rejected"] >= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trial", P3)
 def test_every_trial_of_p3_leads_to_the_same_mount(convert, tmp_path, mount_p3, trial):
     convert([SPD / trial], tmp_path / "one.csv")

@@ -47,6 +47,7 @@ def of_beams_on_a_point():
     return cross_check._problem(hl.calibrate(survey_of(rig, [known]), EXACT)._found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", [of_a_recording, of_a_body, of_beams_on_a_point])
 def test_no_residual_depends_on_more_than_its_pattern(made, monkeypatch):
     residuals = reference.Residuals(made())

@@ -139,6 +139,7 @@ def undetermined(gripper):
 # --- one file ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["page", "hostile"])
 def test_nothing_is_loaded_from_anywhere(kind, request):
     """No element names another file, no style imports one, and the page's own policy forbids both."""
@@ -206,6 +207,7 @@ def test_identifiers_stand_once(page):
     assert set(links) <= set(names)
 
 
+@pytest.mark.slow
 def test_size_of_thirteen_planes(tmp_path):
     recording, _ = simulated(layout=Layout(planes=13))
     found = hl.calibrate(recording, hl.Noise(3e-5, 5e-5, 5e-4))
@@ -213,6 +215,7 @@ def test_size_of_thirteen_planes(tmp_path):
     assert (tmp_path / "report.html").stat().st_size < 6 * MB
 
 
+@pytest.mark.slow
 def test_a_long_recording_of_long_names_stays_below_six_megabytes():
     recording, _ = simulated(layout=Layout(planes=60, beams=8))
     names = tuple(f"<{i}>" + "&" * 190 for i in range(8))
@@ -439,6 +442,7 @@ def test_still_pictures_are_sound_xml(calibration, hostile, options):
 # --- what is no calibration --------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_undetermined_one_says_so_first_and_shows_no_number_that_means_nothing(gripper):
     found = undetermined(gripper)
     page = Page(report_text(found, hl.ReportOptions()))
@@ -456,6 +460,7 @@ def test_an_undetermined_one_says_so_first_and_shows_no_number_that_means_nothin
         assert name or beam  # the JSON of the calibration is there, with its nulls
 
 
+@pytest.mark.slow
 def test_of_a_part_that_is_determined_the_numbers_are_shown():
     """Pure translations tell the directions, and no location."""
     from helpers import degenerate
@@ -501,6 +506,7 @@ def test_a_calibration_without_its_recording_has_a_report(calibration):
     assert "by-range" not in page.data("figures")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["huber", "keep", "estimated", "no range error", "one plane"])
 def test_every_kind_of_calibration_has_a_report(gripper, case):
     noise, recording = hl.Noise(3e-5, 5e-5, 5e-4), gripper
@@ -523,6 +529,7 @@ def test_every_kind_of_calibration_has_a_report(gripper, case):
 # --- options and the command -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_same_input_makes_the_same_page(calibration, options):
     assert report_text(calibration, options) == report_text(calibration, options)
 
@@ -573,6 +580,7 @@ def test_a_rejected_reading_is_listed_with_its_reason(hostile):
     assert abs(residual[1]) > 4.0  # mm, of the 5 mm that were put in
 
 
+@pytest.mark.slow
 def test_the_command_writes_it(handlaser, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recording, rig = GRIPPER / "recording.csv", GRIPPER / "rig.toml"
@@ -589,6 +597,7 @@ def test_the_command_writes_it(handlaser, tmp_path, monkeypatch):
     assert Page((tmp_path / "b.html").read_text()).table("next") == page.table("next") != []
 
 
+@pytest.mark.slow
 def test_an_undetermined_recording_has_a_report_all_the_same(handlaser, gripper, tmp_path):
     hl.write_recording(tmp_path / "few.csv", gripper.part([0, 1, 2, 3]))
     code, _, said = handlaser(
@@ -633,6 +642,7 @@ def test_options_refuse_what_is_none(fields):
         hl.ReportOptions(**fields)
 
 
+@pytest.mark.slow
 def test_what_is_no_calibration_or_no_file_is_refused(calibration, tmp_path):
     with pytest.raises(hl.InputError, match=r"Calibration\(\.\.\.\)"):
         hl.write_report(tmp_path / "a.html", 3)
@@ -652,6 +662,7 @@ def sound(found):
     return page
 
 
+@pytest.mark.slow
 def test_readings_without_noise_have_a_report():
     recording, _ = simulated(range_sigma=1e-15)
     for noise in (hl.Noise(None, **EXACT), hl.Noise(3e-5, **EXACT)):
@@ -712,6 +723,7 @@ def test_of_many_stations_those_with_the_largest_residuals_are_listed():
     assert "40 of 50 planes were held out" in page.text
 
 
+@pytest.mark.slow
 def test_plane_by_plane_has_the_same_report(handlaser, tmp_path):
     told = ("calibrate", GRIPPER / "recording.csv", "--rig", GRIPPER / "rig.toml", "--incremental")
     code, _, _ = handlaser(*told, "--report", tmp_path / "a.html", "--out", tmp_path / "a.json")
@@ -721,6 +733,7 @@ def test_plane_by_plane_has_the_same_report(handlaser, tmp_path):
     assert len(page.table("stations")) == 44
 
 
+@pytest.mark.slow
 def test_robot_and_sensor_are_those_of_the_rig(calibration, rig):
     """An arm that cannot be loaded gives no next stations; its name stands in the head all the same."""
     robot = hl.planning.Robot("folder/<arm>.urdf", "tool0")

@@ -20,6 +20,7 @@ def examples(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_python_of_the_page(examples):
     pytest.importorskip("matplotlib", reason="needs the extra plots")
     (block,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
@@ -28,6 +29,7 @@ def test_python_of_the_page(examples):
     assert written == {"examples", "calibration.html", "by-range.svg", "pictures"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", COMMANDS)
 def test_commands_of_the_page(line, handlaser, examples):
     words = shlex.split(line)

@@ -69,6 +69,7 @@ def test_the_joints_found_are_at_the_pose_and_within_the_limits(small):
     assert (small.reachable(R, t) == good).all()
 
 
+@pytest.mark.slow
 @needs_pinocchio
 @pytest.mark.parametrize("name", ARMS)
 def test_arms_of_others_reach_their_own_poses(name):
@@ -205,6 +206,7 @@ def test_every_planned_station_is_reached_without_a_collision(name, calibrated):
     check_drive(robot, at, dict(zip(belief.plane_names, belief.plates(), strict=True)))
 
 
+@pytest.mark.slow
 @needs_pinocchio
 def test_joints_are_the_nearest_of_those_that_differ_by_full_turns():
     """A UR5 turns each joint by a turn to either side: half of the joints found were a turn off."""
@@ -265,6 +267,7 @@ def heights(path, robot, joints):
     return np.array(found)
 
 
+@pytest.mark.slow
 @needs_pinocchio
 def test_nothing_but_the_first_link_may_be_below_the_table():
     """Of joints at which the arm touches nothing else, by the heights of its axes, on a tilted base."""
@@ -282,6 +285,7 @@ def test_nothing_but_the_first_link_may_be_below_the_table():
         assert 10 < free.sum() < 140
 
 
+@pytest.mark.slow
 @needs_pinocchio
 @pytest.mark.parametrize("knows", first_and_slow(True, False))
 def test_no_move_leads_through_the_table(recording, knows):
@@ -328,6 +332,7 @@ def test_no_move_leads_through_the_table(recording, knows):
             assert beyond.max() < 0.1 + 1e-6
 
 
+@pytest.mark.slow
 @needs_pinocchio
 def test_stations_without_a_way_are_replaced(small, calibrated, monkeypatch):
     """Ways are refused to all stations on one side, of which the best plan has some."""
@@ -350,6 +355,7 @@ def test_stations_without_a_way_are_replaced(small, calibrated, monkeypatch):
     assert plan.forecast.direction_sigma[-1] < plan.forecast.direction_sigma[0]
 
 
+@pytest.mark.slow
 @needs_pinocchio
 def test_a_first_motion_is_reached_too(small):
     rig = hl.read_rig(ROOT / "examples" / "planned" / "rig.toml")
@@ -402,6 +408,7 @@ def rig(tmp_path):
     return path
 
 
+@pytest.mark.slow
 @needs_pinocchio
 def test_the_command_writes_joints_that_read_back(handlaser, rig, tmp_path):
     out = tmp_path / "stations.csv"
@@ -425,6 +432,7 @@ def test_the_command_writes_joints_that_read_back(handlaser, rig, tmp_path):
     assert again.joint_names == found.joint_names
 
 
+@pytest.mark.slow
 @needs_pinocchio
 @pytest.mark.parametrize("table", ["", "table_mm = -200\n"])
 def test_the_answer_says_what_was_in_the_scene(handlaser, rig, table):
@@ -462,6 +470,7 @@ def test_without_pinocchio_the_way_to_install_it_is_said(refusal, rig, monkeypat
     assert "pip install 'handlaser-gtsam[robot]'" in " ".join(err.split())
 
 
+@pytest.mark.slow
 def test_nothing_of_pinocchio_is_imported_without_the_table():
     code = (
         "import sys, handlaser_gtsam as hl; rig = hl.read_rig('examples/planned/rig.toml'); "

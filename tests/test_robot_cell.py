@@ -91,6 +91,7 @@ def test_errors_of_joints_have_the_covariance_stated():
     assert np.allclose(drawn, stated / np.outer(scale, scale), atol=0.09)
 
 
+@pytest.mark.slow
 def test_each_source_of_randomness_is_its_own():
     base, truth = made(scene=Scene())
     for other in (Scene(a=1.0), Scene(joint_sigma_deg=0.1), Scene(range_sigma=1e-3)):

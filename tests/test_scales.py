@@ -483,6 +483,7 @@ def test_what_cannot_be_estimated_is_refused():
         hl.calibrate(recording, options=options)
 
 
+@pytest.mark.slow
 def test_what_the_prior_carries_is_said():
     """One beam cannot tell its own noise from that of the hand along it; four can."""
     recording, _, _ = robot(Layout(1, 5, 20))

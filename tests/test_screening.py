@@ -139,6 +139,7 @@ def test_a_column_twice_is_refused(recording, column):
     assert again.beams == ("1", "3")
 
 
+@pytest.mark.slow
 def test_a_column_twice_with_noise_of_its_own_is_warned_of(recording):
     rng = np.random.default_rng(2)
     column = doubled(recording, lambda d: d + SIGMA * rng.standard_normal(len(d)))
@@ -222,6 +223,7 @@ def test_a_session_screens_what_it_is_given(recording):
         session.add(doubled(recording, lambda d: d))
 
 
+@pytest.mark.slow
 def test_the_second_solver_reads_what_was_solved(recording):
     rows = np.repeat(np.arange(len(recording.plane_labels)), 4)
     many = repeated(recording, rows, noise=SIGMA)

@@ -121,6 +121,7 @@ def test_a_file_that_fits_nothing_is_refused_with_bounded_work(counts, spoilt, t
     assert counts["plain"] <= 60
 
 
+@pytest.mark.slow
 def test_saturated_readings_are_solved_without_them():
     """A third of the readings at one value is a code of the sensor: the rest is calibrated."""
     recording, truth = simulated("arm", Layout(8, 5, 18), 1e-3, 1)

@@ -117,6 +117,7 @@ def test_an_undetermined_plane_waits_for_its_stations():
     assert_batch(session)
 
 
+@pytest.mark.slow
 def test_stations_of_a_known_plane_join_it():
     recording = recorded(4)
     session = hl.Session(EXACT, NONE)
@@ -128,6 +129,7 @@ def test_stations_of_a_known_plane_join_it():
     assert_batch(session)
 
 
+@pytest.mark.slow
 def test_a_new_beam_joins_once_it_is_determined():
     recording = recorded(5)
     three = replace(recording, ranges=recording.ranges[:, :3], beam_names=("1", "2", "3"))
@@ -228,6 +230,7 @@ def test_what_cannot_be_added_is_refused():
     assert_batch(session)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_random_sequences_end_at_the_batch_solution(monkeypatch, seed):
     """Planes, stations and failures in any order; a small run of what a long session meets."""
@@ -329,6 +332,7 @@ def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
     assert whole.learned.range_error_sigma is not None
 
 
+@pytest.mark.slow
 def test_scales_that_were_learned_from_fewer_planes_are_named(monkeypatch):
     monkeypatch.setattr(state, "LEAST_CHANGES", 99)
     recording = recorded(5, stations=10, beams=2, k=(0.02, 0.3))
@@ -342,6 +346,7 @@ def test_scales_that_were_learned_from_fewer_planes_are_named(monkeypatch):
     assert_batch(session)
 
 
+@pytest.mark.slow
 def test_a_session_compares_itself_with_the_batch_now_and_then():
     recording = recorded(14)
     session, every = hl.Session(EXACT, NONE), []
@@ -394,6 +399,7 @@ def test_negative_readings_count_where_the_recording_has_them():
     assert_batch(session)
 
 
+@pytest.mark.slow
 def test_threads_take_turns():
     recording = recorded(24, beams=2)
     session = filled(recording.part(np.flatnonzero(recording.plane_of_station < 6)))
@@ -437,6 +443,7 @@ def test_many_blocks_evaluate_together_as_each_does_alone():
             assert np.abs(a - b).max() <= 1e-12 * max(np.abs(a).max(), 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "noise", [hl.Noise(None, 0.0, 0.0), hl.Noise(1e-4, 0.0, 0.0)], ids=["no sigma", "sigma"]
 )
@@ -451,6 +458,7 @@ def test_steps_that_swing_are_taken_with_damping(noise):
         assert (np.abs(found.beams[name].location - beam.location) < 1e-6).all()
 
 
+@pytest.mark.slow
 def test_readings_that_meet_their_plane_too_flat_are_left_out():
     recording = recorded(10)
     options = replace(NONE, sensor=hl.Sensor(max_incidence=math.radians(30.0)))
@@ -462,6 +470,7 @@ def test_readings_that_meet_their_plane_too_flat_are_left_out():
     assert session.recalibrate().largest < 0.01
 
 
+@pytest.mark.slow
 def test_stations_never_share_a_number():
     """Poses are variables by number: one that was given twice would tie two stations together."""
     recording = recorded(7, noise=ROBOT)
@@ -489,6 +498,7 @@ def test_arguments_of_another_kind_are_refused():
         hl.Session(EXACT).add("recording.csv")
 
 
+@pytest.mark.slow
 def test_what_a_batch_would_not_call_determined_is_refused(handlaser, tmp_path):
     handlaser("simulate", tmp_path)
     recording = hl.read_recording(tmp_path / "recording.csv")

@@ -67,6 +67,7 @@ def test_a_copy_gives_the_same_answers_and_goes_on(case, copied):
     assert_batch(other)
 
 
+@pytest.mark.slow
 def test_a_copy_knows_what_was_rejected_and_what_was_split():
     recording, _ = displaced(planes=8, turn=math.radians(0.3))
     ranges = recording.ranges.copy()

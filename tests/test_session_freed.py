@@ -47,6 +47,7 @@ def assert_batch(session):
     assert np.array_equal(beams.sigma, [found.beams[name].sigma for name in beams.names])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", first_and_slow("incidence", "beam-on-plane"))
 def test_every_error_is_found_plane_by_plane_as_at_once(code):
     session, rest = begun(code, SIZES[code], code, range_error="none")
@@ -98,6 +99,7 @@ def test_random_sequences_are_the_batch_after_every_step(seed):
         assert_batch(session)
 
 
+@pytest.mark.slow
 def test_drifts_go_by_the_order_in_which_stations_came():
     """Stations of a known plane that come later are later, whichever plane is theirs."""
     scene = Scene(3)
@@ -138,6 +140,7 @@ def test_a_plane_that_is_not_determined_or_does_not_fit_waits():
     assert_batch(session)
 
 
+@pytest.mark.slow
 def test_a_beam_that_was_displaced_is_named_beside_the_error():
     recording = recorded(Scene(3), 0, "incidence", 1e-3)
     names = recording.plane_names
@@ -178,6 +181,7 @@ def test_copies_and_what_is_raised_on_the_way_change_nothing(monkeypatch):
     assert np.sqrt(np.mean(residuals**2)) < 2e-4
 
 
+@pytest.mark.slow
 def test_what_cannot_be_an_unknown_of_a_session_is_refused_at_once():
     with pytest.raises(hl.InputError, match="no plausible size"):
         hl.Session(NOISE, hl.CalibrationOptions(free=("incidence",)))

@@ -301,6 +301,7 @@ def test_a_far_start_needs_damping_and_finds_the_same_optimum():
     assert far.cost == pytest.approx(near.cost, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_further_factors_join_the_solve(problem):
     """A prior on a location pulls it: the driver counts the cost of factors it does not know."""
     _, readings, start, _ = problem

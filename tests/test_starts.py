@@ -280,6 +280,7 @@ def test_half_the_planes_satisfying_no_lemma_spoil_nothing():
         assert (found.fit.residuals**2).sum() / 2e-8 == pytest.approx(best.cost, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_long_recording_is_searched_in_part():
     recording, _ = simulated("arm", Layout(2, 120, 12), 1e-3)
     readings = recording.readings()
@@ -309,6 +310,7 @@ def test_a_grazing_candidate_is_dropped():
     assert refine_many([flat, bench(1, 1)], readings, 0, 3)[0] is None
 
 
+@pytest.mark.slow
 def test_of_starts_that_end_at_one_optimum_the_first_one_tried_is_named(monkeypatch):
     """Costs are moved by about as much as another version of NumPy moves them, 1e-13."""
     readings = simulated("arm")[0].readings()
@@ -341,6 +343,7 @@ def test_a_glance_at_many_recordings_is_one_at_each():
     assert together[1] > 1e4 * together[0]
 
 
+@pytest.mark.slow
 def test_readings_that_a_constant_predicts_better_are_given_up_early(monkeypatch, tmp_path):
     """Where readings belong to other stations, a thorough search and many steps are in vain."""
     asked = []

@@ -360,6 +360,7 @@ def test_a_lag_is_found_and_taken_off_in_one_table(tmp_path):
     assert np.abs(found.world_t_hand - true[: rows[1]]).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_planes_by_times_are_on_the_clock_of_poses(tmp_path):
     """A reading of second 20 of the readings' clock was taken at second 5 of that of the poses."""
     one = drive(20, stops=6)

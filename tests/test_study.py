@@ -48,6 +48,7 @@ def once_killed(rng, mark):
     return PAPER(rng)
 
 
+@pytest.mark.slow
 def test_rows_do_not_depend_on_who_works():
     one = run_study(reduced(60), ONE)
     assert one.equals(run_study(reduced(60), TWO))
@@ -86,6 +87,7 @@ def noted(rng, file):
     return PAPER(rng)
 
 
+@pytest.mark.slow
 def test_what_was_interrupted_goes_on(tmp_path):
     path, notes = tmp_path / "runs.parquet", tmp_path / "notes"
     keep = partial(hl.files.write_runs, path)
@@ -124,7 +126,7 @@ def test_honest_estimates_have_a_nees_of_one():
         named=True
     )
     assert told["converged"] == exact["converged"] == 100.0
-    # Sigmas that are a quarter too small are a NEES of 1.8. Its standard error over 100 runs is then 0.1,
+    # Sigmas that are a quarter too small are a NEES of 1.8. Its standard error is then 0.1,
     # and four of them are left below it: they never pass, nor do those of the other treatment.
     assert told["nees"] == pytest.approx(1.0, abs=4.0 * told["standard_error"])
     assert told["coverage"] == pytest.approx(95.0, abs=2.0 * np.sqrt(200 / runs))
@@ -153,6 +155,7 @@ def test_recordings_of_several_shapes_are_solved_in_their_order():
         assert alone == one
 
 
+@pytest.mark.slow
 def test_refusals_and_warnings_are_counted():
     draw = partial(draw_scene, layout=Layout(1, 1, 4), errors=Errors(3e-5))
     case = Case("poor", "calibrate", draw, partial(hl.validation.calibrate_each, noise=EXACT))
@@ -299,6 +302,7 @@ def test_a_declaration_is_checked(tmp_path, old, new, words):
         hl.read_study(declared(tmp_path, STUDY.replace(old, new)))
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_line_for_every_case(tmp_path, handlaser, refusal):
     path = declared(tmp_path, STUDY[: STUDY.index("[treatments.default]")])
     out, picture = tmp_path / "runs.parquet", tmp_path / "study.svg"
@@ -316,6 +320,7 @@ def test_the_command_prints_a_line_for_every_case(tmp_path, handlaser, refusal):
     assert "no regular file" in refusal("study", path, "--out", tmp_path)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_runs_and_the_same_command_goes_on(tmp_path, handlaser):
     path = declared(tmp_path, STUDY[: STUDY.index("[treatments.exact]")].replace("20", "4000"))
     out = tmp_path / "runs.parquet"

@@ -56,6 +56,7 @@ def far(rig, result):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "generator"),
     [
@@ -70,6 +71,7 @@ def test_mounts_are_found_without_a_start_within_their_covariance(case, generato
     assert far(rig, result) > 1e-4
 
 
+@pytest.mark.slow
 def test_errors_of_the_hand_are_counted_stated_or_not():
     hand = 5e-5, 1.7e-4
     # Without errors of the hand the standard deviations would be six times as small.
@@ -86,6 +88,7 @@ def test_errors_of_the_hand_are_counted_stated_or_not():
         assert ratio.min() > 2.0
 
 
+@pytest.mark.slow
 def test_results_are_equal_and_pickled_as_others_are():
     rig = rigs_by_rays.profiler(3, targets="planes+sphere")
     ball = rig.truth["targets"]["sphere:S1"]
@@ -155,6 +158,7 @@ def test_a_cone_is_refused_with_what_is_undetermined():
     assert np.isfinite(sensor.rotation_sigma).all()  # the turn is known all the same
 
 
+@pytest.mark.slow
 def test_covariances_are_gtsams_and_the_dense_inverse():
     rig = rigs_by_rays.mixed(3, sensors=("profiler", "beam"), targets="planes+sphere")
     found = estimate_survey(survey_of(rig), EXACT)
@@ -250,6 +254,7 @@ def test_many_shots_at_once_are_as_one_by_one(ratio):
         assert np.abs(off).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_noise_across_a_profile_pulls_no_slope():
     """Noise in x as large as in z: the slopes of many shots have no bias, and their stated spread."""
     rng = np.random.default_rng(1)
@@ -390,6 +395,7 @@ def test_a_body_ties_its_planes_and_one_wrong_face_is_named():
     assert hl.calibrate(survey_of(rig, [wrong]), EXACT).relations[0].contradicted
 
 
+@pytest.mark.slow
 def test_a_groove_is_two_planes():
     """A V of two planes at right angles, seen as one profile."""
     rng = np.random.default_rng(2)
@@ -428,6 +434,7 @@ def test_a_groove_is_two_planes():
     assert error @ np.linalg.solve(C, error) < 22.5
 
 
+@pytest.mark.slow
 def test_a_range_error_that_is_held_is_found_and_freed():
     """A scanner that reads 0.2 mm too short: found by the test, and right once it is free."""
     rig = rigs_by_rays.scanner(4, planes=3, stations=14)

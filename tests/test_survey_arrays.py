@@ -178,6 +178,7 @@ def test_the_growth_counts_in_plans_and_at_few_stations():
     assert (spread == spread[0]).all()
 
 
+@pytest.mark.slow
 def test_what_is_open_and_misread_is_not_solved_again():
     """Where shots are read as what they are not, nothing is called undetermined, and yet it may be."""
     found = hl.calibrate(rough(0, stations=12)[0], EXACT)
@@ -275,6 +276,7 @@ def test_far_echoes_at_small_tilts_determine_no_mount():
     assert found.status == "undetermined"
 
 
+@pytest.mark.slow
 def test_a_zone_that_grazes_its_ball_does_not_end_the_search():
     """At the minimum of all readings of this rig one ray misses its ball by a hair."""
     rig = rigs_by_rays.array(21, targets="spheres")

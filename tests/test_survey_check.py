@@ -88,6 +88,7 @@ VEHICLES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "motion", "walls", "words"), first_and_slow(*VEHICLES))
 def test_vehicles_with_sensors_of_many_rays(kind, motion, walls, words):
     check = check_survey(vehicle(kind, motion, walls))
@@ -151,6 +152,7 @@ def test_a_level_scanner_on_a_flat_floor_sees_no_wall_lean(walls):
     assert found.message == f"the motion leaves open {words}. To determine it: {cure}"
 
 
+@pytest.mark.slow
 def test_the_example_is_determined_and_says_what_it_holds(handlaser):
     words = ["check", str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml")]
     code, out, err = handlaser(*words)
@@ -184,6 +186,7 @@ def test_readings_that_only_shift_along_their_noise_change_no_word():
     assert again.undetermined == check_survey(survey).undetermined
 
 
+@pytest.mark.slow
 def test_a_cone_is_named_with_its_cure():
     rig = rigs_by_rays.profiler(101, targets="planes", planes=1, motion="cone")
     check = check_survey(survey_of(rig))
@@ -272,6 +275,7 @@ def test_what_was_not_read_is_counted_as_by_a_calibration():
     assert "and 1 shot with too few there" in next(check_lines(check))
 
 
+@pytest.mark.slow
 def test_degrees_of_freedom_are_said_in_the_counts_of_a_check(handlaser):
     words = (str(FOLDER / "poses.csv"), "--rig", str(FOLDER / "rig.toml"))
     counted = re.search(
@@ -287,6 +291,7 @@ def test_degrees_of_freedom_are_said_in_the_counts_of_a_check(handlaser):
     assert dof == numbers + more - unknowns
 
 
+@pytest.mark.slow
 def test_relations_count_in_a_check_and_false_ones_are_refused(handlaser, tmp_path):
     """As `calibrate` does: a beam before one plane is determined by what is known of its mount."""
     shutil.copytree(FOLDER, tmp_path / "folder")

@@ -24,6 +24,7 @@ def stated(folder, old, new):
     (folder / "rig.toml").write_text(text.replace(old, new))
 
 
+@pytest.mark.slow
 def test_a_log_becomes_stations_that_its_own_rig_file_reads(handlaser, folder):
     rig = str(folder / "rig.toml")
     out = str(folder / "stations.csv")

@@ -48,6 +48,7 @@ def test_the_example_is_calibrated_within_its_sigmas():
     assert abs(ball.values["radius"] - radius) < 4.0 * ball.sigma["radius"]
 
 
+@pytest.mark.slow
 def test_results_of_surveys_are_written_as_those_of_beams(handlaser, folder):
     """From Python as by the command, to the byte; a working distance is refused."""
     given = ("calibrate", folder / "poses.csv", "--rig", folder / "rig.toml", "--quiet")
@@ -71,6 +72,7 @@ def test_results_of_surveys_are_written_as_those_of_beams(handlaser, folder):
     assert not list(folder.glob("c.*"))
 
 
+@pytest.mark.slow
 def test_from_log_to_urdf_and_report(handlaser, refusal, folder):
     result, report = folder / "result.json", folder / "report.html"
     words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml")]
@@ -91,6 +93,7 @@ def test_from_log_to_urdf_and_report(handlaser, refusal, folder):
     assert "hold frames" in refusal("export", str(result), "--to", "c")
 
 
+@pytest.mark.slow
 def test_json_on_stdout_is_what_out_writes(handlaser, folder):
     words = ["calibrate", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"), "--json"]
     code, out, _ = handlaser(*words, "--out", str(folder / "result.json"))
@@ -101,6 +104,7 @@ def test_json_on_stdout_is_what_out_writes(handlaser, folder):
     assert content["verdict"]["usable"] is True
 
 
+@pytest.mark.slow
 def test_a_recording_in_metres_with_a_beam_and_parquet(folder):
     """The same stations as a recording in CSV, points as Parquet in metres, and a beam beside."""
     survey = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
@@ -159,6 +163,7 @@ def in_inches(folder, suffix="", log="", sensor=""):
     return str(folder / "poses.csv"), "--rig", str(rig)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["", " [inch]"])
 def test_inches_may_be_stated_for_poses_and_points(folder, handlaser, suffix):
     """With the units in the names of the columns, those of the points need not be stated again."""
@@ -174,6 +179,7 @@ def test_inches_may_be_stated_for_poses_and_points(folder, handlaser, suffix):
     assert found["sensors"][0]["location_m"] == location
 
 
+@pytest.mark.slow
 def test_units_that_nobody_stated_are_said_to_be_assumed(folder, handlaser):
     """All in inches, taken for millimetres, fits as well: only words can tell."""
     words = in_inches(folder)
@@ -287,6 +293,7 @@ def test_columns_of_a_profiler_that_are_exchanged_are_refused(folder, refusal, v
     assert "exchange their names in the header" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("generator", [rigs_by_rays, rigs_by_distance])
 @pytest.mark.parametrize("targets", ["planes", "sphere", "planes+sphere"])
 def test_no_right_profile_is_called_exchanged(generator, targets):
@@ -381,6 +388,7 @@ def test_of_a_false_relation_the_headline_says_nothing_else(folder):
     assert "range-error" in {one.code for one in result.warnings}
 
 
+@pytest.mark.slow
 def test_the_standard_deviation_of_aiming_stands_in_the_rig_file(handlaser, refusal, tmp_path):
     made, rig = tmp_path / "made", tmp_path / "rig.toml"
     rig.write_text('[[sensors]]\nname = "p"\nkind = "profiler"\npoints = "p.csv"\n')
@@ -400,6 +408,7 @@ def test_the_standard_deviation_of_aiming_stands_in_the_rig_file(handlaser, refu
     assert "aiming_sigma_mm" in refusal(*words)
 
 
+@pytest.mark.slow
 def test_relations_of_the_page_go_with_its_example(folder):
     page = (ROOT / "docs" / "sensors.md").read_text()
     (block,) = re.findall(r"```toml\n(\[\[known.*?)```", page, flags=re.DOTALL)
@@ -513,6 +522,7 @@ def in_files(folder, pattern):
     return rig
 
 
+@pytest.mark.slow
 def test_a_file_of_points_a_station_is_as_one_table(folder, handlaser, refusal):
     given = ("check", str(folder / "poses.csv"), "--rig", str(folder / "rig.toml"), "--json")
     _, table, _ = handlaser(*given)
@@ -632,6 +642,7 @@ def test_commas_of_decimals_and_of_cells_are_told_apart(folder, refusal):
     )
 
 
+@pytest.mark.slow
 def test_titles_above_tables_are_passed_over_and_said(folder, handlaser):
     plain = hl.read_survey(folder / "poses.csv", folder / "rig.toml").shots[0]
     points = folder / "profiles.csv"
@@ -679,6 +690,7 @@ def test_parquet_has_numbers_of_any_type_and_nothing_else(folder, case):
     assert numbers[:, 1] == pytest.approx(plain["z"].cast(pl.Float64).to_numpy()[-kept:])
 
 
+@pytest.mark.slow
 def test_how_files_were_read_stands_wherever_the_result_does(folder, handlaser):
     rig, report = folder / "rig.toml", folder / "report.html"
     rig.write_text(rig.read_text().replace('units = "mm"', ""))
@@ -733,6 +745,7 @@ def test_options_of_beams_are_refused(folder, refusal):
         )
 
 
+@pytest.mark.slow
 def test_what_is_undetermined_is_said_and_the_exit_code_is_3(folder, handlaser):
     """The plate alone, and one station of it many times over: nothing tells the shift."""
     poses = pl.read_csv(folder / "poses.csv")
@@ -770,6 +783,7 @@ def beams_on_a_ball(folder):
     return rig
 
 
+@pytest.mark.slow
 def test_labels_alone_make_a_survey_of_beams(folder, handlaser, refusal):
     rig = beams_on_a_ball(folder)
     code, out, err = handlaser("calibrate", str(folder / "beam.csv"), "--json")

@@ -87,6 +87,7 @@ def test_redundancy_counts_numbers_and_not_range_errors():
     assert _redundancy(rows.items, (beam, tip, ball)) == 17 - 5 - 3 - 4
 
 
+@pytest.mark.slow
 def test_no_result_rests_on_rays_that_miss_their_ball(monkeypatch):
     """Where the search without such rays does not settle, the one with them is no result."""
     kind, options, _ = rigs.ROWS["mixed"]

@@ -120,12 +120,14 @@ def two_rounds(seed, moved=(0.0, 0.0, 0.0), sensor=(0.0, 0.0, 0.0)):
     return hl.Survey(hl.StationList(R, t, tuple(label * 2)), (shots,))
 
 
+@pytest.mark.slow
 def test_two_rounds_of_a_program_contradict_nothing():
     found = hl.calibrate(two_rounds(0))
     require_right(found)
     assert "displaced" not in {one.code for one in found.warnings}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "seed"), first_and_slow(("sphere:ball", 3), ("sensor profiler", 0))
 )
@@ -184,6 +186,7 @@ def test_a_radius_that_is_roughly_known_is_no_contradiction(sigma):
     assert not found.relations[0].contradicted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wrong", "right", "how"),
     [
@@ -211,6 +214,7 @@ def test_a_label_of_its_own_whose_shot_fits_another_target_is_named(wrong, right
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", first_and_slow(2, 4))
 def test_of_six_stations_both_verbs_say_the_same(seed):
     """Two numbers more than unknowns: minima far from the truth fit, as of seed 2, 96 mm off."""
@@ -223,6 +227,7 @@ def test_of_six_stations_both_verbs_say_the_same(seed):
     assert found.verdict.findings[0].startswith(words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", first_and_slow(2, 0))
 def test_one_station_more_tells_the_mount(seed):
     few = cell(seed).part(np.isin(np.arange(18), (0, 1, 2, 9, 10, 11, 12)))
@@ -234,6 +239,7 @@ def test_one_station_more_tells_the_mount(seed):
     assert words in "\n".join(check_lines(check))
 
 
+@pytest.mark.slow
 def test_spaces_about_the_colon_of_a_label_are_nothing():
     survey = cell(1, labels=[(8, "plane: plate"), (12, "sphere :ball")])
     assert set(survey.stations.plane_labels) == {"plane:plate", "sphere:ball"}
@@ -241,6 +247,7 @@ def test_spaces_about_the_colon_of_a_label_are_nothing():
     require_right(hl.calibrate(survey))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "lost"), first_and_slow((0, 4), (3, 7)))
 def test_a_table_behind_the_ball_is_not_the_ball(seed, lost):
     """Up to seven of nine shots may be lost where two that count agree with all others."""
@@ -360,6 +367,7 @@ def relabelled(survey, right, wrong):
     return replace(survey, stations=stations)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", KINDS_EXCHANGED)
 def test_a_target_of_the_other_kind_is_no_fit_where_the_search_ends_nowhere(case, monkeypatch):
     """One mistake, one code, whatever becomes of the search."""
@@ -370,6 +378,7 @@ def test_a_target_of_the_other_kind_is_no_fit_where_the_search_ends_nowhere(case
     assert f"the shots of {wrong} {words}" in found.verdict.sentence
 
 
+@pytest.mark.slow
 def test_a_survey_of_which_no_shot_shows_its_target_names_the_label():
     survey = relabelled(cell(0), "plane:plate", "sphere:plate").part(np.arange(18) < 9)
     for verb in (hl.calibrate, check_survey):
@@ -384,6 +393,7 @@ def turned_round(survey, about):
     return replace(survey, shots=(turned,))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("about", [0.0, 0.33])
 def test_where_half_of_the_shots_are_lost_nothing_is_usable(about):
     """The sign of z turns a ball inside out, and leaves a plate as it was."""
@@ -409,6 +419,7 @@ def test_where_half_of_the_shots_are_lost_nothing_is_usable(about):
     assert about or (again.shots[0].reading == cell(0).shots[0].reading).all()
 
 
+@pytest.mark.slow
 def test_a_target_of_which_no_shot_counts_is_in_the_headline():
     """Few shots of the only ball cannot be spared; those of a second ball can."""
     few = turned_round(cell(0, background=True).part(np.arange(18) < 12), 0.0)
@@ -427,6 +438,7 @@ def test_a_target_of_which_no_shot_counts_is_in_the_headline():
     assert "so that no shot of sphere:other counts" in found.verdict.sentence
 
 
+@pytest.mark.slow
 def test_a_plate_that_is_labelled_a_ball_ends_both_verbs_alike(tmp_path, handlaser):
     """With one exit code, one sentence, and the same counts of what was read."""
     folder = ROOT / "examples" / "profiler"
@@ -447,6 +459,7 @@ def test_a_plate_that_is_labelled_a_ball_ends_both_verbs_alike(tmp_path, handlas
     assert sum(target["stations"] for target in check["targets"]) == found["sensors"][0]["shots"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("background", [False, True])
 def test_no_right_label_is_doubted(background):
     for seed in range(4):
@@ -455,6 +468,7 @@ def test_no_right_label_is_doubted(background):
     assert not better_kinds(cell(0, labels=[(12, "plane:plate")]), hl.Noise())
 
 
+@pytest.mark.slow
 def test_stations_without_a_reading_are_said():
     survey = cell(1)
     shots = survey.shots[0]
@@ -466,6 +480,7 @@ def test_stations_without_a_reading_are_said():
     assert "1 of 18 stations have no reading" in found.warnings[0].message
 
 
+@pytest.mark.slow
 def test_a_plate_that_is_labelled_a_groove_is_said_to_have_no_edge():
     survey = cell(1)
     named = relabelled(survey, "plane:plate", "groove:plate")
@@ -534,6 +549,7 @@ UNITS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", UNITS)
 def test_a_wrong_unit_that_no_sensor_refutes_is_named(tmp_path, handlaser, refusal, case):
     """Some sensor may have such lengths: only what fits, or the stated range, tells the unit."""
@@ -556,6 +572,7 @@ def test_a_wrong_unit_that_no_sensor_refutes_is_named(tmp_path, handlaser, refus
             assert words in refusal(verb, made / "stations.csv", "--rig", made / "rig.toml")
 
 
+@pytest.mark.slow
 def test_beams_and_targets_without_any_reading_are_named(tmp_path, handlaser, refusal):
     """The motion was blamed for such a beam, and such a target was only missing from the tables."""
     (tmp_path / "rig.toml").write_text(NEAR)
@@ -578,6 +595,7 @@ def test_beams_and_targets_without_any_reading_are_named(tmp_path, handlaser, re
         assert left.values["targets"] == "plane:B"
 
 
+@pytest.mark.slow
 def test_beams_in_millimetres_are_named_where_no_range_is_stated(tmp_path, handlaser):
     """Of a survey a k1 of -99.9 % undoes the unit; no sensor has it."""
     (tmp_path / "rig.toml").write_text(NEAR)
@@ -594,6 +612,7 @@ def test_beams_in_millimetres_are_named_where_no_range_is_stated(tmp_path, handl
         assert "look for another unit of this column" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("moved", "first"), [((6, 7, 8), 7), ((0, 1, 2), 4)])
 def test_a_plate_that_is_moved_is_named_with_the_station(moved, first):
     survey = cell(2)
@@ -605,6 +624,7 @@ def test_a_plate_that_is_moved_is_named_with_the_station(moved, first):
     assert found.verdict.findings == (found.message,)
 
 
+@pytest.mark.slow
 def test_a_scale_with_which_the_search_does_not_come_to_rest_is_named(monkeypatch):
     survey = cell(0)
     shots = survey.shots[0]
@@ -634,6 +654,7 @@ def written_wrong(how):
     return replace(survey, stations=stations), numbers, kuka
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "words"),
     [

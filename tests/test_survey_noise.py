@@ -102,6 +102,7 @@ def test_what_is_stated_is_not_learned():
     assert learned(rows_of(8, 3, 12, 1e-4, (2e-4, 5e-5)), stated) is stated
 
 
+@pytest.mark.slow
 def test_a_beam_with_fewer_readings_than_unknowns_is_not_usable():
     rig = few_readings(10, rigs_by_rays, 2e-5)
     rig.tables["beam3"]["station"] = rig.tables["beam3"]["station"][:6]
@@ -122,6 +123,7 @@ def test_a_beam_with_fewer_readings_than_unknowns_is_not_usable():
     assert "too-few-readings" not in [one.code for one in tied.warnings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [10, 33])
 def test_a_beam_with_seven_readings_is_found_where_it_is(seed):
     """Another minimum, 25 mm off, fits the three quarters of its readings that fit best."""

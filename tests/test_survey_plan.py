@@ -66,6 +66,7 @@ def found_from_six(largest):
     return poses, hl.calibrate(measured(poses, rng), EXACT)
 
 
+@pytest.mark.slow
 def test_what_a_plan_promises_is_what_its_stations_bring():
     rng = np.random.default_rng(2)
     tilts = rng.uniform(-0.5, 0.5, (6, 2))
@@ -88,6 +89,7 @@ def test_what_a_plan_promises_is_what_its_stations_bring():
     assert brought < 0.9 * other.sensors["profiler"].spot_error
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [3, 4, 8])
 def test_a_plan_determines_what_a_poor_motion_left_open(seed):
     """Of mounts that fit alike the one near the hand counts; from others stations see no plate."""
@@ -108,6 +110,7 @@ def test_a_plan_determines_what_a_poor_motion_left_open(seed):
     assert after.sensors["profiler"].spot_error < 1e-4
 
 
+@pytest.mark.slow
 def test_without_a_workspace_targets_are_looked_at_from_where_they_were_seen():
     """Nothing says what stands on the other sides."""
     rng = np.random.default_rng(4)
@@ -125,6 +128,7 @@ def test_without_a_workspace_targets_are_looked_at_from_where_they_were_seen():
     assert np.arccos(planned.min()) <= max(cone, np.radians(20.0)) + 1e-3
 
 
+@pytest.mark.slow
 def test_a_plan_ends_where_its_goal_is_reached():
     _, first = found_from_six(0.5)
     whole = hl.plan(first, 6)
@@ -136,6 +140,7 @@ def test_a_plan_ends_where_its_goal_is_reached():
     assert whole.reached is None
 
 
+@pytest.mark.slow
 def test_cones_are_said_to_have_no_plan(handlaser, refusal, tmp_path):
     rig, made = tmp_path / "rig.toml", tmp_path / "made"
     rig.write_text("[noise]\nrange_sigma_mm = 1.0\n[sensor]\nhalf_angle_deg = 5\n")
@@ -156,6 +161,7 @@ def range_of(beam, target, R, t):
     return along - math.sqrt(under) if under > 0.0 else np.nan
 
 
+@pytest.mark.slow
 def test_single_beams_are_planned_before_planes_and_spheres():
     """What the stations bring is what is promised, with readings by formulas of this file."""
     survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))
@@ -193,6 +199,7 @@ def test_single_beams_are_planned_before_planes_and_spheres():
     assert known.direction_sigma[-1] < 0.95 * known.direction_sigma[0]
 
 
+@pytest.mark.slow
 @needs_pinocchio
 def test_an_arm_reaches_the_stations_of_a_survey(tmp_path):
     """Joints are at the poses, and nothing touches on the way, on a plate of the plan's own plane."""
@@ -217,6 +224,7 @@ def test_an_arm_reaches_the_stations_of_a_survey(tmp_path):
         hl.plan(first, 3, workspace=far)
 
 
+@pytest.mark.slow
 @needs_pinocchio
 def test_an_arm_before_several_targets_is_refused(tmp_path):
     """Its ways are checked against one plate, and all targets of a survey stand at once."""

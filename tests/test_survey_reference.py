@@ -36,6 +36,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", first_and_slow(*CASES))
 def test_scipy_finds_the_same_from_all_points_by_themselves(case):
     kind, options, noise, bound = CASES[case]
@@ -118,6 +119,7 @@ def test_scipy_counts_a_relation_of_two_sensors_alike():
     assert cross_check_survey(found).largest < ROUND
 
 
+@pytest.mark.slow
 def test_scipy_counts_relations_of_beams_alike():
     rig = rigs_by_distance.beams(4, count=2)
     names = survey_of(rig).beam_names

@@ -102,6 +102,7 @@ def test_points_are_in_the_frame_of_the_target(result, survey):
     assert one.off[mine] == pytest.approx(off, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_page_names_sensors_and_beams_and_has_all_figures():
     sensors = ("profiler", "points", "beam")
     survey = survey_of(rigs_by_rays.mixed(101, sensors=sensors, stations=8))

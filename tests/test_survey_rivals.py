@@ -18,6 +18,7 @@ def solved(seed):
     return rig, hl.calibrate(survey_of(rig), NOISE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "beam"), [(35, "beam2"), (55, "beam3")])
 def test_a_wrong_minimum_is_not_usable(seed, beam):
     """The lower minimum is not the true one here, by a chi2 of about one."""
@@ -34,6 +35,7 @@ def test_a_wrong_minimum_is_not_usable(seed, beam):
     assert found.verdict.best.code == "another-mount"
 
 
+@pytest.mark.slow
 def test_a_mount_that_is_less_probable_is_a_warning():
     _, found = solved(30)
     (rival,) = [w for w in found.warnings if w.code == "another-mount"]
@@ -41,6 +43,7 @@ def test_a_mount_that_is_less_probable_is_a_warning():
     assert found.verdict.code == "usable-with-care"
 
 
+@pytest.mark.slow
 def test_beams_with_one_minimum_have_no_rival():
     _, found = solved(1)
     assert "another-mount" not in [w.code for w in found.warnings]

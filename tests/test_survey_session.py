@@ -53,6 +53,7 @@ def assert_alike(one, other):
         assert mine.location_sigma == pytest.approx(sensor.location_sigma, rel=SAME_OPTIMUM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("generator", "kind", "options"), first_and_slow(*KINDS))
 def test_every_step_is_the_calibration_of_all_stations_so_far(generator, kind, options):
     survey = rigs.survey_of(getattr(rigs.GENERATORS[generator], kind)(0, **options), [])
@@ -92,6 +93,7 @@ def test_what_the_parts_of_a_survey_say_is_what_it_says():
     assert np.array_equal(whole.ranges, survey.ranges[order][:, columns], equal_nan=True)
 
 
+@pytest.mark.slow
 def test_a_target_that_tells_too_little_waits_for_more():
     survey = small()
     few = np.zeros(len(survey.stations), dtype=bool)
@@ -111,6 +113,7 @@ def test_a_target_that_tells_too_little_waits_for_more():
     assert update.rejected == result.rejected
 
 
+@pytest.mark.slow
 def test_what_contradicts_what_is_there_changes_nothing():
     survey = small()
     session = hl.SurveySession()
@@ -156,6 +159,7 @@ def test_relations_come_and_go_with_their_targets():
     assert joined.known == (known,)
 
 
+@pytest.mark.slow
 def test_relations_between_targets_count_as_soon_as_all_are_there():
     rig = rigs.GENERATORS["rays"].profiler(0, planes=3, stations=6)
     survey = rigs.survey_of(rig, [])
@@ -173,6 +177,7 @@ def test_relations_between_targets_count_as_soon_as_all_are_there():
     assert_alike(session.calibration, whole)
 
 
+@pytest.mark.slow
 def test_a_relation_that_a_survey_states_comes_back_with_it():
     """Stated with other spellings of the labels, in the session and in a survey, it is one relation."""
     survey = small()
@@ -195,6 +200,7 @@ def test_a_relation_that_a_survey_states_comes_back_with_it():
     assert both[0].joined(both[1]).known == (radius, angle)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "zones"), first_and_slow((3, 5), (11, 5)))
 def test_a_wrong_label_beside_a_ball_is_found_by_sessions_and_at_once(seed, zones):
     """A start beside the calibration before is no start where its search fails, and shots without a
@@ -220,6 +226,7 @@ def test_a_wrong_label_beside_a_ball_is_found_by_sessions_and_at_once(seed, zone
     assert_alike(session.calibration, together)
 
 
+@pytest.mark.slow
 def test_a_start_beside_whose_search_fails_is_none(monkeypatch):
     survey = rigs.survey_of(rigs.GENERATORS["rays"].profiler(0, stations=6), [])
     names, labels = targets_of(survey)
@@ -236,6 +243,7 @@ def test_a_start_beside_whose_search_fails_is_none(monkeypatch):
     assert len(sought) == 1
 
 
+@pytest.mark.slow
 def test_a_body_that_comes_face_by_face_is_one():
     rig = rigs.GENERATORS["rays"].profiler(0, targets="body", stations=6)
     survey = rigs.survey_of(rig, rigs.body_of(rig))

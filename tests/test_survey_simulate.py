@@ -81,6 +81,7 @@ FEW = {
 SEEDS = {"three beams": 3, "a beam beside the centres": 7}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", FEW)
 def test_beams_with_few_readings_are_found_before_targets_of_others(handlaser, tmp_path, case):
     """By itself such a beam fits perfectly wherever its balls are, and other starts miss the balls."""

@@ -73,6 +73,7 @@ def test_stops_of_a_hand_that_turns_about_a_point_are_found_in_linear_time():
     assert (stations.stops(1e-4, 0.9e-4) == np.arange(4000)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jitter", [0.0, 4e-6])
 def test_more_shots_of_a_stop_do_not_lessen_the_error_of_the_hand(jitter):
     one, three = (found.sensors["profiler"] for found in (calibrated(1), calibrated(3, jitter)))
@@ -83,6 +84,7 @@ def test_more_shots_of_a_stop_do_not_lessen_the_error_of_the_hand(jitter):
     assert np.linalg.norm(three.location - one.location) < one.spot_error
 
 
+@pytest.mark.slow
 def test_a_hand_that_comes_back_less_well_than_readings_are_known_contradicts_nothing():
     """Arms repeat a pose to some hundredths of a millimetre; readings of a shot tell micrometres."""
     found = hl.calibrate(survey_of(rig_of(3), 3, jitter=2e-5))
@@ -103,6 +105,7 @@ def test_errors_are_as_large_as_stated_with_four_shots_a_stop():
     assert 0.36 < np.mean(squares) / 6.0 < 2.07
 
 
+@pytest.mark.slow
 def test_copies_of_a_shot_count_once():
     rig = rig_of(4)
     one = hl.calibrate(survey_of(rig, 1))
@@ -114,6 +117,7 @@ def test_copies_of_a_shot_count_once():
     assert "repeated-stations" not in [one.code for one in one.warnings]
 
 
+@pytest.mark.slow
 def test_the_reference_counts_errors_of_a_stop_once():
     checked = hl.validation.cross_check_survey(calibrated(3))
     # Readings of few points count noise along and across the profile to first order.

@@ -28,6 +28,7 @@ def labels(rig):
     return sorted(set(rig.label))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "size", "noise"),
     [("plane", 1e-3, rigs.STATED), ("sphere", 1.5e-3, hl.Noise())],
@@ -49,6 +50,7 @@ def test_a_target_that_was_moved_is_named(kind, size, noise):
         assert found.verdict.best.code == "displaced"
 
 
+@pytest.mark.slow
 def test_a_sensor_that_was_moved_is_named():
     """All targets seem to be elsewhere: that is one change in the hand."""
     rig = rig_of(3)
@@ -66,6 +68,7 @@ def test_a_sensor_that_was_moved_is_named():
     assert warning.values["shift"] == pytest.approx(float(np.linalg.norm(move)), rel=0.15)
 
 
+@pytest.mark.slow
 def test_what_no_row_tells_is_held_in_a_trial():
     """It ended the trial: the covariance of such unknowns is singular."""
     state = estimate_survey(rigs.survey_of(rig_of(1)), rigs.STATED).learning()
@@ -87,6 +90,7 @@ def test_what_no_row_tells_is_held_in_a_trial():
     assert four.size[1] + four.size[3] == pytest.approx(two.size[1], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_profiler_both_of_whose_axes_err_alike_is_named():
     rig = rig_of(4)
     (table,) = rig.tables.values()
@@ -101,6 +105,7 @@ def test_a_profiler_both_of_whose_axes_err_alike_is_named():
     assert abs(error.size) == pytest.approx(0.02, abs=4.0 * error.sigma + 1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "noise"),
     [(0, hl.Noise()), (0, rigs.STATED), (1, hl.Noise())],

@@ -25,6 +25,7 @@ def record_of(result, limits=None):
     return content["verdict"]
 
 
+@pytest.mark.slow
 def test_a_program_reads_code_causes_and_remedies():
     survey = survey_of(rigs_by_rays.profiler(3, targets="planes+sphere"))
     result = hl.calibrate(survey, EXACT)
@@ -40,6 +41,7 @@ def test_a_program_reads_code_causes_and_remedies():
     assert bad["remedies"][0]["number"] == pytest.approx(9.0)
 
 
+@pytest.mark.slow
 def test_what_is_undetermined_has_more_stations_as_its_remedy():
     survey = survey_of(rigs_by_rays.profiler(3))
     result = hl.calibrate(survey.part(np.arange(len(survey.stations)) < 3), EXACT)
@@ -50,6 +52,7 @@ def test_what_is_undetermined_has_more_stations_as_its_remedy():
     assert remedy["message"] == "measure at more stations"
 
 
+@pytest.mark.slow
 def test_a_false_relation_and_a_range_error_are_codes():
     rig = rigs_by_rays.profiler(3, targets="planes+sphere")
     survey, radius = survey_of(rig), rig.truth["targets"]["sphere:S1"]["radius"]
@@ -66,6 +69,7 @@ def test_a_false_relation_and_a_range_error_are_codes():
     assert [one["code"] for one in verdict["remedies"]] == ["range-error"]
 
 
+@pytest.mark.slow
 def test_the_robot_is_named_where_its_errors_are_most_of_the_spot():
     """The share is what the variance of the spot loses where the hand has no errors."""
     hand = 2e-4, 1e-3
@@ -79,6 +83,7 @@ def test_the_robot_is_named_where_its_errors_are_most_of_the_spot():
     assert stated["number"] == pytest.approx(remedy["number"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_radius_around_the_spot_of_a_beam_holds_95_of_100():
     survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere", count=1))
     (beam,) = hl.calibrate(survey, hl.Noise()).beams.values()

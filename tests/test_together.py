@@ -106,6 +106,7 @@ def test_steps_are_damped_where_they_lead_too_far():
     assert found.cost[0] < 1e12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("errors", [Errors(SIGMA), ROBOT])
 def test_recordings_are_solved_as_by_calibrate(errors):
     recordings = [scene(seed, True, errors)[0] for seed in range(3)]

@@ -99,6 +99,7 @@ def test_what_is_no_calibration_is_not_validated():
         hl.validate(recording, NOISE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("pose_sigmas", [(2e-5, 1e-4), (0.0, 0.0)])
 def test_the_bootstrap_agrees_with_the_covariance(gripper, pose_sigmas):
     """GTSAM's marginals and SciPy's Gauss-Markov matrix agree to 1e-5 (test_cross_check)."""
@@ -123,6 +124,7 @@ def test_a_random_split_leaves_out_30_percent_of_every_group():
     assert np.abs(draws[:, groups == 5].mean(axis=0) - 0.3).max() < 4.0 * 0.023
 
 
+@pytest.mark.slow
 def test_a_part_that_is_not_predicted_has_a_reason_and_null_for_its_numbers():
     """The second plane alone, and three of its stations, determine no beam."""
     recording, _ = simulated(layout=Layout(planes=2))
@@ -147,6 +149,7 @@ def test_a_part_that_is_not_predicted_has_a_reason_and_null_for_its_numbers():
     assert "determine" in split["message"]
 
 
+@pytest.mark.slow
 def test_a_survey_takes_no_options_and_counts_its_parts():
     survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))
     with pytest.raises(hl.InputError, match="options with a survey"):

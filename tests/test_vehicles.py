@@ -252,6 +252,7 @@ def calibrated(at, sigma, range_error="none", **noise):
     return hl.calibrate(at.recording(sigma), given, hl.CalibrationOptions(range_error))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sigma", "beams"), NOISE_AND_BEAMS)
 @pytest.mark.parametrize(
     ("motion", "walls", "words", "cure"),
@@ -287,6 +288,7 @@ def test_check_and_result_name_the_row_of_the_table(motion, walls, words, cure, 
             ).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beams", first_and_slow(2, 4))
 @pytest.mark.parametrize(
     ("walls", "words"),
@@ -320,6 +322,7 @@ def test_check_and_calibrate_of_noisy_beams_name_the_same_motion(handlaser, tmp_
     assert "given" not in said[1][1]
 
 
+@pytest.mark.slow
 def test_moves_in_height_leave_no_stretch_in_words():
     found = calibrated(scene("SCARA", "one leans", 2), SIGMA, "k1")
     assert "stretch" not in found.message
@@ -370,6 +373,7 @@ def test_motions_that_suffice_have_no_name():
     assert poor_motion(on_the_spot.recording().readings()) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("walls", ["vertical", "one leans"])
 def test_the_command_says_it(handlaser, tmp_path, walls):
     path = tmp_path / "vehicle.csv"
@@ -380,6 +384,7 @@ def test_the_command_says_it(handlaser, tmp_path, walls):
     assert ("add a board that leans" if walls == "vertical" else "measure the height") in err
 
 
+@pytest.mark.slow
 def test_python_of_the_page_cures_what_a_vehicle_lacks(tmp_path, monkeypatch):
     """The section on vehicles, with a recording of a vehicle before a leaning board."""
     monkeypatch.chdir(tmp_path)
@@ -465,6 +470,7 @@ def off(result):
     return turn.magnitude()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", first_and_slow(0, 3))
 @pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
 def test_a_profiler_in_planar_motion_has_a_mirror_image(walls, seed):
@@ -533,6 +539,7 @@ def test_a_drawing_of_the_mount_says_which_way_up_it_is(walls, seed):
     assert np.isfinite(vague.sensors["s"].location_sigma).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sigma_deg", first_and_slow(2.0, 180.0))
 @pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
 def test_a_beam_of_a_survey_has_a_mirror_image(walls, sigma_deg):

@@ -77,6 +77,7 @@ def test_the_spot_error_is_that_of_the_worst_beam(calibration):
 # What the variance is made of
 
 
+@pytest.mark.slow
 def test_the_share_of_the_poses_is_the_logarithmic_derivative(recording):
     """Against calibrations with other sigmas; the shares of both kinds of noise add up to one."""
     step = 1.05
@@ -177,6 +178,7 @@ def test_warnings_ask_for_care(calibration):
     assert (found.usable, found.code) == (True, "usable-with-care")
 
 
+@pytest.mark.slow
 def test_undetermined_names_what_and_what_helps():
     recording = degenerate("pure translations")
     found = verdict(hl.calibrate(recording))
@@ -186,6 +188,7 @@ def test_undetermined_names_what_and_what_helps():
     assert "..." not in found.sentence
 
 
+@pytest.mark.slow
 def test_noise_is_not_judged_where_the_motion_leaves_something_open(recording):
     """Priors of range errors whose scales are not learned count in chi2: it said 1.94 times."""
     rig = hl.read_rig(GRIPPER / "rig.toml")
@@ -330,6 +333,7 @@ def test_holm_contradicts_as_its_definition_says():
     assert contradicted({}) == ()
 
 
+@pytest.mark.slow
 def test_holm_contradicts_one_good_recording_in_a_hundred():
     rng = np.random.default_rng(0)
     names = [str(i) for i in range(8)]
@@ -480,6 +484,7 @@ def test_causes_have_codes_and_numbers(calibration):
     assert (cause["code"], cause["values"]["size"]) == (harm.code, harm.size)
 
 
+@pytest.mark.slow
 def test_what_is_not_determined_or_does_not_fit_has_a_cause(calibration, recording):
     undetermined = written(hl.calibrate(recording.part(range(4)), hl.Noise(3e-5)))
     assert (undetermined["code"], undetermined["spot"]) == ("undetermined", None)

@@ -134,6 +134,7 @@ def asked():
         yield found
 
 
+@pytest.mark.slow
 @linux
 def test_who_stops_reading_costs_little_and_holds_up_nobody(server, look_on):
     """Two thousand states of 200 kB would be 400 MB for each of three that do not read."""
@@ -220,6 +221,7 @@ def test_too_many_are_refused(server, look_on):
 # --- who may ask -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_who_does_not_read_for_long_is_hung_up_on(server, monkeypatch, look_on):
     monkeypatch.setattr("handlaser_gtsam.files.watch.server.READ_TIMEOUT_S", 0.3)
     stopped, live = look_on(server.port, buffer=4096, begin=False), look_on(server.port)
@@ -363,6 +365,7 @@ def shown(tmp_path):
     found.end()
 
 
+@pytest.mark.slow
 def test_a_recording_that_comes_grows_goes_and_comes_again(shown):
     assert shown.is_at("waiting")["note"] == "waiting for recording.csv, which is not there"
     shown.path.touch()
@@ -393,6 +396,7 @@ def test_a_recording_that_comes_grows_goes_and_comes_again(shown):
     shown.is_at("current", 15)
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_said_and_the_last_good_state_stays(shown):
     good = "".join(LINES[:20])
     shown.path.write_text(good)
@@ -491,6 +495,7 @@ def test_a_bag_cannot_be_followed(refusal, tmp_path):
         assert "a bag, which cannot be read while it grows" in refusal("watch", path)
 
 
+@pytest.mark.slow
 def test_a_change_whose_time_stamp_is_put_back_is_found(shown):
     text = "".join(LINES[:20])
     shown.path.write_text(text)
@@ -504,6 +509,7 @@ def test_a_change_whose_time_stamp_is_put_back_is_found(shown):
     until(lambda: shown.states > before)
 
 
+@pytest.mark.slow
 def test_the_rig_file_counts_as_soon_as_it_changes(shown):
     shown.path.write_text("".join(LINES))
     shown.is_at("current", 44)
@@ -518,12 +524,14 @@ def test_the_rig_file_counts_as_soon_as_it_changes(shown):
     until(lambda: shown.sent.opening == "Usable")
 
 
+@pytest.mark.slow
 def test_a_last_line_without_an_end_counts_once_the_file_has_rested(shown):
     shown.path.write_text("".join(LINES[:20]).rstrip("\n"))
     assert shown.is_at("current", 18)["note"] == "line 20 is not whole yet"
     assert shown.is_at("current", 19)["note"] == ""
 
 
+@pytest.mark.slow
 def test_the_end_of_the_process_that_calibrates_is_no_end(shown):
     shown.path.write_text("".join(LINES[:20]))
     shown.is_at("current", 19)
@@ -547,6 +555,7 @@ def test_the_end_of_the_process_that_calibrates_is_no_end(shown):
     shown.is_at("current", 25)
 
 
+@pytest.mark.slow
 def test_names_are_text_wherever_they_are_shown(tmp_path):
     """In what is sent; `test_watch_browser` looks at what a browser makes of the same names."""
     write_hostile(tmp_path / "recording.csv")
@@ -571,6 +580,7 @@ def test_names_are_text_wherever_they_are_shown(tmp_path):
 # --- the command -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_at_once_with_one_line(tmp_path, look_on):
     (tmp_path / "recording.csv").write_text("".join(LINES))
     with watching(tmp_path, "--port", 0) as (process, port):
@@ -658,6 +668,7 @@ def test_without_the_extra_it_is_named(refusal, tmp_path, monkeypatch):
     assert "pip install 'handlaser-gtsam[watch]'" in refusal("watch", tmp_path)
 
 
+@pytest.mark.slow
 def test_a_file_with_its_rig_and_a_host_for_others(tmp_path, look_on):
     (tmp_path / "cell.csv").write_text("".join(LINES))
     (tmp_path / "cell.toml").write_text(RIG)
@@ -672,6 +683,7 @@ def test_a_file_with_its_rig_and_a_host_for_others(tmp_path, look_on):
         assert "whoever reaches this computer sees the page" in process.communicate(timeout=60)[1]
 
 
+@pytest.mark.slow
 def test_the_browser_is_opened_where_that_is_asked_for(tmp_path, monkeypatch):
     browser, told = tmp_path / "browser", tmp_path / "told"
     browser.write_text(f"#!/bin/sh\necho $1 >{told}\n")

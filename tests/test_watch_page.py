@@ -18,6 +18,7 @@ PAGE = (ROOT / "docs" / "watch.md").read_text()
 COMMANDS = "".join(re.findall(r"```sh\n(.*?)```", PAGE, flags=re.DOTALL)).splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", COMMANDS)
 def test_commands_of_the_page(line):
     """Each serves the state of the shipped recording until Ctrl-C."""

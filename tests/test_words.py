@@ -67,6 +67,7 @@ def test_a_large_condition_number_says_what_counts(calibration):
     assert "the standard deviations hold all the same" in words
 
 
+@pytest.mark.slow
 def test_rounding_is_no_number_and_what_else_is_undetermined_is_named(handlaser, tmp_path):
     """Five exact stations before one plane, turned about its normal alone."""
     rng = np.random.default_rng(0)
