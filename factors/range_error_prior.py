@@ -1,8 +1,8 @@
 r"""A prior on the range error of a beam.
 
 The residual is k - mean for the vector k of one or two range errors. With zero mean and the scales
-that a calibration has learned (`Calibration.range_error_scales`) it keeps both terms of a beam in a
-graph whether or not its readings determine them.
+that a calibration has learned (`Calibration.learned.range_error_sigma`) it keeps both terms of a beam
+in a graph whether or not its readings determine them.
 """
 
 from collections.abc import Sequence

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from exported import calibrated
-from helpers import GRIPPER, first_and_slow
+from helpers import GRIPPER
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli.export import FormatChoice
@@ -203,7 +203,7 @@ def test_python_refuses_what_is_no_calibration():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("to", first_and_slow("python", "kuka"))
+@pytest.mark.parametrize("to", ["python", "kuka"])
 def test_the_screen_of_any_encoding_shows_it(tmp_path, to):
     names = ("β1", "壁", "3")
     (tmp_path / "foreign.json").write_text(calibrated(names=names).model_dump_json())

@@ -8,7 +8,7 @@ import sys
 import time
 
 import pytest
-from helpers import first_and_slow, simulated
+from helpers import simulated
 
 from handlaser_gtsam.cli.answer import QUIET_S, Working
 from handlaser_gtsam.cli.stopping import CtrlC
@@ -91,7 +91,7 @@ def test_a_stop_at_any_moment_is_one_line_and_130(long, tmp_path, command, secon
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "seconds"),
-    first_and_slow(("validate", 0.2), ("calibrate --incremental", 0.2), ("calibrate", 0.0)),
+    [("validate", 0.2), ("calibrate --incremental", 0.2), ("calibrate", 0.0)],
 )
 def test_a_stop_of_the_computation_is_one_line_and_130(long, tmp_path, command, seconds):
     code, out, err = stopped(COMPUTING, commands(long, tmp_path)[command], seconds)

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers import ROOT, first_and_slow
+from helpers import ROOT
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
@@ -184,7 +184,7 @@ def test_a_cone_reads_the_nearest_that_is_within_it(kind: str) -> None:
 def test_a_cone_is_found_from_nothing():
     """Errors are as large as their covariances say, and SciPy finds the same.
 
-    Two cones on a hand have a test of their covariances with ten cones below.
+    The covariances of two cones on one hand are tested below, with ten cones.
     """
     squares, cones = [], 4
     for seed in range(cones):
@@ -322,7 +322,7 @@ def test_range_errors_and_noise_of_cones_are_shown(handlaser, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", first_and_slow("check", "calibrate"))
+@pytest.mark.parametrize("verb", ["check", "calibrate"])
 def test_ultrasonic_sensors_without_a_half_angle_are_said_to_be_read_as_beams(
     handlaser, tmp_path, verb
 ):

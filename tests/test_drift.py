@@ -130,7 +130,6 @@ def test_forgetting_recalibrates_the_beam_and_keeps_the_planes():
     assert np.array_equal(np.sort(session.recording().ranges), np.sort(recording.ranges))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("options", first_and_slow(NONE, hl.CalibrationOptions()))
 def test_a_split_is_the_calibration_of_one_beam_more(options):
     """What the session holds after a split, and planes that came after it, is that of `calibrate`."""

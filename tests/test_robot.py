@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arms import HANGING, HAS_PINOCCHIO, example_arm, small_arm
-from helpers import GRIPPER, ROOT, first_and_slow
+from helpers import GRIPPER, ROOT
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
@@ -287,7 +287,7 @@ def test_nothing_but_the_first_link_may_be_below_the_table():
 
 @pytest.mark.slow
 @needs_pinocchio
-@pytest.mark.parametrize("knows", first_and_slow(True, False))
+@pytest.mark.parametrize("knows", [True, False])
 def test_no_move_leads_through_the_table(recording, knows):
     """A UR5 that stands on a table, its hand looking down, 100 to 350 mm above it.
 

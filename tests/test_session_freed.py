@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import first_and_slow
 from test_freed import NOISE, SENSOR, SIZES, recorded, state
 from test_systematic import Scene
 
@@ -48,7 +47,7 @@ def assert_batch(session):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", first_and_slow("incidence", "beam-on-plane"))
+@pytest.mark.parametrize("code", ["incidence", "beam-on-plane", "displaced", "turn-scale"])
 def test_every_error_is_found_plane_by_plane_as_at_once(code):
     session, rest = begun(code, SIZES[code], code, range_error="none")
     for part in rest:

@@ -126,8 +126,8 @@ def test_honest_estimates_have_a_nees_of_one():
         named=True
     )
     assert told["converged"] == exact["converged"] == 100.0
-    # Sigmas that are a quarter too small are a NEES of 1.8. Its standard error is then 0.1,
-    # and four of them are left below it: they never pass, nor do those of the other treatment.
+    # If sigmas were a quarter too small, the NEES would be 1.8 with a standard error of 0.1: even four
+    # of these lower it fails, and so does the other treatment.
     assert told["nees"] == pytest.approx(1.0, abs=4.0 * told["standard_error"])
     assert told["coverage"] == pytest.approx(95.0, abs=2.0 * np.sqrt(200 / runs))
     assert exact["nees"] > 2.0

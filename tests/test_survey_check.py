@@ -11,7 +11,6 @@ import shutil
 
 import numpy as np
 import pytest
-from helpers import first_and_slow
 from profiler_example import FOLDER, calibrated_example, example
 from scipy.spatial.transform import Rotation
 from test_survey_arrays import rough
@@ -89,7 +88,7 @@ VEHICLES = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "motion", "walls", "words"), first_and_slow(*VEHICLES))
+@pytest.mark.parametrize(("kind", "motion", "walls", "words"), [*VEHICLES])
 def test_vehicles_with_sensors_of_many_rays(kind, motion, walls, words):
     check = check_survey(vehicle(kind, motion, walls))
     # Moves along the axis tell a leaning wall from its image.

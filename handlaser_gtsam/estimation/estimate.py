@@ -89,7 +89,7 @@ class TestedEffect(Value):
         The smallest size that is found with a probability of `POWER`.
     found : bool
     spot_shift : float
-        How far one of size 1 moves a spot of the sensor [m]; NaN where that is not asked.
+        How far a spot of the sensor moves for an error of size 1 [m]; NaN where it is of no sensor.
     """
 
     size: float

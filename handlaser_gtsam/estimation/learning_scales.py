@@ -208,7 +208,7 @@ class LearnedScales(Value):
 
     @property
     def range_error_sigma(self) -> FloatArray | None:
-        """What k1 [1] and k2 [1/m] (2,) of all beams typically are; None where they have no prior."""
+        """Standard deviations (2,) of the prior of k1 [1] and k2 [1/m]; None where they have none."""
         return None if self.linearity is None else self.range_error / np.array([1.0, self.length])
 
     def prior(self, count: int) -> RangeErrorPrior | None:

@@ -137,8 +137,8 @@ class SensorMount(Mount):
         Of the ray in the middle at the working distance, in the sensor's frame [m].
     shots : int
     errors : mapping of str to TestedEffect
-        Range errors of all its rays that the model leaves out: k0, k1, k2, scale, or x-and-z, which is
-        k1 and scale at once: both axes of a profiler err by the same part.
+        Range errors of all its rays that the model leaves out, by code: k0, k1, k2, scale, x-and-z. The
+        last is k1 and scale at once, where both axes of a profiler err by the same part.
     """
 
     kind: str

@@ -160,10 +160,13 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
             raise with_causes(error, causes) from error
         said = ((error.found,), True, (error.expected,), (), np.nan, warnings)
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
-    if first_fit(state).fits:
+    drawn = first_fit(state).fits
+    if drawn:
         state.draw_to_the_hand()
     others = first_image(state)
     first = first_fit(state)
+    if first.fits and not drawn:  # only as its mirror image
+        state.draw_to_the_hand()
     warnings = (*implausible(rows, state.values), *warnings)
     problem, _ = state.problem()
     information, axes, _ = information_axes(problem, problem.blocks, state.values)
@@ -173,12 +176,13 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     found, images = with_images(found, others)
     warnings = (*mislabelled(state, found), *warnings)
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
-    contradicted: tuple[CalibrationWarning, ...] = ()
+    fits = first.fits
     if rows.known:  # whether relations hold depends on the noise, which is learned with everything
         with suppress(InputError):
-            contradicted = tuple(contradictions(estimate_survey(survey, noise).tests))
-    warnings = (*warnings, *contradicted)
-    if not first.fits and not contradicted:
+            learned = estimate_survey(survey, noise)
+            fits = fits or learned.fits
+            warnings = (*warnings, *contradictions(learned.tests))
+    if not fits:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
     another = unconfirmed_mount(rows)
     if another and not undetermined:

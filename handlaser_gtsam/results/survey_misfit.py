@@ -435,11 +435,11 @@ def _squares(
     sigma : float, optional
         Standard deviation of a reading [m], where it is known.
     """
-    # An array of nine zones says it with ten shots.
-    some_of_all = list(kinds)[:: max(len(kinds) // 20, 1)]
     total, dof, lost = 0.0, 0, 0
     for target in OTHER_KIND:
-        seen = [s for s in some_of_all if kinds[s] == target]
+        seen = [s for s, kind in kinds.items() if kind == target]
+        # An array of nine zones says it with ten shots; others may be on something else.
+        seen = seen[:: max(len(seen) // 20, 1)]
         tables = [(shots.across[shots.station == s], reading[shots.station == s]) for s in seen]
         for (_, d), shot in zip(
             tables, condensed_shots(KINDS[shots.kind], target, tables, sigma=sigma), strict=True

@@ -28,11 +28,11 @@ class Comparison(Value):
     largest_sigma : float
         Largest relative difference of a standard deviation.
     changes : mapping of str to str
-        Differences that were taken over, in words, by `scales` of noise and range errors, an estimated
-        `range-sigma`, the choice of `outliers`, `excluded-planes` that take part again, `from-batch`,
-        where the graph was restarted from the batch solution it had left. `not-converged`: the batch
-        calibration did not converge, and nothing was taken over. None where the two agree and nothing
-        was chosen again.
+        What was taken over from the batch solution, in words, by code: `scales` of noise and range
+        errors, an estimated `range-sigma`, the choice of `outliers`, `excluded-planes` that take part
+        again, or `from-batch`, where the graph had left the batch solution and was restarted from it.
+        With `not-converged` nothing was taken over. Empty where the two agree and nothing was chosen
+        again.
     """
 
     largest: float

@@ -137,10 +137,10 @@ def interpolated(
     before, after = rows.T
     w, q = part[:, None], q / np.linalg.norm(q, axis=1, keepdims=True)
     first, second = q[before], q[after]
-    # Slerp (Shoemake 1985); quaternions of both signs are one rotation.
+    # Slerp (Shoemake 1985), which is R exp(w turn); quaternions of both signs are one rotation.
     second = np.where((first * second).sum(axis=1, keepdims=True) < 0.0, -second, second)
     between, across = (np.linalg.norm(x, axis=1)[:, None] for x in (first - second, first + second))
-    half = 2.0 * np.arctan2(between, across)  # of the turn
+    half = 2.0 * np.arctan2(between, across)  # half the angle of the turn
     rests = half < TINY
     sine = np.where(rests, 1.0, np.sin(half))
     turned = np.where(rests, 1.0 - w, np.sin((1.0 - w) * half) / sine) * first

@@ -114,7 +114,7 @@ class Arm:
         self.low[limited] = model.lowerPositionLimit[listed]
         self.high[limited] = model.upperPositionLimit[listed]
         self._turning = self.hand(np.zeros(model.nv))[2][3:].any(axis=0)
-        # Straightened out, from one joint to the next, with all that slides drawn out.
+        # An upper bound of the reach: every link straightened out, every sliding joint extended.
         shoulder, *links = [placement.translation for placement in list(model.jointPlacements)[1:]]
         links.append(model.frames[self._frame].placement.translation)
         slides = np.maximum(np.abs(self.low), np.abs(self.high))[~self._turning]
