@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from controllers import of_quaternion
 from moving import example, range_of
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.files.logs.motion import interpolated
 from handlaser_gtsam.files.logs.rows import LogRows
 
 POSE = "x,y,z,qx,qy,qz,qw"
@@ -352,3 +353,24 @@ def test_a_motion_that_does_not_tell_the_lag_is_refused(tmp_path, seed):
     )
     with pytest.raises(hl.InputError, match="--lag-s"):
         hl.read_log(tmp_path / "poses.csv", given)
+
+
+# --- between two poses -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("turn", [3.0, 1e-3, 1e-9, 0.0])
+def test_poses_between_two_are_those_of_scipy(turn):
+    """Of quaternions of either sign and any length."""
+    rng = np.random.default_rng(0)
+    ends = Rotation.random(200, rng=rng)
+    ends = Rotation.concatenate(
+        [ends, ends * Rotation.from_rotvec(turn * rng.uniform(-1, 1, (200, 3)))]
+    )
+    p, part = rng.normal(size=(400, 3)), rng.uniform(size=200)
+    rows = np.stack((np.arange(200), np.arange(200) + 200), axis=1)
+    q = ends.as_quat() * rng.choice([-2.0, 0.5], (400, 1))
+    rotation, position = interpolated(q, p, rows, part)
+    for i in range(200):
+        between = Slerp([0.0, 1.0], ends[[i, i + 200]])(part[i])
+        assert (rotation[i].inv() * between).magnitude() < 1e-14
+    assert np.abs(position - (p[:200] + part[:, None] * (p[200:] - p[:200]))).max() < 1e-15

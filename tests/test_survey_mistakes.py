@@ -300,8 +300,11 @@ def test_poses_that_are_inverted_are_said_with_what_the_noise_explains():
     assert "profiler 0.02 mm from its shots" in found.message
     assert not found.undetermined
     assert np.isnan(found.sensors["profiler"].location_sigma).all()
-    # A check says the same, although it holds what is undetermined near the hand.
+    # A check says the same, although it goes to mounts near the hand, and blames no true relation.
     assert check_survey(hl.Survey(wrong, survey.shots)).doubt == found.message
+    radius = hl.Known("radius", ("sphere:ball",), value=RADIUS, sigma=1e-4)
+    doubt = check_survey(hl.Survey(wrong, survey.shots, known=(radius,))).doubt
+    assert doubt.startswith("most shots do not fit each other")
 
 
 @pytest.mark.slow
