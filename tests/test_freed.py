@@ -137,7 +137,7 @@ def test_several_errors_are_unknowns_at_once():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("code", ["lag", "incidence"])
+@pytest.mark.parametrize("code", ["lag", "incidence", "drift"])
 def test_a_simulated_error_is_recovered_with_honest_covariances(code):
     runs, size = 10, SIZES[code]
     squares, count, of_size = 0.0, 0, []

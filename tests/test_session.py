@@ -370,7 +370,8 @@ def test_an_estimate_that_has_left_the_batch_is_begun_anew(monkeypatch):
             words.append(update.comparison.message)
         if words and words[-1]:
             break
-    assert any("restarted from the batch solution" in one for one in words)
+    assert "restarted from the batch solution" in words[-1]
+    assert_batch(session)
 
 
 def test_readings_beyond_the_limits_of_the_sensor_are_left_out():
