@@ -15,13 +15,17 @@ from benchmarks.rigs import RELATIONS as STATED_RELATIONS
 from benchmarks.rigs import body_of, errors_of, stated_relation, survey_of
 from handlaser_gtsam.data.recording import TARGETS
 from handlaser_gtsam.data.survey import ERRORS, RAY_ERRORS, normal_label
-from handlaser_gtsam.estimation.survey import estimate_survey
+from handlaser_gtsam.estimation.estimate import BlockProblem
+from handlaser_gtsam.estimation.survey import estimate_survey, first_state
+from handlaser_gtsam.estimation.survey_rows import blocks_of, rows_of
 from handlaser_gtsam.files.logs.bag_points import READ_FROM
 from handlaser_gtsam.files.points_table import COLUMNS
 from handlaser_gtsam.model import relation as relations
+from handlaser_gtsam.model.block import whitened
 from handlaser_gtsam.model.condensed_shots import condensed_shots
 from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
+from handlaser_gtsam.model.reduction import Reduction, damped_step
 from handlaser_gtsam.model.relation import Relation
 from handlaser_gtsam.model.sensor_limits import Rejected
 from handlaser_gtsam.model.sensors.kinds import KINDS
@@ -168,6 +172,27 @@ def test_covariances_are_gtsams_and_the_dense_inverse():
     scale = np.sqrt(np.diagonal(estimate.covariance))
     inverse = np.linalg.inv((J * scale).T @ (J * scale))
     assert np.abs(estimate.covariance / np.outer(scale, scale) - inverse).max() < 1e-6
+
+
+def test_rows_that_see_the_same_are_added_up_at_once():
+    """The step is that of the dense rows, whether hand poses are variables or constants."""
+    rig = rigs_by_rays.mixed(3, sensors=("profiler", "array"), targets="planes+sphere")
+    rows = rows_of(survey_of(rig), EXACT)
+    state = first_state(rows, EXACT)
+    values = {name: x + 1e-4 if name == "sphere" else x for name, x in state.values.items()}
+    blocks, _ = blocks_of(rows.items, state.sigmas(), values)
+    J, e = BlockProblem(blocks, values, rows.unknown()).rows(blocks, values).whitened()
+    dense = -np.linalg.pinv(J) @ e
+    blocks, _ = blocks_of(rows.items, state.sigmas(), values, given_poses=True)
+    reduction = Reduction(blocks, rows.counts(), rows.unknown())
+    assert any(plan.runs for plan in reduction.structure.plans)
+    columns = [whitened(block.evaluate(values), block.weights) for block in blocks]
+    step, local = damped_step(reduction.normal(columns), np.zeros(1))
+    steps = [reduction.structure.gathered(name, step, local) for name in rows.unknown()]
+    found = np.concatenate([one.ravel() for one in steps])
+    sigma = np.sqrt(np.diagonal(np.linalg.pinv(J.T @ J)))
+    assert np.abs(dense).max() > 1e-5
+    assert (np.abs(found - dense) < 1e-9 * sigma).all()
 
 
 def profiles(count, seed=5, points=1000):

@@ -12,6 +12,8 @@ from helpers import ROOT, first_and_slow
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from benchmarks import rigs_by_distance
+from benchmarks.rigs import survey_of
 from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.files.logs.format_checks import convention_of
 from handlaser_gtsam.files.logs.motion import Way
@@ -22,7 +24,7 @@ from handlaser_gtsam.files.logs.survey_conventions import (
 )
 from handlaser_gtsam.model.conventions import numbers_of, poses_of
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
-from handlaser_gtsam.results.survey_misfit import better_kinds
+from handlaser_gtsam.results.survey_misfit import _looks_other, better_kinds
 
 FAN = np.linspace(-0.2, 0.2, 400)
 SIGMA = 2e-5
@@ -467,6 +469,16 @@ def test_no_right_label_is_doubted(background):
         survey = cell(seed, background=background)
         assert not better_kinds(survey, hl.Noise())
     assert not better_kinds(cell(0, labels=[(12, "plane:plate")]), hl.Noise())
+
+
+@pytest.mark.slow
+def test_shots_that_know_a_ball_speak_for_those_of_few_zones():
+    """An array with too few zones for a sphere finds planes bent; a scanner and a profiler do not."""
+    survey = survey_of(rigs_by_distance.mixed(3))
+    assert not better_kinds(survey, hl.Noise())
+    array = replace(survey, shots=tuple(one for one in survey.shots if one.kind == "array"))
+    labels = array.stations.plane_labels
+    assert any(_looks_other(array.shots, labels, label) for label in set(labels))
 
 
 @pytest.mark.slow

@@ -236,7 +236,9 @@ def test_a_start_beside_whose_search_fails_is_none(monkeypatch):
         estimation.SurveyState, "minimize", lambda *given: bool(sought) and minimize(*given)
     )
     monkeypatch.setattr(
-        estimation, "start_of", lambda *given: sought.append(given) or start_of(*given)
+        estimation,
+        "start_of",
+        lambda *given, **how: sought.append(given) or start_of(*given, **how),
     )
     assert added(session, survey.part(labels == names[0])).status == "converged"
     assert len(sought) == 1

@@ -50,11 +50,14 @@ from .survey_rows import (
     rows_of,
     without_grazing,
 )
-from .survey_starts import start_beside, start_of
+from .survey_starts import all_redundant, start_beside, start_of
 from .survey_state import Columns, SurveyState, grazing, own_sizes
 
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
+SURELY_FITS = 2.0
+"""Shots whose typical misfit is so many standard deviations have the right start, if they are more than
+the unknowns: no other one is looked for."""
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 
@@ -256,13 +259,18 @@ def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
 
 
 def first_state(
-    rows: SurveyRows, noise: Noise, earlier: SurveyEstimate | None = None
+    rows: SurveyRows,
+    noise: Noise,
+    earlier: SurveyEstimate | None = None,
+    *,
+    last_resort: bool = True,
 ) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
-    Sizes of the noise are as stated, else as shots show them inside, or as is usual. Where most shots
-    do not agree, starts are looked for from halves of the shots. No start is sought where most shots
-    agree beside an `earlier` estimate of the same sensors.
+    Sizes of the noise are as stated, else as shots show them inside, or as is usual. Starts are looked
+    for by the `last_resort` of `start_of` where shots do not surely fit, and then from halves of the
+    shots where most do not agree. No start is sought where most shots agree beside an `earlier`
+    estimate of the same sensors.
 
     Raises
     ------
@@ -290,14 +298,28 @@ def first_state(
             leave_out_gross(beside)
             if beside.minimize() and np.median(misfits(beside)) <= GROSS:
                 return beside
-    state.values, without = start_of(rows, state.sigmas())
+    quick = replace(state)
+    without = _begin(quick, last_resort=False)
+    if not without and (
+        not last_resort or (all_redundant(rows) and np.median(misfits(quick)) <= SURELY_FITS)
+    ):
+        return quick
+    if last_resort:
+        without = _begin(state, last_resort=True)
     if without:
         names = ", ".join(_name(rows, entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
-    leave_out_gross(state)
     if np.median(misfits(state)) > GROSS and started_from_halves(state):
         leave_out_gross(state)
     return state
+
+
+def _begin(state: SurveyState, *, last_resort: bool) -> tuple[Entity, ...]:
+    """Go to the best start without gross shots; return the sensors and beams that have none."""
+    state.values, without = start_of(state.rows, state.sigmas(), last_resort=last_resort)
+    if not without:
+        leave_out_gross(state)
+    return without
 
 
 def _doubtful(state: SurveyState) -> list[str]:

@@ -21,8 +21,8 @@ from ..model.condensed_shots import (
     of_single_readings,
     some_of,
 )
-from ..model.families import BEAM, PLANE
-from ..model.range_blocks import PoseVariables, Ranges
+from ..model.families import BEAM, PLANE, POSE, pose_of
+from ..model.range_blocks import GivenPoses, PoseVariables, Ranges, RobotModel
 from ..model.relation import Relation
 from ..model.sensors.beam import BeamSensor
 from ..model.sensors.kinds import KINDS, Rayset
@@ -391,7 +391,11 @@ def _derivatives(items: Sequence[Item], values: Values) -> list[FloatArray]:
 
 
 def blocks_of(
-    items: Sequence[Item], sigmas: Mapping[tuple[str, int], float], values: Values
+    items: Sequence[Item],
+    sigmas: Mapping[tuple[str, int], float],
+    values: Values,
+    *,
+    given_poses: bool = False,
 ) -> tuple[list[Block], IntArray]:
     """Return the blocks of some items, and the number of the item of each of their rows.
 
@@ -402,7 +406,9 @@ def blocks_of(
         Standard deviation of a reading of each sensor and beam, and of the aiming at any point, which
         (`point`, 0) names [m].
     values : mapping
-        Where spots on points are seen along their rays.
+        Where spots on points are seen along their rays, and the hand poses.
+    given_poses : bool
+        Whether the hand poses are constants of the blocks, without derivatives, and not variables.
     """
     alike: dict[tuple[str, str, int], list[int]] = defaultdict(list)
     for number, item in enumerate(items):
@@ -415,12 +421,17 @@ def blocks_of(
         """Weigh rows (G, S) of a stop together."""
         return Weights(root[None], None, np.repeat(stop[:, None], root.shape[1], axis=1))
 
-    for (family, target, _), numbers in alike.items():
+    for (family, target, size), numbers in alike.items():
         some = [items[i] for i in numbers]
         numbers_of = [(i.member, i.station, i.stop, i.target[1]) for i in some]
         member, station, stop, seen = np.array(numbers_of).T
         root = 1.0 / np.array([[sigmas[family, item.member]] for item in some])  # (G, 1)
-        robot, shots = PoseVariables(station), [i.shot for i in some if i.shot is not None]
+        shots = [i.shot for i in some if i.shot is not None]
+        robot: RobotModel = PoseVariables(station)
+        if given_poses:
+            # One a reading, in spite of its being the same for all of a group: products are faster.
+            poses = values[POSE.name][0, np.repeat(station[:, None], size, axis=1)]
+            robot = GivenPoses.of(*pose_of(poses))
         reading = np.array([[item.reading] for item in some])[None]
         if target == POINT.name:
             root = np.hstack((root, np.full((len(some), 2), 1.0 / sigmas[POINT.name, 0])))

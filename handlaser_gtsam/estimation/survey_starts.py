@@ -127,6 +127,16 @@ def start_beside(
     return values
 
 
+def all_redundant(rows: SurveyRows) -> bool:
+    """Tell whether what each sensor and beam has read is so much that no false start fits it."""
+    mounts = dict.fromkeys(item.mount for item in rows.items)
+    every = {mount: [item for item in rows.items if item.mount == mount] for mount in mounts}
+    return all(
+        _redundancy(own, {mount, *(item.target for item in own)}) >= FEW_DEGREES
+        for mount, own in every.items()
+    )
+
+
 def _redundancy(own: Sequence[Item], there: Iterable[Entity]) -> int:
     """Return how many more numbers the readings of a sensor or beam give than there are unknowns.
 
@@ -481,7 +491,7 @@ def _searched(
         _complete(rows, [item for item in own if item.target == target], values)
     values = {**values, POSE.name: rows.poses()}
     start = {name: x[:1] for name, x in values.items()}
-    blocks, _ = blocks_of(own, sigmas, start)
+    blocks, _ = blocks_of(own, sigmas, start, given_poses=True)
     # Relations between targets that a sensor sees, and no more.
     seen = {rows.label(item.target) for item in own}
     ties = [r for known, r in relations_of(rows) if seen.issuperset(known.of)]

@@ -507,7 +507,11 @@ class Mixed:
                 impossible.any(axis=2, keepdims=True),
                 (*impossible.shape[:2], self.mix.shape[2]),
             )
-        return Rows((rows.columns[..., None, :] @ self.mix)[..., 0, :], impossible)
+        # Few large products, one a group, in place of one a row.
+        by_group = rows.columns.transpose(2, 0, 1, 3)
+        mixed = by_group.reshape(len(self.mix), -1, by_group.shape[3]) @ self.mix
+        shape = *by_group.shape[:3], self.mix.shape[2]
+        return Rows(mixed.reshape(shape).transpose(1, 2, 0, 3), impossible)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,6 +31,9 @@ Index = slice | IntArray
 COMMON_NUMBERS = 400_000
 """Sums over the rows of stations that are formed at once: they stay in the processor's cache, and with
 few stations all are formed at once."""
+FEWER = 4
+"""Rows of groups that see the same variables are multiplied at once where there are so many times fewer
+such runs than groups: a product of few rows takes a call of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,10 +148,14 @@ class _GroupPlan:
     ----------
     block : int
     groups : Index
+        So that those which see the same variables are in runs.
+    runs : tuple of slice
+        Of the groups, where these are many more: the rows of a run are multiplied at once. One a group
+        where it is empty.
     columns : Index
         Columns of the rows by what stays.
     by_pattern : SumsByKey
-        Groups that see the same of what stays.
+        Runs that see the same of what stays.
     places : list of Index
         Rows of H of each such pattern.
     tiled : bool
@@ -157,11 +164,11 @@ class _GroupPlan:
     own : Index or None
         Columns by the local member.
     by_member : SumsByKey, optional
-        Groups of one local member.
+        Runs of one local member.
     members : Index
         These local members.
     by_both : SumsByKey, optional
-        Groups of one pattern and local member.
+        Runs of one pattern and local member.
     pairs : list of (slice, Index)
         For each pattern: where its sums by both stand, and the local members they are of.
     by_station : list of _StationSums
@@ -172,6 +179,7 @@ class _GroupPlan:
 
     block: int
     groups: Index
+    runs: tuple[slice, ...]
     columns: Index
     by_pattern: SumsByKey
     places: list[Index]
@@ -305,6 +313,20 @@ class Structure:
         _, first, pattern = np.unique(key, return_index=True, return_inverse=True)
         pattern = pattern.ravel()
         of_pattern = np.hstack(places)[first] if places else np.zeros((1, 0), dtype=np.intp)
+        groups, by_station = np.flatnonzero(which), []
+        seen_by_station = np.zeros(0, dtype=np.intp)
+        if station is not None:
+            some = [groups[pattern == u] for u in range(len(first))]
+            by_station = [_StationSums.of(g, station) for g in (*some, groups)]
+            seen_by_station = np.full(int(station.max()) + 1, -1)
+            if member is not None:
+                seen_by_station[station[groups]] = member[:, None]
+        order, begins = _runs(pattern if member is None else pattern * self.members + member)
+        runs: tuple[slice, ...] = ()
+        if len(groups) >= FEWER * len(begins):
+            runs = tuple(slice(a, b) for a, b in pairwise((*begins.tolist(), len(groups))))
+            groups, pattern = groups[order], pattern[order[begins]]
+            member = None if member is None else member[order[begins]]
         by_member = by_both = None
         pairs: list[tuple[slice, Index]] = []
         if member is not None:
@@ -317,17 +339,10 @@ class Structure:
         tiled = of_pattern.size > 0 and np.array_equal(of_pattern.ravel(), np.arange(self.size))
         if by_member is not None and by_both is not None:
             tiled = tiled and len(by_both.keys) == len(first) * len(by_member.keys)
-        groups, by_station = np.flatnonzero(which), []
-        seen_by_station = np.zeros(0, dtype=np.intp)
-        if station is not None:
-            some = [groups[pattern == u] for u in range(len(first))]
-            by_station = [_StationSums.of(g, station) for g in (*some, groups)]
-            seen_by_station = np.full(int(station.max()) + 1, -1)
-            if member is not None:
-                seen_by_station[station[groups]] = member[:, None]
         return _GroupPlan(
             index,
-            slice(None) if which.all() else groups,
+            _sliced(groups),
+            runs,
             _sliced(np.concatenate(columns)) if columns else slice(0, 0),
             SumsByKey(pattern),
             [_sliced(place) for place in of_pattern],
@@ -442,8 +457,13 @@ def damped_step(normal: Normal, damping: FloatArray) -> tuple[FloatArray, FloatA
 
 def _add(total: Normal, plan: _GroupPlan, columns: FloatArray) -> None:
     """Add the products of the columns of some groups."""
-    x = columns[:, :, plan.groups].transpose(1, 2, 0, 3)
-    P = x @ x.swapaxes(2, 3)
+    x = columns[:, :, plan.groups]
+    if plan.runs:
+        parts = [x[:, :, run].reshape(*x.shape[:2], -1).swapaxes(0, 1) for run in plan.runs]
+        P = np.stack([part @ part.swapaxes(1, 2) for part in parts], axis=1)
+    else:
+        x = x.transpose(1, 2, 0, 3)
+        P = x @ x.swapaxes(2, 3)
     kept = plan.by_pattern(P[:, :, plan.columns])
     gradient, kept = kept[..., -1], kept[..., plan.columns]
     if plan.tiled:
@@ -573,6 +593,12 @@ def _lift(damping: FloatArray, diagonal: FloatArray) -> FloatArray:
     least = (SINGULAR * largest).reshape(shape)
     lift: FloatArray = damping.reshape(shape) * np.maximum(diagonal, least)
     return lift
+
+
+def _runs(key: IntArray) -> tuple[IntArray, IntArray]:
+    """Return an order in which equal keys follow each other, and where each of their runs begins."""
+    order = np.argsort(key, kind="stable")
+    return order, np.flatnonzero(np.diff(key[order], prepend=-1))
 
 
 def _before(which: BoolArray) -> IntArray:

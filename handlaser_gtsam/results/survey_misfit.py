@@ -9,7 +9,7 @@ show more than their target, neither way says anything. The other kind of a targ
 survey, too. Cones are tried with other angles once all is solved.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -24,7 +24,7 @@ from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import MOST_REJECTED, Estimate
 from ..estimation.survey import FirstFit, RelationTest, SurveyEstimate, estimate_survey, first_state
 from ..estimation.survey_outliers import GROSS, MOST_LEFT_OUT, OF_OTHERS, misfits, misses_of
-from ..estimation.survey_rows import SurveyRows, rows_of
+from ..estimation.survey_rows import Entity, SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
 from ..model.condensed_shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
@@ -63,6 +63,8 @@ OTHER_KIND = {"plane": "sphere", "sphere": "plane"}
 MUCH_DEARER = 2.0
 """Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
+Way = tuple[float, int, int]
+"""What shots cost when they are read in one way: see `_squares`."""
 CHECKS = said("survey-checks")
 """What to do where no cause is known."""
 
@@ -336,7 +338,7 @@ def better_convention(shots: Shots, labels: tuple[str, ...]) -> str | None:
         return None
     sigma = float(np.sqrt(variance))  # single shots of nine zones call too many readings far
     ways = (_squares(shots, shots.reading, kinds, sigma), _squares(shots, reading, kinds, sigma))
-    return other if _much_better(ways[0], ways[1], variance) else None
+    return other if _much_better([(*ways, variance)]) else None
 
 
 def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
@@ -349,8 +351,7 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     suspects = {
         label: OTHER_KIND[kind_of(label)]
         for label in dict.fromkeys(labels)
-        if kind_of(label) in OTHER_KIND
-        and any(_looks_other(shots, labels, label) for shots in survey.shots)
+        if kind_of(label) in OTHER_KIND and _looks_other(survey.shots, labels, label)
     }
     if not suspects:
         return {}
@@ -361,11 +362,12 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     stations = replace(survey.stations, plane_labels=changed)
     rows = rows_of(replace(survey, stations=stations, known=known))
     try:
-        state = first_state(rows, noise)
+        state = first_state(rows, noise, last_resort=False)
     except InputError:
         return {}
-    misfit = misfits(state)
-    at = np.array([labels[item.station] for item in state.rows.items])
+    each = defaultdict[str, dict[Entity, list[float]]](lambda: defaultdict(list))
+    for item, misfit in zip(state.rows.items, misfits(state).tolist(), strict=True):
+        each[labels[item.station]][item.mount].append(misfit)
     flat = {
         label
         for label, (*_, radius) in zip(
@@ -379,50 +381,65 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
         label: kind
         for label, kind in suspects.items()
         if renamed[label] not in flat
-        and (at == label).any()
-        and np.median(misfit[at == label]) < GROSS
+        and label in each
+        and max(map(np.median, each[label].values())) < GROSS
     }
 
 
-def _looks_other(shots: Shots, labels: Sequence[str], label: str) -> bool:
-    """Tell whether the shots of a sensor before one target have the shape of the other kind.
+def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) -> bool:
+    """Tell whether the shots of all sensors before one target have the shape of the other kind.
 
-    Of few readings no sphere is known by its shot. Then planes that others are labelled tell whether
-    this one is as flat.
+    Of few readings no sphere is known by its shot. Where none is, planes that others are labelled tell
+    whether this one is as flat.
     """
-    stations = np.unique(shots.station).tolist()
-    seen = [s for s in stations if labels[s] == label]
-    ways = {kind: _squares(shots, shots.reading, dict.fromkeys(seen, kind)) for kind in OTHER_KIND}
     kind = kind_of(label)
-    stated, other = ways[kind], ways[OTHER_KIND[kind]]
-    if ways["sphere"][1] or ways["sphere"][2]:
-        variance = min((total / dof for total, dof, _ in ways.values() if dof), default=0.0)
-        return variance > 0.0 and other[1] > 0 and _much_better(stated, other, variance)
+    sure: list[tuple[Way, Way, float]] = []
+    as_planes: list[tuple[Shots, Way]] = []
+    for shots in sensors:
+        seen = [s for s in np.unique(shots.station).tolist() if labels[s] == label]
+        ways = {one: _squares(shots, shots.reading, dict.fromkeys(seen, one)) for one in OTHER_KIND}
+        if ways["sphere"][1] or ways["sphere"][2]:
+            variance = min((total / dof for total, dof, _ in ways.values() if dof), default=0.0)
+            sure.append((ways[kind], ways[OTHER_KIND[kind]], variance))
+        elif ways["plane"][1]:
+            as_planes.append((shots, ways["plane"]))
+    if sure:
+        return _much_better(sure)
+    bent = [_bent(shots, labels, label, way) for shots, way in as_planes]
+    return (kind == "plane") in bent
+
+
+def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Way) -> bool | None:
+    """Tell whether a target is less flat than planes are; None where nothing says what flat is."""
+    stations = np.unique(shots.station).tolist()
     planes = [s for s in stations if kind_of(labels[s]) == "plane" and labels[s] != label]
     total, dof, _ = _squares(shots, shots.reading, dict.fromkeys(planes, "plane"))
     if shots.sigma:
         total, dof = shots.sigma**2, 1
-    squares, own, lost = ways["plane"]
-    if not dof or not own or total == 0.0:
-        return False
-    bent = squares * dof / total + FAR_FROM_SHAPE**2 * lost > MUCH_DEARER * (own + lost)
-    return bent == (kind == "plane")
+    if not dof or total == 0.0:
+        return None
+    squares, own, lost = as_plane
+    return squares * dof / total + FAR_FROM_SHAPE**2 * lost > MUCH_DEARER * (own + lost)
 
 
-def _much_better(
-    stated: tuple[float, int, int], other: tuple[float, int, int], variance: float
-) -> bool:
-    """Tell whether the other way costs far less, and fits nearly all readings."""
-    now, changed = (
-        total / variance + FAR_FROM_SHAPE**2 * lost for total, _, lost in (stated, other)
-    )
-    _, dof, lost = other
-    return lost <= OF_OTHERS * (dof + lost) and now > MUCH_DEARER * changed
+def _much_better(sensors: Iterable[tuple[Way, Way, float]]) -> bool:
+    """Tell whether the other way costs far less, and fits nearly all readings.
+
+    Each sensor has the way as stated, the other, and the variance of a reading [m^2].
+    """
+    now = changed = 0.0
+    many = gone = 0
+    for stated, other, variance in sensors:
+        if variance > 0.0:
+            now += stated[0] / variance + FAR_FROM_SHAPE**2 * stated[2]
+            changed += other[0] / variance + FAR_FROM_SHAPE**2 * other[2]
+            many, gone = many + other[1], gone + other[2]
+    return many > 0 and gone <= OF_OTHERS * (many + gone) and now > MUCH_DEARER * changed
 
 
 def _squares(
     shots: Shots, reading: FloatArray, kinds: Mapping[int, str], sigma: float | None = None
-) -> tuple[float, int, int]:
+) -> Way:
     """Return the squares within shots [m^2], their degrees of freedom, and how many fit nothing.
 
     Parameters
@@ -436,10 +453,11 @@ def _squares(
         Standard deviation of a reading [m], where it is known.
     """
     total, dof, lost = 0.0, 0, 0
+    # An array of nine zones says it with ten shots, a profile with fewer; some are on something else.
+    enough = int(np.clip(1000 * len(kinds) // max(len(reading), 1), 8, 20))
     for target in OTHER_KIND:
         seen = [s for s, kind in kinds.items() if kind == target]
-        # An array of nine zones says it with ten shots; others may be on something else.
-        seen = seen[:: max(len(seen) // 20, 1)]
+        seen = seen[:: max(len(seen) // enough, 1)]
         tables = [(shots.across[shots.station == s], reading[shots.station == s]) for s in seen]
         for (_, d), shot in zip(
             tables, condensed_shots(KINDS[shots.kind], target, tables, sigma=sigma), strict=True

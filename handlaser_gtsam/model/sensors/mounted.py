@@ -42,7 +42,7 @@ class Mounted:
 
     def rays(self, values: Values, reading: FloatArray) -> Rays:
         """Return the rays of readings (K, G, S)."""
-        x = members(values, self.family, self.member)
+        x = members(values, self.family, self.member, self.origin.shape[-1])
         R = x[:9].reshape(3, 3, *x.shape[1:])
         origin, direction = turned(R, self.origin) + x[9:12], turned(R, self.direction)
         k0, k1, k2, scale = x[12:]
@@ -64,6 +64,6 @@ class Mounted:
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
         """Return ds by the mount, moved on the right by a turn and a shift."""
         del rays
-        x = members(values, self.family, self.member)
+        x = members(values, self.family, self.member, self.origin.shape[-1])
         a = turned_back(x[:9].reshape(3, 3, *x.shape[1:]), a)
         return by_motion(self.origin + s * self.direction, a)

@@ -8,7 +8,7 @@ from ...arrays import FloatArray, IntArray
 from ..block import Values
 from ..equation import GRAZING_LIMIT
 from ..families import PLANE, bases
-from ..range_blocks import Hits, dot, members
+from ..range_blocks import Hits, dot, members, of_groups
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,15 +23,19 @@ class PlaneTarget:
 
     def hit(self, values: Values, origin: FloatArray, direction: FloatArray) -> Hits:
         """Return where rays (3, K, G, S), in the world, meet it."""
-        x = members(values, self.family, self.member)
+        rays = direction.shape[-1]
+        x = members(values, self.family, self.member, rays)
         n, h, c = x[:3], x[3], x[4:7]
         cosine = dot(n, direction)
         grazing = ~(np.abs(cosine) >= GRAZING_LIMIT)
         f = -1.0 / np.where(grazing, GRAZING_LIMIT, cosine)
-        s = (dot(n, origin - c) + h) * f
-        basis = bases(values[self.family][..., :3])[:, self.member].transpose(2, 3, 0, 1)
-        along = np.einsum("ijkg,ikgs->jkgs", basis, origin + s * direction - c)
-        return Hits(s, n * f, np.concatenate((along * f, f[None])), grazing)
+        arm = origin - c
+        s = (dot(n, arm) + h) * f
+        basis = bases(values[self.family][..., :3])
+        basis = of_groups(basis.reshape(*basis.shape[:2], -1), self.member, rays)
+        spot = arm + s * direction
+        along = [dot(basis[tangent::2], spot) * f for tangent in range(2)]
+        return Hits(s, n * f, np.stack((*along, f)), grazing)
 
     def nearest(self, values: Values, origin: FloatArray) -> FloatArray:
         """Return the directions (3, K, G, S) at right angles to it, from points in the world."""

@@ -34,7 +34,7 @@ class Sphere:
 
     def hit(self, values: Values, origin: FloatArray, direction: FloatArray) -> Hits:
         """Return where rays (3, K, G, S), in the world, meet it."""
-        x = members(values, self.family, self.member)
+        x = members(values, self.family, self.member, direction.shape[-1])
         w, radius = origin - x[:3], x[3]
         b = dot(w, direction)
         past = w - b * direction
