@@ -218,15 +218,17 @@ def sorted_again(
     for member in members:
         shots, tables = rows.survey.shots[member], list(_small_shots(rows, member))
         misses, reach = _misses_and_reach(rows, values, member)
+        some = []
         for (station, plane, table), e in zip(tables, misses, strict=True):
             near = np.abs(e) <= reach
             at = place.get((member, station))
             before = items[at].points if at is not None and counts[at] else None
-            if not near.any() or (before is None and near.mean() < 0.5):
-                continue
-            points = table[near]
-            one = [(shots.across[points], shots.reading[points])]
-            (shot,) = condensed_shots(KINDS[shots.kind], PLANE.name, one, sorted_out=True)
+            if near.any() and (before is not None or near.mean() >= 0.5):
+                some.append((station, plane, table[near], at, before))
+        every = [(shots.across[points], shots.reading[points]) for _, _, points, _, _ in some]
+        kind = KINDS[shots.kind]
+        again = condensed_shots(kind, PLANE.name, every, sorted_out=True)
+        for (station, plane, points, at, before), shot in zip(some, again, strict=True):
             if shot is None:
                 continue
             points = points[shot.kept]

@@ -22,10 +22,11 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import RAY_ERRORS
-from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, NEGLIGIBLE, NUMBERS_AT_ONCE, SINGULAR, TINY
+from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, NEGLIGIBLE, NUMBERS_AT_ONCE, TINY
 from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
 from .range_blocks import Ranges
+from .reduced_information import inverse_stack
 from .sensors.kinds import Kind, Rayset
 from .sensors.mounted import SENSOR
 
@@ -470,11 +471,8 @@ def _rows(
 
 def _solved(rows: FloatArray, right: FloatArray) -> FloatArray:
     """Return the least-squares solutions (..., q) of rows (..., m, q)."""
-    unit = 1.0 / np.maximum(np.sqrt(np.einsum("...mi,...mi->...i", rows, rows)), TINY)
-    rows = rows * unit[..., None, :]
     turned = np.swapaxes(rows, -1, -2)
-    inverse = np.linalg.pinv(turned @ rows, rcond=SINGULAR, hermitian=True)
-    return np.asarray(unit * (inverse @ (turned @ right[..., None]))[..., 0])
+    return np.asarray((inverse_stack(turned @ rows) @ (turned @ right[..., None]))[..., 0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

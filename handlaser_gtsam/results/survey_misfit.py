@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, evenly
 from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
@@ -453,12 +453,16 @@ def _squares(
         Standard deviation of a reading [m], where it is known.
     """
     total, dof, lost = 0.0, 0, 0
-    # An array of nine zones says it with ten shots, a profile with fewer; some are on something else.
-    enough = int(np.clip(1000 * len(kinds) // max(len(reading), 1), 8, 20))
+    order = np.argsort(shots.station, kind="stable")
     for target in OTHER_KIND:
-        seen = [s for s, kind in kinds.items() if kind == target]
-        seen = seen[:: max(len(seen) // enough, 1)]
-        tables = [(shots.across[shots.station == s], reading[shots.station == s]) for s in seen]
+        seen = np.array([s for s, kind in kinds.items() if kind == target], dtype=np.intp)
+        # An array of nine zones says it with ten shots; others may be on something else.
+        seen = seen[evenly(len(seen), 20)]
+        begins, ends = np.searchsorted(shots.station, (seen, seen + 1), sorter=order)
+        each = [order[a:b] for a, b in zip(begins.tolist(), ends.tolist(), strict=True)]
+        # So many points tell a shape, and shots of equal length are condensed together.
+        each = [rows[evenly(len(rows), 64)] for rows in each]
+        tables = [(shots.across[rows], reading[rows]) for rows in each]
         for (_, d), shot in zip(
             tables, condensed_shots(KINDS[shots.kind], target, tables, sigma=sigma), strict=True
         ):
