@@ -126,9 +126,10 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
     for entity, splits in _splits(state):
         looked_for += len(splits)
         columns = rows.derivatives[:, _place(state, entity)]
-        tried = [trial(columns * (stations >= station)[:, None]) for station in splits]
-        which = int(np.argmax([one.chi2 for one in tried]))
-        best.append((entity, splits[which], tried[which]))
+        late = stations[:, None] >= np.array(splits)
+        which = int(np.argmax(trial.gains(columns[:, None] * late[..., None])))
+        tried = trial(columns * late[:, [which]])
+        best.append((entity, splits[which], tried))
     moves = []
     for entity, station, one in best:
         if not (converged or _explained(owner, trial.residuals, one.left)):
@@ -201,18 +202,32 @@ class _Trial:
         self._inverse = (V[some].T / size[some] / scale[:, None]) @ self._known.T
         self.residuals = e
 
+    def gains(self, columns: FloatArray) -> FloatArray:
+        """Return by how much chi2 is less with each of T sets of q, by their derivatives (R, T, q)."""
+        A = self._whitened(columns.reshape(len(columns), -1)).reshape(columns.shape)
+        U, size, _, _ = self._beside(A.swapaxes(0, 1))
+        along = self.residuals @ U
+        return np.asarray((np.where(size > NEGLIGIBLE, along, 0.0) ** 2).sum(axis=1))
+
     def __call__(self, columns: FloatArray) -> Tried:
         """Return them for their derivatives (R, q), with a p-value of one.
 
         What the others explain, or no row tells, is held: a trial with more is one of the rest.
         """
-        A, _ = replace(self._rows, derivatives=columns).whitened()
-        scale = np.maximum(np.sqrt((A**2).sum(axis=0)), TINY)
-        rest = (A - self._known @ (self._known.T @ A)) / scale
-        U, size, V = np.linalg.svd(rest, full_matrices=False)
+        A = self._whitened(columns)
+        U, size, V, scale = self._beside(A)
         known = size > NEGLIGIBLE
         along, root = U[:, known].T @ self.residuals, V[known].T / size[known] / scale[:, None]
         x = -root @ along
         moved, left = -self._inverse @ (self.residuals + A @ x), self.residuals + A @ x
         left -= self._known @ (self._known.T @ left)
         return Tried(x, root @ root.T, float(along @ along), int(known.sum()), 1.0, moved, left)
+
+    def _whitened(self, columns: FloatArray) -> FloatArray:
+        return replace(self._rows, derivatives=columns).whitened()[0]
+
+    def _beside(self, A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return U, size and V of what the others leave of whitened columns (..., R, q), and scales."""
+        scale = np.maximum(np.sqrt((A**2).sum(axis=-2)), TINY)
+        rest = (A - self._known @ (self._known.T @ A)) / scale[..., None, :]
+        return (*np.linalg.svd(rest, full_matrices=False), scale)
