@@ -59,10 +59,13 @@ def start_of(
     """Return the best start of all sensors, beams and targets, and which sensors and beams have none.
 
     Where some have none, there are no values. Starts that fit all shots but gross outliers, and random
-    mounts where nothing else leads to a good fit, are the `last_resort`.
+    mounts where nothing else leads to a good fit, are the `last_resort`; so is the search over virtual
+    beams where no beam sees a plane.
     """
     entities = list(dict.fromkeys(item.mount for item in rows.items))
-    from_planes = _from_planes(rows, among_outliers=last_resort)
+    from_planes = {}
+    if last_resort or any(i.family == BEAM.name and i.target[0] == PLANE.name for i in rows.items):
+        from_planes = _from_planes(rows, among_outliers=last_resort)
     ends: list[tuple[int, float, dict[Entity, FloatArray]]] = []
     without = []
     for entity in entities:

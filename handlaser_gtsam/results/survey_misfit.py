@@ -63,7 +63,7 @@ OTHER_KIND = {"plane": "sphere", "sphere": "plane"}
 MUCH_DEARER = 2.0
 """Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
-Way = tuple[float, int, int]
+Cost = tuple[float, int, int]
 """What shots cost when they are read in one way: see `_squares`."""
 CHECKS = said("survey-checks")
 """What to do where no cause is known."""
@@ -393,8 +393,8 @@ def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) ->
     whether this one is as flat.
     """
     kind = kind_of(label)
-    sure: list[tuple[Way, Way, float]] = []
-    as_planes: list[tuple[Shots, Way]] = []
+    sure: list[tuple[Cost, Cost, float]] = []
+    as_planes: list[tuple[Shots, Cost]] = []
     for shots in sensors:
         seen = [s for s in np.unique(shots.station).tolist() if labels[s] == label]
         ways = {one: _squares(shots, shots.reading, dict.fromkeys(seen, one)) for one in OTHER_KIND}
@@ -409,7 +409,7 @@ def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) ->
     return (kind == "plane") in bent
 
 
-def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Way) -> bool | None:
+def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Cost) -> bool | None:
     """Tell whether a target is less flat than planes are; None where nothing says what flat is."""
     stations = np.unique(shots.station).tolist()
     planes = [s for s in stations if kind_of(labels[s]) == "plane" and labels[s] != label]
@@ -422,7 +422,7 @@ def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Way) -> boo
     return squares * dof / total + FAR_FROM_SHAPE**2 * lost > MUCH_DEARER * (own + lost)
 
 
-def _much_better(sensors: Iterable[tuple[Way, Way, float]]) -> bool:
+def _much_better(sensors: Iterable[tuple[Cost, Cost, float]]) -> bool:
     """Tell whether the other way costs far less, and fits nearly all readings.
 
     Each sensor has the way as stated, the other, and the variance of a reading [m^2].
@@ -439,7 +439,7 @@ def _much_better(sensors: Iterable[tuple[Way, Way, float]]) -> bool:
 
 def _squares(
     shots: Shots, reading: FloatArray, kinds: Mapping[int, str], sigma: float | None = None
-) -> Way:
+) -> Cost:
     """Return the squares within shots [m^2], their degrees of freedom, and how many fit nothing.
 
     Parameters
