@@ -56,8 +56,8 @@ from .survey_state import Columns, SurveyState, grazing, own_sizes
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
 SURELY_FITS = 2.0
-"""Shots whose typical misfit is so many standard deviations have the right start, if they are more than
-the unknowns: no other one is looked for."""
+"""Shots whose typical misfit is at most this [standard deviations] have the right start, where they say
+much more than the unknowns: no other start is looked for."""
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 
