@@ -131,7 +131,7 @@ def start_beside(
 
 
 def all_redundant(rows: SurveyRows) -> bool:
-    """Tell whether what each sensor and beam has read is so much that no false start fits it."""
+    """Tell whether what each sensor and beam has read is enough that no false start fits it."""
     mounts = dict.fromkeys(item.mount for item in rows.items)
     every = {mount: [item for item in rows.items if item.mount == mount] for mount in mounts}
     return all(

@@ -28,7 +28,8 @@ from .families import BEAM, FAMILIES, OF_DIRECTION, bases
 from .geometry import cross
 
 FEW_RAYS = 8
-"""A group of so many rays has the numbers of its members once a ray: three times faster with two."""
+"""A group of at most these rays has the numbers of its members once a ray: arithmetic along so short an
+axis takes up to three times as long."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +234,7 @@ def members(values: Values, family: str, member: IntArray, rays: int = 1) -> Flo
     """Return the numbers (size, K, G, 1) of the member that each group of some rays sees.
 
     They are (size, K, 1, 1) where all groups see one member, and (size, K, G, rays), each number as
-    often as there are rays, where these are few: arithmetic along so short an axis is slow.
+    often as there are rays, where these are at most `FEW_RAYS`.
     """
     return of_groups(values[family], member, rays)
 

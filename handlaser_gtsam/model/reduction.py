@@ -32,8 +32,8 @@ COMMON_NUMBERS = 400_000
 """Sums over the rows of stations that are formed at once: they stay in the processor's cache, and with
 few stations all are formed at once."""
 FEWER = 4
-"""Rows of groups that see the same variables are multiplied at once where there are so many times fewer
-such runs than groups: a product of few rows takes a call of its own."""
+"""Rows of groups that see the same variables are multiplied at once where groups are at least this many
+times as many as such runs: of one group at a time, a product of few rows takes a call of its own."""
 
 
 @dataclass(frozen=True, slots=True)

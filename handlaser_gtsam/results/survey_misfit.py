@@ -460,7 +460,7 @@ def _squares(
         seen = seen[evenly(len(seen), 20)]
         begins, ends = np.searchsorted(shots.station, (seen, seen + 1), sorter=order)
         each = [order[a:b] for a, b in zip(begins.tolist(), ends.tolist(), strict=True)]
-        # So many points tell a shape, and shots of equal length are condensed together.
+        # 64 points tell a shape, and shots of equal length are condensed together.
         each = [rows[evenly(len(rows), 64)] for rows in each]
         tables = [(shots.across[rows], reading[rows]) for rows in each]
         for (_, d), shot in zip(
