@@ -258,24 +258,15 @@ def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
     return best_image(state, settle)[1]
 
 
-def first_state(
-    rows: SurveyRows,
-    noise: Noise,
-    earlier: SurveyEstimate | None = None,
-    *,
-    last_resort: bool = True,
-) -> SurveyState:
-    """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
+def state_of(rows: SurveyRows, noise: Noise) -> SurveyState:
+    """Return the state of a survey without any values.
 
-    Sizes of the noise are as stated, else as shots show them inside, or as is usual. Starts are looked
-    for by the `last_resort` of `start_of` where shots do not surely fit, and then from halves of the
-    shots where most do not agree. No start is sought where most shots agree beside an `earlier`
-    estimate of the same sensors.
+    Sizes of the noise are as stated, else as shots show them inside, or as is usual.
 
     Raises
     ------
     InputError
-        As `estimate_survey`.
+        No shot has enough points on its target, or shows the edge of its groove.
     """
     if not rows.items:
         if rows.edgeless:
@@ -290,7 +281,24 @@ def first_state(
     again = usual.again if np.isnan(stated.again) else 0.0
     sizes = Components(sigma, _pose_sizes(stated, usual), again)
     used = np.ones(len(rows.items), dtype=bool)
-    state = SurveyState(rows, noise, {}, sizes, used, relations_of(rows), stated)
+    return SurveyState(rows, noise, {}, sizes, used, relations_of(rows), stated)
+
+
+def first_state(
+    rows: SurveyRows, noise: Noise, earlier: SurveyEstimate | None = None
+) -> SurveyState:
+    """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
+
+    Where shots do not surely fit the start of a quick search, a thorough one follows, and where most do
+    not agree then, one from halves of the shots. No start is sought where most shots agree beside an
+    `earlier` estimate of the same sensors.
+
+    Raises
+    ------
+    InputError
+        As `estimate_survey`.
+    """
+    state = state_of(rows, noise)
     if earlier is not None and earlier.estimate.status == "converged":
         values = start_beside(rows, earlier.rows, earlier.estimate.values)
         if values is not None:
@@ -299,27 +307,29 @@ def first_state(
             if beside.minimize() and np.median(misfits(beside)) <= GROSS:
                 return beside
     quick = replace(state)
-    without = _begin(quick, last_resort=False)
-    if not without and (
-        not last_resort or (all_redundant(rows) and np.median(misfits(quick)) <= SURELY_FITS)
-    ):
+    sure = all_redundant(rows) and begin_quickly(quick, GROSS)
+    if sure and np.median(misfits(quick)) <= SURELY_FITS:
         return quick
-    if last_resort:
-        without = _begin(state, last_resort=True)
+    state.values, without = start_of(rows, state.sigmas())
     if without:
         names = ", ".join(_name(rows, entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
+    leave_out_gross(state)
     if np.median(misfits(state)) > GROSS and started_from_halves(state):
         leave_out_gross(state)
     return state
 
 
-def _begin(state: SurveyState, *, last_resort: bool) -> tuple[Entity, ...]:
-    """Go to the best start without gross shots; return the sensors and beams that have none."""
-    state.values, without = start_of(state.rows, state.sigmas(), last_resort=last_resort)
-    if not without:
-        leave_out_gross(state)
-    return without
+def begin_quickly(state: SurveyState, most: float = np.inf) -> bool:
+    """Go to the start of a quick search, without gross shots.
+
+    Tell whether there is one, whose typical misfit is at `most` that [standard deviations].
+    """
+    state.values, without = start_of(state.rows, state.sigmas(), last_resort=False)
+    if without or np.median(misfits(state)) > most:
+        return False
+    leave_out_gross(state)
+    return True
 
 
 def _doubtful(state: SurveyState) -> list[str]:

@@ -22,7 +22,14 @@ from ..data.noise import Noise
 from ..data.survey import Shots, Survey, kind_of, normal_label
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import MOST_REJECTED, Estimate
-from ..estimation.survey import FirstFit, RelationTest, SurveyEstimate, estimate_survey, first_state
+from ..estimation.survey import (
+    FirstFit,
+    RelationTest,
+    SurveyEstimate,
+    begin_quickly,
+    estimate_survey,
+    state_of,
+)
 from ..estimation.survey_outliers import GROSS, MOST_LEFT_OUT, OF_OTHERS, misfits, misses_of
 from ..estimation.survey_rows import Entity, SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
@@ -361,9 +368,10 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     known = tuple(one for one in survey.known if not suspects.keys() & set(one.of))
     stations = replace(survey.stations, plane_labels=changed)
     rows = rows_of(replace(survey, stations=stations, known=known))
-    try:
-        state = first_state(rows, noise, last_resort=False)
-    except InputError:
+    if not rows.items:
+        return {}
+    state = state_of(rows, noise)
+    if not begin_quickly(state):
         return {}
     each = defaultdict[str, dict[Entity, list[float]]](lambda: defaultdict(list))
     for item, misfit in zip(state.rows.items, misfits(state).tolist(), strict=True):
