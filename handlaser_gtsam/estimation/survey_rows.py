@@ -381,12 +381,13 @@ def _derivatives(items: Sequence[Item], values: Values) -> list[FloatArray]:
     first = 0
     for block in blocks:
         ranges = block.ranges if isinstance(block, Mixed) else block
-        derivatives = by_place(ranges.evaluate(exact))
-        G, S = derivatives.shape[1:]
+        derivatives = by_place(ranges.evaluate(exact)).reshape(3, -1)
+        own = owner[first : first + derivatives.shape[1]]
         if not isinstance(block, Unexplained):
-            for g, number in enumerate(owner[first : first + G * S : S].tolist()):
-                found[number] = derivatives[:, g]
-        first += G * S
+            begins = np.flatnonzero(np.diff(own, prepend=-1))
+            for at, one in zip(begins, np.split(derivatives, begins[1:], axis=1), strict=True):
+                found[own[at]] = one
+        first += len(own)
     return found
 
 
@@ -398,6 +399,9 @@ def blocks_of(
     given_poses: bool = False,
 ) -> tuple[list[Block], IntArray]:
     """Return the blocks of some items, and the number of the item of each of their rows.
+
+    Shots of equal size are one block. Readings of shots that are rows of their own are a group each, so
+    that shots of few zones, which differ in how many these are, are one block, too.
 
     Parameters
     ----------
@@ -413,6 +417,8 @@ def blocks_of(
     alike: dict[tuple[str, str, int], list[int]] = defaultdict(list)
     for number, item in enumerate(items):
         size = 1 if item.shot is None else len(item.shot.reading)
+        if item.shot is not None and of_single_readings(item.shot):
+            size = 0
         alike[item.family, item.target[0], size].append(number)
     blocks: list[Block] = []
     owners: list[IntArray] = []
@@ -421,16 +427,18 @@ def blocks_of(
         """Weigh rows (G, S) of a stop together."""
         return Weights(root[None], None, np.repeat(stop[:, None], root.shape[1], axis=1))
 
-    for (family, target, size), numbers in alike.items():
-        some = [items[i] for i in numbers]
-        numbers_of = [(i.member, i.station, i.stop, i.target[1]) for i in some]
-        member, station, stop, seen = np.array(numbers_of).T
-        root = 1.0 / np.array([[sigmas[family, item.member]] for item in some])  # (G, 1)
+    for (family, target, size), of_size in alike.items():
+        some = [items[i] for i in of_size]
         shots = [i.shot for i in some if i.shot is not None]
+        groups = [1 if size else len(shot.reading) for shot in shots] or 1
+        numbers_of = [(i.member, i.station, i.stop, i.target[1]) for i in some]
+        member, station, stop, seen = np.repeat(np.array(numbers_of), groups, axis=0).T
+        numbers = np.repeat(of_size, groups)
+        root = 1.0 / np.array([[sigmas[family, one]] for one in member.tolist()])  # (G, 1)
         robot: RobotModel = PoseVariables(station)
         if given_poses:
             # One a reading, in spite of its being the same for all of a group: products are faster.
-            poses = values[POSE.name][0, np.repeat(station[:, None], size, axis=1)]
+            poses = values[POSE.name][0, np.repeat(station[:, None], max(size, 1), axis=1)]
             robot = GivenPoses.of(*pose_of(poses))
         reading = np.array([[item.reading] for item in some])[None]
         if target == POINT.name:
@@ -441,14 +449,18 @@ def blocks_of(
             sensor = BeamSensor(member, some[0].half_angle)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
-            origin = np.stack([s.rays.origin for s in shots])  # (G, r, 3)
-            direction = np.stack([s.rays.direction for s in shots])
-            origin, direction = (np.moveaxis(x, 2, 0)[:, None] for x in (origin, direction))
-            by_error = np.stack([s.by_error for s in shots], axis=1)[:, None]
-            mounted = Mounted(member, origin, direction, by_error)
-            reading = np.stack([s.reading for s in shots])[None]
-            ranges = Ranges(mounted, TARGETS[target](seen), robot, reading)
-            mix = np.stack([s.mix for s in shots])
+
+            def grouped(arrays: Iterable[FloatArray], size: int = size) -> FloatArray:
+                """Return arrays (r, ...) of shots as (G, S, ...)."""
+                return np.stack(list(arrays)) if size else np.concatenate(list(arrays))[:, None]
+
+            origin = grouped(s.rays.origin for s in shots)
+            direction = grouped(s.rays.direction for s in shots)
+            by_error = grouped(s.by_error.T for s in shots)
+            every = (np.moveaxis(x, 2, 0)[:, None] for x in (origin, direction, by_error))
+            reading = grouped(s.reading for s in shots)[None]
+            ranges = Ranges(Mounted(member, *every), TARGETS[target](seen), robot, reading)
+            mix = np.stack([s.mix for s in shots]) if size else np.ones((len(member), 1, 1))
             root = np.repeat(root, mix.shape[2], axis=1)
             blocks.append(Mixed(ranges, mix, weights(root)))
         owners.append(np.repeat(numbers, root.shape[1]))
