@@ -457,9 +457,11 @@ def blocks_of(
             origin = grouped(s.rays.origin for s in shots)
             direction = grouped(s.rays.direction for s in shots)
             by_error = grouped(s.by_error.T for s in shots)
-            every = (np.moveaxis(x, 2, 0)[:, None] for x in (origin, direction, by_error))
+            vectors = origin, direction, by_error
+            origin, direction, by_error = (np.moveaxis(x, 2, 0)[:, None] for x in vectors)
+            mounted = Mounted(member, origin, direction, by_error)
             reading = grouped(s.reading for s in shots)[None]
-            ranges = Ranges(Mounted(member, *every), TARGETS[target](seen), robot, reading)
+            ranges = Ranges(mounted, TARGETS[target](seen), robot, reading)
             mix = np.stack([s.mix for s in shots]) if size else np.ones((len(member), 1, 1))
             root = np.repeat(root, mix.shape[2], axis=1)
             blocks.append(Mixed(ranges, mix, weights(root)))
