@@ -158,7 +158,7 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         changed = list(survey.shots)
         changed[member] = shots.clear_of(float(edges[-1]))
         try:
-            clear = estimate_survey(replace(survey, shots=tuple(changed)), found.given)
+            clear = estimate_survey(replace(survey, shots=tuple(changed)), found.given, found)
         except InputError:  # no start without these readings
             continue
         if clear.estimate.status not in ("converged", "contradicted"):
@@ -464,10 +464,12 @@ def _squares(
     order = np.argsort(shots.station, kind="stable")
     for target in OTHER_KIND:
         seen = np.array([s for s, kind in kinds.items() if kind == target], dtype=np.intp)
-        # An array of nine zones says it with ten shots; others may be on something else.
-        seen = seen[evenly(len(seen), 20)]
         begins, ends = np.searchsorted(shots.station, (seen, seen + 1), sorter=order)
-        each = [order[a:b] for a, b in zip(begins.tolist(), ends.tolist(), strict=True)]
+        # A thousand readings say it: of nine zones with clutter before them, twenty shots do not. Of
+        # profiles a few shots would do, but others may be on something else.
+        points = int((ends - begins).sum()) // max(len(seen), 1)
+        some = evenly(len(seen), max(20, 1000 // max(points, 1)))
+        each = [order[begins[i] : ends[i]] for i in some.tolist()]
         # 64 points tell a shape, and shots of equal length are condensed together.
         each = [rows[evenly(len(rows), 64)] for rows in each]
         tables = [(shots.across[rows], reading[rows]) for rows in each]
