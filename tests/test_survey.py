@@ -28,6 +28,7 @@ from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.reduction import Reduction, damped_step
 from handlaser_gtsam.model.relation import Relation
 from handlaser_gtsam.model.sensor_limits import Rejected
+from handlaser_gtsam.model.sensors.beam import BeamSensor
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
 from handlaser_gtsam.model.targets.plane import PlaneTarget
@@ -193,6 +194,20 @@ def test_rows_that_see_the_same_are_added_up_at_once():
     sigma = np.sqrt(np.diagonal(np.linalg.pinv(J.T @ J)))
     assert np.abs(dense).max() > 1e-5
     assert (np.abs(found - dense) < 1e-9 * sigma).all()
+
+
+def test_several_groups_of_one_beam_plane_and_pose_have_their_rows():
+    one = np.zeros(3, dtype=int)
+    reading = np.array([0.30, 0.31, 0.32]).reshape(1, 3, 1)
+    block = Ranges(BeamSensor(one), PlaneTarget(one), PoseVariables(one), reading)
+    pose = np.append(np.eye(3).ravel(), np.zeros(3))
+    values = {
+        "beam": np.array([0.01, 0.02, 0.03, 0.0, 0.0, 1.0, 0.0, 0.0]).reshape(1, 1, 8),
+        "plane": np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.33]).reshape(1, 1, 7),
+        "pose": pose.reshape(1, 1, 12),
+    }
+    e = block.evaluate(values).columns[-1, 0, :, 0]
+    assert e == pytest.approx([0.0, -0.01, -0.02])
 
 
 def profiles(count, seed=5, points=1000):

@@ -12,7 +12,7 @@ from helpers import ROOT, first_and_slow
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks import rigs_by_distance
+from benchmarks import rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import survey_of
 from handlaser_gtsam.errors import SolverError
 from handlaser_gtsam.files.logs.format_checks import convention_of
@@ -479,6 +479,37 @@ def test_shots_that_know_a_ball_speak_for_those_of_few_zones():
     array = replace(survey, shots=tuple(one for one in survey.shots if one.kind == "array"))
     labels = array.stations.plane_labels
     assert any(_looks_other(array.shots, labels, label) for label in set(labels))
+
+
+def test_a_ball_in_images_that_are_labelled_a_plane_is_known_by_their_shape():
+    """Points at even steps of a square image lie on one line: they are drawn."""
+    across = np.linspace(-0.1, 0.1, 64)
+    u = np.stack((*np.meshgrid(across, across), np.ones((64, 64))), axis=2).reshape(-1, 3)
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    rng, ball, points = np.random.default_rng(0), [], []
+    for _ in range(8):
+        b = u @ [0.0, 0.0, 0.6]
+        ball.append((b - np.sqrt(b * b - 0.36 + 0.3**2))[:, None] * u)
+        points.append(ball[-1] + 1e-4 * rng.standard_normal((4096, 1)) * u)
+    shots = hl.Shots.points("camera", np.repeat(np.arange(8), 4096), np.concatenate(points))
+    assert _looks_other((shots,), ["plane:a"] * 8, "plane:a")
+    assert not _looks_other((shots,), ["sphere:a"] * 8, "sphere:a")
+
+
+@pytest.mark.slow
+def test_one_reading_on_something_else_does_not_hide_a_wrong_kind():
+    rig = rigs_by_rays.mixed(1, sensors=("points", "beam"), targets="planes+sphere")
+    survey = survey_of(rig)
+    ball = next(label for label in rig.label if label.startswith("sphere:"))
+    plane = ball.replace("sphere", "plane")
+    labels = tuple(plane if label == ball else label for label in rig.label)
+    ranges = np.array(survey.ranges)
+    read = np.flatnonzero(~np.isnan(ranges[:, 0]) & (np.array(rig.label) == ball))
+    ranges[read[1:], 0], ranges[read[:1], 0] = np.nan, ranges[read[:1], 0] + 0.05
+    stations = replace(survey.stations, plane_labels=labels)
+    assert better_kinds(replace(survey, stations=stations, ranges=ranges), hl.Noise()) == {
+        plane: "sphere"
+    }
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ because their points share what made them wrong; points within a shot were sorte
 condensed.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -56,8 +57,8 @@ from .survey_state import Columns, SurveyState, grazing, own_sizes
 FIRST_SIGMA = 0.1 * MM
 """A reading has this standard deviation [m] where nothing is stated and no shot tells."""
 SURELY_FITS = 2.0
-"""Shots whose typical misfit is at most this [standard deviations] have the right start, where they say
-much more than the unknowns: no other start is looked for."""
+"""Shots of every sensor whose typical misfit is at most this [standard deviations] have the right
+start, where they say much more than the unknowns: no other start is looked for."""
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 
@@ -307,8 +308,7 @@ def first_state(
             if beside.minimize() and np.median(misfits(beside)) <= GROSS:
                 return beside
     quick = replace(state)
-    sure = all_redundant(rows) and begin_quickly(quick, GROSS)
-    if sure and np.median(misfits(quick)) <= SURELY_FITS:
+    if all_redundant(rows) and begin_quickly(quick, GROSS) and _surely_fits(quick):
         return quick
     state.values, without = start_of(rows, state.sigmas())
     if without:
@@ -318,6 +318,15 @@ def first_state(
     if np.median(misfits(state)) > GROSS and started_from_halves(state):
         leave_out_gross(state)
     return state
+
+
+def _surely_fits(state: SurveyState) -> bool:
+    """Tell whether the shots of every sensor, and the readings of every beam, fit as they should."""
+    misfit = misfits(state)
+    own = defaultdict[Entity, list[float]](list)
+    for item, one in zip(state.rows.items, misfit.tolist(), strict=True):
+        own[item.mount].append(one)
+    return all(np.median(each) <= SURELY_FITS for each in own.values())
 
 
 def begin_quickly(state: SurveyState, most: float = np.inf) -> bool:

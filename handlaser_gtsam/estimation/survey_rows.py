@@ -400,8 +400,8 @@ def blocks_of(
 ) -> tuple[list[Block], IntArray]:
     """Return the blocks of some items, and the number of the item of each of their rows.
 
-    Shots of equal size are one block. Readings of shots that are rows of their own are a group each, so
-    that shots of few zones, which differ in how many these are, are one block, too.
+    Shots of equal size are one block. Readings of shots that are rows of their own are groups of one:
+    those of all shots are one block, however many each has.
 
     Parameters
     ----------
@@ -416,9 +416,9 @@ def blocks_of(
     """
     alike: dict[tuple[str, str, int], list[int]] = defaultdict(list)
     for number, item in enumerate(items):
-        size = 1 if item.shot is None else len(item.shot.reading)
-        if item.shot is not None and of_single_readings(item.shot):
-            size = 0
+        size = 1
+        if item.shot is not None and not of_single_readings(item.shot):
+            size = len(item.shot.reading)
         alike[item.family, item.target[0], size].append(number)
     blocks: list[Block] = []
     owners: list[IntArray] = []
@@ -430,7 +430,7 @@ def blocks_of(
     for (family, target, size), of_size in alike.items():
         some = [items[i] for i in of_size]
         shots = [i.shot for i in some if i.shot is not None]
-        groups = [1 if size else len(shot.reading) for shot in shots] or 1
+        groups = [len(shot.reading) // size for shot in shots] or 1
         numbers_of = [(i.member, i.station, i.stop, i.target[1]) for i in some]
         member, station, stop, seen = np.repeat(np.array(numbers_of), groups, axis=0).T
         numbers = np.repeat(of_size, groups)
@@ -438,7 +438,7 @@ def blocks_of(
         robot: RobotModel = PoseVariables(station)
         if given_poses:
             # One a reading, in spite of its being the same for all of a group: products are faster.
-            poses = values[POSE.name][0, np.repeat(station[:, None], max(size, 1), axis=1)]
+            poses = values[POSE.name][0, np.repeat(station[:, None], size, axis=1)]
             robot = GivenPoses.of(*pose_of(poses))
         reading = np.array([[item.reading] for item in some])[None]
         if target == POINT.name:
@@ -449,20 +449,17 @@ def blocks_of(
             sensor = BeamSensor(member, some[0].half_angle)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
-
-            def grouped(arrays: Iterable[FloatArray], size: int = size) -> FloatArray:
-                """Return arrays (r, ...) of shots as (G, S, ...)."""
-                return np.stack(list(arrays)) if size else np.concatenate(list(arrays))[:, None]
-
-            origin = grouped(s.rays.origin for s in shots)
-            direction = grouped(s.rays.direction for s in shots)
-            by_error = grouped(s.by_error.T for s in shots)
-            vectors = origin, direction, by_error
-            origin, direction, by_error = (np.moveaxis(x, 2, 0)[:, None] for x in vectors)
+            parts = zip(
+                *((s.rays.origin, s.rays.direction, s.by_error.T) for s in shots), strict=True
+            )
+            origin, direction, by_error = (
+                np.moveaxis(np.concatenate(part).reshape(len(member), size, -1), 2, 0)[:, None]
+                for part in parts
+            )
             mounted = Mounted(member, origin, direction, by_error)
-            reading = grouped(s.reading for s in shots)[None]
+            reading = np.concatenate([s.reading for s in shots]).reshape(1, -1, size)
             ranges = Ranges(mounted, TARGETS[target](seen), robot, reading)
-            mix = np.stack([s.mix for s in shots]) if size else np.ones((len(member), 1, 1))
+            mix = np.stack([s.mix for s in shots]) if size > 1 else np.ones((len(member), 1, 1))
             root = np.repeat(root, mix.shape[2], axis=1)
             blocks.append(Mixed(ranges, mix, weights(root)))
         owners.append(np.repeat(numbers, root.shape[1]))

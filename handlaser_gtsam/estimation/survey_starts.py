@@ -11,6 +11,7 @@ linear, and one on a sphere is tried in random directions.
 Each sensor, and each beam, is searched by itself from all its starts together; best ends are joined.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 
@@ -86,14 +87,22 @@ def start_of(
             ends.append((_redundancy(own, found[1]), found[0] / len(own), found[1]))
     if without:
         return {}, tuple(without)
-    values = _empty(rows)
+    values, said = _empty(rows), Counter[tuple[Entity, Entity]]()
+    for item in rows.items:
+        said[item.mount, item.target] += item.numbers
     # Each target as the sensor has it that fits best for its size. One without redundancy fits
-    # perfectly, wherever it and its targets are: it counts only if no other has more.
+    # perfectly, wherever it and its targets are: it counts only if no other has more. So does a target
+    # of which a sensor says no more than where it is.
     best = max(redundancy for redundancy, _, _ in ends)
     trusted = [redundancy > 0 or redundancy == best for redundancy, _, _ in ends]
-    for _, _, there in sorted(ends, key=lambda end: (end[0] > 0 or end[0] == best, -end[1])):
-        for (family, member), x in there.items():
-            values[family][0, member] = x
+    rank: dict[Entity, tuple[bool, bool, float]] = {}
+    for mount, trust, (_, misfit, there) in zip(entities, trusted, ends, strict=True):
+        for entity, x in there.items():
+            family, member = entity
+            determined = entity == mount or said[mount, entity] > FAMILIES[family].dim
+            if (trust, determined, -misfit) >= rank.get(entity, (False, False, -np.inf)):
+                rank[entity] = trust, determined, -misfit
+                values[family][0, member] = x
     known = {e for (_, _, there), trust in zip(ends, trusted, strict=True) if trust for e in there}
     for (_, _, there), entity, trust in zip(ends, entities, trusted, strict=True):
         if not trust and known.issuperset(set(there) - {entity}):
@@ -131,7 +140,7 @@ def start_beside(
 
 
 def all_redundant(rows: SurveyRows) -> bool:
-    """Tell whether what each sensor and beam has read is enough that no false start fits it."""
+    """Tell whether each sensor and beam that was read has `FEW_DEGREES` more numbers than unknowns."""
     mounts = dict.fromkeys(item.mount for item in rows.items)
     every = {mount: [item for item in rows.items if item.mount == mount] for mount in mounts}
     return all(
@@ -494,7 +503,7 @@ def _searched(
         _complete(rows, [item for item in own if item.target == target], values)
     values = {**values, POSE.name: rows.poses()}
     start = {name: x[:1] for name, x in values.items()}
-    blocks, _ = blocks_of(own, sigmas, start, given_poses=True)
+    blocks, owner = blocks_of(own, sigmas, start, given_poses=True)
     # Relations between targets that a sensor sees, and no more.
     seen = {rows.label(item.target) for item in own}
     ties = [r for known, r in relations_of(rows) if seen.issuperset(known.of)]
@@ -511,8 +520,12 @@ def _searched(
         options = LevenbergOptions(LAST_STEPS, least_damping=SINGULAR)
         ended = search(task.picked(some), values, options)
     # The mean square misfits of the shots, those that fit worst left out.
-    white = (whitened(block.evaluate(ended.values), block.weights)[-1] for block in blocks)
-    q = np.sort(np.concatenate([(e**2).mean(axis=2) for e in white], axis=1), axis=1)
+    white = [whitened(block.evaluate(ended.values), block.weights)[-1] for block in blocks]
+    e = np.concatenate([of_block.reshape(len(of_block), -1) for of_block in white], axis=1)
+    order = np.argsort(owner, kind="stable")
+    e, begins = e[:, order], np.flatnonzero(np.diff(owner[order], prepend=-1))
+    count = np.add.reduceat((e != 0.0).any(axis=0).astype(float), begins)
+    q = np.sort(np.add.reduceat(e**2, begins, axis=1) / np.maximum(count, 1.0), axis=1)
     # Of few shots those that fit best fit at a false minimum, too.
     trimmed = TRIMMED if _redundancy(own, (entity, *targets)) >= FEW_DEGREES else 1.0
     most = max(int(np.ceil(trimmed * q.shape[1])), 1)

@@ -26,7 +26,7 @@ from ..model.families import BEAM, PLANE, POSE
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from ..quantities import NEGLIGIBLE, TINY
+from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, TINY
 from .dense import DenseRows
 from .joint_solution import STEPS_IN_VAIN
 from .survey import SurveyEstimate, learned_sizes
@@ -127,7 +127,10 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
         looked_for += len(splits)
         columns = rows.derivatives[:, _place(state, entity)]
         late = stations[:, None] >= np.array(splits)
-        which = int(np.argmax(trial.gains(columns[:, None] * late[..., None])))
+        share = max(NUMBERS_AT_ONCE // columns.size, 1)
+        parts = [late[:, a : a + share, None] for a in range(0, len(splits), share)]
+        gains = [trial.gains(columns[:, None] * part) for part in parts]
+        which = int(np.argmax(np.concatenate(gains)))
         tried = trial(columns * late[:, [which]])
         best.append((entity, splits[which], tried))
     moves = []

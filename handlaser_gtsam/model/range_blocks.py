@@ -231,10 +231,10 @@ class PoseVariables:
 
 
 def members(values: Values, family: str, member: IntArray, rays: int = 1) -> FloatArray:
-    """Return the numbers (size, K, G, 1) of the member that each group of some rays sees.
+    """Return the numbers of the member that each of G groups of some rays sees.
 
-    They are (size, K, 1, 1) where all groups see one member, and (size, K, G, rays), each number as
-    often as there are rays, where these are at most `FEW_RAYS`.
+    They are (size, K, 1, 1) where all groups see one member, (size, K, G, rays), each number as often
+    as there are rays, where these are at most `FEW_RAYS`, and else (size, K, G, 1).
     """
     return of_groups(values[family], member, rays)
 
@@ -268,8 +268,9 @@ def by_beam(
 
     The covectors (3, K, G, S) are `a` of the origin of each ray, and s `turning` of its direction.
     """
-    basis = bases(values[BEAM.name][..., OF_DIRECTION])[:, member].transpose(2, 3, 0, 1)
-    turned = s * np.einsum("ijkg,ikgs->jkgs", basis, turning)
+    basis = bases(values[BEAM.name][..., OF_DIRECTION])
+    basis = of_groups(basis.reshape(*basis.shape[:2], -1), member)
+    turned = s * np.stack([dot(basis[tangent::2], turning) for tangent in range(2)])
     shape = np.broadcast_shapes(a.shape[1:], s.shape)
     return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in (a, turned)])
 

@@ -31,7 +31,7 @@ Index = slice | IntArray
 COMMON_NUMBERS = 400_000
 """Sums over the rows of stations that are formed at once: they stay in the processor's cache, and with
 few stations all are formed at once."""
-FEWER = 4
+FEWER = 8
 """Rows of groups that see the same variables are multiplied at once where groups are at least this many
 times as many as such runs: of one group at a time, a product of few rows takes a call of its own."""
 
@@ -148,10 +148,9 @@ class _GroupPlan:
     ----------
     block : int
     groups : Index
-        So that those which see the same variables are in runs.
     runs : tuple of slice
-        Of the groups, where these are many more: the rows of a run are multiplied at once. One a group
-        where it is empty.
+        Of groups in their order, each run those that see the same variables: its rows are multiplied at
+        once. Empty where groups are too few for that; then each is a run.
     columns : Index
         Columns of the rows by what stays.
     by_pattern : SumsByKey

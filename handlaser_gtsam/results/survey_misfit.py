@@ -351,8 +351,9 @@ def better_convention(shots: Shots, labels: tuple[str, ...]) -> str | None:
 def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     """Return the labels of planes and spheres that fit the other kind better, with that kind.
 
-    The shots of a target decide by themselves, and the whole survey with the other labels has to agree:
-    a ball that is seen in small parts looks flat in each, but not in all together.
+    The shots of a target decide by themselves, and the whole survey with the other labels has to agree,
+    as every sensor sees it that has a few shots there: a ball that is seen in small parts looks flat in
+    each, but not in all together. Without a quick start of all sensors nothing is said.
     """
     labels = [normal_label(label) for label in survey.stations.plane_labels]
     suspects = {
@@ -390,15 +391,19 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
         for label, kind in suspects.items()
         if renamed[label] not in flat
         and label in each
-        and max(map(np.median, each[label].values())) < GROSS
+        and all(
+            np.median(own) < GROSS
+            for own in each[label].values()
+            if len(own) >= min(3, max(map(len, each[label].values())))
+        )
     }
 
 
 def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) -> bool:
     """Tell whether the shots of all sensors before one target have the shape of the other kind.
 
-    Of few readings no sphere is known by its shot. Where none is, planes that others are labelled tell
-    whether this one is as flat.
+    Of few readings no sphere is known by its shot. Where no sensor knows one, the planes that others
+    are labelled tell each sensor whether this target is as flat, and one that finds it is not decides.
     """
     kind = kind_of(label)
     sure: list[tuple[Cost, Cost, float]] = []
@@ -433,7 +438,8 @@ def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Cost) -> bo
 def _much_better(sensors: Iterable[tuple[Cost, Cost, float]]) -> bool:
     """Tell whether the other way costs far less, and fits nearly all readings.
 
-    Each sensor has the way as stated, the other, and the variance of a reading [m^2].
+    Each sensor has the way as stated, the other, and the variance of a reading [m^2]: zero where no
+    shot of it has a shape, and it says nothing.
     """
     now = changed = 0.0
     many = gone = 0
@@ -460,7 +466,7 @@ def _squares(
     sigma : float, optional
         Standard deviation of a reading [m], where it is known.
     """
-    total, dof, lost = 0.0, 0, 0
+    total, dof, lost, rng = 0.0, 0, 0, np.random.default_rng(len(reading))
     order = np.argsort(shots.station, kind="stable")
     for target in OTHER_KIND:
         seen = np.array([s for s, kind in kinds.items() if kind == target], dtype=np.intp)
@@ -470,8 +476,9 @@ def _squares(
         points = int((ends - begins).sum()) // max(len(seen), 1)
         some = evenly(len(seen), max(20, 1000 // max(points, 1)))
         each = [order[begins[i] : ends[i]] for i in some.tolist()]
-        # 64 points tell a shape, and shots of equal length are condensed together.
-        each = [rows[evenly(len(rows), 64)] for rows in each]
+        # 64 points tell a shape, and shots of equal length are condensed together. They are drawn,
+        # because those at even steps of an image may lie on one line.
+        each = [rng.permutation(rows)[:64] for rows in each]
         tables = [(shots.across[rows], reading[rows]) for rows in each]
         for (_, d), shot in zip(
             tables, condensed_shots(KINDS[shots.kind], target, tables, sigma=sigma), strict=True
