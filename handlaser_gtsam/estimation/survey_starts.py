@@ -1,12 +1,12 @@
 r"""Starts of sensors of many rays, and of beams on spheres and points, without a guess.
 
-Before planes, a few rays of a sensor are beams: their readings, from the shape of each shot, go through
-the ordinary search for a start, and two points on each ray tell the mount (Kabsch). Where that may have
-too few stations, the normal of one plane is tried in all directions: for each, mount and offset follow
-from a linear system of all rays. Before spheres, the centre that a shot shows gives
-R (R_X m + t_X) + t = C, linear in the mount and the centres; a profile's circle leaves the sign of its
-distance from the centre open, so that signs and the linear solution alternate. A beam on a point is
-linear, and one on a sphere is tried in random directions.
+Before planes, the normal of one plane is tried in all directions: for each, mount and offset follow
+from a linear system of all rays. Beams before planes, and sensors as a last resort, go through the
+ordinary search for a start: a few rays of a sensor are beams then, with readings from the shape of each
+shot, and two points on each ray tell the mount (Kabsch). Before spheres, the centre that a shot shows
+gives R (R_X m + t_X) + t = C, linear in the mount and the centres; a profile's circle leaves the sign
+of its distance from the centre open, so that signs and the linear solution alternate. A beam on a
+point is linear, and one on a sphere is tried in random directions.
 
 Each sensor, and each beam, is searched by itself from all its starts together; best ends are joined.
 """
@@ -91,8 +91,8 @@ def start_of(
     for item in rows.items:
         said[item.mount, item.target] += item.numbers
     # Each target as the sensor has it that fits best for its size. One without redundancy fits
-    # perfectly, wherever it and its targets are: it counts only if no other has more. So does a target
-    # of which a sensor says no more than where it is.
+    # perfectly, wherever it and its targets are, and so does a target of which a sensor says no more
+    # than where it is: they count only if no other says more.
     best = max(redundancy for redundancy, _, _ in ends)
     trusted = [redundancy > 0 or redundancy == best for redundancy, _, _ in ends]
     rank: dict[Entity, tuple[bool, bool, float]] = {}
