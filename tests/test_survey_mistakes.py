@@ -476,6 +476,8 @@ def test_shots_that_know_a_ball_speak_for_those_of_few_zones():
     """An array with too few zones for a sphere finds planes bent; a scanner and a profiler do not."""
     survey = survey_of(rigs_by_distance.mixed(3))
     assert not better_kinds(survey, hl.Noise())
+    every = survey.stations.plane_labels
+    assert not any(_looks_other(survey.shots, every, label) for label in set(every))
     array = replace(survey, shots=tuple(one for one in survey.shots if one.kind == "array"))
     labels = array.stations.plane_labels
     assert any(_looks_other(array.shots, labels, label) for label in set(labels))
