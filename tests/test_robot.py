@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.planned_cell import ERR, SENSOR
+from handlaser_gtsam.planning import plan as plan_module
 from handlaser_gtsam.planning import route
 from handlaser_gtsam.planning.belief import belief_of
 from handlaser_gtsam.planning.route import driven
@@ -151,6 +152,12 @@ def test_an_arm_that_touches_itself_is_refused(small):
 
 
 # --- plans -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def few_candidates(monkeypatch):
+    """Let plans choose among 200 stations: joints of 1,200, as ever, take most of their time."""
+    monkeypatch.setattr(plan_module, "POOL", 200)
 
 
 @pytest.fixture(scope="module")
