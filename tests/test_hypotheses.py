@@ -114,7 +114,7 @@ def changed_half_way(recording, column):
 @pytest.mark.slow
 @pytest.mark.parametrize("column", ["ranges", "ranges of beam 1", "positions"])
 def test_a_unit_that_changes_half_way_is_named_once(column):
-    recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
+    recording, _ = simulated("arm", Layout(2, 2, 10), 1e-4, 4)
     found = hl.calibrate(changed_half_way(recording, column), hl.Noise())
     middle = recording.station_names[len(recording.ranges) // 2]
     words = (
@@ -128,7 +128,7 @@ def test_a_unit_that_changes_half_way_is_named_once(column):
 @pytest.mark.slow
 @pytest.mark.parametrize(("unit", "metres"), [("millimetres", 1e-3), ("inches", 0.0254)])
 def test_one_beam_in_another_unit_is_named(unit, metres):
-    recording, _ = simulated("arm", Layout(3, 3, 14), 1e-4, 4)
+    recording, _ = simulated("arm", Layout(3, 2, 10), 1e-4, 4)
     ranges = recording.ranges / [1.0, metres, 1.0]
     found = hl.calibrate(replace(recording, ranges=ranges))
     assert found.status != "converged"

@@ -78,22 +78,27 @@ def test_a_robust_loss_bears_outliers_that_are_kept(spoilt, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ROBUST)
 def test_the_covariance_of_a_robust_estimate_matches_its_scatter(name):
-    """NEES of beam 1's location over recordings with 10 % of the readings off."""
+    """NEES of all unknowns, a beam and three planes, over recordings with 10 % of the readings off."""
     rng = np.random.default_rng(1)
     truth, stations = hl.scenes.arm(Layout(1, 3, 30), rng)
     options = hl.CalibrationOptions("none", outliers="keep", loss=name)
+    true = np.concatenate((truth.locations[0], truth.directions[0], truth.range_errors[0]))
+    true = np.concatenate((true, np.column_stack((truth.normals, truth.offsets)).ravel()))
     nees = []
-    for _ in range(60):
+    for _ in range(13):
         recording = hl.simulate.simulate(truth, stations, hl.simulate.Errors(SIGMA), rng)
         ranges = recording.ranges.copy()
         off = rng.random(ranges.shape) < 0.1
         ranges[off] += 10 * SIGMA * rng.standard_normal(off.sum())
         found = hl.calibrate(replace(recording, ranges=ranges), NOISE, options)
-        beam = found.beams["1"]
-        error = beam.location - truth.locations[0]
-        nees.append(error @ np.linalg.solve(beam.covariance[:3, :3], error))
-    # The mean of n draws of chi2(3) has standard deviation sqrt(6 / n); three of them.
-    assert np.mean(nees) == pytest.approx(3.0, abs=3.0 * math.sqrt(6.0 / len(nees)))
+        S, parts = found.covariance.matrix(), (*found.beams.values(), *found.planes.values())
+        error = np.concatenate([part.coordinates for part in parts]) - true
+        # In units in which variances are one; k1, k2 and what lies along unit vectors have none.
+        unit = np.where(np.diagonal(S) > 0.0, np.sqrt(np.diagonal(S)), 1.0)
+        variances, axes = np.linalg.eigh(S / np.outer(unit, unit))
+        nees.append(((axes.T @ (error / unit))[-14:] ** 2 / variances[-14:]).sum())
+    # The mean of n draws of chi2(14) has standard deviation sqrt(28 / n); three of them.
+    assert np.mean(nees) == pytest.approx(14.0, abs=3.0 * math.sqrt(28.0 / len(nees)))
 
 
 @pytest.mark.parametrize("name", ROBUST)

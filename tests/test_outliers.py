@@ -30,7 +30,7 @@ def spoilt(recording, share, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "told", "seed"),
-    [("paper", True, 1), ("paper", False, 2), ("arm", True, 3), ("arm", False, 1)],
+    [("paper", False, 2), ("arm", True, 3)],
 )
 def test_a_third_of_garbage_does_not_move_the_result(scene, told, seed):
     recording, _ = simulated(scene, range_sigma=SIGMA[scene], seed=seed)
