@@ -98,12 +98,17 @@ class Seen:
     scope="module", params=[(n, w) for n in ("good", "hostile", "open") for w in WIDTHS]
 )
 def seen(request, chromium, reports):
+    """Pages that are looked at; what a test changes it puts back."""
     name, width = request.param
-    found = Seen(chromium, reports / f"{name}.html", width)
+    if request.param == ("good", 1280):
+        found = request.getfixturevalue("good")
+    else:
+        found = Seen(chromium, reports / f"{name}.html", width)
     found.name, found.width = name, width
     found.show_space()
     yield found
-    found.page.close()
+    if request.param != ("good", 1280):
+        found.page.close()
 
 
 @pytest.fixture(scope="module")
@@ -302,16 +307,19 @@ def test_nothing_overlaps_and_no_text_is_cut(seen):
     assert seen.evaluate(FAULTS, ROUNDING) == []
 
 
-def test_the_checks_of_the_layout_find_what_they_look_for(chromium, reports):
+@pytest.mark.parametrize("seen", [("good", 390)], indirect=True)
+def test_the_checks_of_the_layout_find_what_they_look_for(seen):
     """A box moved over its neighbour, a cell that does not break, and a page too wide are found."""
-    found = Seen(chromium, reports / "good.html", 390)
-    found.page.add_style_tag(content="#fit h2 { margin-bottom: -60px; padding-bottom: 40px }")
-    assert any(one.startswith("overlap") for one in found.evaluate(FAULTS, ROUNDING))
-    found.page.add_style_tag(content="#table-planes td { padding-right: 40px }")
-    assert any(one.startswith("cut") for one in found.evaluate(FAULTS, ROUNDING))
-    found.page.add_style_tag(content="#next p { width: 500px; white-space: nowrap }")
-    assert any("wider than" in one for one in found.evaluate(FAULTS, ROUNDING))
-    found.page.close()
+    styles = {
+        "overlap: ": "#fit h2 { margin-bottom: -60px; padding-bottom: 40px }",
+        "cut: ": "#table-planes td { padding-right: 40px }",
+        "the page is wider than": "#next p { width: 500px; white-space: nowrap }",
+    }
+    for words, style in styles.items():
+        tag = seen.page.add_style_tag(content=style)
+        assert any(one.startswith(words) for one in seen.evaluate(FAULTS, ROUNDING))
+        tag.evaluate("one => one.remove()")
+    assert seen.evaluate(FAULTS, ROUNDING) == []
 
 
 def _until_drawn_again(found):
@@ -325,12 +333,23 @@ def _until_drawn_again(found):
     found.page.wait_for_timeout(500)
 
 
-def test_a_window_that_changes_its_size_is_laid_out_anew(chromium, reports):
+def test_a_window_that_changes_its_size_is_laid_out_anew_and_so_is_paper(chromium, reports):
+    """Paper is as wide as A4 within its margins: stills instead of what turns, and nothing cut."""
     found = Seen(chromium, reports / "good.html", 1280)
     for width in (390, 800, 1280):
         found.page.set_viewport_size({"width": width, "height": 900})
         _until_drawn_again(found)
         assert found.evaluate(FAULTS, ROUNDING) == [], width
+    found.page.set_viewport_size({"width": 688, "height": 1000})
+    _until_drawn_again(found)
+    found.page.emulate_media(media="print")
+    assert found.evaluate(FAULTS, ROUNDING) == []
+    assert not found.page.is_visible("nav")
+    assert not found.page.is_visible("#save")
+    assert found.page.is_visible("[data-space=space-world] .still svg")
+    assert found.page.is_visible("[data-space=space-hand] .still svg")
+    assert found.page.locator(".space canvas:visible").count() == 0
+    assert found.page.is_visible(".sign")
     assert found.faults == []
     found.page.close()
 
@@ -347,32 +366,16 @@ def test_without_scripts_the_page_is_whole_but_for_its_figures(chromium, reports
     context.close()
 
 
-def test_it_is_laid_out_on_paper(chromium, reports):
-    """As wide as A4 within its margins: stills instead of what turns, and nothing cut."""
-    found = Seen(chromium, reports / "good.html", 1280)
-    found.page.set_viewport_size({"width": 688, "height": 1000})
-    _until_drawn_again(found)
-    found.page.emulate_media(media="print")
-    assert found.evaluate(FAULTS, ROUNDING) == []
-    assert not found.page.is_visible("nav")
-    assert not found.page.is_visible("#save")
-    assert found.page.is_visible("[data-space=space-world] .still svg")
-    assert found.page.is_visible("[data-space=space-hand] .still svg")
-    assert found.page.locator(".space canvas:visible").count() == 0
-    assert found.page.is_visible(".sign")
-    found.page.close()
-
-
-@pytest.mark.parametrize("name", ["good", "hostile", "open"])
-def test_it_prints_to_a4_pages(chromium, reports, name):
-    found = Seen(chromium, reports / f"{name}.html", 1280)
-    content = found.page.pdf(prefer_css_page_size=True, print_background=True)
+@pytest.mark.parametrize(
+    "seen", [(name, 1280) for name in ("good", "hostile", "open")], indirect=True
+)
+def test_it_prints_to_a4_pages(seen):
+    content = seen.page.pdf(prefer_css_page_size=True, print_background=True)
     boxes = re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", content)
     assert 3 <= len(boxes) <= 20
     for width, height in boxes:  # 210 by 297 mm in points
         assert float(width) == pytest.approx(595.3, abs=1.0)
         assert float(height) == pytest.approx(841.9, abs=1.0)
-    found.page.close()
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="needs pdftotext")
