@@ -26,13 +26,15 @@ NAMED = (
     "plate-moves-20mm",
     "read-on-the-way",
 )
+SMALL = {"plate-moves-20mm": 54}
+"""Seeds of the smallest cells, two sensors before two plates: 11 where nothing is said."""
 HARMLESS = ("none", "gross-3%", "readings-1mm", "poses-rounded", "tool-wrong-throughout")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMED)
 def test_the_headline_names_the_mistake(name):
-    row = judge((name, 3), None)
+    row = judge((name, SMALL.get(name, 11)), None)
     assert row.named, row.headline
     assert row.outcome != "silent"
     assert row.headline.count("read so") <= 1  # what is named is said once
@@ -41,7 +43,7 @@ def test_the_headline_names_the_mistake(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HARMLESS)
 def test_what_does_no_harm_stays_usable_and_right(name):
-    row = judge((name, 3), None)
+    row = judge((name, 11), None)
     assert row.outcome in ("silent", "care"), row.headline
     assert not row.wrong
 
