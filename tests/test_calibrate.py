@@ -122,7 +122,7 @@ def test_the_given_sigma_scales_chi2(gripper):
 
 @pytest.mark.slow
 def test_covariance_matches_the_scatter_of_runs():
-    """Recordings of one scene: the mean NEES of beam 1 is near its 7 degrees of freedom.
+    """Recordings of one scene: the mean NEES of four beams is near their 28 degrees of freedom.
 
     A thousand recordings are studied by `benchmarks.uncertainty`.
     """
@@ -131,20 +131,20 @@ def test_covariance_matches_the_scatter_of_runs():
     layout = Layout(k1=0.01, k2=1.0)
     truth, stations = hl.scenes.paper(layout, rng)
     nees = []
-    for _ in range(60):
+    for _ in range(15):
         recording = hl.simulate.simulate(truth, stations, hl.simulate.Errors(SIGMA), rng)
-        beam = hl.calibrate(recording, noise, options).beams["1"]
-        error = np.concatenate(
-            (
-                beam.location - truth.locations[0],
-                beam.direction - truth.directions[0],
-                beam.range_error - truth.range_errors[0],
-            )
-        )
-        variances, axes = np.linalg.eigh(beam.covariance)
-        nees.append(((axes.T @ error)[1:] ** 2 / variances[1:]).sum())
-    # The mean of n draws of chi2(7) has standard deviation sqrt(14 / n); three of them.
-    assert np.mean(nees) == pytest.approx(7.0, abs=3.0 * math.sqrt(14.0 / len(nees)))
+        found = hl.calibrate(recording, noise, options)
+        S, beams = found.covariance.matrix(planes=[]), found.beams.values()
+        for i, beam in enumerate(beams):
+            assert np.allclose(beam.covariance, S[8 * i : 8 * i + 8, 8 * i : 8 * i + 8], rtol=1e-9)
+        true = np.hstack((truth.locations, truth.directions, truth.range_errors))
+        error = np.concatenate([beam.coordinates for beam in beams]) - true.ravel()
+        # In units in which all variances are one; that along each direction is nothing.
+        unit = np.sqrt(np.diagonal(S))
+        variances, axes = np.linalg.eigh(S / np.outer(unit, unit))
+        nees.append(((axes.T @ (error / unit))[4:] ** 2 / variances[4:]).sum())
+    # The mean of n draws of chi2(28) has standard deviation sqrt(56 / n); three of them.
+    assert np.mean(nees) == pytest.approx(28.0, abs=3.0 * math.sqrt(56.0 / len(nees)))
 
 
 def with_range_errors(scale, beams, seed, sigma=1e-4):
