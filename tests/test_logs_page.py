@@ -1,8 +1,8 @@
 """The page on logs runs as it is written."""
 
 import re
+import runpy
 import shlex
-import subprocess
 import sys
 import tomllib
 
@@ -41,7 +41,8 @@ def test_commands_of_the_page(line, handlaser, monkeypatch, tmp_path):
 def test_commands_for_bags(handlaser, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     first, *others = map(shlex.split, BAGS)
-    subprocess.run([sys.executable, ROOT / first[1], *first[2:]], check=True)
+    monkeypatch.setattr(sys, "argv", first[1:])
+    runpy.run_path(str(ROOT / first[1]), run_name="__main__")
     for words in others:
         assert words[0] == "handlaser"
         code, out, err = handlaser(*words[1:])

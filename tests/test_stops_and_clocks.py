@@ -107,17 +107,16 @@ def write_log(path, one, plane=False):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stand_s", [0.25, 0.5])
-@pytest.mark.parametrize(("speed", "rate"), [(0.5, 125.0), (3.0, 30.0)])
+@pytest.mark.parametrize(("speed", "rate", "stand_s"), [(0.5, 125.0, 0.5), (3.0, 30.0, 0.25)])
 def test_every_stop_is_found_with_the_label_of_its_middle(tmp_path, speed, rate, stand_s):
     """The label is set on arrival, some tenths of a second into the stop."""
-    one = drive(SEED, speed=speed, rate=rate)
+    one = drive(SEED, stops=20, speed=speed, rate=rate)
     one.plane = one.plane[np.searchsorted(one.time, one.time - 0.4)]
     write_log(tmp_path / "log.csv", one, plane=True)
     given = hl.LogFormat(stands=True, stand_s=stand_s, plane_column="plane")
     report = hl.describe_log(tmp_path / "log.csv", given)
-    assert report.recording.plane_labels == ("0",) * 30 + ("1",) * 30
-    assert any(line.startswith("60 moments at which the hand stands") for line in report.lines)
+    assert report.recording.plane_labels == ("0",) * 10 + ("1",) * 10
+    assert any(line.startswith("20 moments at which the hand stands") for line in report.lines)
 
 
 def test_a_stop_that_creeps_is_trimmed_and_what_is_dropped_is_said(tmp_path):
@@ -169,10 +168,10 @@ def test_a_log_without_planes_says_how_many_stations_there_are(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("rate", "noise"), [(30.0, 1e-4), (125.0, 1e-5), (500.0, 1e-4)])
+@pytest.mark.parametrize(("rate", "noise"), [(30.0, 1e-4), (500.0, 1e-4)])
 def test_noise_of_poses_is_no_motion(tmp_path, rate, noise):
     """Neighbouring rows differ by more than --stand-mm, whose means agree."""
-    one = drive(SEED, stops=20, rate=rate)
+    one = drive(SEED, stops=10, rate=rate)
     rng = np.random.default_rng(SEED)
     one.position = one.position + noise * rng.standard_normal(one.position.shape)
     one.turn = one.turn * Rotation.from_rotvec(
@@ -182,7 +181,7 @@ def test_noise_of_poses_is_no_motion(tmp_path, rate, noise):
     report = hl.describe_log(
         tmp_path / "log.csv", hl.LogFormat(stands=True, plane="A", as_stated=True)
     )
-    assert len(report.recording.plane_labels) == 20
+    assert len(report.recording.plane_labels) == 10
 
 
 def test_rows_too_rare_for_stops_are_called_so(tmp_path):
@@ -217,10 +216,10 @@ def test_an_offset_of_any_size_is_found(tmp_path, offset):
 @pytest.mark.parametrize("offset", [0.05, 4000.0])
 def test_sensors_that_read_on_the_way_to_another_plane_hide_no_offset(tmp_path, offset):
     """The label is set on arrival: on the way readings of the next plane have that of the last one."""
-    one = drive(SEED, stops=24, planes=3)
+    one = drive(SEED, stops=12, planes=3)
     at, ranges = one.late(offset, 80.0)
     arrived = np.searchsorted(one.rest[:, 0], at - offset, side="right") - 1
-    label = np.repeat([1.0, 2.0, 3.0], 8)[arrived]
+    label = np.repeat([1.0, 2.0, 3.0], 4)[arrived]
     write_poses(tmp_path / "poses.csv", one)
     write_table(tmp_path / "readings.csv", "time,range_1,range_2,plane", at, ranges, label)
     form = hl.LogFormat(
@@ -228,7 +227,7 @@ def test_sensors_that_read_on_the_way_to_another_plane_hide_no_offset(tmp_path, 
     )
     report = hl.describe_log(tmp_path / "poses.csv", form)
     assert abs(report.lag - offset) < 2e-3
-    assert report.recording.plane_labels == ("1",) * 8 + ("2",) * 8 + ("3",) * 8
+    assert report.recording.plane_labels == ("1",) * 4 + ("2",) * 4 + ("3",) * 4
 
 
 @pytest.mark.slow
@@ -248,9 +247,8 @@ def test_a_rough_lag_is_where_the_search_begins(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("turn_deg", [20.0, 70.0])
-def test_the_lag_of_a_hand_that_turns_far_is_found(tmp_path, turn_deg):
-    one = drive(SEED, stops=14, planes=1, turn_deg=0.5 * turn_deg, rest_s=0.3)
+def test_the_lag_of_a_hand_that_turns_far_is_found(tmp_path):
+    one = drive(SEED, stops=14, planes=1, turn_deg=35.0, rest_s=0.3)
     report = joined(tmp_path, one, 0.04, plane="A", stand_s=0.2)
     assert abs(report.lag - 0.04) < 2e-3
 
@@ -327,10 +325,10 @@ def test_an_offset_is_found_of_an_arm_that_never_stops(tmp_path, offset):
 @pytest.mark.slow
 @pytest.mark.parametrize("jump", [0.05, 0.5])
 def test_a_clock_that_is_set_in_between_has_no_lag(tmp_path, jump):
-    one = wander(18)
+    one = wander(18, duration=30.0)
     at, d = one.late(0.04, 80.0)
     write_poses(tmp_path / "poses.csv", one)
-    write_readings(tmp_path / "readings.csv", at + jump * (at > 30.0), d)
+    write_readings(tmp_path / "readings.csv", at + jump * (at > 15.0), d)
     given = hl.LogFormat(
         readings=tmp_path / "readings.csv",
         interpolate=True,
