@@ -9,6 +9,7 @@ import pytest
 from helpers import first_and_slow, simulated
 
 import handlaser_gtsam as hl
+from benchmarks import drift
 from benchmarks.drift import CASES, run_once
 from handlaser_gtsam import model
 from handlaser_gtsam.session import moved_beam, state
@@ -67,8 +68,10 @@ def test_what_nothing_has_moved_is_quiet():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
-def test_study_of_drift(case):
-    """One run with and one without a change of what `benchmarks.drift` counts."""
+def test_study_of_drift(case, monkeypatch):
+    """One run with and one without a change of what `benchmarks.drift` counts, of twelve planes."""
+    monkeypatch.setattr(drift, "PLANES", 12)
+    monkeypatch.setattr(drift, "BEFORE", 6)
     assert run_once(case, TURN, "arm", 1)[0]
     assert not run_once(case, 0.0, "arm", 101)[3]
 

@@ -86,6 +86,6 @@ def test_many_recordings_scatter_about_the_truth(pose_sigma):
 
 @pytest.mark.slow
 def test_the_second_solver_finds_the_same():
-    recording, *_ = cell(2, 2000, (1e-3, 2e-3))
+    recording, *_ = cell(2, 500, (1e-3, 2e-3))
     found = hl.calibrate(recording, hl.Noise(SIGMA, 1e-3, 2e-3), EXACT)
     assert hl.cross_check(found, recording).largest < 1e-3

@@ -122,8 +122,11 @@ def test_indices_do_not_depend_on_units_or_noise():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("judge", "problems"), [(judge_solvable, 24), (judge_unsolvable, 12)])
+@pytest.mark.parametrize(("judge", "problems"), [(judge_solvable, 8), (judge_unsolvable, 5)])
 def test_random_problems_end_at_the_optimum_or_in_a_refusal(judge, problems):
-    """The first of the 12,000 whose study by `benchmarks.random_problems` is in docs/results.md."""
+    """The first of the 12,000 whose study by `benchmarks.random_problems` is in docs/results.md.
+
+    The gate goes through the first 40 and 20 of them by that command.
+    """
     verdicts = [judge(seed) for seed in range(problems)]
     assert [one for one in verdicts if not one.good] == []
