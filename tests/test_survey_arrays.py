@@ -132,6 +132,7 @@ def test_a_near_echo_that_pulls_nothing_is_no_reason():
     assert "behind-echo" not in {one.code for one in found.warnings}
     assert found.usable
     assert error_of(found, mount, place) < BY_CHANCE
+    assert (found._found.spread == 1.0).all()  # no reading is of something else
 
 
 @cache
@@ -153,8 +154,6 @@ def test_zones_on_something_else_are_sorted_out_by_all_shots():
     assert max(squares) < BY_CHANCE
     check = hl.validation.cross_check_survey(found)
     assert check.largest_sigma < 0.05  # SciPy, of the noise alone; linear to first order
-    clean, _, _ = cluttered(0)
-    assert (hl.calibrate(clean, EXACT)._found.spread == 1.0).all()
 
 
 @pytest.mark.slow
@@ -233,9 +232,9 @@ def calibrated(name, convention, every=1):
 @pytest.mark.parametrize(
     ("name", "convention", "every"),
     [
-        ("tall_block", "radial", 1),
+        ("tall_block", "radial", 3),
         ("tall_block", "perpendicular", 2),
-        ("tall_block_random", "radial", 1),
+        ("tall_block_random", "radial", 3),
     ],
 )
 def test_a_real_array_is_told_what_pulls_its_far_echoes(name, convention, every):
@@ -252,13 +251,12 @@ def test_two_recordings_of_a_real_array_agree():
     """The recorded pose is that of the flange, some 20 mm behind the sensor, by the block's height."""
     mounts = []
     for name in ("tall_block", "tall_block_random"):
-        survey = recorded(name, "radial")
-        warnings = calibrated(name, "radial").warnings
+        survey = recorded(name, "radial", 3)
+        warnings = calibrated(name, "radial", 3).warnings
         (pulled,) = [one for one in warnings if one.code == "behind-echo"]
         clear = survey.shots[0].clear_of(pulled.values["limit_mm"] / 1e3)
         found = hl.calibrate(replace(survey, shots=(clear,)))
-        # In one of them readings seem 7 % short, which would move a spot by more than is stated.
-        assert found.verdict.code in ("usable-with-care", "systematic-error")
+        assert found.verdict.code == "usable-with-care"
         mounts.append(found.sensors["tof"])
         assert np.abs(Rotation.from_matrix(mounts[-1].rotation).as_rotvec()).max() < np.radians(8.0)
         assert abs(mounts[-1].location[2] - 0.02) < 3.0 * mounts[-1].location_sigma[2]
@@ -272,7 +270,7 @@ def test_two_recordings_of_a_real_array_agree():
 @pytest.mark.slow
 @pytest.mark.skipif(not LCSPC.is_dir(), reason=f"no recordings in {LCSPC}")
 def test_far_echoes_at_small_tilts_determine_no_mount():
-    found = hl.calibrate(recorded("pyramid", "radial"))
+    found = hl.calibrate(recorded("pyramid", "radial", 2))
     assert found.status == "undetermined"
 
 
