@@ -35,6 +35,7 @@ from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
 from handlaser_gtsam.model.targets.plane import PlaneTarget
 from handlaser_gtsam.model.targets.point import POINT
 from handlaser_gtsam.model.targets.sphere import SPHERE
+from handlaser_gtsam.pipeline import calibrate_survey
 from handlaser_gtsam.results.description.survey import facts
 from handlaser_gtsam.results.survey_warnings import rejected_shot
 
@@ -131,7 +132,7 @@ def test_noise_that_next_to_nothing_tells_is_as_is_usual_and_said():
     assert "the noise of beam beam" in result.verdict.sentence
     off = rig.truth["beam"]["location"] - result.beams["beam"].location
     assert (np.abs(off) < 4.0 * result.beams["beam"].location_sigma).all()
-    stated = hl.calibrate(survey, replace(noise, range_sigma=1e-4))
+    stated = calibrate_survey(survey, replace(noise, range_sigma=1e-4), result)
     assert not stated.warnings
 
 

@@ -72,7 +72,6 @@ def test_what_is_simulated_is_calibrated_within_its_covariance(handlaser, tmp_pa
 
 FEW = {
     # Sensors, targets, stations and beams.
-    "spheres": ("profiler", "sphere:a,sphere:b,sphere:c", 14, 2),
     "two spheres": ("profiler", "sphere:a,sphere:b", 14, 2),
     "a plane, a sphere and a point": ("profiler", "plane:A,sphere:b,point:tip", 8, 2),
     "three beams": ("profiler", "sphere:a,sphere:b,sphere:c", 10, 3),  # held targets find these

@@ -503,10 +503,11 @@ def two_profiled(walls, seed, *known):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("walls", [UPRIGHT, LEANING], ids=["upright", "leaning"])
-def test_two_profilers_have_mirror_images_alone_before_upright_walls_only(walls):
+@pytest.mark.parametrize(
+    ("walls", "seed"), [(UPRIGHT, 3), (LEANING, 0)], ids=["upright", "leaning"]
+)
+def test_two_profilers_have_mirror_images_alone_before_upright_walls_only(walls, seed):
     """A wall that leans ties the two: then a drawing of one of them tells the other, too."""
-    seed = 0
     both = hl.calibrate(two_profiled(walls, seed), STATED)
     assert both.status == "undetermined"
     for name in "su":
