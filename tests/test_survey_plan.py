@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import EXACT, survey_of
+from handlaser_gtsam import pipeline
 from handlaser_gtsam.files.recording_csv import write_stations
+from handlaser_gtsam.planning import plan as planning
 from handlaser_gtsam.planning.workspace import Workspace
 
 needs_pinocchio = pytest.mark.skipif(not HAS_PINOCCHIO, reason="needs pinocchio")
@@ -64,6 +66,25 @@ def found_from_six(largest):
     rng = np.random.default_rng(2)
     poses = list(looking(rng.uniform(-largest, largest, (6, 2)), rng))
     return poses, hl.calibrate(measured(poses, rng), EXACT)
+
+
+def remembering(real):
+    """A function that returns what another one returned when it was called first."""
+    made = []
+
+    def first(*given, **options):
+        if not made:
+            made.append(real(*given, **options))
+        return made[0]
+
+    return first
+
+
+@pytest.fixture
+def once(monkeypatch):
+    """What the command calibrates and plans is computed once, for all ways in which it is shown."""
+    for module, name in ((pipeline, "calibrate"), (planning, "plan")):
+        monkeypatch.setattr(module, name, remembering(getattr(module, name)))
 
 
 @pytest.mark.slow
@@ -274,6 +295,7 @@ def test_a_cone_beside_a_profiler_does_not_hide_what_is_planned(handlaser, tmp_p
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("once")
 @pytest.mark.parametrize(("largest", "code"), [(30.0, 0), (1e-3, 3)])
 def test_the_command_says_what_is_open_and_whether_the_stations_mend_it(
     largest, code, handlaser, tmp_path
@@ -318,6 +340,7 @@ def test_the_command_says_what_is_open_and_whether_the_stations_mend_it(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("once")
 def test_the_command(handlaser, refusal, tmp_path):
     poses, rig = (str(ROOT / "examples/profiler" / name) for name in ("poses.csv", "rig.toml"))
     out = tmp_path / "next.csv"
