@@ -344,9 +344,11 @@ def _least_squares(
 
 
 def _counted(block: Block, values: Values) -> BoolArray:
-    """Return which rows (G, S) of a block weigh anything."""
-    shape, root = block.evaluate(values).columns.shape[2:], block.weights.root
-    return np.broadcast_to(True if root is None else root[0] > 0.0, shape)
+    """Return which rows (G, S) of a block weigh anything; only where all do, rows are computed."""
+    root = block.weights.root
+    if root is None:
+        return np.ones(block.evaluate(values).columns.shape[2:], dtype=bool)
+    return np.asarray(root[0] > 0.0)
 
 
 def _rows(blocks: Iterable[Block], values: Values) -> int:

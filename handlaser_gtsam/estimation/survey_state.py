@@ -16,6 +16,7 @@ from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from .dense import DenseRows, with_pose_errors
 from .estimate import BlockProblem, descended, minimum
+from .joint_solution import STEPS_IN_VAIN
 from .survey_noise import Components
 from .survey_rows import SurveyRows, blocks_of, near_the_hand, priors_of, relations_of
 
@@ -95,9 +96,9 @@ class SurveyState:
         relations, holds = self.relations, near_the_hand(self.rows)
         held = relations_of(replace(self.rows, known=(*self.rows.known, *holds)))[-len(holds) :]
         self.relations = [*relations, *held]
-        self.minimize()
+        self.minimize(STEPS_IN_VAIN)
         self.relations = relations
-        self.minimize()
+        self.minimize(STEPS_IN_VAIN)
 
     def _held(self) -> Iterator[Block]:
         """Yield what holds bodies along what their faces leave open."""

@@ -30,6 +30,10 @@ COST_RESOLUTION = 1e-10
 """Changes of the cost below this part of it are rounding, not evidence."""
 LEVEL_STEPS = 6
 """Steps in a row below the resolution of the cost that end a search: fewer occur before a minimum."""
+CREEPING_STEP, CREEPING_AFTER = 1e-6, 100
+"""A search ends, too, after the second number of trials, when `LEVEL_STEPS` accepted steps in a row have
+saved less than the first each [squared standard deviations]. It creeps along what is not determined,
+where it would go on for hundreds of steps; one that arrives at a minimum seldom takes 100 trials."""
 
 
 class StoppingRule:
@@ -368,7 +372,7 @@ class _Search:
             options.step_tolerance, options.least_damping, problem.rounding, problem.dof
         )
         self.trials = 0
-        self.iterations = np.zeros(K, dtype=np.intp)
+        self.iterations, self.creeping = np.zeros((2, K), dtype=np.intp)
         self.found = Searched(
             {name: np.empty_like(x) for name, x in values.items()},
             np.empty(K),
@@ -461,8 +465,12 @@ class _Search:
         better = gain > 0.0
         self.iterations += better
         self._tell(decrement, trial.cost, better)
+        if self.trials > CREEPING_AFTER:
+            creeps = self.at.cost - trial.cost < CREEPING_STEP
+            self.creeping = np.where(better, (self.creeping + 1) * creeps, self.creeping)
         self._accept(better, trial)
         arrived = (arrived & ~self.tightening) | stopping.is_level()
+        arrived |= (self.creeping >= LEVEL_STEPS) & ~self.tightening
         self.damping = self.options.adapted(self.damping, gain)
         self._leave(arrived | (self.damping > self.options.most_damping), ~arrived)
 
@@ -505,7 +513,7 @@ class _Search:
         if rest.size:
             self.at, self.problem = at.picked(rest), self.problem.picked(rest)
             self.stopping = self.stopping.picked(rest)
-            for name in ("iterations", "tightening", "damping"):
+            for name in ("iterations", "creeping", "tightening", "damping"):
                 setattr(self, name, getattr(self, name)[rest])
         return rest
 
