@@ -47,8 +47,8 @@ NO_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit: the readings tell hardly a
 digit."""
 STEPS_IN_VAIN = 100
-"""A search that is no fit after this number of steps is ended: it has no minimum to arrive at. One along
-what is undetermined creeps from there on, by thousandths of a standard deviation."""
+"""A search that is no fit after this number of steps is ended: it has no minimum to arrive at. Along
+what is undetermined it creeps from there on, by thousandths of a standard deviation."""
 
 
 _Point = tuple[FloatArray, FloatArray]

@@ -31,9 +31,9 @@ COST_RESOLUTION = 1e-10
 LEVEL_STEPS = 6
 """Steps in a row below the resolution of the cost that end a search: fewer occur before a minimum."""
 CREEPING_STEP, CREEPING_AFTER = 1e-6, 100
-"""A search ends, too, after the second number of trials, when `LEVEL_STEPS` accepted steps in a row have
-saved less than the first each [squared standard deviations]. It creeps along what is not determined,
-where it would go on for hundreds of steps; one that arrives at a minimum seldom takes 100 trials."""
+"""A search ends, too, after the second number of trials where `LEVEL_STEPS` accepted steps running save
+less than the first each [squared standard deviations]. It creeps along what is not determined, where
+it would go on for hundreds of steps; one that arrives at a minimum seldom takes 100 trials."""
 
 
 class StoppingRule:
