@@ -1,8 +1,9 @@
 """How well a calibration agrees with readings that it has not seen, of single targets or of splits.
 
 A reading that was rejected as an outlier of the whole recording stays rejected. Of a survey the mounts
-are found again with the rest alone, and what the other shots add to the sum of squares is compared with
-what it should be; and SciPy solves its points again, by formulas of its own (`solvers/reference`).
+are found again with the rest alone, from where the whole ended, and what the other shots add to the
+sum of squares is compared with what it should be; and SciPy solves its points again, by formulas of its
+own (`solvers/reference`).
 """
 
 from dataclasses import replace
@@ -174,7 +175,7 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
     rest = survey.part(~out) if (survey.stations_read() & ~out).any() else None
     if not test or rest is None or len(rest.shots) + len(rest.beam_names) < len(calibration.mounts):
         raise SolverError("nothing is left")
-    found = estimate_survey(rest, whole.given)
+    found = estimate_survey(rest, whole.given, whole)
     if found.estimate.status != "converged":
         raise SolverError(survey_calibration(found).message)
     # The whole has the values of what the rest has not seen.
