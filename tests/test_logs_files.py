@@ -322,11 +322,9 @@ def test_two_publishers_on_one_topic_are_noticed(tmp_path, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["XFD1048576.xlsx", "ZZ100000.xlsx", "bomb.xlsx", "bomb.bag", "deep.jsonl"]
-)
+@pytest.mark.parametrize("name", ["XFD1048576.xlsx", "bomb.bag"])
 def test_an_odd_file_takes_one_line_and_little_memory(tmp_path, name):
-    """`python -m benchmarks.odd_files` measures all of them; the time depends on what else runs."""
+    """The gate runs `python -m benchmarks.odd_files`, which measures all of them and fails likewise."""
     for module in ("xlsxwriter", "fastexcel", "rosbags"):
         pytest.importorskip(module)
     one = next(one for one in ODD if one.name == name)
