@@ -10,6 +10,9 @@ from helpers import GRIPPER, bench, motion, recording_of, simulated
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.model import damped_search as damped
+from handlaser_gtsam.model.block import Rows, Slot, Weights
+from handlaser_gtsam.model.reduction import Reduction
+from handlaser_gtsam.model.targets.point import POINT
 from handlaser_gtsam.observability.rank import observability
 from handlaser_gtsam.outliers import consensus
 from handlaser_gtsam.outliers.reading_tests import leverages, price
@@ -237,3 +240,43 @@ def test_damping_rises_where_the_gain_is_not_a_number(damping):
     raised = options.adapted(np.array([damping, damping]), np.array([np.nan, 0.9]))
     assert raised[0] > damping
     assert raised[1] <= damping
+
+
+class Ring:
+    """Rows that hold a point on a circle, and hardly say where; the other residuals are constant."""
+
+    weights = Weights()
+    readings = 20
+
+    def slots(self):
+        return (Slot(POINT.name, np.zeros(1, dtype=int), slice(0, 3)),)
+
+    def evaluate(self, values):
+        x, y, z = values[POINT.name][:, 0].T
+        columns = np.zeros((4, len(x), 1, self.readings))
+        columns[0, :, 0, 0], columns[1, :, 0, 0] = 2e3 * x, 2e3 * y
+        columns[-1, :, 0, 0] = 1e3 * (x**2 + y**2 - 1.0)
+        columns[0, :, 0, 1], columns[-1, :, 0, 1] = 3e-2, 3e-2 * (x - 2.0)
+        columns[2, :, 0, 2], columns[-1, :, 0, 2] = 1.0, z
+        columns[-1, :, 0, 3:] = 1.0
+        return Rows(columns)
+
+
+def test_a_search_that_creeps_along_what_is_hardly_determined_ends(monkeypatch):
+    """It would take a thousand trials for a ten thousandth of a standard deviation each."""
+    blocks, ends = (Ring(),), []
+    reduction = Reduction(blocks, {POINT.name: 1}, {POINT.name: True})
+    problem = damped.LeastSquares(blocks, reduction, np.ones(1), np.zeros(1), Ring.readings - 3)
+    start = {POINT.name: np.array([[[0.0, 1.0, 0.0]]])}
+    for least in (0.0, damped.CREEPING_STEP):
+        monkeypatch.setattr(damped, "CREEPING_STEP", least)
+        trials = []
+        options = damped.LevenbergOptions(least_damping=1e-12)
+        ends.append((damped.search(problem, start, options, trials.append), len(trials)))
+    (on, long), (ended, short) = ends
+    assert long == 1000
+    assert not on.converged[0]
+    assert damped.CREEPING_AFTER < short < 200
+    assert ended.converged[0]
+    # What is left to gain is nothing that the readings tell.
+    assert ended.cost[0] - on.cost[0] < 1e-3

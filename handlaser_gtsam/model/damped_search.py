@@ -32,8 +32,9 @@ LEVEL_STEPS = 6
 """Steps in a row below the resolution of the cost that end a search: fewer occur before a minimum."""
 CREEPING_STEP, CREEPING_AFTER = 1e-6, 100
 """A search ends, too, after the second number of trials where `LEVEL_STEPS` accepted steps running save
-less than the first each [squared standard deviations]. It creeps along what is not determined, where
-it would go on for hundreds of steps; one that arrives at a minimum seldom takes 100 trials."""
+less than the first each, in parts of the cost a degree of freedom. It creeps along what is not
+determined, where it would go on for hundreds of steps; one that arrives at a minimum seldom takes 100
+trials."""
 
 
 class StoppingRule:
@@ -466,7 +467,7 @@ class _Search:
         self.iterations += better
         self._tell(decrement, trial.cost, better)
         if self.trials > CREEPING_AFTER:
-            creeps = self.at.cost - trial.cost < CREEPING_STEP
+            creeps = self.at.cost - trial.cost < CREEPING_STEP / self.problem.dof * self.at.cost
             self.creeping = np.where(better, (self.creeping + 1) * creeps, self.creeping)
         self._accept(better, trial)
         arrived = (arrived & ~self.tightening) | stopping.is_level()
