@@ -11,7 +11,11 @@ from helpers import bench, motion, recording_of
 from handlaser_gtsam import model
 from handlaser_gtsam.model.beams_on_planes import CENTRE, values_of
 from handlaser_gtsam.model.families import BEAM, PLANE
-from handlaser_gtsam.model.reduced_information import inverse_stack, solve_definite
+from handlaser_gtsam.model.reduced_information import (
+    MANY_MATRICES,
+    inverse_stack,
+    solve_definite,
+)
 from handlaser_gtsam.model.reduction import Normal, damped_step
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.solvers.beam_problem import beam_problem, jacobian_columns, moved
@@ -85,11 +89,27 @@ def test_a_singular_matrix_is_solved_along_what_it_tells(unit):
     assert np.allclose(lost @ inverse[1] @ lost, lost)
 
 
-def test_a_plane_of_which_no_reading_counts_stays():
+@pytest.mark.parametrize("least", [1.0, 1e-3, 1e-5])
+def test_many_small_matrices_have_the_inverses_of_each_alone(least):
+    """In any units, whatever their inflation: cofactors are replaced where they are not sure."""
+    rng = np.random.default_rng(2)
+    Q = np.linalg.qr(rng.normal(size=(MANY_MATRICES, 3, 3)))[0]
+    sizes = np.array([1.0, least, least]) ** rng.uniform(0.0, 1.0, (MANY_MATRICES, 1))
+    units = np.array([1.0, 1e-6, 1e6])
+    A = (Q * sizes[:, None, :]) @ np.swapaxes(Q, 1, 2) * units[:, None] * units
+    A[5] = np.outer(units, units)  # of rank one
+    alone = np.concatenate([inverse_stack(one[None]) for one in A])
+    scale = np.sqrt(np.einsum("kii->ki", alone))
+    off = np.abs(inverse_stack(A) - alone) / scale[:, :, None] / scale[:, None]
+    assert off.max() < 1e-9
+
+
+@pytest.mark.parametrize("count", [1, MANY_MATRICES])
+def test_a_plane_of_which_no_reading_counts_stays(count):
     """What damping adds to nothing is no information."""
     empty = 1e-311 * np.eye(3)
     full = np.diag([4.0, 1.0, 2.0])
-    found = inverse_stack(np.array([[empty, full]]))
+    found = inverse_stack(np.array([[empty, full]] * count))
     assert (found[0, 0] == 0.0).all()
     assert np.allclose(found[0, 1], np.diag([0.25, 1.0, 0.5]))
 
