@@ -186,9 +186,14 @@ class SurveyEstimate:
 
 
 def estimate_survey(
-    survey: Survey, noise: Noise, earlier: "SurveyEstimate | None" = None
+    survey: Survey,
+    noise: Noise,
+    earlier: "SurveyEstimate | None" = None,
+    begun: SurveyState | None = None,
 ) -> SurveyEstimate:
     """Estimate all mounts and targets of a survey, perhaps from where an `earlier` one ended.
+
+    No start is sought where the state that is `begun` is the `first_state` of this survey.
 
     The status is `contradicted` where the others reject more than `MOST_REJECTED` of the shots of a
     sensor, of a beam or of a target: what is left of it may be the wrong part. It is `not_converged`
@@ -200,8 +205,7 @@ def estimate_survey(
         No shot has enough points on a target, or shows the edge of its groove; a sensor, or a beam,
         that nothing leads to a start of.
     """
-    rows = rows_of(survey, noise)
-    state = first_state(rows, noise, earlier)
+    state = first_state(rows_of(survey, noise), noise, earlier) if begun is None else begun
     first = first_fit(state)
     settled = _settle_near(state)
     again, others = best_image(state, _settle_near)

@@ -7,7 +7,7 @@ show it inside, and with errors of the hand as are usual.
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -160,7 +160,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
             raise with_causes(error, causes) from error
         said = ((error.found,), True, (error.expected,), (), np.nan, warnings)
         return SurveyCheck(tuple(_held(rows, None)), targets, numbers, unknowns, *said)
-    drawn = first_fit(state).fits
+    begun, drawn = replace(state), first_fit(state).fits
     if drawn:
         state.draw_to_the_hand()
     others = first_image(state)
@@ -179,7 +179,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     fits = first.fits
     if rows.known:  # whether relations hold depends on the noise, which is learned with everything
         with suppress(InputError):
-            learned = estimate_survey(survey, noise)
+            learned = estimate_survey(survey, noise, begun=begun)
             fits = fits or learned.fits
             warnings = (*warnings, *contradictions(learned.tests))
     if not fits:

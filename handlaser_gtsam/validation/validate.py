@@ -20,7 +20,8 @@ from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
 from ..estimation.survey import estimate_survey
 from ..model.distributions import squares_sf
-from ..model.families import POSE
+from ..model.families import POSE, pose_of
+from ..model.sensors.mounted import SENSOR
 from ..pipeline import calibrate, calibrate_from
 from ..progress import Listener, tell, told_to
 from ..quantities import SINGULAR
@@ -190,27 +191,25 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
     rows, owner = state.dense()
     J, e = rows.whitened()
     predicted = (owner >= 0) & out[state.stations(owner)]
-    both, rank = _squares(J, e)
+    every, rank = _squares(J, e)
     known, known_rank = _squares(J[~predicted], e[~predicted])
     dof = int(predicted.sum()) - (rank - known_rank)
-    squares = both - known
+    squares = every - known
     if dof <= 0:
         raise SolverError("it says nothing about the mounts")
     redundancy = int((~predicted).sum()) - known_rank
     learned = bool(np.isnan([*whole.stated.sigma, *whole.stated.pose]).any())
     p = squares_sf(squares, dof, max(redundancy, 1) if learned else np.inf)
     # By how much spots at working distance move at most.
-    rest_of, shifts = survey_calibration(found), [0.0]
-    for own, sensor in calibration.sensors.items():
-        other, spot = rest_of.sensors[own], sensor.spot
-        there = other.rotation @ spot + other.location
-        shifts.append(float(np.linalg.norm(sensor.rotation @ spot + sensor.location - there)))
-    for own, beam in calibration.beams.items():
-        spots = [
-            spot_of(np.concatenate((one.location, one.direction, one.range_error)), beam.reading)[0]
-            for one in (beam, rest_of.beams[own])
-        ]
-        shifts.append(float(np.linalg.norm(spots[1] - spots[0])))
+    shifts = [0.0]
+    for (family, number), name in whole.rows.mounts.items():
+        both = [one[family][0, number] for one in (whole.values, values)]
+        if family == SENSOR.name:
+            spot = calibration.sensors[name].spot
+            places = [R @ spot + t for R, t in map(pose_of, both)]
+        else:
+            places = [spot_of(x, calibration.beams[name].reading)[0] for x in both]
+        shifts.append(float(np.linalg.norm(places[1] - places[0])))
     return SurveyPrediction(len(test), squares, dof, float(p), max(shifts))
 
 
