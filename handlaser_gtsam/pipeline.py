@@ -120,10 +120,20 @@ def calibrate_survey(
     if len(known) == len(result.relations):
         return result
     try:
-        without = estimate_survey(replace(survey, known=known), noise)
+        without = survey_calibration(estimate_survey(replace(survey, known=known), noise))
     except InputError:  # a mount that was stated was the only start
         return result
-    return replace(result, without=survey_calibration(without))
+    warnings = result.warnings
+    if without.status == "converged":
+        # What shows beside a false relation alone is an effect of it.
+        shown = {(one.code, one.values.get("sensor")) for one in without.warnings}
+        effects = {"range-error", "many-rejected"}
+        warnings = tuple(
+            one
+            for one in warnings
+            if one.code not in effects or (one.code, one.values.get("sensor")) in shown
+        )
+    return replace(result, without=without, warnings=warnings)
 
 
 def calibrate_from(

@@ -190,7 +190,11 @@ def _check_header(table: FileTable) -> list[str]:
             raise table.fault(f"{fault} of a beam", f"range_NAME: {A_NAME}", PREFIX + beam)
     if not beams:
         found = f"no column of ranges among {table.names}"
-        raise table.fault(found, "range_NAME for every beam, in metres", "range_NAME")
+        expected = (
+            "range_NAME for every beam, in metres; where tables of points have the readings, "
+        )
+        expected += "--rig with these tables in [[sensors]]"
+        raise table.fault(found, expected, "range_NAME")
     return beams
 
 

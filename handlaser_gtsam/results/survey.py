@@ -46,7 +46,7 @@ from .spots import radius, spot_of
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
 from .survey_motion import counts_of, open_words, opening
 from .survey_verdict import survey_verdict
-from .survey_warnings import survey_warnings
+from .survey_warnings import rejected_of, survey_warnings
 from .verdict import Verdict
 from .warnings import DISPLACED
 
@@ -333,7 +333,7 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
         for family, labels in rows.targets.items()
         for i, label in enumerate(labels)
     }
-    rejected = tuple(_rejected(found))
+    rejected = tuple(rejected_of(found))
     turn, shift = found.noise.pose
     stated = bool((np.array(found.stated.pose) == 1.0).all())  # covariances of the poses
     relations = found.tests
@@ -461,20 +461,6 @@ def _target(found: SurveyEstimate, family: str, member: int, label: str) -> Surv
     values = {"nx": float(n[0]), "ny": float(n[1]), "nz": float(n[2]), "b": offset}
     tilt = float(sigma[:2].max())
     return SurveyTarget(label, family, values, {"tilt": tilt, "offset": float(sigma[2])})
-
-
-def _rejected(found: SurveyEstimate) -> Iterator[Rejected]:
-    rows, stations = found.rows, found.rows.survey.stations
-    names, mounts = stations.station_names, rows.mounts
-    for item, used in zip(rows.items, found.used, strict=True):
-        if not used:
-            reason = "grazing" if item.grazing else "contradicted"
-            label = rows.label(item.target)
-            yield Rejected(names[item.station], mounts[item.mount], label, reason)
-    for member, at in rows.lost:
-        label = stations.plane_labels[at]
-        reason = "no-edge" if label in rows.edgeless else "too-few-points"
-        yield Rejected(names[at], mounts[SENSOR.name, member], label, reason)
 
 
 def _rejected_since(found: SurveyEstimate) -> Iterator[str]:

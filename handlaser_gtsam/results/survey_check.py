@@ -16,9 +16,16 @@ from ..data.survey import Survey, normal_label
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import Estimate, information_axes, judged, least_information
-from ..estimation.survey import estimate_survey, first_fit, first_image, first_state
+from ..estimation.survey import (
+    SurveyEstimate,
+    estimate_survey,
+    first_fit,
+    first_image,
+    first_state,
+)
 from ..estimation.survey_mirror import with_images
 from ..estimation.survey_rows import SurveyRows, rows_of
+from ..estimation.survey_state import SurveyState
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, DIRECTION, LOCATION, pose_of
 from ..model.sensors.mounted import SENSOR
@@ -47,7 +54,7 @@ from .survey_motion import (
     opening,
     unconfirmed_mount,
 )
-from .survey_warnings import unread_stations
+from .survey_warnings import many_rejected, rejected_of, unread_stations
 
 DOUBTS = (NO_FIT, *MISREAD, FALSE_RELATION)
 """Codes of warnings with which the motion is not judged: the gravest first."""
@@ -177,11 +184,16 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
     warnings = (*mislabelled(state, found), *warnings)
     undetermined, advice = open_words(state.rows, found, axes[:, exact | weak], images)
     fits = first.fits
-    if rows.known:  # whether relations hold depends on the noise, which is learned with everything
+    # Whether relations hold, and which shots contradict the others, depends on the noise, which is
+    # learned with everything.
+    settled: SurveyState | SurveyEstimate = begun
+    if rows.known or not (fits or causes):
         with suppress(InputError):
-            learned = estimate_survey(survey, noise, begun=begun)
+            settled = learned = estimate_survey(survey, noise, begun=begun)
             fits = fits or learned.fits
             warnings = (*warnings, *contradictions(learned.tests))
+    if fits:
+        warnings = (*warnings, *many_rejected(settled, tuple(rejected_of(settled))))
     if not fits:
         warnings = (no_fit(rows, first, causes, noise), *warnings)
     another = unconfirmed_mount(rows)

@@ -181,7 +181,7 @@ def _improvement(
     if "many-rejected" in warnings:
         out = warnings["many-rejected"].values["shots"]
         total = warnings["many-rejected"].values["total"]
-        return improvement_of("outliers", float(out), total=total)
+        return improvement_of("outliers:shots", float(out), total=total)
     for how in ("small", "large"):
         if f"sigmas-too-{how}" in warnings:
             return improvement_of("sigmas", float(warnings[f"sigmas-too-{how}"].values["times"]))

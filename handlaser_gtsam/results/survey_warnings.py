@@ -22,7 +22,7 @@ from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_state import SurveyState
 from ..estimation.survey_trials import displacement
-from ..model.condensed_shots import condensed_shots
+from ..model.condensed_shots import condensed_shots, of_single_readings
 from ..model.distributions import (
     FEW_DEGREES,
     SINGLE_LEVEL,
@@ -114,13 +114,38 @@ def survey_warnings(
             sizes = {"size": first.size, "sigma": first.sigma, "p": p}
             yield warned("range-error", {**which, **sizes}, likely=p_words(p, 1), also=also)
     yield from moved
-    out = [one for one in rejected if one.reason == "contradicted"]
-    if len(out) > MANY_OUTLIERS * len(found.rows.items):
-        names = some([rejected_shot(one, tuple(beams)) for one in out], NAMES_IN_LINE)
-        total = len(found.rows.items)
-        yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
+    if found.fits:  # else noise that was learned, or a wrong minimum, decides which they are
+        yield from many_rejected(found, rejected)
     yield from (one for one in unread if one not in gone)
     yield from found.rows.survey.warnings
+
+
+def rejected_of(found: SurveyEstimate | SurveyState) -> Iterator[Rejected]:
+    """Yield the shots and readings that were left out."""
+    rows, stations = found.rows, found.rows.survey.stations
+    names, mounts = stations.station_names, rows.mounts
+    for item, used in zip(rows.items, found.used, strict=True):
+        if not used:
+            # A shot with a shape of its own that misses its ball does not show it.
+            alone = item.shot is None or of_single_readings(item.shot)
+            reason = "grazing" if item.grazing and alone else "contradicted"
+            label = rows.label(item.target)
+            yield Rejected(names[item.station], mounts[item.mount], label, reason)
+    for member, at in rows.lost:
+        label = stations.plane_labels[at]
+        reason = "no-edge" if label in rows.edgeless else "too-few-points"
+        yield Rejected(names[at], mounts[SENSOR.name, member], label, reason)
+
+
+def many_rejected(
+    found: SurveyEstimate | SurveyState, rejected: Sequence[Rejected]
+) -> Iterator[CalibrationWarning]:
+    """Warn of many shots that contradict the others."""
+    out = [one for one in rejected if one.reason == "contradicted"]
+    total, beams = len(found.rows.items), found.rows.names(BEAM.name)
+    if len(out) > MANY_OUTLIERS * total:
+        names = some([rejected_shot(one, beams) for one in out], NAMES_IN_LINE)
+        yield warned("many-rejected", {"shots": len(out), "total": total, "names": names})
 
 
 def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[CalibrationWarning]:

@@ -5,7 +5,7 @@ where the shots of a sensor do not fit, and every other unit of their lengths: a
 shots of that sensor, and the residual below which most readings are is compared. Where none of these
 fits, single mistakes are tried: shots one row late, a coordinate of the positions with another sign, in
 another unit or in place of another one, numbers of the rotations in another order; at last, one column
-of the points in another unit than the others.
+of the points in another unit than the others, and zones or points that are mirrored.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -167,7 +167,7 @@ def _accused(
     def ways() -> Iterator[list[tuple[float, str]]]:
         for others in rounds if variance else ():
             yield [(value, one.words) for value, one in misfits(carrier, others, measure)]
-        yield _misfits_of_columns(survey, shots)
+        yield [*_misfits_of_columns(survey, shots), *_misfit_of_mirrored(survey, shots)]
 
     for found in ways():
         best = min((value for value, _ in found), default=np.inf)
@@ -204,6 +204,25 @@ def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]
             words = f"the column {name} of {shots.name} is {times:.4g} times as large ({words})"
             found.append((max(_misfit(rows, 1.0) / variance, TINY), words))
     return found
+
+
+def _misfit_of_mirrored(survey: Survey, shots: Shots) -> Iterator[tuple[float, str]]:
+    """Yield the misfit of zones or points that are mirrored, and words for that.
+
+    An axis with the wrong sign, and two that are exchanged, mirror what a sensor sees; how it is turned
+    beside is its mount.
+    """
+    if shots.kind not in ("array", "points"):
+        return
+    rows = _part(survey, replace(shots, across=shots.across * [-1.0, 1.0, 1.0]))
+    variance = _variance(rows)
+    if variance:
+        what = "zones" if shots.kind == "array" else "points"
+        words = (
+            f"the {what} of {shots.name} are mirrored (an axis has the wrong sign, or two axes are "
+        )
+        words += "exchanged)"
+        yield max(_misfit(rows, 1.0) / variance, TINY), words
 
 
 def _likelier(columns: FloatArray, at: int, times: float) -> bool:

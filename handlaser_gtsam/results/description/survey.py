@@ -101,6 +101,10 @@ def _digits(sigma: float) -> int:
     return decimals(sigma, 4) if math.isfinite(sigma) else 1
 
 
+NOT_JUDGED = "not judged, because the readings do not fit each other"
+"""Said of a relation where its test means nothing."""
+
+
 def targets_table(result: SurveyCalibration) -> Table:
     """Return what was looked at."""
     return listed("targets", list(result.targets.values()), _target_row, "target")
@@ -145,9 +149,12 @@ def facts(result: SurveyCalibration, verdict: Verdict) -> Facts:
         found.append((f"range error of beam {beam.name}", _errors(errors, sigmas)))
     for check in verdict.worst_limits:
         found.append(("limit", check.comparison if check.held else check.failure))
+    contradicted = any(one.contradicted for one in result.relations)
+    judged = contradicted or result.status in ("converged", "undetermined")
     for one in result.relations:
         words = "contradicted by the readings" if one.contradicted else "agrees with the readings"
-        found.append((one.known.words, f"{words} ({p_words(one.p_value)})"))
+        words += f" ({p_words(one.p_value)})"
+        found.append((one.known.words, words if judged else NOT_JUDGED))
     if result.without is not None:
         found += _without(result, result.without)
     if result.rejected:
