@@ -15,6 +15,7 @@ from benchmarks import rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import EXACT, HAND, STATED, body_of, survey_of, truth_of
 from handlaser_gtsam.cli.validate import validated
 from handlaser_gtsam.files.rig_toml import Rig
+from handlaser_gtsam.model.families import FAMILIES
 from handlaser_gtsam.validation import validate, validation
 from handlaser_gtsam.validation.cross_check import cross_check_survey
 
@@ -154,6 +155,12 @@ def test_what_is_left_out_is_predicted_as_well_as_it_should_be():
         found = hl.validate(survey_of(rig), EXACT, splits=2)
         assert not found.contradicted
         p_values += [one.p_value for one in (*found.targets, *found.splits) if one.result]
+        state = found.calibration._found.ended()
+        owner = state.dense()[1]
+        labels = np.array(survey_of(rig).stations.plane_labels)[state.stations(owner)]
+        for one in found.targets:  # as many numbers as there are, but those that place the target
+            rows = int(((owner >= 0) & (labels == one.name)).sum())
+            assert one.result.dof == rows - FAMILIES[one.name.partition(":")[0]].dim
     assert len(p_values) >= 12
     # The least of 15 numbers of equal probability is below this as often as that of 20 below 1e-4, and
     # the median of 15, distributed as Beta(8, 8), as often outside as that of 20 of 0.25 and 0.85.
