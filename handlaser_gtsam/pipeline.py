@@ -102,7 +102,7 @@ def calibrate_survey(
     """
     from .estimation.survey import estimate_survey
     from .estimation.survey_rows import rows_of
-    from .results.survey import survey_calibration
+    from .results.survey import beside, survey_calibration
     from .results.survey_misfit import misread, with_causes
 
     require_kind("noise", noise, Noise)
@@ -123,17 +123,7 @@ def calibrate_survey(
         without = survey_calibration(estimate_survey(replace(survey, known=known), noise))
     except InputError:  # a mount that was stated was the only start
         return result
-    warnings = result.warnings
-    if without.status == "converged":
-        # What shows beside a false relation alone is an effect of it.
-        shown = {(one.code, one.values.get("sensor")) for one in without.warnings}
-        effects = {"range-error", "many-rejected"}
-        warnings = tuple(
-            one
-            for one in warnings
-            if one.code not in effects or (one.code, one.values.get("sensor")) in shown
-        )
-    return replace(result, without=without, warnings=warnings)
+    return beside(result, without)
 
 
 def calibrate_from(

@@ -141,7 +141,7 @@ def write_bag(folder, kind, messages, compression="", *, publishers=(), whole=Fa
     """Write (topic, time, message) in order; return the path that a person would name.
 
     Of ROS 1, messages on a topic come from its `publishers` by turns, names of nodes, and a chunk ends
-    at so many bytes. Of ROS 2, each message is compressed, or the file as a `whole`.
+    at `chunk` bytes. Of ROS 2, each message is compressed, or the file as a `whole`.
     """
     from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer

@@ -52,16 +52,13 @@ def test_correlated_noise_is_named_and_counted(noise):
 
 @pytest.mark.slow
 def test_standard_deviations_cover_correlated_noise():
-    """The mean squared error of r in its sigmas, over the draws: one would be right.
-
-    The bound is 1 + 2.5 / sqrt(n) of n draws, which is as likely as 1.4 was of forty.
-    """
-    squares, runs = [], 20
-    for seed in range(runs):
+    """The mean squared error of r in its sigmas, over the draws: one would be right."""
+    squares = []
+    for seed in range(40):
         found, truth = calibrated(0.8, seed, hl.Noise(None, 0.0, 0.0))
         for beam, r in zip(found.beams.values(), truth.locations, strict=True):
             squares.append(((beam.location - r) / beam.location_sigma) ** 2)
-    assert np.mean(squares) < 1.0 + 2.5 / np.sqrt(runs)
+    assert np.mean(squares) < 1.4
 
 
 @pytest.mark.slow
@@ -116,12 +113,12 @@ def test_a_drift_of_readings_is_a_drift_and_no_correlation():
 
 @pytest.mark.slow
 def test_independent_noise_raises_no_alarm():
-    """Two per cent of the recordings at most: more than one of thirty have a chance of 12 %."""
+    """At most one recording in a hundred: more than the bound have a chance of 1 to 3 %."""
     alarms = 0
-    for seed in range(30):
+    for seed in range(60):
         noise = (EXACT, hl.Noise(SIGMA), hl.Noise())[seed % 3]
         alarms += "correlated-in-time" in codes(calibrated(0.0, seed, noise)[0])
-    assert alarms <= 1
+    assert alarms <= 2
 
 
 @pytest.mark.slow

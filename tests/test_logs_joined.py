@@ -300,15 +300,15 @@ def test_the_lag_is_that_of_the_calibration(tmp_path, seed, noise, most):
 def test_errors_of_single_poses_move_the_lag_by_no_more_than_they_must(tmp_path):
     """Interpolation lowers them between two poses: over short differences lags were 0.4 ms off."""
     off = []
-    for seed in range(1, 3):
+    for seed in range(1, 5):
         drive, _ = example(noise=2e-5, seed=seed)
         errors = np.random.default_rng(seed).normal(0.0, 3e-4, (2, *drive.position.shape))
         turned = Rotation.from_quat(drive.quaternion) * Rotation.from_rotvec(2.0 * errors[0])
         noisy = replace(drive, position=drive.position + errors[1], quaternion=turned.as_quat())
         (tmp_path / str(seed)).mkdir()
         off.append(with_lag(tmp_path / str(seed), noisy, 0.0503).lag - 0.0503)
-    # Of eight such drives the rms was 0.08 ms; that of two is above 2.2 times that in 7 of 1000 cases.
-    assert np.sqrt(np.mean(np.square(off))) < 1.78e-4
+    # Of eight such drives the rms was 0.08 ms.
+    assert np.sqrt(np.mean(np.square(off))) < 1.5e-4
 
 
 @pytest.mark.slow

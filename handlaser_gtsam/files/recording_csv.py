@@ -190,10 +190,8 @@ def _check_header(table: FileTable) -> list[str]:
             raise table.fault(f"{fault} of a beam", f"range_NAME: {A_NAME}", PREFIX + beam)
     if not beams:
         found = f"no column of ranges among {table.names}"
-        expected = (
-            "range_NAME for every beam, in metres; where tables of points have the readings, "
-        )
-        expected += "--rig with these tables in [[sensors]]"
+        expected = "range_NAME for every beam, in metres; where tables of points have the "
+        expected += "readings, --rig with these tables in [[sensors]]"
         raise table.fault(found, expected, "range_NAME")
     return beams
 

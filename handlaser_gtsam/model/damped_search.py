@@ -470,8 +470,8 @@ class _Search:
             creeps = self.at.cost - trial.cost < CREEPING_STEP / self.problem.dof * self.at.cost
             self.creeping = np.where(better, (self.creeping + 1) * creeps, self.creeping)
         self._accept(better, trial)
+        arrived |= self.creeping >= LEVEL_STEPS
         arrived = (arrived & ~self.tightening) | stopping.is_level()
-        arrived |= (self.creeping >= LEVEL_STEPS) & ~self.tightening
         self.damping = self.options.adapted(self.damping, gain)
         self._leave(arrived | (self.damping > self.options.most_damping), ~arrived)
 

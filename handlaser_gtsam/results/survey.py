@@ -379,6 +379,24 @@ def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:
     )
 
 
+def beside(result: SurveyCalibration, without: SurveyCalibration) -> SurveyCalibration:
+    """Return a result with that `without` the relations that the readings contradict.
+
+    Range errors and rejected shots that show beside a false relation alone are effects of it, and no
+    warnings of their own.
+    """
+    warnings = result.warnings
+    if without.status == "converged":
+        shown = {(one.code, one.values.get("sensor")) for one in without.warnings}
+        effects = {"range-error", "many-rejected"}
+        warnings = tuple(
+            one
+            for one in warnings
+            if one.code not in effects or (one.code, one.values.get("sensor")) in shown
+        )
+    return replace(result, without=without, warnings=warnings)
+
+
 def _sensor(found: SurveyEstimate, member: int, errors: Mapping[str, TestedEffect]) -> SensorMount:
     shots = found.rows.survey.shots[member]
     x = found.estimate.values[SENSOR.name][member]

@@ -218,10 +218,8 @@ def _misfit_of_mirrored(survey: Survey, shots: Shots) -> Iterator[tuple[float, s
     variance = _variance(rows)
     if variance:
         what = "zones" if shots.kind == "array" else "points"
-        words = (
-            f"the {what} of {shots.name} are mirrored (an axis has the wrong sign, or two axes are "
-        )
-        words += "exchanged)"
+        words = f"the {what} of {shots.name} are mirrored "
+        words += "(an axis has the wrong sign, or two axes are exchanged)"
         yield max(_misfit(rows, 1.0) / variance, TINY), words
 
 
