@@ -438,6 +438,10 @@ def test_a_body_ties_its_planes_and_one_wrong_face_is_named():
     faces[0, 3] += 0.005
     wrong = hl.Known("body", body.of, sigma=1e-5, sigma_angle=1e-5, faces=faces)
     assert hl.calibrate(survey_of(rig, [wrong]), EXACT).relations[0].contradicted
+    faces = body.faces * [1.0, 1.0, 1.0, -1.0]  # of normals that point into the body
+    inside_out = hl.Known("body", body.of, sigma=1e-5, sigma_angle=1e-5, faces=faces)
+    result = hl.calibrate(survey_of(rig, [inside_out]), EXACT)
+    assert [one.code for one in result.warnings] == ["relation-contradicted"]
 
 
 @pytest.mark.slow

@@ -761,6 +761,41 @@ def test_nothing_else_is_blamed_for_what_a_false_relation_does():
     assert [one.code for one in found.warnings] == ["relation-contradicted"]
 
 
+def turned_mount(angle):
+    """The pose of the profiler in the hand, turned about its own middle ray."""
+    pose = np.eye(4)
+    pose[:3, :3] = MOUNT @ Rotation.from_euler("Z", angle, degrees=True).as_matrix()
+    pose[:3, 3] = PLACE
+    return pose
+
+
+GROSSLY_FALSE = {
+    "the diameter in place of the radius": ("radius", "sphere:ball", {"value": 2.0 * RADIUS}),
+    "a place 50 mm off": ("position", "sphere:ball", {"direction": CENTRE + 0.05 * np.eye(3)[0]}),
+    "a plane below the floor": (
+        "plane",
+        "plane:plate",
+        {"value": 0.05, "direction": [0.0, 0.0, 1.0]},
+    ),
+    "a mount the other way round": ("mount", "sensor:profiler", {"pose": turned_mount(180.0)}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", GROSSLY_FALSE)
+def test_a_relation_with_which_nothing_fits_is_named(what):
+    """Shots were said not to fit each other, whatever the relation."""
+    relation, of, fields = GROSSLY_FALSE[what]
+    angles = {} if relation in ("radius", "position") else {"sigma_angle": 1e-2}
+    known = hl.Known(relation, (of,), sigma=1e-4, **angles, **fields)
+    survey = replace(cell(0), known=(known,))
+    found, check = hl.calibrate(survey), check_survey(survey)
+    assert [one.code for one in found.warnings] == ["relation-contradicted"]
+    assert check.doubt == found.message == found.warnings[0].message
+    assert found.verdict.code == "contradicted"
+    require_right(found.without)
+
+
 @pytest.mark.slow
 def test_check_says_which_shots_contradict_the_others():
     survey = cell(0, exchanged=((2, 11), (4, 13)))

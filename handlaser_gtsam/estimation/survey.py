@@ -51,7 +51,7 @@ from .survey_rows import (
     rows_of,
     without_grazing,
 )
-from .survey_starts import all_redundant, start_beside, start_of
+from .survey_starts import all_redundant, complete_bodies, start_beside, start_of
 from .survey_state import Columns, SurveyState, grazing, own_sizes
 
 FIRST_SIGMA = 0.1 * MM
@@ -211,8 +211,8 @@ def estimate_survey(
     again, others = best_image(state, _settle_near)
     settled = settled if again is None else again
     doubtful = _doubtful(state)
-    if doubtful and state.relations and _blames_relations(state):
-        doubtful = _doubtful(state)
+    if (doubtful or not settled) and _blames_relations(state, settled):
+        settled, doubtful = True, _doubtful(state)
     problem, _ = state.problem()
     found = judged(problem, problem.blocks, dict(state.values))
     # A mirror image that fits better than the first state is none of its misfit.
@@ -319,9 +319,25 @@ def first_state(
         names = ", ".join(_name(rows, entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
     leave_out_gross(state)
-    if np.median(misfits(state)) > GROSS and started_from_halves(state):
+    if np.median(misfits(state)) <= GROSS:
+        return state
+    free = _begun_without_relations(state)
+    if free is not None and _contradicts_relations(replace(free, relations=state.relations)):
+        state.values, state.used = free.values, free.used
+    elif started_from_halves(state):
         leave_out_gross(state)
     return state
+
+
+def _begun_without_relations(state: SurveyState) -> SurveyState | None:
+    """Return a quick start without relations that fits; None where there is none, or no relation."""
+    rows, every = state.rows, np.ones(len(state.used), dtype=bool)
+    free = replace(state, rows=replace(rows, known=()), relations=[], used=every)
+    if not (state.relations and begin_quickly(free, GROSS) and _surely_fits(free)):
+        return None
+    complete_bodies(rows, free.values)
+    free.rows = rows
+    return free
 
 
 def _surely_fits(state: SurveyState) -> bool:
@@ -354,21 +370,35 @@ def _doubtful(state: SurveyState) -> list[str]:
     return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
 
 
-def _blames_relations(state: SurveyState) -> bool:
+def _contradicts_relations(state: SurveyState) -> bool:
+    return any(test.contradicted for test in _tested(state))
+
+
+def _blames_relations(state: SurveyState, settled: bool) -> bool:
     """Let shots count that only a relation contradicts, and sizes be as they are without relations.
 
-    Tell whether this changed the state: a relation must be contradicted by what is left.
+    Tell whether this changed the state: a relation must be contradicted by what is left, which is more
+    than before where the state had `settled`.
     """
-    free = replace(state, relations=[], used=np.ones(len(state.used), dtype=bool))
-    leave_out_gross(free)
-    if not _settle(free) or free.used.sum() <= state.used.sum():
+    if not state.relations:
         return False
-    tied = replace(state, values=dict(state.values), sizes=free.sizes, used=free.used)
-    if not tied.minimize() or not any(test.contradicted for test in _tested(tied)):
-        return False
-    state.rows, state.values = tied.rows, tied.values
-    state.sizes, state.used = tied.sizes, tied.used
-    return True
+    near = replace(state, relations=[], used=np.ones(len(state.used), dtype=bool))
+    leave_out_gross(near)
+    for free in (near, _begun_without_relations(state)):
+        if free is None or not _settle(free):
+            continue
+        if settled and free.used.sum() <= state.used.sum():
+            continue
+        tied = replace(state, values=dict(free.values), sizes=free.sizes, used=free.used)
+        if not _contradicts_relations(tied):
+            continue
+        # A relation that is grossly false may lead away from all that fits.
+        there = replace(tied)
+        found = there if there.minimize() and _contradicts_relations(there) else tied
+        state.rows, state.values = found.rows, found.values
+        state.sizes, state.used = found.sizes, found.used
+        return True
+    return False
 
 
 def _name(rows: SurveyRows, mount: Entity) -> str:

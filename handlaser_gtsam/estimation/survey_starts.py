@@ -27,6 +27,7 @@ from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE, pose_of
 from ..model.geometry import nearest_rotation, tangent_basis
 from ..model.reduction import Reduction
+from ..model.relation import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -107,7 +108,7 @@ def start_of(
     for (_, _, there), entity, trust in zip(ends, entities, trusted, strict=True):
         if not trust and known.issuperset(set(there) - {entity}):
             _search_again(rows, entity, values, sigmas)
-    _complete_bodies(rows, values)
+    complete_bodies(rows, values)
     return values, ()
 
 
@@ -135,7 +136,7 @@ def start_beside(
             seen = [item for item in rows.items if item.target == (family, member)]
             own = [item for item in seen if item.mount == seen[0].mount]
             _complete(rows, own, values)
-    _complete_bodies(rows, values)
+    complete_bodies(rows, values)
     return values
 
 
@@ -593,9 +594,10 @@ def _nodes_of(item: Item) -> FloatArray:
     return np.asarray(rays.origin + item.shot.reading[:, None] * rays.direction)
 
 
-def _complete_bodies(rows: SurveyRows, values: dict[str, FloatArray]) -> None:
+def complete_bodies(rows: SurveyRows, values: dict[str, FloatArray]) -> None:
     """Put bodies where their planes are: turned by Wahba's rotation, shifted by least squares."""
     for index, known in enumerate(rows.bodies):
+        bodies = values.setdefault(BODY.name, np.zeros((1, len(rows.bodies), BODY.size)))
         assert known.faces is not None
         planes = [plane for _, plane in rows.entities(known)]
         x = values[PLANE.name][0, planes]
@@ -605,4 +607,4 @@ def _complete_bodies(rows: SurveyRows, values: dict[str, FloatArray]) -> None:
         foot = x[:, 4:] - x[:, 3:4] * x[:, :3]
         n = m @ R.T
         t = np.linalg.lstsq(n, (n * foot).sum(axis=1) - d, rcond=None)[0]
-        values["body"][0, index] = np.concatenate((R.ravel(), t))
+        bodies[0, index] = np.concatenate((R.ravel(), t))
