@@ -108,9 +108,9 @@ def test_the_hand_is_that_of_the_whole_arm_on_a_turned_base(tmp_path):
 def test_the_jacobian_is_that_of_differences(small):
     arm, step = small._scene().arm, 1e-6
     for q in drawn(small, 5):
-        J = arm.hand(q)[2]
+        (J,) = arm.hands(q[None])[2]
         for i, e in enumerate(step * np.eye(len(q))):
-            (high_R, high_t, _), (low_R, low_t, _) = arm.hand(q + e), arm.hand(q - e)
+            (high_R, low_R), (high_t, low_t), _ = arm.hands(np.array([q + e, q - e]))
             turn = Rotation.from_matrix(high_R @ low_R.T).as_rotvec()
             # Central differences at 1e-6 err by rounding, 1e-10.
             assert np.allclose(J[:3, i], (high_t - low_t) / (2.0 * step), atol=1e-8)
@@ -366,9 +366,23 @@ def test_stations_without_a_way_are_replaced(small, calibrated, monkeypatch):
 
 @pytest.mark.slow
 @needs_pinocchio
-def test_a_first_motion_is_reached_too(small):
+@pytest.mark.parametrize("aside", [0.0, -0.005, 0.005, 0.01])
+def test_a_first_motion_is_reached_too(small, aside):
+    """From half of these bases the arm has no way to one of the stations that are chosen first."""
     rig = hl.read_rig(ROOT / "examples" / "planned" / "rig.toml")
-    here = replace(rig.workspace, robot=replace(small, clearance=0.002))
+    base = small.base_t + aside * np.eye(3)[0]
+    robot = replace(small, base_t=base, clearance=0.002)
+    here = replace(rig.workspace, robot=robot)
+    plan = hl.planning.blind_motion(rig.bounds, rig.sensor, here, rig.noise)
+    check_drive(here.robot, plan.stations, {"A": rig.bounds.plate})
+
+
+@pytest.mark.slow
+@needs_pinocchio
+def test_a_first_motion_begins_with_joints_from_which_the_others_are_reached():
+    """With the first joints that are found there is a way to 17 of 27 stations."""
+    rig = hl.read_rig(ROOT / "examples" / "planned" / "rig.toml")
+    here = replace(rig.workspace, robot=replace(example("ur5"), base_t=np.array([0.0, 0.0, 0.3])))
     plan = hl.planning.blind_motion(rig.bounds, rig.sensor, here, rig.noise)
     check_drive(here.robot, plan.stations, {"A": rig.bounds.plate})
 

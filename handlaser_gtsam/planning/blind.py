@@ -25,7 +25,7 @@ from ..data.recording import Recording
 from ..errors import InputError
 from ..model.sensor_limits import Sensor
 from ..model.weighting import Variances
-from ..quantities import KNOWN, ROUNDING, ROWS_AT_ONCE, SINGULAR
+from ..quantities import KNOWN, MOST_ROUNDS, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, generator, plane_name
 from .belief import (
     COMPARED_DRAWS,
@@ -40,7 +40,7 @@ from .bounds import MOST_PLANNED, SIDES, Bounds
 from .choice import choose, updated, value
 from .goal import Goal, goal_rows
 from .plan import Task
-from .route import Plan
+from .route import Plan, driven
 from .workspace import (
     Workspace,
     inside,
@@ -124,12 +124,18 @@ def blind_motion(
     enough = (0.5 if stations is None else 0.8) * KNOWN
     most = MOST_BLIND if stations is None else stations
     counts = np.arange(stations or LEAST_BLIND, most + 1, 4) - len(first)
-    chosen, determined = known.fewest(beliefs, turns, counts[counts <= len(turns)].tolist(), enough)
-    if not determined:
-        raise known.refusal(
-            "no motion that determines the mounts and keeps", "a wider workspace, more stations"
-        )
-    motion = joined([first, turns[chosen]])
+    for _ in range(MOST_ROUNDS):
+        some = counts[counts <= len(turns)].tolist()
+        chosen, determined = known.fewest(beliefs, turns, some, enough)
+        if not determined:
+            raise known.refusal(
+                "no motion that determines the mounts and keeps", "a wider workspace, more stations"
+            )
+        motion = joined([first, turns[chosen]])
+        lost = known.without_way(motion) - len(first)
+        if not lost.size or lost[0] < 0:
+            break
+        turns = turns[np.setdiff1d(np.arange(len(turns)), chosen[lost])]
     plates = {plane_name(p): bounds.plate for p in range(planes)}
     belief = known.belief(bounds.middle()).before(plates, only=True)
     every = joined([replace(motion, plane=np.full(len(motion), p)) for p in range(planes)])
@@ -318,6 +324,13 @@ class Blind(NamedTuple):
             safe = safe_stations(mounts, stations, self.sensor)
             stations = stations[np.flatnonzero(safe.all(axis=0))]
         return stations[reached(self.workspace, stations, [self.bounds.plate])]
+
+    def without_way(self, motion: Stations) -> IntArray:
+        """Return the stations of a motion, in its order, to which the arm finds no way."""
+        robot, origin = self.workspace.robot, np.arange(len(motion))
+        if robot is not None:
+            _, origin, _ = driven(robot, motion, self.workspace, [self.bounds.plate])
+        return np.setdiff1d(np.arange(len(motion)), origin)
 
     def fewest(
         self, beliefs: Sequence[Belief], stations: Stations, counts: Sequence[int], enough: float

@@ -142,9 +142,8 @@ class Robot(Value):
                 start = joints[reached[distance.argmin(axis=1)]]
             else:
                 start = rng.uniform(arm.low, arm.high, (len(left), len(arm.low)))
-            for pose, begin in zip(left, start, strict=True):
-                q = arm.inverse(R[pose], t[pose], begin)
-                if q is not None and not touches(q):
+            for pose, q in zip(left, arm.inverse(R[left], t[left], start), strict=True):
+                if not (np.isnan(q).any() or touches(q)):
                     joints[pose] = arm.nearest(q, stands)
         return joints
 
@@ -161,8 +160,9 @@ class Robot(Value):
         drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (12, len(near)))
         seen: list[FloatArray] = []
         for starts in (near[None], drawn):
-            solved = [arm.inverse(R, t, start) for start in starts]
-            turned = [arm.nearest(q, near) for q in solved if q is not None]
+            many = len(starts)
+            solved = arm.inverse(np.tile(R, (many, 1, 1)), np.tile(t, (many, 1)), starts)
+            turned = [arm.nearest(q, near) for q in solved if not np.isnan(q).any()]
             for joints in sorted(turned, key=lambda q: float(np.abs(q - near).max())):
                 # Joints that differ by less are one solution [rad], [m]: both are at the pose to
                 # far less.
@@ -199,9 +199,7 @@ class Robot(Value):
 
     def poses(self, joints: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return world_R_hand (N, 3, 3) and world_t_hand (N, 3) [m] of joints (N, J)."""
-        arm = self._scene().arm
-        R, t, _ = zip(*(arm.hand(q) for q in np.atleast_2d(joints)), strict=True)
-        return np.stack(R), np.stack(t)
+        return self._scene().arm.hands(np.atleast_2d(joints))[:2]
 
     def _touching(self, plate: Plate | None) -> Callable[[FloatArray], bool]:
         """Return a function that tells whether anything touches at joints (J,)."""

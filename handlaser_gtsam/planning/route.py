@@ -26,6 +26,8 @@ from .workspace import Workspace, inside, joined
 
 VIA = "via"
 """Beginning of the names of stations on the way, at which nothing need be read."""
+TRIED_SOLUTIONS = 4
+"""Joints of one pose that are tried: an arm of six joints has up to eight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -310,9 +312,6 @@ def driven(
     """
     # Where no table says how far down the hand may go, it keeps to the box of its stations.
     box = None if robot.table is not None else (workspace.low, workspace.high)
-    parts: list[Stations] = []
-    joints: list[FloatArray] = []
-    origin: list[int] = []
 
     def withdrawn(station: Stations) -> list[Stations]:
         """Return where the hand is withdrawn from the plate, as far as the workspace allows."""
@@ -354,32 +353,55 @@ def driven(
         plane, rest = int(way.plane[0]), way[np.arange(1, len(way))]
         R, t = way.world_R_hand[0], way.world_t_hand[0]
         solutions = robot.solutions(R, t, plates[plane], q)
-        # Solutions of a pose that are tried on the way: an arm of six joints has up to eight.
-        for solved, _ in zip(islice(solutions, 4), left, strict=False):
+        for solved, _ in zip(islice(solutions, TRIED_SOLUTIONS), left, strict=False):
             if robot.free_way(q, solved, plates[plane] if plane == before else None, box):
                 found = [solved, *along(solved, plane, rest, left)]
                 if len(found) == len(way):
                     return found
         return []
 
-    before: Stations | None = None
-    for index in range(len(stations)):
-        station = stations[np.array([index])]
-        for way in ways(before, station):
-            q = joints[-1] if joints else robot.start
-            plane = int((way if before is None else before).plane[0])
-            if len(q):
+    def drive(first: int, q: FloatArray) -> tuple[list[Stations], list[FloatArray], list[int]]:
+        """Drive to all stations from joints at the `first` one, or from the start before all (-1)."""
+        parts, joints = ([], []) if first < 0 else ([stations[np.array([first])]], [q])
+        origin = [] if first < 0 else [first]
+        for index in range(first + 1, len(stations)):
+            station, before = stations[np.array([index])], parts[-1] if parts else None
+            last = None if before is None else before[np.array([-1])]
+            for way in ways(last, station):
+                plane = int((way if last is None else last).plane[0])
                 # Ways between two stations that are tried, before another detour: a second or two.
-                found = along(q, plane, way, iter(range(100)))
-            else:  # where no joints are known before, only those of the station matter
-                solved = robot.joints(way.world_R_hand, way.world_t_hand, plates[plane])
-                found = [] if np.isnan(solved).any() else list(solved)
-            if found:
-                parts.append(way)
-                joints += found
-                origin += [-1] * (len(way) - 1) + [index]
-                before = station
-                break
+                found = along(joints[-1] if joints else q, plane, way, iter(range(100)))
+                if found:
+                    parts.append(way)
+                    joints += found
+                    origin += [-1] * (len(way) - 1) + [index]
+                    break
+        return parts, joints, origin
+
+    def beginnings() -> Iterator[tuple[int, FloatArray]]:
+        """Yield where the arm may begin: several joints lead to the first station it can be at."""
+        if len(robot.start):
+            yield -1, robot.start
+            return
+        middle = 0.5 * np.add(*robot.limits)
+        for index, (R, t, plane) in enumerate(
+            zip(stations.world_R_hand, stations.world_t_hand, stations.plane, strict=True)
+        ):
+            some = list(islice(robot.solutions(R, t, plates[plane], middle), TRIED_SOLUTIONS))
+            if some:
+                yield from ((index, q) for q in some)
+                return
+
+    parts: list[Stations] = []
+    joints: list[FloatArray] = []
+    origin: list[int] = []
+    for first, q in beginnings():
+        # From some, the arm is in its own way, or at a limit, soon.
+        tried = drive(first, q)
+        if len(tried[0]) > len(parts):
+            parts, joints, origin = tried
+        if len(parts) == len(stations):
+            break
     if not parts:
         raise InputError(
             "no way of the arm without a collision to any station",
