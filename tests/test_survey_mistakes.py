@@ -23,6 +23,7 @@ from handlaser_gtsam.files.logs.survey_conventions import (
     refuse_wrong_reading,
 )
 from handlaser_gtsam.model.conventions import numbers_of, poses_of
+from handlaser_gtsam.model.geometry import normalized
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
 from handlaser_gtsam.results.survey_misfit import _looks_other, better_kinds
 from handlaser_gtsam.results.survey_warnings import rejected_of
@@ -710,11 +711,11 @@ def written_wrong(how):
     [
         (
             "late",
-            "one row late: each belongs to the pose of the row before its own; expected that to",
+            "one row late: each belongs to the pose of the row before its own, than as stated",
         ),
-        ("sign", "times better if the y coordinates of the positions are negated; "),
+        ("sign", "times better if the y coordinates of the positions are negated, "),
         ("unit", "if the y coordinates of the positions are 10 times as large"),
-        ("order", "are in another order: columns 2, 1, 3 of them; "),
+        ("order", "are in another order: columns 2, 1, 3 of them, "),
     ],
 )
 def test_a_single_mistake_in_the_table_of_poses_is_named(how, words):
@@ -737,6 +738,20 @@ def test_zones_that_are_mirrored_are_named():
     turned = replace(shots, across=shots.across[:, [1, 0, 2]])
     with pytest.raises(hl.InputError, match=r"the zones of \S+ are mirrored"):
         _accused(survey, turned, (), kuka)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("times", [0.5, 0.9, 1.3, 2.0])
+def test_zones_of_another_field_of_view_are_named(times):
+    """By tangents of their angles: of half the angle, of a tenth less, of the diagonal, of twice."""
+    survey, kuka = survey_of(rigs_by_distance.array(1)), hl.LogFormat(pose_format="kuka")
+    shots = survey.shots[0]
+    wrong = normalized(shots.across * [1.0 / times, 1.0 / times, 1.0])
+    with pytest.raises(hl.InputError, match=r"angles of the zones of \S+ are about") as refused:
+        _accused(survey, replace(shots, across=wrong), (), kuka)
+    said = re.search(r"about (\S+) times", str(refused.value))
+    assert float(said[1]) == pytest.approx(times, rel=0.03)
+    assert "as_stated = true in [log]" in str(refused.value)
 
 
 def test_a_shot_that_shows_no_ball_contradicts_and_a_single_reading_grazes():

@@ -59,6 +59,8 @@ LEAST_OF_BEAM, LEAST_SPARE = 24, 10
 than for other mistakes, because the other convention must fit well, too."""
 MOST_STATIONS = 60
 """Stations that are looked at; more take longer than reading the log."""
+CURE = "that to be stated or corrected, or --as-stated if it is right"
+"""What to do about a log that fits better in another way."""
 GOOD = 0.7
 """The part of the readings that must be good."""
 
@@ -134,7 +136,7 @@ def refuse_wrong_convention(
 
 
 def accused(
-    ratio: float, other: str, given: LogFormat, more: str = ""
+    ratio: float, other: str, given: LogFormat, more: str = "", cure: str = CURE
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a log whose readings fit much better in another way; warn where it is less.
 
@@ -148,6 +150,8 @@ def accused(
         How it is read.
     more : str
         What else is stated of it.
+    cure : str
+        What to do.
 
     Raises
     ------
@@ -157,11 +161,11 @@ def accused(
     convention = convention_of(given)
     times = float(min(np.sqrt(ratio), 1e6))
     stated = f"{convention.words}{', inverted' if given.inverted else ''}{more}"
-    message = f"the readings fit {times:.3g} times better if {other}"
+    better = f"fit {times:.3g} times better if {other}"
     if ratio >= MUCH_BETTER and not given.as_stated:
-        found_so = f"poses that do not fit as {stated}; {message}"
-        raise InputError(found_so, "that to be stated or corrected, or --as-stated if it is right")
-    words = f"{message}; stated: {stated}"
+        found_so = f"readings that {better}, than as stated: {stated}"
+        raise InputError(found_so, cure)
+    words = f"the readings {better}; stated: {stated}"
     values: dict[str, float | str] = {"times": times, "better": other, "stated": stated}
     return (CalibrationWarning("pose-convention", words, values),)
 

@@ -14,6 +14,7 @@ from functools import partial
 from itertools import permutations, product
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from ...arrays import FloatArray
 from ...data.recording import Recording
@@ -25,6 +26,7 @@ from ...estimation.survey_starts import start_of
 from ...model.condensed_shots import Mixed
 from ...model.conventions import LENGTHS, UNIT_WORDS
 from ...model.families import pose_of
+from ...model.geometry import normalized
 from ...model.sensors.mounted import SENSOR
 from ...quantities import INCH, MM, TINY, UNIT_SIGMA
 from ...results.file_mistakes import scaled, without_mistake
@@ -37,6 +39,7 @@ from .format_checks import convention_of
 from .motion import Way
 from .other_conventions import (
     BETTER,
+    CURE,
     FITS,
     LEAST_SPARE,
     MOST_STATIONS,
@@ -164,18 +167,19 @@ def _accused(
     if now <= FITS:
         return ()
 
-    def ways() -> Iterator[list[tuple[float, str]]]:
+    def ways() -> Iterator[tuple[list[tuple[float, str]], str]]:
         for others in rounds if variance else ():
-            yield [(value, one.words) for value, one in misfits(carrier, others, measure)]
-        yield [*_misfits_of_columns(survey, shots), *_misfit_of_mirrored(survey, shots)]
+            yield [(value, one.words) for value, one in misfits(carrier, others, measure)], CURE
+        table = "a corrected table, or as_stated = true in [log] if it is right"
+        yield [*_misfits_of_columns(survey, shots), *_misfits_of_directions(survey, shots)], table
 
-    for found in ways():
+    for found, cure in ways():
         best = min((value for value, _ in found), default=np.inf)
         if best <= min(now / BETTER, WELL):
             # Of several ways those are named whose misfit is within this factor of the least.
             words = " or ".join(words for value, words in found if value <= 4.0 * best)
             more = f", and lengths of {shots.name} as they are read"
-            return accused(now / best, words, given, more)
+            return accused(now / best, words, given, more, cure)
     return ()
 
 
@@ -206,21 +210,37 @@ def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]
     return found
 
 
-def _misfit_of_mirrored(survey: Survey, shots: Shots) -> Iterator[tuple[float, str]]:
-    """Yield the misfit of zones or points that are mirrored, and words for that.
+def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float, str]]:
+    """Yield the misfits of zones that look elsewhere, and of points that are mirrored, with words.
 
     An axis with the wrong sign, and two that are exchanged, mirror what a sensor sees; how it is turned
-    beside is its mount.
+    beside is its mount. Angles of zones may be those of another field of view: half or the whole angle,
+    the diagonal, another type of sensor.
     """
     if shots.kind not in ("array", "points"):
         return
-    rows = _part(survey, replace(shots, across=shots.across * [-1.0, 1.0, 1.0]))
-    variance = _variance(rows)
-    if variance:
-        what = "zones" if shots.kind == "array" else "points"
-        words = f"the {what} of {shots.name} are mirrored "
-        words += "(an axis has the wrong sign, or two axes are exchanged)"
-        yield max(_misfit(rows, 1.0) / variance, TINY), words
+
+    def misfit(*factors: float) -> float:
+        """Return the misfit where the coordinates of all directions are multiplied."""
+        rows = _part(survey, replace(shots, across=normalized(shots.across * factors)))
+        variance = _variance(rows)
+        return max(_misfit(rows, 1.0) / variance, TINY) if variance else np.inf
+
+    def of_tangents(logarithm: float) -> float:
+        return misfit(*[float(np.exp(logarithm))] * 2, 1.0)
+
+    what = f"the {'zones' if shots.kind == 'array' else 'points'} of {shots.name}"
+    yield (
+        misfit(-1.0, 1.0, 1.0),
+        f"{what} are mirrored (an axis has the wrong sign, or two axes are exchanged)",
+    )
+    if shots.kind == "array":
+        steps = np.log(np.sqrt(2.0)) * np.arange(-2, 3)  # from half to twice as large
+        nearest = min(steps.tolist(), key=of_tangents)
+        bounds = nearest + steps[[1, 3]]
+        found = minimize_scalar(of_tangents, bounds=bounds, options={"xatol": 0.005})
+        times = float(np.exp(found.x))
+        yield float(found.fun), f"the angles of {what} are about {times:.2g} times as large"
 
 
 def _likelier(columns: FloatArray, at: int, times: float) -> bool:
