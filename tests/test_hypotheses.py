@@ -99,6 +99,52 @@ def test_beams_swapped_before_one_plane_are_named():
     assert [found.values[one] for one in ("first", "second", "plane")] == ["1", "2", "B"]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("station", [2, 9, 14, 28, 40])
+def test_beams_exchanged_from_some_station_on_are_not_usable(station):
+    """Which part of the stations is right the readings do not tell, however small the other is."""
+    recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
+    ranges = recording.ranges.copy()
+    ranges[station:] = ranges[station:, ::-1]
+    found = hl.calibrate(replace(recording, ranges=ranges))
+    names = recording.station_names
+    early, late = (names[0], names[station - 1]), (names[station], names[-1])
+    (warning,) = (one for one in found.warnings if one.code == "file-mistake")
+    assert (warning.values["from"], warning.values["to"]) in (early, late)
+    assert warning.message.startswith("the readings of beams 1 and 2 look swapped at ")
+    assert "or at all others" in warning.message
+    assert not found.verdict.usable
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "times"), [(20, 25.4), (4, 0.1), (20, 1e-3), (10, 1e3)])
+def test_positions_of_two_units_are_named_in_either_order(first, times):
+    recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
+    t = recording.world_t_hand.copy()
+    t[first:] *= times
+    found = hl.calibrate(replace(recording, world_t_hand=t))
+    larger, smaller = {
+        25.4: ("millimetres", "inches"),
+        10.0: ("millimetres", "centimetres"),
+        1000.0: ("millimetres", "metres"),
+    }[max(times, 1.0 / times)]
+    where = "from station {} on" if times > 1.0 else "before station {}"
+    where = where.format(recording.station_names[first])
+    words = f"the positions {where} look like {larger}, and the others like {smaller}: read so"
+    assert found.message.startswith(words)
+    assert not found.verdict.usable
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("axis", "times"), [(0, 10.0), (2, 1e-3), (1, 25.4)])
+def test_one_coordinate_in_another_unit_is_named(axis, times):
+    recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
+    t = recording.world_t_hand / np.where(np.arange(3) == axis, times, 1.0)
+    found = hl.calibrate(replace(recording, world_t_hand=t))
+    words = f"the {'xyz'[axis]} coordinates of the positions are {times:.4g} times as large"
+    assert words in found.message
+
+
 def changed_half_way(recording, column):
     """Lengths in millimetres from the station in the middle on: of all, one beam, or the positions."""
     late = np.arange(len(recording.ranges)) >= len(recording.ranges) // 2

@@ -10,7 +10,7 @@ from helpers import ROOT, simulated
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
-from benchmarks.rigs import STATED, survey_of
+from benchmarks.rigs import HAND, STATED, survey_of
 from handlaser_gtsam.files.validation_json import validation_text
 from handlaser_gtsam.validation.prediction import predict, reconstruction
 from handlaser_gtsam.validation.scenes import Layout
@@ -150,6 +150,20 @@ def test_a_part_that_is_not_predicted_has_a_reason_and_null_for_its_numbers():
 
 
 @pytest.mark.slow
+def test_spots_move_by_chance_as_far_as_is_said():
+    """Of 47 parts and random splits, which overlap, 95 % are expected within what holds 95 %."""
+    found = [
+        hl.validate(survey_of(rigs_by_rays.profiler(seed, hand_sigma=HAND)), STATED, splits=4)
+        for seed in range(8)
+    ]
+    parts = [one.result for each in found for one in (*each.targets, *each.splits)]
+    ratio = np.array([one.shift / one.by_chance for one in parts if one is not None])
+    assert len(ratio) > 40
+    assert (ratio < 1.0).mean() > 0.85
+    assert 0.2 < np.median(ratio) < 0.6  # 0.34 along one axis, 0.55 along three alike
+
+
+@pytest.mark.slow
 def test_a_survey_takes_no_options_and_counts_its_parts():
     survey = survey_of(rigs_by_rays.beams(3, targets="planes+sphere"))
     with pytest.raises(hl.InputError, match="options with a survey"):
@@ -166,4 +180,5 @@ def test_a_survey_takes_no_options_and_counts_its_parts():
     text = json.loads(validation_text(found, found.verdict))
     assert text["format"] == "handlaser-survey-validation"
     assert text["targets_left_out"][0]["shift_m"] == found.targets[0].result.shift
+    assert text["targets_left_out"][0]["by_chance_m"] == found.targets[0].result.by_chance
     assert text["contradicted"] == []

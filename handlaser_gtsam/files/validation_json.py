@@ -14,7 +14,7 @@ FIELDS: dict[type[Predicted], str] = {
     HoldOut: "readings rms_m max_m chi2 dof noise_p_value drift drift_dof p_value beams "
     "explained_by",
     Prediction: "tests rms_m max_m standardized",
-    SurveyPrediction: "shots chi2 dof p_value shift_m",
+    SurveyPrediction: "shots chi2 dof p_value shift_m by_chance_m",
 }
 """What is written of each kind of prediction."""
 

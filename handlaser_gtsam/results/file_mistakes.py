@@ -9,7 +9,7 @@ A recording that does not fit as it stands is read as if each mistake were undon
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import chain, combinations, product
+from itertools import chain, combinations, islice, permutations, product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,8 +32,14 @@ SHARES = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)
 """Parts of the way to the next station, or back to the one before, at which readings may be taken."""
 SPLITS = 9
 """Evenly spaced stations that are tried as the first of a second plate; then the best is refined."""
-UNITS = {"millimetres": MM, "inches": INCH, "centimetres": 10.0 * MM}
+UNITS = {"millimetres": MM, "inches": INCH, "centimetres": 10.0 * MM, "metres": 1.0}
 """What lengths may have been written in, in metres."""
+LEAST_TIMES = 3.0
+"""Lengths whose numbers are more times as large as others are in another unit, if they fit then. What
+is measured may differ by as much beside."""
+MOST_PAIRS = 40
+"""Pairs of beams, times planes where these count, for which an exchange is tried: more would take
+longer than the calibration."""
 GROUPS = 4
 """Groups of planes that are omitted in turn to find the one before which beams look swapped."""
 
@@ -63,13 +69,18 @@ def better_way(
 
     if rejected is None:
         rounds: list[list[Iterator[Rereading]]] = [
-            [_promising(recording), _swaps(recording), _unit_changes(recording)],
+            [
+                _promising(recording),
+                _swaps(recording),
+                _exchanged_from_a_station(recording),
+                _unit_changes(recording),
+            ],
             [_mixed_labels(recording), _on_the_way(recording)],
         ]
     else:
         rounds = [[_exchanges(recording, rejected), _second_plates(recording, rejected)]]
         if rejected.mean() > MANY_OUTLIERS:
-            rounds.append([_mixed_labels(recording)])
+            rounds.append([_unit_changes(recording), _mixed_labels(recording)])
     for mistakes in rounds:  # those that take long are tried only where the others explain nothing
         without = misfits(recording, chain.from_iterable(mistakes), measure)
         if not without:
@@ -78,7 +89,7 @@ def better_way(
         if now >= MUCH_BETTER * best:
             # Of several hypotheses those are named whose misfit is within this factor of the least.
             most = min(now / MUCH_BETTER, 4.0 * best)
-            words = " or ".join(one.words for value, one in without if value <= most)
+            words = " or ".join(dict.fromkeys(one.words for x, one in without if x <= most))
             times = float(min(np.sqrt(now / best), 1e6))
             return warned("file-mistake", {"mistake": words, **way.values}, times=times)
     return None
@@ -92,8 +103,11 @@ def _glance(recording: Recording) -> float:
 def _promising(recording: Recording) -> Iterator[Rereading]:
     """Yield the mistakes of poses or units without which one beam fits far better at a glance."""
     one, _ = one_beam(recording)
-    now, *without = glances(one, [lambda same: same, *HYPOTHESES.values()]).tolist()
-    for (words, undone), value in zip(HYPOTHESES.items(), without, strict=True):
+    ways = dict(HYPOTHESES)
+    for words, factors in coordinate_units(recording.world_t_hand):
+        ways[words] = partial(scaled, positions=factors)
+    now, *without = glances(one, [lambda same: same, *ways.values()]).tolist()
+    for (words, undone), value in zip(ways.items(), without, strict=True):
         if now >= PROMISING * value:
             yield Rereading(words, undone)
 
@@ -105,8 +119,7 @@ def _swaps(recording: Recording) -> Iterator[Rereading]:
     """
     beams, planes = recording.beam_names, len(recording.plane_names)
     pairs = list(combinations(range(len(beams)), 2))
-    # More would take longer than the calibration.
-    if planes < 2 or not 0 < planes * len(pairs) <= 40:
+    if planes < 2 or not 0 < planes * len(pairs) <= MOST_PAIRS:
         return
     now = _glance(recording)
     for group in range(min(GROUPS, planes)):
@@ -136,19 +149,20 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]
     Where two beams are exchanged from some station on, and each is found by the other half of the
     readings, one loses those before that station and the other those after it.
     """
-    names, stations = recording.beam_names, recording.station_names
-    number = np.arange(len(stations))
-    for i, j in combinations(range(len(names)), 2):
+    number = np.arange(len(recording.ranges))
+    for i, j in combinations(range(len(recording.beam_names)), 2):
         lost_i, lost_j = rejected[:, i], rejected[:, j]
-        if min(lost_i.sum(), lost_j.sum()) < LEAST_REJECTED:
+        both = lost_i & lost_j
+        # Two stations at which both are lost, as one mistake of the file, or several of each.
+        if both.sum() < 2 and min(lost_i.sum(), lost_j.sum()) < LEAST_REJECTED:
             continue
-        whole = np.isin(recording.plane_of_station, recording.plane_of_station[lost_i & lost_j])
+        whole = np.isin(recording.plane_of_station, recording.plane_of_station[both])
         first = number[lost_i | lost_j].min()
         split = max(number, key=lambda s: abs(float((2.0 * lost_i - 2.0 * lost_j)[s:].sum())))
         tried = {
             rows.tobytes(): rows
             for rows in (
-                lost_i & lost_j,
+                both,
                 whole,
                 number >= first,
                 number < number[lost_i | lost_j].max() + 1,
@@ -157,16 +171,38 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]
             if 0 < rows.sum() < len(number)
         }
         for rows in tried.values():
-            where = np.flatnonzero(rows)
-            values: Values = {
-                "first": names[i],
-                "second": names[j],
-                "stations": len(where),
-                "from": stations[where[0]],
-                "to": stations[where[-1]],
-            }
-            undone = partial(_swapped, rows=rows, i=i, j=j)
-            yield Rereading(said("mistake:swapped-at", **values), undone, "quick", values)
+            yield _exchange(recording, rows, i, j)
+
+
+def _exchanged_from_a_station(recording: Recording) -> Iterator[Rereading]:
+    """Two beams exchanged from some station on, of so many that neither part shows as outliers."""
+    number, pairs = (
+        np.arange(len(recording.ranges)),
+        combinations(range(len(recording.beam_names)), 2),
+    )
+    for i, j in islice(pairs, MOST_PAIRS):
+
+        def undone(part: Recording, split: int, i: int = i, j: int = j) -> Recording:
+            return _swapped(part, number >= split, i, j)
+
+        split = _best_split(recording, undone)
+        if split is not None:
+            yield _exchange(recording, number >= split, i, j)
+
+
+def _exchange(recording: Recording, rows: BoolArray, i: int, j: int) -> Rereading:
+    """Return that two beams are exchanged at some stations (M,)."""
+    names, where = recording.beam_names, np.flatnonzero(rows)
+    first, last = (recording.station_names[where[end]] for end in (0, -1))
+    values: Values = {
+        "first": names[i],
+        "second": names[j],
+        "stations": len(where),
+        "from": first,
+        "to": last,
+    }
+    undone = partial(_swapped, rows=rows, i=i, j=j)
+    return Rereading(said("mistake:swapped-at", **values), undone, "quick", values)
 
 
 def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]:
@@ -183,31 +219,45 @@ def _second_plates(recording: Recording, rejected: BoolArray) -> Iterator[Reread
         yield Rereading(said("mistake:another-plane", **values), undone, "quick", values)
 
 
+def coordinate_units(t: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Yield one coordinate of positions (M, 3) in another unit, with the factors (3,) that undo it.
+
+    Those units are tried that make its spread more like those of the others.
+    """
+    spread = np.maximum(t.std(axis=0), TINY)
+    for axis, name in enumerate("xyz"):
+        missing = float(np.log(np.delete(spread, axis).mean() / spread[axis]))
+        for (unit, one), (other, two) in permutations(UNITS.items(), 2):
+            times = one / two
+            if abs(missing - np.log(times)) < abs(missing):
+                words = f"the {name} coordinates of the positions are {times:.4g} times as large"
+                words += f" ({unit} among {other})"
+                yield words, np.where(np.arange(3) == axis, times, 1.0)
+
+
 def _unit_changes(recording: Recording) -> Iterator[Rereading]:
     """Lengths of another unit, throughout or from some station on: they differ by a large factor.
 
     They are the ranges of one beam throughout, or from a station on all ranges, ranges of one beam, or
     the positions.
     """
-    typical = np.nanmedian(np.abs(recording.ranges), axis=0)
-    for i, name in enumerate(recording.beam_names):
-        others = np.delete(typical, i)
-        if not others.size or typical[i] < 3.0 * np.median(others):
-            continue
-        for unit in ("millimetres", "inches"):
-            factors = np.where(np.arange(len(typical)) == i, UNITS[unit], 1.0)
-            values: Values = {"lengths": f"the ranges of beam {name}", "unit": unit}
-            undone = partial(scaled, ranges=factors)
-            yield Rereading(said("mistake:unit", **values), undone, "quick", values)
-    every = np.ones(len(recording.beam_names), dtype=bool)
-    beams = [("the ranges", every)]
-    if len(every) > 1:
+    ranges, names = np.abs(recording.ranges), recording.beam_names
+    typical = np.nanmedian(ranges, axis=0)
+    for i, name in enumerate(names if len(names) > 1 else ()):
+        ratio = float(typical[i] / max(np.median(np.delete(typical, i)), TINY))
+        what = f"the ranges of beam {name}"
+        # A scale of all readings of a beam can be its k1, so that the fit does not tell units apart.
+        for words, both, values in islice(_other_units(ratio, what, {"lengths": what}), 2):
+            times = np.where(np.arange(len(typical)) == i, *both)
+            yield Rereading(words, partial(scaled, ranges=times), "quick", values)
+    beams = [("the ranges", np.ones(len(names), dtype=bool))]
+    if len(names) > 1:
         beams += [
-            (f"the ranges of beam {name}", np.arange(len(every)) == i)
-            for i, name in enumerate(recording.beam_names)
+            (f"the ranges of beam {name}", np.arange(len(names)) == i)
+            for i, name in enumerate(names)
         ]
     for what, own in beams:
-        for words, factor, values in _changes_of(np.abs(recording.ranges[:, own]), what, recording):
+        for words, factor, values in _changes_of(ranges[:, own], what, recording):
             whole = np.where(own, factor[:, None], 1.0)
             yield Rereading(words, partial(scaled, ranges=whole), "quick", values)
     distance = np.linalg.norm(recording.world_t_hand, axis=1, keepdims=True)
@@ -218,7 +268,7 @@ def _unit_changes(recording: Recording) -> Iterator[Rereading]:
 def _changes_of(
     d: FloatArray, what: str, recording: Recording
 ) -> Iterator[tuple[str, FloatArray, Values]]:
-    """Yield from where on lengths d (M, k) have another unit: words, factors (M,) to metres, values."""
+    """Yield from where on lengths d (M, k) have another unit: words, factors (M,), values."""
     high, low = np.nanmax(d, axis=1, initial=0.0), np.nanmin(d, axis=1, initial=np.inf)
     before = np.maximum.accumulate(high)[:-1], np.minimum.accumulate(low)[:-1]
     after = np.maximum.accumulate(high[::-1])[::-1][1:], np.minimum.accumulate(low[::-1])[::-1][1:]
@@ -226,16 +276,36 @@ def _changes_of(
         gap = larger[1] / np.maximum(smaller[0], TINY)
         # Readings that differ by this factor on both sides of a station, without overlap, have two
         # units.
-        if not len(gap) or not gap.max() > 3.0:
+        if not len(gap) or not gap.max() > LEAST_TIMES:
             continue
         split = int(gap.argmax()) + 1
         rows = np.arange(len(d)) >= split if late else np.arange(len(d)) < split
         station = recording.station_names[split]
         where = f"from station {station} on" if late else f"before station {station}"
-        for unit, metres in UNITS.items():
-            words = said("mistake:unit", lengths=f"{what} {where}", unit=unit)
-            values: Values = {"lengths": what, "station": station, "unit": unit}
-            yield words, np.where(rows, metres, 1.0), values
+        ratio = float(np.nanmedian(d[rows]) / max(np.nanmedian(d[~rows]), TINY))
+        which: Values = {"lengths": what, "station": station}
+        for words, both, values in _other_units(ratio, f"{what} {where}", which):
+            yield words, np.where(rows, *both), values
+
+
+def _other_units(
+    ratio: float, lengths: str, which: Values
+) -> Iterator[tuple[str, tuple[float, float], Values]]:
+    """Yield units of some lengths that are about `ratio` times the others, and units of these.
+
+    The nearest come first, each twice with what to multiply both by: one of them is as it should be.
+    """
+    found = []
+    for (unit, one), (other, two) in permutations(UNITS.items(), 2):
+        times = two / one  # as large in numbers
+        far = abs(float(np.log(ratio / times)))
+        if max(times, 1.0 / times) > LEAST_TIMES and far <= np.log(LEAST_TIMES):
+            found.append((far, times, unit, other))
+    for _, times, unit, other in sorted(found):
+        words = said("mistake:unit", lengths=lengths, unit=unit, other=other)
+        values = {**which, "unit": unit, "other": other}
+        yield words, (1.0 / times, 1.0), values
+        yield words, (1.0, times), values
 
 
 def _mixed_labels(recording: Recording) -> Iterator[Rereading]:
@@ -414,5 +484,6 @@ HYPOTHESES: dict[str, Change] = {
 ALL_LENGTHS: dict[str, Change] = {
     f"all lengths look like {words}": partial(scaled, positions=unit, ranges=unit)
     for words, unit in UNITS.items()
+    if unit != 1.0
 }
 """The same of positions and ranges alike, which only beams that are known can tell."""

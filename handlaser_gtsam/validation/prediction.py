@@ -60,6 +60,8 @@ class SurveyPrediction(Value):
         Probability of more by chance.
     shift : float
         Largest shift of a spot at working distance against the whole survey [m].
+    by_chance : float
+        Radius that holds such a shift of that spot with 95 % [m].
     """
 
     shots: int
@@ -67,6 +69,7 @@ class SurveyPrediction(Value):
     dof: int
     p_value: float
     shift: float
+    by_chance: float
 
 
 def predict(calibration: Calibration, recording: Recording, noise: Noise) -> Prediction:

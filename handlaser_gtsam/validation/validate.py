@@ -27,8 +27,8 @@ from ..progress import Listener, tell, told_to
 from ..quantities import SINGULAR
 from ..results.calibration import Calibration
 from ..results.mounts import Mounts
-from ..results.spots import spot_of
-from ..results.survey import SurveyCalibration, survey_calibration
+from ..results.spots import radius, spot_of
+from ..results.survey import Mount, SurveyCalibration, survey_calibration
 from .cross_check import cross_check_survey, fits
 from .other_recording import HoldOut, hold_out
 from .prediction import Prediction, SurveyPrediction, predict, reconstruction
@@ -191,8 +191,8 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
     rows, owner = state.dense()
     J, e = rows.whitened()
     predicted = (owner >= 0) & out[state.stations(owner)]
-    every, rank = _squares(J, e)
-    known, known_rank = _squares(J[~predicted], e[~predicted])
+    every, rank, covariance = _least_squares(J, e)
+    known, known_rank, covariance_known = _least_squares(J[~predicted], e[~predicted])
     dof = int(predicted.sum()) - (rank - known_rank)
     squares = every - known
     if dof <= 0:
@@ -200,22 +200,32 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
     redundancy = int((~predicted).sum()) - known_rank
     learned = bool(np.isnan([*whole.stated.sigma, *whole.stated.pose]).any())
     p = squares_sf(squares, dof, max(redundancy, 1) if learned else np.inf)
-    # By how much spots at working distance move at most.
-    shifts = [0.0]
+    # How far spots at working distance move; an estimate from a part errs beside that from the whole
+    # by the difference of their covariances.
+    added, place = covariance_known - covariance, state.problem()[0].places().place
+    shifts = []
     for (family, number), name in whole.rows.mounts.items():
         both = [one[family][0, number] for one in (whole.values, values)]
+        mount: Mount
         if family == SENSOR.name:
-            spot = calibration.sensors[name].spot
-            places = [R @ spot + t for R, t in map(pose_of, both)]
+            mount = calibration.sensors[name]
+            places = [R @ mount.spot + t for R, t in map(pose_of, both)]
         else:
-            places = [spot_of(x, calibration.beams[name].reading)[0] for x in both]
-        shifts.append(float(np.linalg.norm(places[1] - places[0])))
-    return SurveyPrediction(len(test), squares, dof, float(p), max(shifts))
+            mount = calibration.beams[name]
+            places = [spot_of(x, mount.reading)[0] for x in both]
+        by = mount.spot_by()
+        own = place[family][number] + np.arange(by.shape[1])
+        chance = radius(by @ added[np.ix_(own, own)] @ by.T)
+        shifts.append((float(np.linalg.norm(places[1] - places[0])), chance))
+    return SurveyPrediction(len(test), squares, dof, float(p), *max(shifts))
 
 
-def _squares(J: FloatArray, e: FloatArray) -> tuple[float, int]:
-    """Return the least sum of squares of linear rows, and their rank."""
+def _least_squares(J: FloatArray, e: FloatArray) -> tuple[float, int, FloatArray]:
+    """Return the least sum of squares of linear rows, their rank, and the covariance of unknowns."""
     scale = np.linalg.norm(J, axis=0)
-    U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-    U = U[:, size > SINGULAR**0.5 * size.max()]
-    return float(e @ e - ((U.T @ e) ** 2).sum()), U.shape[1]
+    scale = np.where(scale > 0.0, scale, 1.0)
+    U, size, Vt = np.linalg.svd(J / scale, full_matrices=False)
+    known = size > SINGULAR**0.5 * size.max()
+    root = Vt[known].T / size[known] / scale[:, None]
+    squares = e @ e - ((U[:, known].T @ e) ** 2).sum()
+    return float(squares), int(known.sum()), root @ root.T

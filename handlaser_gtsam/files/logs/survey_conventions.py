@@ -28,8 +28,8 @@ from ...model.conventions import LENGTHS, UNIT_WORDS
 from ...model.families import pose_of
 from ...model.geometry import normalized
 from ...model.sensors.mounted import SENSOR
-from ...quantities import INCH, MM, TINY, UNIT_SIGMA
-from ...results.file_mistakes import scaled, without_mistake
+from ...quantities import TINY, UNIT_SIGMA
+from ...results.file_mistakes import coordinate_units, scaled, without_mistake
 from ...results.messages import MISTAKES
 from ...results.rereading import Rereading, misfits
 from ...results.warnings import FAR_BEAM
@@ -87,10 +87,7 @@ def refuse_wrong_reading(
 
 
 def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
-    """Yield mistakes that concern one coordinate of the positions, two of them, or the rows.
-
-    Those units of a coordinate are tried that make its spread more like those of the others.
-    """
+    """Yield mistakes that concern one coordinate of the positions, two of them, or the rows."""
     for words, mistake in MISTAKES.items():
         for what, how in mistake.items():
             order = how if isinstance(how, list) else []
@@ -102,14 +99,8 @@ def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
                     other = "before" if how == 1 else "after"
                     said += f": each belongs to the pose of the row {other} its own"
                 yield Rereading(said, partial(without_mistake, what=what, how=how), "glance")
-    others = {"centimetres": 10.0, "inches": INCH / MM, "metres": 1.0 / MM}
-    for axis, name in enumerate("xyz"):
-        for unit, times in others.items():
-            if _likelier(stations.world_t_hand, axis, times):
-                factor = np.where(np.arange(3) == axis, times, 1.0)
-                said = f"the {name} coordinates of the positions are {times:.3g} times as large"
-                said += f" ({unit} among millimetres)"
-                yield Rereading(said, partial(scaled, positions=factor), "glance")
+    for words, factors in coordinate_units(stations.world_t_hand):
+        yield Rereading(words, partial(scaled, positions=factors), "glance")
 
 
 def _other_orders(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Rereading]:
