@@ -3,6 +3,7 @@
 import csv
 import re
 import warnings
+from dataclasses import replace
 from io import StringIO
 from itertools import pairwise
 
@@ -45,10 +46,16 @@ def stations(joints=False):
 
 
 class Robot:
-    """What a program told a robot: poses (4, 4) [m] or joints [rad], and where it set its output."""
+    """What a program told a robot: poses (4, 4) [m] or joints [rad], and where it set its output.
+
+    Halts stand by the number of goals before them.
+    """
 
     def __init__(self):
-        self.goals, self.read = [], []
+        self.goals, self.read, self.halts = [], [], []
+
+    def halted(self):
+        self.halts.append(len(self.goals))
 
     def goes(self, goal):
         self.goals.append(goal)
@@ -78,6 +85,7 @@ def driven(to, text):
             "movej": lambda goal, a, v: robot.goes(np.array(goal)),  # noqa: ARG005
             "sleep": lambda pause: None if pause == 0.5 else 1 / 0,
             "set_standard_digital_out": output,
+            "popup": lambda text, title, blocking: robot.halted() if blocking else 1 / 0,  # noqa: ARG005
         }
         assert text.endswith("\nend\n")
         exec(text.removesuffix("end\n"), space)
@@ -94,6 +102,8 @@ def driven(to, text):
                 robot.goes(np.radians(values))
             elif line == "$OUT[3]=TRUE":
                 robot.read[-1] = True
+            elif line == "HALT":
+                robot.halted()
     if to == "rapid":
         goals = {}
         for kind, name, held in re.findall(r"CONST (\w+) (\w+):=(.*);", text):
@@ -112,6 +122,8 @@ def driven(to, text):
                 robot.goes(goals[words[1].split(",")[0]])
             elif line.strip() == "SetDO do3,1;":
                 robot.read[-1] = True
+            elif line.strip() == "Stop;":
+                robot.halted()
     if to == "tp":
         steps, held = text.split("/POS")
         goals = {}
@@ -124,6 +136,8 @@ def driven(to, text):
                 robot.goes(goals[re.match(r"L P\[(\d+)\] 100mm/sec FINE$", step)[1]])
             elif step == "DO[3]=ON":
                 robot.read[-1] = True
+            elif step == "PAUSE":
+                robot.halted()
     return robot
 
 
@@ -149,6 +163,19 @@ def test_programs_drive_to_the_stations_and_stop_where_something_is_read(to, joi
             assert np.abs(goal[:3, 3] - t).max() < 1e-6
 
 
+@pytest.mark.parametrize("to", PROGRAMS)
+def test_programs_halt_where_a_plate_may_have_to_be_moved(to):
+    """Before the way to the next plane, and again at its end; not between targets that stand."""
+    plan = stations()
+    names = "1", "via 1", "via 2", "via 3", "2", "3", "4", "via 4", "5"
+    on_the_way = replace(plan, plane_labels=tuple("AAABBBCCA"), station_names=names)
+    options = hl.ExportOptions(signal=3, pause=0.5)
+    assert driven(to, hl.export_text(on_the_way, to, options)).halts == [3, 4, 6, 8]
+    kinds = {"A": "plane:A", "B": "sphere:B", "C": "point:C"}
+    standing = replace(on_the_way, plane_labels=tuple(map(kinds.get, on_the_way.plane_labels)))
+    assert driven(to, hl.export_text(standing, to, options)).halts == []
+
+
 def test_an_arm_of_seven_joints_moves_along_lines():
     plan = stations()
     seven = hl.StationList(
@@ -167,7 +194,7 @@ def test_no_name_breaks_out_of_its_comment(to):
         f"via {i}" if name.startswith("via") else str(i)
         for i, name in enumerate(plan.station_names)
     ]
-    labels = ("A",) * COUNT
+    labels = tuple("AADBBBCCC")
     plain = hl.StationList(plan.world_R_hand, plan.world_t_hand, labels, tuple(names))
     comment = {"krl": ";", "rapid": "!", "tp": "!", "urscript": "#"}[to]
 

@@ -296,6 +296,17 @@ def test_the_plate_put_anew_is_turned_where_that_tells_more(recorded):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("stations", "tilt"), [(1, 20.0), (3, 20.0), (6, 0.0)])
+def test_no_plate_is_put_up_in_vain_or_twice_in_one_place(recorded, stations, tilt):
+    """A single station has one plate; a plate that is not to be tilted has one place."""
+    placement = hl.planning.Placement(3, largest_tilt=math.radians(tilt))
+    plan = hl.plan(recorded[2], stations, SENSOR, WORKSPACE, placement=placement)
+    assert set(plan.plates) == set(plan.stations.plane_labels)
+    normals = {tuple(plate.normal) for plate in plan.plates.values()}
+    assert len(normals) == len(plan.plates) <= min(stations, 3 if tilt else 1)
+
+
+@pytest.mark.slow
 def test_a_calibration_without_a_covariance_is_no_guide(recorded):
     _, recording, _ = recorded
     stopped = replace(RANGE_ERRORS, solver=LevenbergOptions(max_iterations=1))

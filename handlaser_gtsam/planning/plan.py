@@ -326,11 +326,21 @@ def plan(
         raise InputError("no sensor for beams before planes", "the Sensor that states their range")
     require_kind("sensor", sensor, Sensor)
     task = planning_task(calibration, sensor, workspace, goal, plates)
-    put: Mapping[str, Plate] = {}
-    if placement is not None:
-        put = _placed(task, placement, max(stations // placement.count, 1), rng)
-        task = task._replace(belief=task.belief.before(put, only=True))
-    belief = task.belief
+    if placement is None:
+        return _chosen(task, stations, rng)
+    put = _placed(task, placement, max(stations // placement.count, 1), rng)
+    while True:
+        found = _chosen(task._replace(belief=task.belief.before(put, only=True)), stations, rng)
+        used = [plate for name, plate in put.items() if name in found.stations.plane_labels]
+        if len(used) == len(put):
+            return replace(found, plates=put)
+        # All stations before fewer plates say more: nobody need put up the others.
+        put = dict(zip(put, used, strict=False))
+
+
+def _chosen(task: Task, stations: int, rng: np.random.Generator) -> Plan:
+    """Return a plan of a number of stations, or of fewer where these reach the goal."""
+    belief, goal = task.belief, task.goal
     pool = task.reachable(max(POOL // len(belief.plane_names), 2 * stations), rng)
     each = [station_rows(belief, pool)]
     for _ in range(COMPARED_DRAWS):
@@ -346,7 +356,7 @@ def plan(
     chosen = aim.chosen(rows, stations, exchange=True)
     best = _refined(task, pool[chosen], rng)
     best = best[np.arange(aim.enough(station_rows(belief, best)))]
-    return task.planned(best, without(pool, chosen), plates=put)
+    return task.planned(best, without(pool, chosen))
 
 
 def without(pool: Stations, chosen: IntArray) -> Stations:
@@ -359,7 +369,7 @@ def _placed(
 ) -> Mapping[str, Plate]:
     """Return where to put the last plate, time after time, with a number of stations before each.
 
-    Each orientation is the best beside those before.
+    Each orientation is the best beside those before, and another: they are fewer where none is left.
 
     Raises
     ------
@@ -373,6 +383,8 @@ def _placed(
         best = np.inf
         before = task.belief
         for plate in placement.orientations(last):
+            if any(np.array_equal(plate.normal, other.normal) for other in put.values()):
+                continue  # the same plate once more is one plane, with a label of its own for nothing
             belief = before.before({name: plate})
             plane, trial = len(belief.plane_names) - 1, task._replace(belief=belief)
             try:
@@ -385,12 +397,15 @@ def _placed(
             if left < best:
                 best, put[name] = left, plate
                 after = replace(belief, covariance=known)
-        if name not in put:
+        if name in put:
+            task = task._replace(belief=after)
+        elif put:
+            break
+        else:
             raise InputError(
                 "no orientation of the plate in which every beam reads it safely",
                 "a workspace that reaches the sensor's range, or beams that are known better",
             )
-        task = task._replace(belief=after)
     return put
 
 

@@ -234,7 +234,8 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
 
     Each stop of a template has `words`, its name and plane, harmless in a comment; `pose`, its numbers
     in the convention of the program; `joints` [rad] in URScript, else [deg], none where the program
-    moves along lines; and `read`, whether the program stops there.
+    moves along lines; `read`, whether the program stops there; and `halt`, whether somebody may have to
+    move the plate before the hand goes there.
     """
     x = numbers_of(stations.world_R_hand, stations.world_t_hand, POSE_FORMATS[PROGRAMS[to]])
     joints = stations.joints
@@ -242,6 +243,7 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
     if to not in IN_JOINTS or joints is None or joints.shape[1] != 6:
         joints = np.empty((len(x), 0))
     names = zip(stations.station_names, stations.plane_labels, strict=True)
+    halts = _halts(stations)
     write, unit = (number, 1.0) if to == "urscript" else (fixed, IN_DEG)
     stops = [
         {
@@ -249,10 +251,28 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
             "pose": tuple(map(write, pose)),
             "joints": tuple(write(unit * joint) for joint in turned),
             "read": not name.startswith(VIA),
+            "halt": halt,
         }
-        for (name, plane), pose, turned in zip(names, x.tolist(), joints.tolist(), strict=True)
+        for (name, plane), pose, turned, halt in zip(
+            names, x.tolist(), joints.tolist(), halts, strict=True
+        )
     ]
     return rendered(to, stops=stops, signal=signal, pause=pause)
+
+
+def _halts(stations: StationList) -> list[bool]:
+    """Tell before which stations the plate may have to be moved, of planes that one plate may be.
+
+    A plan goes to the next plane as if no plate stood there, and to the first station before it as if
+    the plate did: it is taken away before the one, and put up again before the other. Targets with a
+    kind, as `sphere:ball`, stand all at once.
+    """
+    halts, before, awaited = [], stations.plane_labels[0], False
+    for name, label in zip(stations.station_names, stations.plane_labels, strict=True):
+        changes, read = label != before and ":" not in label, not name.startswith(VIA)
+        halts.append(changes or (awaited and read))
+        awaited, before = (changes or awaited) and not read, label
+    return halts
 
 
 def _words(name: str, label: str, colon: str) -> str:
