@@ -115,6 +115,21 @@ def test_it_stops_at_the_limits(handlaser, tmp_path):
     assert "reach the limits" in text
 
 
+def test_limits_that_only_hidden_errors_exceed_are_said(handlaser, tmp_path):
+    """The gripper's sensors with a kind, whose incidence error may hide; by random errors they hold."""
+    kind = GRIPPER_RIG.replace("[sensor]", '[sensor]\nkind = "triangulation"')
+    limits = "[limits]\nlocation_sigma_mm = {}\n"
+    said = []
+    for most in (0.5, 50.0):
+        limited = tmp_path / f"limited_{most}.toml"
+        limited.write_text(kind + BOX + limits.format(most))
+        words = ("plan", RECORDING, "--rig", limited, "--stations", 4)
+        code, _, err = handlaser(*words, "--out", tmp_path / f"stations_{most}.csv")
+        assert code == 0
+        said.append("random errors alone" in err)
+    assert said == [True, False]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -88,8 +88,9 @@ def plan(
         rig = given.read()
         outputs = {"--out": out, "--picture": picture}
         require_outputs_of(outputs, rig, (recording, calibration, given.rig))
-        planned = _planned(recording, calibration, rig, model, planes, stations, seed)
+        planned, hidden = _planned(recording, calibration, rig, model, planes, stations, seed)
         warnings, failure = _gaps(planned)
+        warnings += hidden
         if calibration is not None:
             warnings += _uncounted(calibration)
         robot = None if rig.workspace is None else rig.workspace.robot
@@ -115,8 +116,8 @@ def _planned(
     planes: int | None,
     stations: int | None,
     seed: int,
-) -> "Plan":
-    """Return a first motion, or the next stations of a recording or a result."""
+) -> tuple["Plan", list[str]]:
+    """Return a first motion, or the next stations of a recording or a result; and what these leave."""
     import numpy as np
 
     from ..data.survey import Survey
@@ -140,16 +141,17 @@ def _planned(
             raise InputError("neither RECORDING nor --calibration", expected)
         each = None if stations is None else stations // (planes or 1)
         known = rig.bounds, rig.sensor, rig.workspace, rig.noise, each
-        return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng)
+        return blind_motion(*known, planes=planes or 1, goal=rig.goal, rng=rng), []
     # Without a goal as many as an hour's work; with one, the plan ends where it is reached.
     most = stations or (100 if rig.goal.stated else 20)
     stated = model.stated() + ([] if planes is None else ["--planes"])
     read = None if recording is None else read_stated(rig, recording, stated)
     if isinstance(read, Survey):
         found = calibrate(read, rig.noise)
-        return planning.plan(found, most, workspace=rig.workspace, goal=rig.goal, rng=rng)
+        return planning.plan(found, most, workspace=rig.workspace, goal=rig.goal, rng=rng), []
     require_range(rig.sensor)
     calibration: Calibration | Mounts
+    hidden = list[str]()
     if read is None:
         calibration, plates = _result(result or Path(), rig)
     else:
@@ -158,9 +160,22 @@ def _planned(
         calibration = calibrate(report.recording, rig.noise, options)
         if calibration.status != "converged":
             raise SolverError(calibration.message)
+        hidden = _hidden(calibration, rig)
     placement = None if planes is None else replace(rig.placement, count=planes)
     asked = calibration, most, rig.sensor, rig.workspace, rig.goal
-    return planning.plan(*asked, plates=plates, placement=placement, rng=rng)
+    return planning.plan(*asked, plates=plates, placement=placement, rng=rng), hidden
+
+
+def _hidden(calibration: "Calibration", rig: "Rig") -> list[str]:
+    """Warn of limits that only systematic errors exceed, which a plan does not count."""
+    worst = calibration.judged(rig.limits).worst_limits
+    beyond = [one.failure for one in worst if not one.held and one.random <= one.limit]
+    if not beyond:
+        return []
+    return [
+        "WARNING: a plan counts random errors alone, and with systematic ones that may hide the limits "
+        f"do not hold ({'; '.join(beyond)}): `calibrate` says which they are, and --free counts them"
+    ]
 
 
 def _gaps(planned: "Plan") -> tuple[list[str], tuple[int, str] | None]:
