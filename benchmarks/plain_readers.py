@@ -18,8 +18,38 @@ from numpy.typing import NDArray
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
-"""Words that a logger writes for "no reading", with any sign."""
+NO_READING = set(
+    [
+        "nan",
+        "1qnan",
+        "1snan",
+        "1ind",
+        "inf",
+        "1inf",
+        "infinity",
+        "overflow",
+        "ovf",
+        "over",
+        "ol",
+        "overrange",
+        "outofrange",
+        "underrange",
+        "under",
+        "na",
+        "none",
+        "null",
+        "nil",
+        "error",
+        "err",
+        "fehler",
+        "invalid",
+        "ungültig",
+        "noecho",
+        "noreading",
+        "notarget",
+    ]
+)
+"""What a logger writes for "no reading", once its signs, points and blanks are gone."""
 DEGREE = math.pi / 180.0
 
 
@@ -114,7 +144,8 @@ def _number(cell: str) -> float:
 
 
 def _range(cell: str) -> float:
-    if not cell.strip("-\u2013\u2014") or cell.lstrip("+-").lower() in NO_READING:
+    letters = "".join(one for one in cell.lower() if one not in "+-._,#/" and not one.isspace())
+    if not cell.strip("-\u2013\u2014*?") or cell[0] in "#<>" or letters in NO_READING:
         return math.nan
     return _number(cell)
 

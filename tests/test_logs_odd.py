@@ -135,6 +135,20 @@ def test_left_handed_matrices_are_called_so(tmp_path, log):
         ({"lag_s": 0.1}, "no column of times"),
         ({"interpolate": True}, "no column of times"),
         ({"sheet": "S"}, "--sheet, which says nothing of a file that is no workbook"),
+        (
+            {"readings_time_units": "ms"},
+            "--readings-time-units, which says nothing of a log without",
+        ),
+        (
+            {"readings_station_column": "n"},
+            "--readings-station-column, which says nothing of a log",
+        ),
+        ({"time_units": "ms"}, "--time-units, which says nothing of one table that is read row by"),
+        (
+            {"tolerance_s": 1.0},
+            "--tolerance-s, which says nothing of one table that is read row by",
+        ),
+        ({"stand_mm": 3.0}, "--stand-mm, which says nothing of a log without --stands"),
     ],
     ids=str,
 )

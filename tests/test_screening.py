@@ -242,7 +242,24 @@ def written(folder, recording, cells):
     return path
 
 
-@pytest.mark.parametrize("word", ["nan", "NaN", "inf", "-Infinity", "OVERFLOW", "n/a"])
+@pytest.mark.parametrize(
+    "word",
+    [
+        *(
+            "nan",
+            "NaN",
+            "inf",
+            "-Infinity",
+            "OVERFLOW",
+            "n/a",
+            "OUT OF RANGE",
+            "OL",
+            "+Over",
+            "n.a.",
+        ),
+        *("Fehler", "#N/A", "#WERT!", "1.#INF", "*****", "?", ">0.13"),
+    ],
+)
 def test_words_for_no_reading_are_counted(tmp_path, recording, word):
     read = hl.read_recording(written(tmp_path, recording, {(2, 0): word, (5, 1): word}))
     assert np.isnan(read.ranges[[2, 5], [0, 1]]).all()

@@ -45,10 +45,29 @@ MISSPELT = 0.75
 """Likeness to `range` (difflib) above which the name of a column is a misspelt beam and not ignored."""
 JOINT = "joint_"
 """Before the names of joints; a recording ignores such columns."""
-NO_READING = ("nan", "inf", "infinity", "overflow", "ovf", "na", "n/a", "none", "null")
-"""Words, with a sign or without, by which sensors and programs say that there is no reading."""
-DASHES = r"^[-\u2013\u2014]+$"
-"""Cells of nothing but dashes say it, too: no number is written so."""
+NO_READING = (
+    *("nan", "1qnan", "1snan", "1ind", "inf", "1inf", "infinity", "overflow", "ovf", "over", "ol"),
+    *(
+        "overrange",
+        "outofrange",
+        "underrange",
+        "under",
+        "na",
+        "none",
+        "null",
+        "nil",
+        "error",
+        "err",
+    ),
+    *("fehler", "invalid", "ung\u00fcltig", "noecho", "noreading", "notarget"),
+)
+"""Words by which sensors, programs and spreadsheets say that there is no reading, in lower case and
+without signs, blanks and points."""
+NO_LETTERS = r"[\s+._,#/-]"
+"""What these words may be written with."""
+NO_NUMBER = r"^([-\u2013\u2014*?]+|[#<>].*)$"
+"""Cells of nothing but dashes, asterisks or question marks say it, too, and errors of spreadsheets
+(`#N/A`, `#WERT!`), and what is only known to lie beyond a limit (`>130`): no number is written so."""
 
 
 def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:
@@ -370,7 +389,7 @@ def _word_codes(column: pl.Series) -> BoolArray:
         return np.asarray((~column.is_finite()).fill_null(value=False).to_numpy(), dtype=bool)
     found = ~column.cast(pl.Float64, strict=False).is_finite().fill_null(value=False).to_numpy()
     cells = column.filter(found)
-    word = cells.str.to_lowercase().str.strip_chars_start("+-")
-    said = word.is_in(NO_READING) | cells.str.contains(DASHES)
+    word = cells.str.to_lowercase().str.replace_all(NO_LETTERS, "")
+    said = word.is_in(NO_READING) | cells.str.contains(NO_NUMBER)
     found[found] = said.fill_null(value=False).to_numpy()
     return np.asarray(found, dtype=bool)

@@ -32,6 +32,12 @@ OF_READINGS = ("range_columns", "range_units", "average", "range_sigma_from_scat
 """Fields that say nothing of sensors of many rays."""
 OF_BAGS = ("pose_topic", "frames", "receive_time")
 """Fields that say nothing of a table."""
+OF_READINGS_APART = ("readings_station_column", "readings_time_column", "readings_time_units")
+"""Fields that say nothing of one table with poses and readings."""
+OF_TIMES = ("time_units", "tolerance_s")
+"""Fields that say nothing where poses and readings are of the same rows or names."""
+OF_STANDS = ("stand_mm", "stand_deg", "stand_s")
+"""Fields that say nothing where no moments are looked for at which the hand stands."""
 
 
 def read_log(
@@ -141,10 +147,15 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> JoinedStations:
     _refuse_stated(given, OF_BAGS, "a table", path)
     books = [one for one in (path, given.readings) if one and one.suffix.lower() in WORKBOOKS]
     _refuse_stated(given, () if books else ("sheet",), "a file that is no workbook", path)
+    if not given.stands:
+        _refuse_stated(given, OF_STANDS, "a log without --stands", path)
     table = read_log_table(path, given)
     columns = columns_of(table, given, readings=given.readings is None)
     if given.readings is None:
         in_time = bool(given.stands or given.interpolate or given.lag_s or given.estimate_lag)
+        _refuse_stated(given, OF_READINGS_APART, "a log without --readings", path)
+        if not in_time:
+            _refuse_stated(given, OF_TIMES, "one table that is read row by row", path)
         rows = rows_of(table, columns, given, sensor, in_time=in_time)
         return by_time(rows, rows, given) if in_time else one_table(rows, given)
     # The second file has no poses: what is stated of these says nothing of its header.
@@ -164,6 +175,7 @@ def _of_tables(path: Path, given: LogFormat, sensor: Sensor) -> JoinedStations:
     poses = rows_of(table, columns, given, sensor, in_time=in_time)
     readings = rows_of(other, others, second, sensor, in_time=in_time)
     if not in_time:
+        _refuse_stated(given, OF_TIMES, "tables that are joined by station", path)
         return by_station(poses, readings)
     refuse_other_units(poses, readings, given)
     return by_time(poses, readings, given)
