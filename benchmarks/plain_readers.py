@@ -18,19 +18,9 @@ from numpy.typing import NDArray
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-NO_READING = set(
-    [
-        "nan",
-        "1qnan",
-        "1snan",
-        "1ind",
-        "inf",
-        "1inf",
-        "infinity",
-        "overflow",
-        "ovf",
-        "over",
-        "ol",
+NO_READING = {
+    *("nan", "1qnan", "1snan", "1ind", "inf", "1inf", "infinity", "overflow", "ovf", "over", "ol"),
+    *(
         "overrange",
         "outofrange",
         "underrange",
@@ -41,14 +31,9 @@ NO_READING = set(
         "nil",
         "error",
         "err",
-        "fehler",
-        "invalid",
-        "ungültig",
-        "noecho",
-        "noreading",
-        "notarget",
-    ]
-)
+    ),
+    *("fehler", "invalid", "ung\u00fcltig", "noecho", "noreading", "notarget"),
+}
 """What a logger writes for "no reading", once its signs, points and blanks are gone."""
 DEGREE = math.pi / 180.0
 
