@@ -393,6 +393,8 @@ def test_a_tool_frame_that_steps_or_creeps_is_found(share, subject, direction):
     # The size is that along the direction tried that fits best, which has 0.89 of the true one or more.
     # A part along the beams hardly shows, so that a direction without it may fit as well.
     assert 0.6 * size < abs(first.size) < 1.2 * size + 4.0 * first.sigma
+    # The mounts are of the mean of the tool frames, and half of the way from where either is.
+    assert (first.spots(0.3, unnoticed=False) >= 0.5 * abs(first.size)).all()
 
 
 def test_a_sensor_that_warms_up_is_found_to_drift():

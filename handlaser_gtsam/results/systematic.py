@@ -105,11 +105,15 @@ class SystematicError(Value):
     def spots(self, reading: float, *, unnoticed: bool) -> FloatArray:
         """Return how far it moves the spot of every beam (B,) at a reading [m]; NaN if unknown.
 
-        At the size that may go `unnoticed`, or at the size estimated.
+        At the size that may go `unnoticed`, or at that estimated. What was displaced amid a recording
+        is, before and after, at least half of that from the mean, which mounts are of.
         """
         shift = self.spot_shift if unnoticed else self.spot_error
         powers = reading ** np.arange(shift.shape[1])
-        return np.asarray(np.linalg.norm(np.einsum("bpi,p->bi", shift, powers), axis=1))
+        moved = np.linalg.norm(np.einsum("bpi,p->bi", shift, powers), axis=1)
+        if EFFECTS[self.code].of_mean and not unnoticed:
+            moved = np.maximum(moved, 0.5 * abs(self.size))
+        return np.asarray(moved)
 
     def moved(self, reading: float, *, unnoticed: bool) -> float:
         """Return how far it moves the spot that it moves most [m]; zero where nothing is known."""

@@ -309,7 +309,7 @@ def started(
     Raises
     ------
     InputError
-        The readings of a new beam do not determine it.
+        The readings of a new beam do not determine it, or hardly.
     """
     waits = Update((), contents.waiting, UNKNOWN, None, None)
     try:
@@ -327,7 +327,16 @@ def started(
         new = FreedState.of(batch, contents, noise, options)
     else:
         config = SessionConfig.of(batch, noise, options)
-        new = begin(contents.restarted(batch.fit.rejected), config, batch.parameters().beams)
+        restarted, beams = contents.restarted(batch.fit.rejected), batch.parameters().beams
+        try:
+            new = begin(restarted, config, beams)
+        except RuntimeError as error:  # iSAM2 takes undamped steps, which need not lead anywhere
+            found = f"readings that hardly determine the beams ({error})"
+            if now is not None:
+                raise InputError(
+                    found, "more of them, before other planes or in other turns"
+                ) from error
+            return None, replace(waits, message=found)
     return new, Update(
         tuple(new.contents.inside),
         new.contents.waiting,

@@ -200,7 +200,7 @@ class Effect:
         recorded poses, one a unit of size; its columns follow where there are no `members`.
     phrase, remedy, reveal, confounded, anywhere : str
         The words for it.
-    unit, of_sensor, of_cell, power, least_beams, is_k1, across, in_order
+    unit, of_sensor, of_cell, power, least_beams, is_k1, across, in_order, of_mean
         As in `effects.toml`, where they are stated.
     """
 
@@ -221,6 +221,7 @@ class Effect:
     is_k1: bool = False
     across: bool = False
     in_order: bool = False
+    of_mean: bool = False
 
     def at(self, stations: SeenStations) -> Everywhere | OnPlanes | None:
         """Return its members at the stations; None where no recording can show it."""
