@@ -19,20 +19,21 @@ from numpy.typing import NDArray
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 NO_READING = {
-    *("nan", "1qnan", "1snan", "1ind", "inf", "1inf", "infinity", "overflow", "ovf", "over", "ol"),
+    *("nan", "nanind", "1qnan", "1snan", "1ind", "inf", "1inf", "infinity", "notanumber", "none"),
     *(
+        "overflow",
+        "ovf",
+        "over",
+        "ol",
         "overrange",
         "outofrange",
         "underrange",
         "under",
-        "na",
-        "none",
-        "null",
-        "nil",
-        "error",
-        "err",
+        "hi",
+        "lo",
     ),
-    *("fehler", "invalid", "ung\u00fcltig", "noecho", "noreading", "notarget"),
+    *("na", "null", "nil", "error", "err", "fehler", "invalid", "ung\u00fcltig"),
+    *("noecho", "noreading", "notarget"),
 }
 """What a logger writes for "no reading", once its signs, points and blanks are gone."""
 DEGREE = math.pi / 180.0
@@ -129,8 +130,9 @@ def _number(cell: str) -> float:
 
 
 def _range(cell: str) -> float:
-    letters = "".join(one for one in cell.lower() if one not in "+-._,#/" and not one.isspace())
-    if not cell.strip("-\u2013\u2014*?") or cell[0] in "#<>" or letters in NO_READING:
+    letters = "".join(one for one in cell.lower() if one not in "+-._,#/()!" and not one.isspace())
+    marked = re.match(r"#[^0-9.,+-]|[<>]|err:[0-9]+$", cell.lower())
+    if not cell.strip("-\u2013\u2014*?") or marked or letters in NO_READING:
         return math.nan
     return _number(cell)
 

@@ -143,7 +143,6 @@ def test_left_handed_matrices_are_called_so(tmp_path, log):
             {"readings_station_column": "n"},
             "--readings-station-column, which says nothing of a log",
         ),
-        ({"time_units": "ms"}, "--time-units, which says nothing of one table that is read row by"),
         (
             {"tolerance_s": 1.0},
             "--tolerance-s, which says nothing of one table that is read row by",

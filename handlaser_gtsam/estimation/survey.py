@@ -322,7 +322,9 @@ def first_state(
     if np.median(misfits(state)) <= GROSS:
         return state
     free = _begun_without_relations(state)
-    if free is not None and _contradicts_relations(replace(free, relations=state.relations)):
+    if free is not None and _some_relation_is_contradicted(
+        replace(free, relations=state.relations)
+    ):
         state.values, state.used = free.values, free.used
     elif started_from_halves(state):
         leave_out_gross(state)
@@ -370,7 +372,8 @@ def _doubtful(state: SurveyState) -> list[str]:
     return [name for name, used in shares.items() if np.mean(used) < 1.0 - MOST_REJECTED]
 
 
-def _contradicts_relations(state: SurveyState) -> bool:
+def _some_relation_is_contradicted(state: SurveyState) -> bool:
+    """Tell whether the readings contradict a relation at the values of a state."""
     return any(test.contradicted for test in _tested(state))
 
 
@@ -390,11 +393,11 @@ def _blames_relations(state: SurveyState, settled: bool) -> bool:
         if settled and free.used.sum() <= state.used.sum():
             continue
         tied = replace(state, values=dict(free.values), sizes=free.sizes, used=free.used)
-        if not _contradicts_relations(tied):
+        if not _some_relation_is_contradicted(tied):
             continue
         # A relation that is grossly false may lead away from all that fits.
         there = replace(tied)
-        found = there if there.minimize() and _contradicts_relations(there) else tied
+        found = there if there.minimize() and _some_relation_is_contradicted(there) else tied
         state.rows, state.values = found.rows, found.values
         state.sizes, state.used = found.sizes, found.used
         return True

@@ -46,28 +46,30 @@ MISSPELT = 0.75
 JOINT = "joint_"
 """Before the names of joints; a recording ignores such columns."""
 NO_READING = (
-    *("nan", "1qnan", "1snan", "1ind", "inf", "1inf", "infinity", "overflow", "ovf", "over", "ol"),
+    *("nan", "nanind", "1qnan", "1snan", "1ind", "inf", "1inf", "infinity", "notanumber", "none"),
     *(
+        "overflow",
+        "ovf",
+        "over",
+        "ol",
         "overrange",
         "outofrange",
         "underrange",
         "under",
-        "na",
-        "none",
-        "null",
-        "nil",
-        "error",
-        "err",
+        "hi",
+        "lo",
     ),
-    *("fehler", "invalid", "ung\u00fcltig", "noecho", "noreading", "notarget"),
+    *("na", "null", "nil", "error", "err", "fehler", "invalid", "ung\u00fcltig"),
+    *("noecho", "noreading", "notarget"),
 )
 """Words by which sensors, programs and spreadsheets say that there is no reading, in lower case and
 without signs, blanks and points."""
-NO_LETTERS = r"[\s+._,#/-]"
+NO_LETTERS = r"[\s+._,#/()!-]"
 """What these words may be written with."""
-NO_NUMBER = r"^([-\u2013\u2014*?]+|[#<>].*)$"
+NO_NUMBER = r"(?i)^([-\u2013\u2014*?]+|#[^0-9.,+-].*|[<>].*|err:\d+)$"
 """Cells of nothing but dashes, asterisks or question marks say it, too, and errors of spreadsheets
-(`#N/A`, `#WERT!`), and what is only known to lie beyond a limit (`>130`): no number is written so."""
+(`#N/A`, `#WERT!`, `Err:502`), and what is only known to lie beyond a limit (`>130`): no number is
+written so."""
 
 
 def read_recording(path: Path | str, sensor: Sensor | None = None) -> Recording:

@@ -398,8 +398,9 @@ def driven(
     for first, q in beginnings():
         # From some, the arm is in its own way, or at a limit, soon.
         tried = drive(first, q)
-        if len(tried[0]) > len(parts):
-            parts, joints, origin = tried
+        if len(tried[0]) <= len(parts):
+            break
+        parts, joints, origin = tried
         if len(parts) == len(stations):
             break
     if not parts:

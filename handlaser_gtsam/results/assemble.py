@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..data.parameters import RangeErrorPrior
-from ..data.recording import Readings, Recording
+from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
@@ -106,9 +106,10 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     way = _way(problem, used, fit, solution, wrong)
     lost = lost_of_beams(fit, problem.recording.beam_names)
     # Where readings of beams are exchanged and one of them loses more than this part of its own, it is
-    # not sure which of the two mounts is whose, or whether both are one.
+    # not sure which of the two mounts is whose, or whether both are one. Nor is it where a mistake
+    # parts the first stations from the last ones, and either part may be the wrong one.
     unsure = any(out > (1.0 / 3.0) * every and every > out for out, every in lost)
-    unsure = unsure or (way is not None and _of_one_part(way, problem.recording))
+    unsure = unsure or (way is not None and "parts" in way.values)
     mistaken = way is not None and (wrong is not None or suspicious(used, fit) or unsure)
     if mistaken:
         wrong, way = way, None
@@ -279,16 +280,6 @@ def _way(
     if way is None and wrong is not None and rejected is not None:
         way = better_way(recording, terms)
     return way
-
-
-def _of_one_part(way: CalibrationWarning, recording: Recording) -> bool:
-    """Tell whether a mistake of the file parts its first stations from its last ones.
-
-    Either part may be the wrong one: exchanged beams up to one end, lengths of another unit.
-    """
-    names, values = recording.station_names, way.values
-    at_an_end = values.get("from") == names[0] or values.get("to") == names[-1]
-    return at_an_end or "lengths" in values
 
 
 def _determined_by(

@@ -217,7 +217,8 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
         own = place[family][number] + np.arange(by.shape[1])
         chance = radius(by @ added[np.ix_(own, own)] @ by.T)
         shifts.append((float(np.linalg.norm(places[1] - places[0])), chance))
-    return SurveyPrediction(len(test), squares, dof, float(p), *max(shifts))
+    largest = max(shifts, key=lambda one: one[0])
+    return SurveyPrediction(len(test), squares, dof, float(p), *largest)
 
 
 def _least_squares(J: FloatArray, e: FloatArray) -> tuple[float, int, FloatArray]:

@@ -267,11 +267,14 @@ def _halts(stations: StationList) -> list[bool]:
     the plate did: it is taken away before the one, and put up again before the other. Targets with a
     kind, as `sphere:ball`, stand all at once.
     """
-    halts, before, awaited = [], stations.plane_labels[0], False
+    halts: list[bool] = []
+    before, awaited = stations.plane_labels[0], False  # a plate that is still to be put up
     for name, label in zip(stations.station_names, stations.plane_labels, strict=True):
-        changes, read = label != before and ":" not in label, not name.startswith(VIA)
+        changes = label != before and ":" not in label
+        read = not name.startswith(VIA)
         halts.append(changes or (awaited and read))
-        awaited, before = (changes or awaited) and not read, label
+        awaited = (changes or awaited) and not read
+        before = label
     return halts
 
 

@@ -34,7 +34,7 @@ OF_BAGS = ("pose_topic", "frames", "receive_time")
 """Fields that say nothing of a table."""
 OF_READINGS_APART = ("readings_station_column", "readings_time_column", "readings_time_units")
 """Fields that say nothing of one table with poses and readings."""
-OF_TIMES = ("time_units", "tolerance_s")
+OF_TIMES = ("tolerance_s",)
 """Fields that say nothing where poses and readings are of the same rows or names."""
 OF_STANDS = ("stand_mm", "stand_deg", "stand_s")
 """Fields that say nothing where no moments are looked for at which the hand stands."""

@@ -31,7 +31,7 @@ from ...model.sensors.mounted import SENSOR
 from ...quantities import TINY, UNIT_SIGMA
 from ...results.file_mistakes import coordinate_units, scaled, without_mistake
 from ...results.messages import MISTAKES
-from ...results.rereading import Rereading, misfits
+from ...results.rereading import MUCH_BETTER, Rereading, misfits
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort
 from .format import LogFormat
@@ -166,7 +166,9 @@ def _accused(
 
     for found, cure in ways():
         best = min((value for value, _ in found), default=np.inf)
-        if best <= min(now / BETTER, WELL):
+        # Of a table nothing is suspected: a range offset fits twice better with other angles, too.
+        better = BETTER if cure is CURE else MUCH_BETTER
+        if best <= min(now / better, WELL):
             # Of several ways those are named whose misfit is within this factor of the least.
             words = " or ".join(words for value, words in found if value <= 4.0 * best)
             more = f", and lengths of {shots.name} as they are read"
@@ -231,7 +233,7 @@ def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float
         bounds = nearest + steps[[1, 3]]
         found = minimize_scalar(of_tangents, bounds=bounds, options={"xatol": 0.005})
         times = float(np.exp(found.x))
-        yield float(found.fun), f"the angles of {what} are about {times:.2g} times as large"
+        yield float(found.fun), f"the angles of {what} are about {times:.3g} times as large"
 
 
 def _likelier(columns: FloatArray, at: int, times: float) -> bool:

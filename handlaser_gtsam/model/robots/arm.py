@@ -191,6 +191,7 @@ class Arm:
         Parameters
         ----------
         R, t : (M, 3, 3), (M, 3)
+            All finite, as the starts.
         starts : (M, J)
         """
         found, left = np.full(starts.shape, np.nan), np.arange(len(starts))
