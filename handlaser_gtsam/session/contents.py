@@ -102,6 +102,12 @@ class Contents:
         return {name: plane.number for name, plane in planes if plane.number is not None}
 
     @property
+    def readings(self) -> int:
+        """How many readings were added and not taken away."""
+        recorded = (plane.recording.ranges for plane in self.planes.values())
+        return sum(int((~np.isnan(ranges)).sum()) for ranges in recorded)
+
+    @property
     def waiting(self) -> tuple[str, ...]:
         """Planes that are not."""
         return tuple(name for name, plane in self.planes.items() if plane.number is None)

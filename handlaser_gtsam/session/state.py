@@ -280,7 +280,8 @@ class SessionState:
                     new = new.begun()
             except RuntimeError:  # iSAM2 takes undamped steps: the batch solver does not
                 new = new.solved_at_once()
-        if gone and not new.solution.observability.full:
+        fewer = gone or contents.readings < self.contents.readings
+        if fewer and not new.solution.observability.full:
             raise undetermined()
         return new, joined, inconsistent
 
