@@ -542,5 +542,5 @@ def test_new_readings_are_judged_as_by_dense_matrices(incidence):
 
 @pytest.mark.slow
 def test_a_station_without_which_a_split_beam_is_undetermined_stays():
-    """One of two minima was as good then, 8 mm away; the sequence is compared with batches throughout."""
+    """One of two minima was as good then, 8 mm away. Every step is compared with a batch solution."""
     assert run_once(313).startswith("agrees after every step")
