@@ -332,7 +332,10 @@ def first_state(
 
 
 def _begun_without_relations(state: SurveyState) -> SurveyState | None:
-    """Return a quick start without relations that fits; None where there is none, or no relation."""
+    """Return a quick start without relations that fits; None where there is none, or no relation.
+
+    Its rows have the relations, for those who test them; the state itself is free of them.
+    """
     rows, every = state.rows, np.ones(len(state.used), dtype=bool)
     free = replace(state, rows=replace(rows, known=()), relations=[], used=every)
     if not (state.relations and begin_quickly(free, GROSS) and _surely_fits(free)):

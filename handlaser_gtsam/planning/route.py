@@ -362,11 +362,12 @@ def driven(
 
     def drive(first: int, q: FloatArray) -> tuple[list[Stations], list[FloatArray], list[int]]:
         """Drive to all stations from joints at the `first` one, or from the start before all (-1)."""
-        parts, joints = ([], []) if first < 0 else ([stations[np.array([first])]], [q])
-        origin = [] if first < 0 else [first]
+        parts, joints, origin = list[Stations](), list[FloatArray](), list[int]()
+        if first >= 0:
+            parts, joints, origin = [stations[np.array([first])]], [q], [first]
         for index in range(first + 1, len(stations)):
-            station, before = stations[np.array([index])], parts[-1] if parts else None
-            last = None if before is None else before[np.array([-1])]
+            station = stations[np.array([index])]
+            last = parts[-1][np.array([-1])] if parts else None
             for way in ways(last, station):
                 plane = int((way if last is None else last).plane[0])
                 # Ways between two stations that are tried, before another detour: a second or two.
@@ -378,24 +379,10 @@ def driven(
                     break
         return parts, joints, origin
 
-    def beginnings() -> Iterator[tuple[int, FloatArray]]:
-        """Yield where the arm may begin: several joints lead to the first station it can be at."""
-        if len(robot.start):
-            yield -1, robot.start
-            return
-        middle = 0.5 * np.add(*robot.limits)
-        for index, (R, t, plane) in enumerate(
-            zip(stations.world_R_hand, stations.world_t_hand, stations.plane, strict=True)
-        ):
-            some = list(islice(robot.solutions(R, t, plates[plane], middle), TRIED_SOLUTIONS))
-            if some:
-                yield from ((index, q) for q in some)
-                return
-
     parts: list[Stations] = []
     joints: list[FloatArray] = []
     origin: list[int] = []
-    for first, q in beginnings():
+    for first, q in _beginnings(robot, stations, plates):
         # From some, the arm is in its own way, or at a limit, soon.
         tried = drive(first, q)
         if len(tried[0]) <= len(parts):
@@ -409,3 +396,22 @@ def driven(
             "more room around the plate, a smaller clearance or other start joints",
         )
     return joined(parts), np.array(origin, dtype=np.intp), np.array(joints)
+
+
+def _beginnings(
+    robot: Robot, stations: Stations, plates: Sequence[Plate | None]
+) -> Iterator[tuple[int, FloatArray]]:
+    """Yield where an arm may begin: the index of a station and joints there, or -1 and its start.
+
+    Without a start, several joints lead to the first station that it can be at.
+    """
+    if len(robot.start):
+        yield -1, robot.start
+        return
+    middle = 0.5 * np.add(*robot.limits)
+    poses = zip(stations.world_R_hand, stations.world_t_hand, stations.plane, strict=True)
+    for index, (R, t, plane) in enumerate(poses):
+        some = list(islice(robot.solutions(R, t, plates[plane], middle), TRIED_SOLUTIONS))
+        if some:
+            yield from ((index, q) for q in some)
+            return

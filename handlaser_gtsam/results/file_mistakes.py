@@ -178,7 +178,7 @@ def _exchanges(recording: Recording, rejected: BoolArray) -> Iterator[Rereading]
 
 
 def _exchanged_from_a_station(recording: Recording) -> Iterator[Rereading]:
-    """Two beams exchanged from some station on, of so many that neither part shows as outliers.
+    """Two beams exchanged from about the middle on, so that neither part shows as outliers.
 
     Which two they are shows near the right station already: with a quarter, a half or three quarters
     of the stations exchanged at least half of those that are wrong are put right.
@@ -289,7 +289,7 @@ def _changes_of(
     for larger, smaller, late in ((after, before, True), (before, after, False)):
         (_, least), (most, _) = larger, smaller
         # Readings that differ by this factor on both sides of a station, without overlap, have two
-        # units. Where a side has none, or the hand is at the origin, nothing is told.
+        # units. Where a side has none, or the hand is at the origin, nothing says so.
         gap = np.where(np.isfinite(least) & (most > 0.0), least / np.maximum(most, TINY), 0.0)
         if not gap.max(initial=0.0) > LEAST_TIMES:
             continue

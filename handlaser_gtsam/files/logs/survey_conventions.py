@@ -207,7 +207,7 @@ def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float
     """Yield the misfits of zones that look elsewhere, and of points that are mirrored, with words.
 
     An axis with the wrong sign, and two that are exchanged, mirror what a sensor sees; how it is turned
-    beside is its mount. Angles of zones may be those of another field of view: half or the whole angle,
+    beside is its mount. Angles of zones may belong to another field of view: half or the whole angle,
     the diagonal, another type of sensor.
     """
     if shots.kind not in ("array", "points"):
