@@ -541,6 +541,11 @@ def test_new_readings_are_judged_as_by_dense_matrices(incidence):
 
 
 @pytest.mark.slow
-def test_a_station_without_which_a_split_beam_is_undetermined_stays():
-    """One of two minima was as good then, 8 mm away. Every step is compared with a batch solution."""
-    assert run_once(313).startswith("agrees after every step")
+@pytest.mark.parametrize("seed", [313, 494, 795])
+def test_what_hardly_determines_a_split_beam_is_refused(seed):
+    """With nine readings of one plane a beam has two minima, or undamped steps lead nowhere.
+
+    Every step of these sequences is compared with a batch solution; one ended 8 mm away, the others in
+    an error of GTSAM's steps.
+    """
+    assert run_once(seed).startswith("agrees after every step")

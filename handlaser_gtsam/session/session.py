@@ -29,7 +29,7 @@ from .config import SessionConfig
 from .contents import Contents
 from .freed import FreedState
 from .reports import Comparison, Update
-from .state import SessionState, begin
+from .state import SessionState, begun_or_refused
 
 AnyState = SessionState | FreedState
 
@@ -329,14 +329,11 @@ def started(
         config = SessionConfig.of(batch, noise, options)
         restarted, beams = contents.restarted(batch.fit.rejected), batch.parameters().beams
         try:
-            new = begin(restarted, config, beams)
-        except RuntimeError as error:  # iSAM2 takes undamped steps, which need not lead anywhere
-            found = f"readings that hardly determine the beams ({error})"
+            new = begun_or_refused(restarted, config, beams)
+        except InputError as error:
             if now is not None:
-                raise InputError(
-                    found, "more of them, before other planes or in other turns"
-                ) from error
-            return None, replace(waits, message=found)
+                raise
+            return None, replace(waits, message=str(error))
     return new, Update(
         tuple(new.contents.inside),
         new.contents.waiting,
@@ -364,7 +361,10 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
             batch, config = new.calibrated()
             if batch.status == "converged":
                 contents = new.contents.restarted(batch.fit.rejected)
-                new, message = begin(contents, config, batch.parameters().beams), RESTARTED
+                new, message = (
+                    begun_or_refused(contents, config, batch.parameters().beams),
+                    RESTARTED,
+                )
                 joined, inconsistent = tuple(new.contents.inside), ()
         new, comparison = new.compared_if_due()
     begun_again = message or (comparison is not None and comparison.changes)

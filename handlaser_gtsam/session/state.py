@@ -192,14 +192,14 @@ class SessionState:
         new, config = self, self.learned()
         changes = config.changes(self.config)
         if changes:
-            new = begin(self.contents, config, self.state.beams)
+            new = begun_or_refused(self.contents, config, self.state.beams)
             excluded = tuple(new.contents.excluded)
             if excluded:  # they may fit beside the new scales
                 new, _, _ = new.changed(new.contents.included(), excluded)
         comparison = new.compare()
         if max(comparison.largest, comparison.largest_sigma) > SAME_OPTIMUM:
             changes |= {"from-batch": "restarted from the batch solution, which it had left"}
-            new = begin(new.contents, new.config, new.solution.parameters.beams)
+            new = begun_or_refused(new.contents, new.config, new.solution.parameters.beams)
         planes = len(new.contents.inside)
         new = replace(new, compared=new.state, changes=0, learned_with=planes)
         return new, replace(comparison, changes=changes)
@@ -227,7 +227,7 @@ class SessionState:
         if changes:  # from the estimate so far, not from what it is to be compared with
             order = [self.config.names.index(name) for name in batch.beams]
             r, v, k = (array[order] for array in self.state.beams)
-            new = begin(contents, config, (r, v, k))
+            new = begun_or_refused(contents, config, (r, v, k))
         new = replace(new, learned_with=len(new.contents.inside))
         return new, Comparison(*new.config.apart(new.integrated, batch), changes)
 
@@ -335,6 +335,20 @@ def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionSta
         if is_near(config, at, beams):
             break
     return SessionState(contents, config, at, graph, state, state, len(parts))
+
+
+def begun_or_refused(contents: Contents, config: SessionConfig, beams: Beams) -> SessionState:
+    """Do as `begin`, and refuse what does not settle.
+
+    Raises
+    ------
+    InputError
+        The undamped steps of iSAM2 lead nowhere: the readings hardly determine the beams.
+    """
+    try:
+        return begin(contents, config, beams)
+    except RuntimeError as error:
+        raise undetermined(f" ({error})") from error
 
 
 def problem_of(contents: Contents, config: SessionConfig) -> Problem:
