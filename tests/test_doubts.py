@@ -25,23 +25,29 @@ def recording():
 
 
 @pytest.fixture(scope="module")
-def in_another_unit(recording):
-    """What is found where all readings of a beam are ten times as long, and the noise is known."""
-    ranges = recording.ranges * np.array([1.0, 10.0, 1.0])
+def too_long(recording):
+    """What is found where all readings of a beam are five times as long, and the noise is known."""
+    ranges = recording.ranges * np.array([1.0, 5.0, 1.0])
     return hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA, 0.0, 0.0), NONE)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("told", [True, False])
-def test_a_beam_in_another_unit_is_named(told, recording, in_another_unit):
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_beam_that_is_too_long_is_named(stated, recording, too_long):
     """Most of its readings would be left out, and the rest fitted by chance."""
-    ranges = recording.ranges * np.array([1.0, 10.0, 1.0])
-    found = (
-        in_another_unit if told else hl.calibrate(replace(recording, ranges=ranges), options=NONE)
-    )
+    ranges = recording.ranges * np.array([1.0, 5.0, 1.0])
+    found = too_long if stated else hl.calibrate(replace(recording, ranges=ranges), options=NONE)
     assert found.status != "converged"
     named = {one.code: one.message for one in found.warnings}
     assert "readings of beam 2 contradict the others" in named["contradicting-beam"]
+
+
+@pytest.mark.slow
+def test_a_beam_that_is_ten_times_too_long_has_another_unit(recording):
+    ranges = recording.ranges * np.array([1.0, 10.0, 1.0])
+    found = hl.calibrate(replace(recording, ranges=ranges), hl.Noise(SIGMA, 0.0, 0.0), NONE)
+    words = "the ranges of beam 2 look like millimetres, and the others like centimetres"
+    assert found.message.startswith(words)
 
 
 @pytest.mark.slow
@@ -118,7 +124,7 @@ def test_sensors_without_range_errors_do_not_make_sigmas_too_large():
 )
 def test_a_warning_carries_the_numbers_of_its_message(recording, request, code, factor, names):
     if factor is None:
-        found = request.getfixturevalue("in_another_unit")
+        found = request.getfixturevalue("too_long")
     else:
         found = hl.calibrate(recording, hl.Noise(factor * SIGMA, 0.0, 0.0), NONE)
     (warning,) = [one for one in found.warnings if one.code == code]
