@@ -136,6 +136,18 @@ def test_positions_of_two_units_are_named_in_either_order(first, times):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("station", [0, 41])
+def test_a_beam_without_a_reading_at_one_end_hides_no_change_of_its_unit(station):
+    recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
+    ranges = recording.ranges.copy()
+    ranges[20:, 0] *= 1e3
+    ranges[station, 0] = np.nan
+    found = hl.calibrate(replace(recording, ranges=ranges))
+    first = recording.station_names[20]
+    assert f"the ranges of beam 1 from station {first} on look like millimetres" in found.message
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "times"), [(0, 10.0), (2, 1e-3), (1, 25.4)])
 def test_one_coordinate_in_another_unit_is_named(axis, times):
     recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)

@@ -118,6 +118,25 @@ def test_the_jacobian_is_that_of_differences(small):
 
 
 @needs_pinocchio
+@pytest.mark.parametrize("kind", ["prismatic", "revolute"])
+def test_an_arm_may_have_a_single_joint(tmp_path, kind):
+    path = tmp_path / "axis.urdf"
+    path.write_text(
+        '<robot name="axis"><link name="base"/><link name="hand"/>'
+        f'<joint name="only" type="{kind}"><parent link="base"/><child link="hand"/>'
+        '<origin xyz="0.1 0 0.2"/><axis xyz="1 0 0"/>'
+        '<limit lower="0" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    robot = hl.planning.Robot(str(path), "hand")
+    R, t = robot.poses(np.array([[0.3], [0.8]]))
+    moved = np.array([0.3, 0.8]) if kind == "prismatic" else np.zeros(2)
+    assert np.allclose(t, [0.1, 0.0, 0.2] + moved[:, None] * np.eye(3)[0], atol=1e-12)
+    turned = Rotation.from_matrix(R).as_rotvec()[:, 0]
+    assert np.allclose(turned, [0.0, 0.0] if kind == "prismatic" else [0.3, 0.8], atol=1e-12)
+    assert np.allclose(robot.joints(R, t), [[0.3], [0.8]], atol=1e-8)
+
+
+@needs_pinocchio
 def test_joints_are_named_as_in_the_urdf_and_fingers_are_none(small):
     assert small.joint_names == ("rail", "pan", "lift", "elbow", "roll", "tilt", "flange")
 

@@ -754,6 +754,16 @@ def test_zones_of_another_field_of_view_are_named(times):
     assert "as_stated = true in [log]" in str(refused.value)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("offset", [-0.05, 0.02, 0.1])
+def test_a_range_offset_is_no_other_field_of_view(offset):
+    """Other angles make residuals two to three times smaller, too, and are not the cause."""
+    survey, kuka = survey_of(rigs_by_distance.array(1)), hl.LogFormat(pose_format="kuka")
+    shots = survey.shots[0]
+    late = replace(shots, reading=np.maximum(shots.reading + offset, 1e-3))
+    assert not _accused(survey, late, (), kuka)
+
+
 def test_a_shot_that_shows_no_ball_contradicts_and_a_single_reading_grazes():
     found = calibrated(0)._found
     ball = next(i for i, item in enumerate(found.rows.items) if item.target[0] == "sphere")

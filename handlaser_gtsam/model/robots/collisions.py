@@ -71,7 +71,8 @@ class CollisionScene:
         drawn = np.random.default_rng(0).uniform(arm.low, arm.high, (200, len(arm.low)))
         # Bodies that touch at nearly all joints belong together: no motion parts them.
         joined = np.mean([self._touching(q) for q in drawn], axis=0) >= 0.95
-        joined |= [self._neighbours(pair.first, pair.second) for pair in bodies.collisionPairs]
+        near = [self._neighbours(pair.first, pair.second) for pair in bodies.collisionPairs]
+        joined |= np.array(near, dtype=bool)  # of an arm without bodies there are none
         if start is not None:
             joined |= self._touching(start)
         for index in np.flatnonzero(joined)[::-1]:  # from the last, so that the others keep theirs
