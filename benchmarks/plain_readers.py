@@ -18,23 +18,11 @@ from numpy.typing import NDArray
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-NO_READING = {
-    *("nan", "nanind", "1qnan", "1snan", "1ind", "inf", "1inf", "infinity", "notanumber", "none"),
-    *(
-        "overflow",
-        "ovf",
-        "over",
-        "ol",
-        "overrange",
-        "outofrange",
-        "underrange",
-        "under",
-        "hi",
-        "lo",
-    ),
-    *("na", "null", "nil", "error", "err", "fehler", "invalid", "ung\u00fcltig"),
-    *("noecho", "noreading", "notarget"),
-}
+NO_READING = (
+    " err error fehler hi inf infinity 1inf invalid lo na nan nanind nil noecho none noreading "
+    "notanumber notarget null ol outofrange over overflow overrange ovf under underrange "
+    "ung\u00fcltig 1ind 1qnan 1snan "
+)
 """What a logger writes for "no reading", once its signs, points and blanks are gone."""
 DEGREE = math.pi / 180.0
 
@@ -132,7 +120,7 @@ def _number(cell: str) -> float:
 def _range(cell: str) -> float:
     letters = "".join(one for one in cell.lower() if one not in "+-._,#/()!" and not one.isspace())
     marked = re.match(r"#[^0-9.,+-]|[<>]|err:[0-9]+$", cell.lower())
-    if not cell.strip("-\u2013\u2014*?") or marked or letters in NO_READING:
+    if not cell.strip("-\u2013\u2014*?") or marked or f" {letters} " in NO_READING:
         return math.nan
     return _number(cell)
 

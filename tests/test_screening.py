@@ -310,7 +310,7 @@ def test_impossible_numbers_are_codes_where_they_pile_up_or_the_range_says_so(
     assert f"one reading of '{text}' of beam 2" in str(read.warnings[0])
 
 
-@pytest.mark.parametrize("text", ["twelve", "nanometre", "1e400", "0.01.2"])
+@pytest.mark.parametrize("text", ["twelve", "nanometre", "1e400", "0.01.2", "#0.0125"])
 def test_other_words_are_refused(tmp_path, recording, text):
     with pytest.raises(hl.InputError, match=text):
         hl.read_recording(written(tmp_path, recording, {(4, 1): text}), hl.Sensor(0.0, 0.03))

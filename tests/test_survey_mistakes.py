@@ -714,7 +714,7 @@ def written_wrong(how):
             "one row late: each belongs to the pose of the row before its own, than as stated",
         ),
         ("sign", "times better if the y coordinates of the positions are negated, "),
-        ("unit", "if the y coordinates of the positions are 10 times as large"),
+        ("unit", "if the y coordinates of the positions are centimetres among millimetres"),
         ("order", "are in another order: columns 2, 1, 3 of them, "),
     ],
 )
@@ -755,13 +755,13 @@ def test_zones_of_another_field_of_view_are_named(times):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [-0.05, 0.02, 0.1])
-def test_a_range_offset_is_no_other_field_of_view(offset):
+def test_a_range_offset_is_no_other_field_of_view():
     """Other angles make residuals two to three times smaller, too, and are not the cause."""
-    survey, kuka = survey_of(rigs_by_distance.array(1)), hl.LogFormat(pose_format="kuka")
-    shots = survey.shots[0]
-    late = replace(shots, reading=np.maximum(shots.reading + offset, 1e-3))
-    assert not _accused(survey, late, (), kuka)
+    kuka = hl.LogFormat(pose_format="kuka")
+    for seed in range(1, 5):
+        survey = survey_of(rigs_by_distance.array(seed))
+        shots = survey.shots[0]
+        assert not _accused(survey, replace(shots, reading=shots.reading + 0.1), (), kuka)
 
 
 def test_a_shot_that_shows_no_ball_contradicts_and_a_single_reading_grazes():

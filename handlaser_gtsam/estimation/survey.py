@@ -8,7 +8,7 @@ condensed.
 """
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -380,6 +380,16 @@ def _some_relation_is_contradicted(state: SurveyState) -> bool:
     return any(test.contradicted for test in _tested(state))
 
 
+def _without_relations(state: SurveyState) -> Iterator[SurveyState]:
+    """Yield the state without relations, then a quick start without them, where that fits."""
+    near = replace(state, relations=[], used=np.ones(len(state.used), dtype=bool))
+    leave_out_gross(near)
+    yield near
+    begun = _begun_without_relations(state)
+    if begun is not None:
+        yield begun
+
+
 def _blames_relations(state: SurveyState, settled: bool) -> bool:
     """Let shots count that only a relation contradicts, and sizes be as they are without relations.
 
@@ -388,12 +398,8 @@ def _blames_relations(state: SurveyState, settled: bool) -> bool:
     """
     if not state.relations:
         return False
-    near = replace(state, relations=[], used=np.ones(len(state.used), dtype=bool))
-    leave_out_gross(near)
-    for free in (near, _begun_without_relations(state)):
-        if free is None or not _settle(free):
-            continue
-        if settled and free.used.sum() <= state.used.sum():
+    for free in _without_relations(state):
+        if not _settle(free) or (settled and free.used.sum() <= state.used.sum()):
             continue
         tied = replace(state, values=dict(free.values), sizes=free.sizes, used=free.used)
         if not _some_relation_is_contradicted(tied):

@@ -46,24 +46,11 @@ MISSPELT = 0.75
 JOINT = "joint_"
 """Before the names of joints; a recording ignores such columns."""
 NO_READING = (
-    *("nan", "nanind", "1qnan", "1snan", "1ind", "inf", "1inf", "infinity", "notanumber", "none"),
-    *(
-        "overflow",
-        "ovf",
-        "over",
-        "ol",
-        "overrange",
-        "outofrange",
-        "underrange",
-        "under",
-        "hi",
-        "lo",
-    ),
-    *("na", "null", "nil", "error", "err", "fehler", "invalid", "ung\u00fcltig"),
-    *("noecho", "noreading", "notarget"),
+    r"^(nan(ind)?|1[qs]nan|1ind|1?inf|infinity|notanumber|none|null|nil|na|over(flow|range)?|ovf|ol"
+    r"|outofrange|under(range)?|hi|lo|err(or)?|fehler|invalid|ung\u00fcltig|no(echo|reading|target))$"
 )
 """Words by which sensors, programs and spreadsheets say that there is no reading, in lower case and
-without signs, blanks and points."""
+without `NO_LETTERS`."""
 NO_LETTERS = r"[\s+._,#/()!-]"
 """What these words may be written with."""
 NO_NUMBER = r"(?i)^([-\u2013\u2014*?]+|#[^0-9.,+-].*|[<>].*|err:\d+)$"
@@ -392,6 +379,6 @@ def _word_codes(column: pl.Series) -> BoolArray:
     found = ~column.cast(pl.Float64, strict=False).is_finite().fill_null(value=False).to_numpy()
     cells = column.filter(found)
     word = cells.str.to_lowercase().str.replace_all(NO_LETTERS, "")
-    said = word.is_in(NO_READING) | cells.str.contains(NO_NUMBER)
+    said = word.str.contains(NO_READING) | cells.str.contains(NO_NUMBER)
     found[found] = said.fill_null(value=False).to_numpy()
     return np.asarray(found, dtype=bool)

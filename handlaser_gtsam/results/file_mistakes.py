@@ -244,8 +244,7 @@ def coordinate_units(t: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         for (unit, one), (other, two) in permutations(UNITS.items(), 2):
             times = one / two
             if abs(missing - np.log(times)) < abs(missing):
-                words = f"the {name} coordinates of the positions are {times:.4g} times as large"
-                words += f" ({unit} among {other})"
+                words = f"the {name} coordinates of the positions look like {unit} among {other}"
                 yield words, np.where(np.arange(3) == axis, times, 1.0)
 
 

@@ -48,6 +48,12 @@ Exported = Calibration | CalibrationFile | SurveyCalibration | SurveyFile | Stat
 """What can be exported."""
 
 
+TAKE_AWAY = "If one plate serves all planes, take it away. Then start again."
+"""Where the way to the next plane begins."""
+PUT_UP = "If one plate serves all planes, put it up for this one. Then start again."
+"""Where that way ends. A string of RAPID has 80 characters."""
+
+
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
     """What is exported, and how; an option that means nothing in a format is refused.
@@ -234,8 +240,8 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
 
     Each stop of a template has `words`, its name and plane, harmless in a comment; `pose`, its numbers
     in the convention of the program; `joints` [rad] in URScript, else [deg], none where the program
-    moves along lines; `read`, whether the program stops there; and `halt`, whether somebody may have to
-    move the plate before the hand goes there.
+    moves along lines; `read`, whether the program stops there; and `halt`, what somebody may have to do
+    before the hand goes there, or nothing.
     """
     x = numbers_of(stations.world_R_hand, stations.world_t_hand, POSE_FORMATS[PROGRAMS[to]])
     joints = stations.joints
@@ -260,20 +266,21 @@ def program_text(stations: StationList, to: str, signal: int, pause: float) -> s
     return rendered(to, stops=stops, signal=signal, pause=pause)
 
 
-def _halts(stations: StationList) -> list[bool]:
-    """Tell before which stations the plate may have to be moved, of planes that one plate may be.
+def _halts(stations: StationList) -> list[str]:
+    """Return what may have to be done with the plate before each station, of planes that one may be.
 
     A plan goes to the next plane as if no plate stood there, and to the first station before it as if
     the plate did: it is taken away before the one, and put up again before the other. Targets with a
     kind, as `sphere:ball`, stand all at once.
     """
-    halts: list[bool] = []
+    halts: list[str] = []
     before, awaited = stations.plane_labels[0], False  # a plate that is still to be put up
     for name, label in zip(stations.station_names, stations.plane_labels, strict=True):
         changes = label != before and ":" not in label
         read = not name.startswith(VIA)
-        halts.append(changes or (awaited and read))
-        awaited = (changes or awaited) and not read
+        awaited = awaited or changes
+        halts.append(PUT_UP if awaited and read else TAKE_AWAY if changes else "")
+        awaited = awaited and not read
         before = label
     return halts
 

@@ -100,7 +100,8 @@ def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
                     said += f": each belongs to the pose of the row {other} its own"
                 yield Rereading(said, partial(without_mistake, what=what, how=how), "glance")
     for words, factors in coordinate_units(stations.world_t_hand):
-        yield Rereading(words, partial(scaled, positions=factors), "glance")
+        said = words.replace(" look like ", " are ")
+        yield Rereading(said, partial(scaled, positions=factors), "glance")
 
 
 def _other_orders(numbers: FloatArray, way: Way, given: LogFormat) -> Iterator[Rereading]:
