@@ -315,10 +315,10 @@ class SolutionTask:
         at = solution.at
         if at.status != "converged" or not solution.observability.full:
             return solution
-        if at.estimates_poses and at.graph is not None and at.values is not None:
+        if at.estimates_poses:
             if at.loss != GAUSSIAN:  # the covariance of an M-estimate is not that of its weights
                 return solution
-            return replace(solution, joint=covariance_by_gtsam(at.graph, at.values))
+            return replace(solution, joint=covariance_by_gtsam(at))
         noise = at.sigma if solution.whitening is None else solution.whitening
         # The rows that factors would hand out may be more than GTSAM should hold once more.
         coupled = isinstance(noise, Whitening) and noise.is_coupled
@@ -329,7 +329,7 @@ class SolutionTask:
         steps = at.iterations + last.iterations
         if last.status == "interrupted":
             return replace(solution, at=replace(last, iterations=steps))
-        if last.status != "converged" or last.graph is None or last.values is None:
+        if last.status != "converged":
             return solution
         words = f"converged after {count(steps, 'step')}"
         at = replace(last, message=words, iterations=steps, first_step=at.first_step)
@@ -337,7 +337,7 @@ class SolutionTask:
         if at.loss == GAUSSIAN:
             # A single step was too short to change derivatives.
             linear = result.linear if result.iterations <= 1 else None
-            joint = covariance_by_gtsam(last.graph, last.values, linear)
+            joint = covariance_by_gtsam(last, linear)
         return replace(solution, at=at, joint=joint)
 
     def _finished_on_sums(self, solution: Solution, noise: float | Whitening) -> Solution:

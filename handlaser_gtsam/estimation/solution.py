@@ -216,6 +216,7 @@ def covariance(
     problem: CalibrationGraph,
     values: gtsam.Values,
     linear: gtsam.GaussianFactorGraph | None = None,
+    parameters: Parameters | None = None,
 ) -> JointCovariance:
     """Return the covariance of beams and planes by elimination in GTSAM, in its tangent bases.
 
@@ -228,6 +229,8 @@ def covariance(
         The solution.
     linear : gtsam.GaussianFactorGraph, optional
         The graph linearised there, or where the last step, a short one, began; if it has been.
+    parameters : Parameters, optional
+        The solution as arrays, where it has been read.
 
     Raises
     ------
@@ -261,7 +264,7 @@ def covariance(
         places = np.concatenate([columns[key] for key in seen_by])
         response[planes[:, None], :, places] = (root @ rest_of_rows).transpose(0, 2, 1)
         known_beams[planes] = root @ root.transpose(0, 2, 1)
-    at = read_parameters(problem, values)
+    at = read_parameters(problem, values) if parameters is None else parameters
     return numbered(at, problem.terms, S, response, known_beams, np.zeros((count, 3)))
 
 
@@ -291,13 +294,13 @@ def numbered(
 
 
 def covariance_by_gtsam(
-    problem: CalibrationGraph,
-    values: gtsam.Values,
-    linear: gtsam.GaussianFactorGraph | None = None,
+    at: Minimum, linear: gtsam.GaussianFactorGraph | None = None
 ) -> JointCovariance | None:
-    """Return `covariance`, or None where GTSAM calls the system indeterminate."""
+    """Return `covariance` at a minimum of a graph; None where GTSAM calls the system indeterminate."""
+    if at.graph is None or at.values is None:
+        return None
     try:
-        return covariance(problem, values, linear)
+        return covariance(at.graph, at.values, linear, at.parameters)
     except (RuntimeError, np.linalg.LinAlgError):
         return None
 
