@@ -43,7 +43,7 @@ from scipy.linalg import helmert
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.value import Value
 from ..model.families import MOUNT_DIM
-from ..quantities import NEGLIGIBLE
+from ..quantities import NEGLIGIBLE, SINGULAR
 
 SCALE_SPAN = 4.5
 """Scales of range errors lie within exp(+-SCALE_SPAN), a hundredfold, of a stated linearity."""
@@ -387,5 +387,11 @@ def _inverses(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
     # Rounding may have made some negative, where errors of the hand are far above those of readings.
     scale = 1.0 / np.sqrt(np.maximum(np.einsum("jii->ji", matrix), NEGLIGIBLE))
     each = scale[:, :, None] * scale[:, None, :]
-    log_det = np.linalg.slogdet(matrix * each)[1] - 2.0 * np.log(scale).sum(axis=1)
-    return np.linalg.inv(matrix * each) * each, log_det
+    scaled = matrix * each
+    try:
+        inverse = np.linalg.inv(scaled)
+    except np.linalg.LinAlgError:  # or singular
+        scaled = scaled + SINGULAR * np.eye(matrix.shape[1])
+        inverse = np.linalg.inv(scaled)
+    log_det = np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum(axis=1)
+    return inverse * each, log_det
