@@ -521,3 +521,115 @@ def test_arguments_of_another_kind_are_told(walk):
     for keys in ((1, 1), ("l0", "u0")):
         with pytest.raises(hl.InputError, match="integer"):
             hl.factors.BeamKeys(*keys)
+
+
+@pytest.mark.parametrize("poses", ["auto", "estimated"])
+def test_readings_that_errors_of_poses_couple_are_read_back(poses):
+    recording = hl.read_recording(GRIPPER / "recording.csv")
+    options = hl.CalibrationOptions("none", poses=poses)
+    calibration = hl.calibrate(recording, hl.Noise(3e-5, 1e-4, 1e-4), options)
+    problem = calibration.problem()
+    solved = hl.optimize(problem.graph, problem.values)
+    beams = dict(zip(calibration.beams, problem.beams, strict=True))
+    planes = dict(zip(calibration.planes, problem.planes, strict=True))
+    found = hl.read_graph(problem.graph, solved.values, beams, planes)
+    assert found.status == "converged"
+    assert found.fit.readings == calibration.fit.readings
+    for name, beam in found.beams.items():
+        mine = calibration.beams[name]
+        assert (np.abs(beam.location - mine.location) < 1e-4 * mine.location_sigma).all()
+        assert beam.location_sigma == pytest.approx(mine.location_sigma, rel=1e-4)
+        seen = ~np.isnan(found.fit.residuals[:, list(found.beams).index(name)])
+        assert (
+            seen.sum() == (~np.isnan(recording.ranges[:, recording.beam_names.index(name)])).sum()
+        )
+
+
+def test_residuals_that_no_noise_explains_are_no_calibration():
+    graph, walker, rng = gtsam.NonlinearFactorGraph(), robot(), np.random.default_rng(3)
+    for j, pose in enumerate(walker.poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = reading(pose, plane, R, V) + 0.02 * rng.standard_normal()
+        graph.push_back(range_to_plane(BEAM, plane, [pose], [d], SIGMA))
+    values = hl.optimize(graph, started()).values
+    found = hl.read_graph(graph, values, {"laser": BEAM}, PLANES)
+    assert found.status == "not_converged"
+    assert found.verdict.code == "no-fit"
+    assert "residuals are" in found.message
+    assert found.beams["laser"].sigma is None
+
+
+def test_metres_that_are_millimetres_are_found_out():
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    walker = robot(stations=40)
+    poses = [gtsam.Pose3(pose.rotation(), 1e3 * pose.translation()) for pose in walker.poses]
+    for j, pose in enumerate(walker.poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = 1e3 * reading(pose, plane, R, V)
+        graph.push_back(range_to_plane(BEAM, plane, [poses[j]], [d], 1e-3))
+    values.insert(BEAM.location, 1e3 * R)
+    values.insert(BEAM.direction, gtsam.Unit3(V))
+    for key, plane in TRUE_PLANES.items():
+        values.insert(key, gtsam.OrientedPlane3(plane.normal(), 1e3 * plane.distance()))
+    found = hl.read_graph(graph, hl.optimize(graph, values).values, {"laser": BEAM}, PLANES)
+    assert found.status == "not_converged"
+    assert "millimetres" in found.message
+
+
+def test_a_factor_of_ones_own_on_the_same_variables_is_no_reading(walk):
+    graph, start = gtsam.NonlinearFactorGraph(walk[0]), walk[1]
+
+    def measured_by_hand(factor, values, jacobians):
+        r, *_ = factor.keys()
+        if jacobians is not None:
+            jacobians[0] = np.array([[1.0, 0.0, 0.0]])
+            jacobians[1], jacobians[2] = np.zeros((1, 2)), np.zeros((1, 3))
+        return np.array([values.atPoint3(r)[0] - R[0]])
+
+    keys = [BEAM.location, BEAM.direction, WALL]
+    noise = gtsam.noiseModel.Isotropic.Sigma(1, 1e-4)
+    graph.push_back(gtsam.CustomFactor(noise, keys, measured_by_hand))
+    found = hl.read_graph(graph, hl.optimize(graph, start).values, {"laser": BEAM}, PLANES)
+    assert_near_truth(found)
+    assert found.fit.readings == 40
+    assert found.beams["laser"].location_sigma[0] < 1.01e-4
+
+
+def test_far_from_the_origin_of_the_world_a_beam_is_known_as_well():
+    away = np.array([300.0, -210.0, 30.0])
+    graph, near = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
+    walker, start = robot(), started()
+    for j, pose in enumerate(walker.poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = reading(pose, plane, R, V) + SIGMA * np.cos(7.0 * j)
+        near.push_back(range_to_plane(BEAM, plane, [pose], [d], SIGMA))
+        there = gtsam.Pose3(pose.rotation(), pose.translation() + away)
+        graph.push_back(range_to_plane(BEAM, plane, [there], [d], SIGMA))
+    found = hl.read_graph(near, hl.optimize(near, start).values, {"laser": BEAM}, PLANES)
+    for key in TRUE_PLANES:
+        n = start.atOrientedPlane3(key).normal()
+        b = start.atOrientedPlane3(key).distance() - n.point3() @ away
+        start.update(key, gtsam.OrientedPlane3(n, b))
+    moved = hl.read_graph(graph, hl.optimize(graph, start).values, {"laser": BEAM}, PLANES)
+    assert moved.status == found.status == "converged"
+    a, b = moved.beams["laser"], found.beams["laser"]
+    assert (np.abs(a.location - b.location) < 1e-3 * b.location_sigma).all()
+    assert a.location_sigma == pytest.approx(b.location_sigma, rel=1e-4)
+    assert moved.planes["wall"].offset_sigma > 10.0 * found.planes["wall"].offset_sigma
+
+
+def test_normals_point_away_from_the_sensor_whichever_way_the_values_have_them(walk):
+    graph, start = walk
+    values = hl.optimize(graph, start).values
+    as_it_is = hl.read_graph(graph, values, {"laser": BEAM}, PLANES)
+    turned = gtsam.Values(values)
+    plane = values.atOrientedPlane3(WALL)
+    n = gtsam.Unit3(-plane.normal().point3())
+    turned.update(WALL, gtsam.OrientedPlane3(n, -plane.distance()))
+    found = hl.read_graph(graph, turned, {"laser": BEAM}, PLANES)
+    assert TRUE_PLANES[WALL].normal().point3() @ found.planes["wall"].normal > 0.99
+    for name, own in as_it_is.planes.items():
+        assert found.planes[name].coordinates == pytest.approx(own.coordinates, abs=1e-9)
+        assert found.planes[name].covariance == pytest.approx(own.covariance, abs=1e-12)
+    whole, other = (one.covariance.matrix() for one in (as_it_is, found))
+    assert np.abs(whole - other).max() < 1e-6 * np.abs(whole).max()

@@ -67,6 +67,17 @@ def test_a_copy_gives_the_same_answers_and_goes_on(case, copied):
     assert_batch(other)
 
 
+@pytest.mark.parametrize("copied", [copy.deepcopy, by_pickle])
+def test_a_session_from_which_something_was_taken_can_be_copied(copied):
+    recording = recorded(5, beams=2, noise=EXACT)
+    session = filled(recording, EXACT, NONE)
+    session.remove_plane("B")
+    assert_alike(session, copied(session))
+    session.remove_station(session.recording().station_names[3])
+    session.compare()
+    assert_alike(session, copied(session))
+
+
 @pytest.mark.slow
 def test_a_copy_knows_what_was_rejected_and_what_was_split():
     recording, _ = displaced(planes=8, turn=math.radians(0.3))

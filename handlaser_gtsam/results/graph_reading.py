@@ -6,6 +6,7 @@ whether the graph determines the beams.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import gtsam
@@ -17,16 +18,17 @@ from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import NAMED_SHARE
 from ..factors.keys import BeamKeys
 from ..model.distributions import SINGLE_LEVEL
-from ..model.families import DIRECTION, LOCATION
+from ..model.families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
-from ..quantities import NEGLIGIBLE
+from ..quantities import NEGLIGIBLE, TINY
 from ..solvers.graph import parameters_of
 from ..solvers.graph_levenberg import require_values
 from .calibration import Calibration
 from .calibration_data import Determined, Fit, StartReport, Status
 from .messages import warned
 from .problem import fit_of_rows, named_estimates
+from .warnings import NO_MOUNT, TEN_TIMES
 
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""
@@ -102,8 +104,95 @@ def key_name(key: int) -> str:
     return str(gtsam.DefaultKeyFormatter(key))
 
 
-def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
-    """Return how the rows of the range factors fit; chi2 and dof count the whole graph.
+class RangeRows(NamedTuple):
+    """The rows of one range factor.
+
+    Attributes
+    ----------
+    beam : (N,)
+        Index of each row's beam.
+    plane : int
+        Key.
+    pose : int or None
+        Key; None where the hand poses are known.
+    ranges : (N,)
+        Predicted [m]; NaN where a beam is perpendicular to its plane.
+    along : float
+        Above zero where beams look along the normal of the plane, below where against it.
+    """
+
+    beam: IntArray
+    plane: int
+    pose: int | None
+    ranges: FloatArray
+    along: float
+
+
+def _range_rows(own: OwnGraph, factor: gtsam.CustomFactor) -> RangeRows | None:
+    """Return the rows of a range factor of some of the beams to one plane; None of another factor.
+
+    A factor does not give its readings away, but its derivatives do: with the range s and the tangent
+    basis B of the direction, de/dv = s de/dr B, and the length of de/dr is that of de/db, however rows
+    weigh. Somebody else's factor on the same variables has other derivatives. A row of several beams,
+    which errors of a pose couple, belongs to the one that moves it most.
+    """
+    owner = {beam.variables: i for i, beam in enumerate(own.beams.values())}
+    keys, beams, bases, first = list(factor.keys()), [], [], [0]
+    while size := next((n for n in (3, 2) if tuple(keys[:n]) in owner), 0):
+        beams.append(owner[tuple(keys[:size])])
+        bases.append(own.values.atUnit3(keys[1]).basis())
+        terms = own.values.atVector(keys[2]).size if size == 3 else 0
+        first.append(first[-1] + MOUNT_DIM + terms)
+        keys = keys[size:]
+    if not beams or not 1 <= len(keys) <= 2 or keys[0] not in own.planes.values():
+        return None
+    J = factor.linearize(own.values).jacobian()[0]
+    by_location = np.stack([J[:, a:][:, LOCATION] for a in first[:-1]])
+    by_direction = np.stack([J[:, a:][:, DIRECTION] for a in first[:-1]])
+    mine = np.square(by_location).sum(axis=2).argmax(axis=0), np.arange(len(J))
+    across = (by_location @ np.array(bases))[mine]
+    size, square = (np.square(x).sum(axis=1) for x in (by_location[mine], across))
+    # Squares of the sine of the incidence; a row at right angles says nothing of its range.
+    seen = square > NEGLIGIBLE * size
+    product = (by_direction[mine] * across).sum(axis=1)
+    ranges: FloatArray = np.where(seen, product / np.where(seen, square, 1.0), np.nan)
+    off = np.where(seen[:, None], by_direction[mine] - ranges[:, None] * across, 0.0)
+    by_offset = J[:, first[-1] + PLANE.dim - 1]
+    unlike = np.abs(np.square(by_location.sum(axis=0)).sum(axis=1) - by_offset**2)
+    # A robust model may take all weight from some rows.
+    if (
+        not size.any()
+        or max(
+            np.square(off).max() / max(np.square(by_direction).max(), TINY),
+            unlike.max() / size.max(),
+        )
+        > NEGLIGIBLE
+    ):
+        return None
+    pose = keys[1] if len(keys) > 1 else None
+    return RangeRows(np.array(beams)[mine[0]], keys[0], pose, ranges, -float(by_offset.sum()))
+
+
+class OwnFit(NamedTuple):
+    """How a graph fits.
+
+    Attributes
+    ----------
+    fit : Fit
+        Of the rows of the range factors; chi2 and dof are those of the whole graph.
+    times : float
+        Residuals of the range factors in their sigmas, as their own losses count them.
+    against : set of int
+        Keys of the planes whose normals point towards the sensors.
+    """
+
+    fit: Fit
+    times: float
+    against: set[int]
+
+
+def _fit_of_graph(own: OwnGraph, unknowns: int) -> OwnFit:
+    """Return how the rows of the range factors fit.
 
     Raises
     ------
@@ -111,10 +200,10 @@ def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
         A beam without a range factor to these planes, two names for one beam, or an error that is no
         number.
     """
-    owner = {beam.variables: i for i, beam in enumerate(own.beams.values())}
-    if len(owner) < len(own.beams):
+    if len({beam.variables for beam in own.beams.values()}) < len(own.beams):
         raise InputError("two names for one beam", "different variables for every beam")
-    planes, labels, poses, dims = set(own.planes.values()), [], False, 0
+    labels, dims, cost, poses = list[str](), 0, 0.0, False
+    along: dict[int, float] = {}
     rows: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     for number in range(own.graph.size()):
         if not own.graph.exists(number):
@@ -123,28 +212,27 @@ def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
         dims += factor.dim()
         if not isinstance(factor, gtsam.CustomFactor):
             continue
-        *keys, last = factor.keys()
-        posed = last not in planes
-        plane = keys.pop() if posed else last
-        beam = owner.get(tuple(keys))
-        if beam is None or plane not in planes:
+        read = _range_rows(own, factor)
+        if read is None:
             continue
-        poses |= posed
+        poses |= read.pose is not None
+        cost += factor.error(own.values)
+        along[read.plane] = along.get(read.plane, 0.0) + read.along
         e = np.atleast_1d(factor.unwhitenedError(own.values))
-        label = key_name(last) if posed else f"factor {number}"
+        label = f"factor {number}" if read.pose is None else key_name(read.pose)
         labels += [label] if len(e) == 1 else [f"{label} row {i + 1}" for i in range(len(e))]
         model = factor.noiseModel()
         inner = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
         sigma = np.asarray(inner.sigmas() if hasattr(inner, "sigmas") else np.ones(len(e)), float)
-        rows.append((np.full(len(e), beam), e, sigma, _ranges(factor, own.values)))
+        rows.append((read.beam, e, sigma, read.ranges))
     for i, name in enumerate(own.beams):
-        if all(beam[0] != i for beam, *_ in rows):
+        if all((beam != i).all() for beam, *_ in rows):
             raise InputError(f"no range factor of beam {name} to these planes", "at least one")
     chi2 = 2.0 * own.graph.error(own.values)
     if not np.isfinite(chi2):
         raise InputError(f"an error of the graph of {chi2}", "values that are finite numbers")
     column, e, sigma, ranges = map(np.concatenate, zip(*rows, strict=True))
-    return fit_of_rows(
+    fit = fit_of_rows(
         (labels, tuple(own.beams)),
         (np.arange(len(e)), column),
         e,
@@ -157,23 +245,8 @@ def fit_of_graph(own: OwnGraph, unknowns: int) -> Fit:
         poses="estimated" if poses else "exact",
         loss="gaussian",
     )
-
-
-def _ranges(factor: gtsam.CustomFactor, values: gtsam.Values) -> FloatArray:
-    """Return the ranges (N,) of a range factor [m]; NaN where a beam is perpendicular to its plane.
-
-    A factor does not give its readings away, but its derivatives do: with the range s and the tangent
-    basis B of the direction, de/dv = s de/dr B. Weights of rows cancel.
-    """
-    jacobian, _ = factor.linearize(values).jacobian()
-    by_location, by_direction = jacobian[:, LOCATION], jacobian[:, DIRECTION]
-    across = by_location @ values.atUnit3(list(factor.keys())[1]).basis()
-    square = (across**2).sum(axis=1)
-    # Squares of the sine of the incidence; a row at right angles says nothing of its range.
-    seen = square > NEGLIGIBLE * (by_location**2).sum(axis=1)
-    product = (by_direction * across).sum(axis=1)
-    found: FloatArray = np.where(seen, product / np.where(seen, square, 1.0), np.nan)
-    return found
+    against = {key for key, total in along.items() if total < 0.0}
+    return OwnFit(fit, float(np.sqrt(2.0 * cost / len(e))), against)
 
 
 def read_graph(
@@ -198,8 +271,9 @@ def read_graph(
     Returns
     -------
     Calibration
-        Its fit lists the rows of the range factors; chi2 and dof count the whole graph.
-        `not_converged` where the values are no optimum, `unobservable` where the graph leaves beams or
+        Its fit lists the rows of the range factors; chi2 and dof count the whole graph. Normals point
+        away from the sensors, whichever way the values have them. `not_converged` where the values are
+        no optimum, or the readings do not fit at all; `unobservable` where the graph leaves beams or
         planes undetermined.
 
     Raises
@@ -215,15 +289,24 @@ def read_graph(
     own = OwnGraph(graph, values, beams, planes)
     wanted = _variables(own)
     linear = graph.linearize(values)
-    fit = fit_of_graph(own, linear.gradientAtZero().vector().size)
+    fit, times, against = _fit_of_graph(own, linear.gradientAtZero().vector().size)
     status, message, determined, covariance = _judged(own, linear, wanted, fit)
     at = parameters_of(values, list(beams.values()), list(planes.values()))
+    signs = np.array([-1.0 if key in against else 1.0 for key in planes.values()])
+    at = replace(at, normals=signs[:, None] * at.normals, offsets=signs * at.offsets)
+    warnings: tuple[CalibrationWarning, ...] = ()
+    far = float(np.linalg.norm(at.locations, axis=1).max())
+    if fit.dof > 0 and times > TEN_TIMES:
+        warnings = (warned("no-fit:sigmas", {"sigma0": times}),)
+    elif far > NO_MOUNT:
+        warnings = (warned("far-beam:no-mount", {"distance_m": far}),)
+    elif fit.p_value < SINGLE_LEVEL:
+        warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)
+    if status == "converged" and warnings and warnings[0].code in ("no-fit", "far-beam"):
+        status, message, covariance = "not_converged", warnings[0].message, None
     keys = [beam.range_error for beam in beams.values()]
     terms = tuple(0 if key is None else len(wanted[key][1]) for key in keys)
-    joint = None if covariance is None else _joint(covariance, wanted, own, terms)
-    warnings: tuple[CalibrationWarning, ...] = ()
-    if fit.p_value < SINGLE_LEVEL:
-        warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)
+    joint = None if covariance is None else _joint(covariance, wanted, own, terms, signs)
     return Calibration(
         status,
         message,
@@ -271,6 +354,8 @@ def _judged(
         found = Determined(0, len(block), None, (words,), (ANCHOR,))
         return "unobservable", f"{words}: {ANCHOR}", found, None
     matrix, vector = information
+    centred = _centring(matrix, wanted)
+    matrix, vector = centred.T @ matrix @ centred, centred.T @ vector
     length = fit.typical_range if fit.typical_range > 0.0 else 1.0
     unit = length ** np.concatenate([powers for _, powers in wanted.values()]).astype(float)
     values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * np.outer(unit, unit))
@@ -297,17 +382,39 @@ def _judged(
     if not decrement <= OPTIMAL**2:
         words = "the values are not at the optimum of the graph: optimise further"
         return "not_converged", words, found, None
-    return "converged", "the values are the optimum of the graph", found, S
+    return "converged", "the values are the optimum of the graph", found, centred @ S @ centred.T
+
+
+def _centring(matrix: FloatArray, wanted: Variables) -> FloatArray:
+    """Return what offsets follow from if they are taken amid the readings of their planes.
+
+    An offset is at the origin of the world, from where the normal moves the plane by a long lever. Amid
+    the readings normal and offset have no information in common.
+    """
+    steps, first = np.eye(len(matrix)), 0
+    for _, powers in wanted.values():
+        offset = first + PLANE.dim - 1
+        if powers == KINDS[-1][-1] and matrix[offset, offset] > 0.0:
+            normal = slice(first, offset)
+            steps[offset, normal] = -matrix[offset, normal] / matrix[offset, offset]
+        first += len(powers)
+    return steps
 
 
 def _joint(
-    S: FloatArray, wanted: Variables, own: OwnGraph, terms: tuple[int, ...]
+    S: FloatArray, wanted: Variables, own: OwnGraph, terms: tuple[int, ...], signs: FloatArray
 ) -> JointCovariance:
-    """Return the covariance in the order of the names; shared variables stand once for every beam."""
+    """Return the covariance in the order of the names; shared variables stand once for every beam.
+
+    `signs` (P,) turn the planes: offsets change theirs, and the bases of the normals.
+    """
     ends = np.cumsum([len(powers) for _, powers in wanted.values()])
     columns = dict(zip(wanted, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
     at = np.concatenate([columns[key] for beam in own.beams.values() for key in beam.variables])
     p = np.array([columns[key] for key in own.planes.values()], dtype=np.intp).ravel()
+    turned = np.ones(len(S))
+    turned[p[PLANE.dim - 1 :: PLANE.dim]] = signs
+    S = S * np.outer(turned, turned)
     unique = np.unique(at)
     W = -S[np.ix_(p, unique)] @ np.linalg.inv(S[np.ix_(unique, unique)])
     count, each = len(own.planes), np.arange(len(own.planes))
@@ -324,7 +431,7 @@ def _joint(
         (W @ np.linalg.pinv(expand)).reshape(count, 3, -1),
         alone,
         np.array([own.values.atUnit3(beam.direction).basis() for beam in own.beams.values()]),
-        np.array([normal.basis() for normal in normals]).reshape(-1, 3, 2),
+        signs[:, None, None] * np.array([normal.basis() for normal in normals]).reshape(-1, 3, 2),
         np.zeros((count, 3)),
         coupling,
     )

@@ -8,7 +8,7 @@ iSAM2. The covariance is that of these sums, as in a batch solution. A new plane
 same however many there are.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -90,6 +90,10 @@ class SessionState:
     compared: BeamState
     learned_with: int
     changes: int = 0
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return the attributes: what follows from them may hold factors that GTSAM cannot pickle."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def integrated(self) -> BeamState:
