@@ -12,13 +12,14 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
+from numpy.typing import ArrayLike
 
 from handlaser_gtsam.arrays import FloatArray
-from handlaser_gtsam.checks import require_number
+from handlaser_gtsam.checks import number_array, require_number
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.quantities import LARGEST_LENGTH, SINGULAR
 
-from .keys import BeamKeys
+from .keys import BeamKeys, require_beam
 
 
 def beam_drift(
@@ -26,7 +27,7 @@ def beam_drift(
     now: BeamKeys,
     location_sigma: float,
     direction_sigma: float,
-    range_error_sigmas: Sequence[float] = (),
+    range_error_sigmas: Sequence[float] | ArrayLike = (),
 ) -> tuple[gtsam.NonlinearFactor, ...]:
     """Return the factors that tie a beam to its earlier state.
 
@@ -44,11 +45,13 @@ def beam_drift(
     Raises
     ------
     InputError
-        A sigma that is not positive, range errors of one of the two only, sigmas for a range error that
-        both have in common, or a location or direction that they have in common.
+        What is no BeamKeys, a sigma that is not positive, range errors of one of the two only, sigmas
+        for a range error that both have in common, or a location or direction that they have in common.
     """
-    sigmas = (location_sigma, direction_sigma, *range_error_sigmas)
-    for sigma in sigmas:
+    require_beam("the beam before", before)
+    require_beam("the beam now", now)
+    of_terms = number_array("range_error_sigmas", range_error_sigmas, "one a range-error term")
+    for sigma in (location_sigma, direction_sigma, *of_terms.ravel().tolist()):
         require_number("process noise", sigma, 0.0, LARGEST_LENGTH, above=True)
     shared = {before.location, before.direction} & {now.location, now.direction}
     if shared:
@@ -63,15 +66,15 @@ def beam_drift(
             isotropic(2, direction_sigma), [before.direction, now.direction], _DirectionChange()
         ),
     ]
-    return (*factors, *_range_error_drift(before.range_error, now.range_error, range_error_sigmas))
+    return (*factors, *_range_error_drift(before.range_error, now.range_error, of_terms.ravel()))
 
 
 def _range_error_drift(
-    k: int | None, k_now: int | None, range_error_sigmas: Sequence[float]
+    k: int | None, k_now: int | None, range_error_sigmas: FloatArray
 ) -> list[gtsam.NonlinearFactor]:
     """Return the factor between two range errors; none where both are one, or there are none."""
     tied = k is not None and k_now is not None and k != k_now
-    if (k is None) != (k_now is None) or bool(range_error_sigmas) != tied:
+    if (k is None) != (k_now is None) or bool(range_error_sigmas.size) != tied:
         raise InputError(
             f"range errors under {k} and {k_now} and {len(range_error_sigmas)} sigmas of them",
             "both beams with range errors and one sigma a term; no sigmas where both have none, or the "
@@ -79,7 +82,7 @@ def _range_error_drift(
         )
     if k is None or k_now is None or not tied:
         return []
-    model = gtsam.noiseModel.Diagonal.Sigmas(np.asarray(range_error_sigmas, dtype=float))
+    model = gtsam.noiseModel.Diagonal.Sigmas(range_error_sigmas)
     return [gtsam.BetweenFactorVector(k, k_now, np.zeros(len(range_error_sigmas)), model)]
 
 

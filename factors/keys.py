@@ -56,9 +56,16 @@ class BeamKeys:
 
 def integer_key(key: object, of: str) -> int:
     """Return a key as an integer that GTSAM takes; raises InputError where it is none."""
-    if isinstance(key, bool) or not isinstance(key, Integral) or key < 0:
+    if isinstance(key, bool) or not isinstance(key, Integral) or not 0 <= int(key) < 2**64:
         raise InputError(f"{key!r} as the key of a {of}", f"an integer: {EXAMPLE}")
     return int(key)
+
+
+def require_beam(name: str, beam: object) -> None:
+    """Refuse what is no BeamKeys; raises InputError."""
+    if not isinstance(beam, BeamKeys):
+        given = f"{type(beam).__name__} as {name}"
+        raise InputError(given, "BeamKeys(location=..., direction=...)")
 
 
 def beam_keys(index: int, terms: int) -> BeamKeys:

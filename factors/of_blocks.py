@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from handlaser_gtsam.arrays import BoolArray, FloatArray
-from handlaser_gtsam.errors import InputError, SolverError
+from handlaser_gtsam.errors import InputError, MissedTargetError
 from handlaser_gtsam.model.block import Block, Values, impossible, whitened
 from handlaser_gtsam.model.families import FAMILIES, Constant, Direction, Motion, Part
 
@@ -42,9 +42,12 @@ def graph_of_blocks(
 ) -> BlockGraph:
     """Return a graph of blocks whose rows are in standard deviations.
 
+    Keys are letters from a on, one a part of a family, with the number of the member.
+
     Parameters
     ----------
     blocks : sequence of Block
+        Without readings that are none or were rejected: `hl.estimation.kept_blocks` leaves them out.
     values : mapping
         Members (1, n, size) of each family.
     unknown : mapping
@@ -53,7 +56,8 @@ def graph_of_blocks(
     Raises
     ------
     InputError
-        Some coordinates of a part are unknown, and others of the same part are not.
+        Some coordinates of a part are unknown, and others of the same part are not; or rows that are
+        not finite.
     """
     start, keys = gtsam.Values(), {}
     letter = FIRST_LETTER
@@ -70,9 +74,12 @@ def graph_of_blocks(
                 start.insert(key, _native(part, x[numbers]))
             letter += 1
     graph = gtsam.NonlinearFactorGraph()
-    for block in blocks:
+    for number, block in enumerate(blocks):
         error = _BlockError(block, values, keys)
-        now = block.evaluate(error.known).columns
+        now = whitened(block.evaluate(error.known), block.weights)
+        if not np.isfinite(now).all():
+            expected = "finite numbers: hl.estimation.kept_blocks leaves readings out that are none"
+            raise InputError(f"rows of block {number} that are not finite", expected)
         noise = gtsam.noiseModel.Unit.Create(now.shape[2] * now.shape[3])
         graph.push_back(gtsam.CustomFactor(noise, error.keys, error))
     return BlockGraph(graph, start, keys)
@@ -108,8 +115,8 @@ class _BlockError:
             now[family][0, member, numbers] = _numbers(part, values, key)
         rows = self.block.evaluate(now)
         if impossible(rows, self.block).any():
-            raise SolverError(
-                "rows of a block are impossible here, as of a ray that misses its target"
+            raise MissedTargetError(
+                "a ray misses its target here, or grazes it: leave its reading out, or start closer"
             )
         columns = whitened(rows, self.block.weights)[:, 0]
         if jacobians is not None:

@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike
 from handlaser_gtsam.arrays import FloatArray, IntArray
 from handlaser_gtsam.checks import number_array, require_number
 from handlaser_gtsam.data.readings import Regressors
+from handlaser_gtsam.data.recording import check_poses
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.model.weighting import Whitening
 from handlaser_gtsam.quantities import LARGEST_LENGTH
 
-from .keys import BeamKeys, integer_key
+from .keys import BeamKeys, integer_key, require_beam
 from .shared_evaluation import Evaluation, Gathering, Share, SharedEvaluation
 
 Noise = gtsam.noiseModel.Base | float
@@ -193,29 +194,35 @@ def checked_block(
     beam: BeamKeys,
     plane: int,
     ranges: ArrayLike,
+    range_min: float,
     hands: tuple[FloatArray, FloatArray] | None,
     pose: int | None = None,
 ) -> RangeBlock:
-    """Return the block of a user's readings of one beam [m].
+    """Return the block of a user's readings of one beam, all above `range_min` [m].
 
     `hands` are the known hand poses (N, 3, 3), (N, 3); there are none where `pose` is a key.
 
     Raises
     ------
     InputError
-        Keys that are none, readings that are not positive, or hand poses of another number.
+        Keys that are none, readings that are not above `range_min`, or hand poses that are none or of
+        another number.
     """
-    if not isinstance(beam, BeamKeys):
-        raise InputError(f"{type(beam).__name__} as beam", "BeamKeys(location=..., direction=...)")
+    require_beam("beam", beam)
+    require_number("range_min", range_min, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
     d = np.atleast_1d(number_array("readings", ranges))
-    if d.size == 0 or not ((d > 0.0) & (d <= LARGEST_LENGTH)).all():
+    if d.size == 0 or not ((d > range_min) & (d <= LARGEST_LENGTH)).all():
+        least = "positive" if range_min == 0.0 else f"above {range_min:g} m"
         raise InputError(
             f"readings {np.array2string(d, threshold=5)}",
-            f"one or more positive, finite ranges in metres, at most {LARGEST_LENGTH:.0f}",
+            f"one or more {least}, finite ranges in metres, at most {LARGEST_LENGTH:.0f}"
+            + "; range_min states what a sensor reads below zero" * bool((d < 0.0).any()),
         )
     none = np.broadcast_to(np.eye(3), (len(d), 3, 3)), np.zeros((len(d), 3))
     R, t = none if hands is None else hands
     require_rows(d, R, t)
+    if hands is not None:
+        check_poses(R, t, [f"{j + 1} of {len(d)}" for j in range(len(d))])
     key = None if pose is None else integer_key(pose, "hand pose")
     return RangeBlock(beam, integer_key(plane, "plane"), d, R, t, key)
 
@@ -241,6 +248,14 @@ def _noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
     if isinstance(noise, gtsam.noiseModel.Base):
         if noise.dim() != rows:
             raise InputError(f"a noise model of dimension {noise.dim()}", f"{rows}, one a reading")
+        inner = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
+        constrained = isinstance(inner, gtsam.noiseModel.Constrained)
+        if constrained or (
+            isinstance(inner, gtsam.noiseModel.Gaussian) and not np.isfinite(inner.R()).all()
+        ):
+            raise InputError(
+                "a noise model without sigmas above zero", "a sigma above zero a reading"
+            )
         if rows > 1 and isinstance(noise, gtsam.noiseModel.Robust) and weighs_as_a_whole(noise):
             raise InputError(
                 f"a robust noise model that gives {rows} readings one common weight",

@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.quantities import LARGEST_NUMBER
 
+from .keys import integer_key
+
 LEAST_PRIOR_SIGMA = 1e-30
 """Smaller sigmas are refused: products of their inverse squares overflow."""
 
@@ -35,7 +37,7 @@ def range_error_prior(
     Raises
     ------
     InputError
-        Sigmas that are not positive, or shapes that differ.
+        A key that is none, sigmas that are not positive, or shapes that differ.
     """
     try:
         sigma = np.array(sigmas, dtype=np.float64).ravel()
@@ -58,4 +60,4 @@ def range_error_prior(
             f"positive sigmas, {LEAST_PRIOR_SIGMA:g} to {LARGEST_NUMBER:g}, about smaller numbers",
         )
     model = gtsam.noiseModel.Diagonal.Sigmas(sigma)
-    return gtsam.PriorFactorVector(key, centre, model)
+    return gtsam.PriorFactorVector(integer_key(key, "range error"), centre, model)

@@ -24,9 +24,10 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from handlaser_gtsam.checks import require_kind
 from handlaser_gtsam.errors import InputError
 
-from .keys import BeamKeys
+from .keys import BeamKeys, integer_key
 from .range_block import Noise, checked_block, range_factor
 
 
@@ -36,6 +37,8 @@ def range_to_plane(
     world_T_hand: Sequence[gtsam.Pose3],
     ranges: ArrayLike,
     noise: Noise,
+    *,
+    range_min: float = 0.0,
 ) -> gtsam.CustomFactor:
     """Return a factor on (r, v, [k,] plane) for readings of one beam to one plane.
 
@@ -51,22 +54,34 @@ def range_to_plane(
         What the sensor read [m].
     noise : float or gtsam.noiseModel.Base
         Standard deviation of a reading [m], or a model of dimension N.
+    range_min : float, optional
+        What a reading is above [m]; below zero for a sensor that reads from the middle of its range.
 
     Raises
     ------
     InputError
-        Keys that are no BeamKeys, readings that are not positive, or numbers of poses, readings and
-        noise that differ.
+        Keys that are no BeamKeys, readings that are not above `range_min`, hand poses that are none,
+        or numbers of poses, readings and noise that differ.
     """
-    if isinstance(world_T_hand, gtsam.Pose3):
-        raise InputError("one Pose3", "a sequence of hand poses, one a reading")
+    if not isinstance(world_T_hand, Sequence):
+        raise InputError(
+            f"one {type(world_T_hand).__name__}", "a sequence of hand poses, one a reading"
+        )
+    for each in world_T_hand:
+        require_kind("a hand pose", each, gtsam.Pose3, "gtsam.Pose3")
     R = np.array([pose.rotation().matrix() for pose in world_T_hand]).reshape(-1, 3, 3)
     t = np.array([pose.translation() for pose in world_T_hand]).reshape(-1, 3)
-    return range_factor(checked_block(beam, plane, ranges, (R, t)), noise)
+    return range_factor(checked_block(beam, plane, ranges, range_min, (R, t)), noise)
 
 
 def range_to_plane_from_pose(
-    beam: BeamKeys, plane: int, pose: int, ranges: ArrayLike, noise: Noise
+    beam: BeamKeys,
+    plane: int,
+    pose: int,
+    ranges: ArrayLike,
+    noise: Noise,
+    *,
+    range_min: float = 0.0,
 ) -> gtsam.CustomFactor:
     """Return a factor on (r, v, [k,] plane, pose) for readings of one beam at one station.
 
@@ -82,10 +97,13 @@ def range_to_plane_from_pose(
         One reading of the station [m], or several repeated ones.
     noise : float or gtsam.noiseModel.Base
         Standard deviation of a reading [m], or a model of dimension N.
+    range_min : float, optional
+        What a reading is above [m].
 
     Raises
     ------
     InputError
-        Readings that are not positive, or noise of the wrong dimension.
+        Keys that are none, readings that are not above `range_min`, or noise of the wrong dimension.
     """
-    return range_factor(checked_block(beam, plane, ranges, None, pose), noise)
+    key = integer_key(pose, "hand pose")
+    return range_factor(checked_block(beam, plane, ranges, range_min, None, key), noise)

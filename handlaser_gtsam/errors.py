@@ -148,6 +148,10 @@ class SolverError(HandlaserError):
     """A solver cannot work on the problem it was given."""
 
 
+class MissedTargetError(SolverError):
+    """A ray misses its target, or a row means nothing there: no residual can be given."""
+
+
 class NotConvergedError(HandlaserError):
     """A calibration cannot be used: the recording leaves it open, or its readings do not fit."""
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -9,7 +10,6 @@ import pytest
 from helpers import ROOT, bench, by_reading, motion, recording_of
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.estimation.estimate import _kept
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.block import Weights
 from handlaser_gtsam.model.families import FAMILIES, Family, Vector, register
@@ -59,8 +59,7 @@ def test_the_wrong_reading_and_no_other_is_rejected(page):
 
 def test_the_covariance_is_the_dense_inverse(page):
     problem, found = page["problem"], page["found"]
-    kept = [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)]
-    J = problem.rows(kept, {name: x[None] for name, x in found.values.items()}).derivatives
+    J = problem.rows(page["kept"], {name: x[None] for name, x in found.values.items()}).derivatives
     scale = np.sqrt(np.diagonal(found.covariance))
     inverse = np.linalg.inv((J * scale).T @ (J * scale))
     assert np.abs(found.covariance / np.outer(scale, scale) - inverse).max() < 1e-6
@@ -68,10 +67,8 @@ def test_the_covariance_is_the_dense_inverse(page):
 
 def test_gtsam_alone_agrees(page):
     """The factors of the page's graph, linearised and eliminated by GTSAM: no step is left."""
-    found, problem = page["found"], page["problem"]
-    values = {name: x[None] for name, x in found.values.items()}
-    kept = [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)]
-    own = hl.factors.graph_of_blocks(kept, values, problem.unknown)
+    found, own = page["found"], page["graph"]
+    assert 2.0 * page["solved"].cost == pytest.approx(found.chi2, rel=1e-6)
     linear = own.graph.linearize(own.values)
     step = linear.optimize()
     assert np.sqrt(-linear.gradientAtZero().dot(step)) < 1e-4
@@ -147,7 +144,7 @@ def test_one_family_alone_may_be_unknown(page, known):
     )
     assert found.status == "converged"
     own = hl.estimation.BlockProblem(problem.blocks, at(page), unknown)
-    kept = [_kept(b, out) for b, out in zip(problem.blocks, found.rejected, strict=True)]
+    kept = hl.estimation.kept_blocks(problem, found)
     J = own.rows(kept, {name: x[None] for name, x in found.values.items()}).derivatives
     scale = np.sqrt(np.diagonal(found.covariance))
     inverse = np.linalg.inv((J * scale).T @ (J * scale))
@@ -341,3 +338,22 @@ def test_columns_are_derivatives(page, variable):
         ]
         slope = (sides[0].columns[-1] - sides[1].columns[-1]) / (2.0 * step)
         assert np.abs(columns[slot.columns.start + c] - slope).max() < 1e-7
+
+
+def test_a_step_to_where_a_ray_misses_is_too_far_and_readings_that_are_none_are_named(page):
+    problem, values = page["problem"], page["values"]
+    graph, head = page["graph"], page["graph"].keys["head", 0, 0]
+    start = gtsam.Values(graph.values)
+    start.update(head, start.atPose3(head).retract(np.array([0.1, -0.1, 0.05, 0.02, 0.01, 0.02])))
+    solved = hl.optimize(graph.graph, start)  # from there a full step misses the sphere
+    assert solved.status == "converged"
+    assert 2.0 * solved.cost == pytest.approx(page["found"].chi2, rel=1e-6)
+    start.update(head, start.atPose3(head).retract(np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])))
+    with pytest.raises(hl.HandlaserError):
+        hl.optimize(graph.graph, start)
+    block = problem.blocks[0]
+    reading = block.reading.copy()
+    reading[0, 0, 5] = np.nan
+    blocks = [replace(block, reading=reading), *problem.blocks[1:]]
+    with pytest.raises(hl.InputError, match="block 0 that are not finite"):
+        hl.factors.graph_of_blocks(blocks, values, problem.unknown)

@@ -299,6 +299,58 @@ def test_arguments_of_the_wrong_kind_are_named():
         factors.range_to_plane((11, 12), PLANE, [gtsam.Pose3()], [0.1], 1.0)
     with pytest.raises(InputError, match="a sequence of hand poses"):
         factors.range_to_plane(BARE, PLANE, gtsam.Pose3(), [0.1], 1.0)
+    with pytest.raises(InputError, match="hand pose"):
+        factors.range_to_plane(BARE, PLANE, [np.eye(4)], [0.1], 1.0)
+    with pytest.raises(InputError, match="the key of a hand pose"):
+        factors.range_to_plane_from_pose(BARE, PLANE, None, 0.1, 1.0)
+    with pytest.raises(InputError, match="the key of a range error"):
+        factors.range_error_prior("k", [1e-3])
+    with pytest.raises(InputError, match="BeamKeys"):
+        factors.beam_drift(BARE, 5, 1e-3, 1e-3)
+    with pytest.raises(InputError, match="the key of a plane"):
+        factors.range_to_plane(BARE, 2**64, [gtsam.Pose3()], [0.1], 1.0)
+
+
+@pytest.mark.parametrize(
+    "R", [np.diag([1.0, 1.0, -1.0]), 1.001 * np.eye(3)], ids=["mirror", "scale"]
+)
+def test_hand_poses_that_are_no_rotations_are_refused(R):
+    with pytest.raises(InputError, match="no rotation at station 1 of 1"):
+        factors.range_to_plane(BARE, PLANE, [gtsam.Pose3(gtsam.Rot3(R), [0, 0, 0])], [0.1], 1.0)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        gtsam.noiseModel.Isotropic.Sigma(1, 0.0),
+        gtsam.noiseModel.Isotropic.Sigma(1, np.nan),
+        gtsam.noiseModel.Constrained.All(1),
+        gtsam.noiseModel.Robust.Create(
+            gtsam.noiseModel.mEstimator.Huber.Create(1.3), gtsam.noiseModel.Isotropic.Sigma(1, 0.0)
+        ),
+    ],
+    ids=["zero", "nan", "constrained", "robust"],
+)
+def test_noise_models_without_sigmas_above_zero_are_refused(model):
+    with pytest.raises(InputError, match="without sigmas above zero"):
+        factors.range_to_plane(BARE, PLANE, [gtsam.Pose3()], [0.1], model)
+    negative = gtsam.noiseModel.Gaussian.Covariance(np.diag([1e-6, -1e-6]))
+    with pytest.raises(InputError, match="without sigmas above zero"):
+        factors.range_to_plane(BARE, PLANE, 2 * [gtsam.Pose3()], [0.1, 0.2], negative)
+
+
+def test_readings_below_zero_count_where_the_sensor_has_such():
+    pose = [gtsam.Pose3()]
+    with pytest.raises(InputError, match="range_min"):
+        factors.range_to_plane(BARE, PLANE, pose, [-0.002], 1e-4)
+    factor = factors.range_to_plane(BARE, PLANE, pose, [-0.002], 1e-4, range_min=-0.01)
+    values = gtsam.Values()
+    values.insert(11, np.zeros(3))
+    values.insert(12, gtsam.Unit3(np.array([0.0, 0.0, 1.0])))
+    values.insert(PLANE, gtsam.OrientedPlane3(0.0, 0.0, 1.0, 0.003))
+    assert factor.unwhitenedError(values) == pytest.approx([-0.001])
+    with pytest.raises(InputError, match=r"above -0\.01 m"):
+        factors.range_to_plane_from_pose(BARE, PLANE, 4, -0.02, 1e-4, range_min=-0.01)
 
 
 def test_grazing_beam_raises_through_gtsam():

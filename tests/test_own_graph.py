@@ -512,6 +512,21 @@ def test_graphs_that_cannot_be_read_or_solved_are_refused(walk):
         hl.optimize(walk[0], gtsam.Values())
 
 
+def test_variables_of_another_type_are_told_in_one_line(walk):
+    graph, start = walk
+    start = gtsam.Values(start)
+    start.erase(WALL)
+    start.insert(WALL, gtsam.Pose3())
+    with pytest.raises(hl.InputError, match="a start of another type"):
+        hl.optimize(graph, start)
+    with pytest.raises(hl.InputError, match="options"):
+        hl.optimize(*walk, options=5)
+    with pytest.raises(hl.InputError, match="BeamKeys"):
+        hl.read_graph(*walk, {"laser": 5}, PLANES)
+    with pytest.raises(hl.InputError, match="the key of a plane"):
+        hl.read_graph(*walk, {"laser": BEAM}, {"wall": "w"})
+
+
 def test_arguments_of_another_kind_are_told(walk):
     graph, start = walk
     with pytest.raises(hl.InputError, match=r"the result's \.values"):

@@ -250,3 +250,26 @@ def test_the_last_station_may_lose_all_its_readings():
     assert found.status == "converged"
     assert {one.station for one in found.fit.rejected} == {recording.station_names[last]}
     assert np.abs(found.parameters().locations - truth.locations).max() < 1e-3
+
+
+def test_what_is_no_graph_of_readings_is_refused():
+    """Beside a whitening with the errors of the poses, poses as variables would count twice."""
+    recording, truth = robot(layout=Layout(3, 2, 12))
+    readings = recording.readings()
+    S = NOISE.pose_covariances(len(recording.plane_labels))
+    priors = pose_priors(readings, S)
+    coupled = whitening(truth, readings, variances(recording, poses=True))
+    for noise, why in ((coupled, "their errors in the whitening"), (1e-4, "no whitening")):
+        with pytest.raises(hl.InputError, match=why):
+            build_graph(readings, truth, 0, noise, priors=priors)
+    for noise in (0.0, -1.0, np.nan, None, "x"):
+        with pytest.raises(hl.InputError, match="noise"):
+            build_graph(readings, truth, 0, noise)
+    for terms in (-1, 3, 1.5, "k1", (0, 1, 2), None):
+        with pytest.raises(hl.InputError, match="terms"):
+            build_graph(readings, truth, terms, 1e-4)
+    with pytest.raises(hl.InputError, match="loss"):
+        build_graph(readings, truth, 0, 1e-4, loss="huber")
+    for wrong in (S[:1], S[:, :5], -S):
+        with pytest.raises(hl.InputError, match="covariance"):
+            pose_priors(readings, wrong)

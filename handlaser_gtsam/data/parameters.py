@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
 from ..checks import number_array
-from ..errors import InputError
+from ..errors import ArgumentError, InputError
+from ..text import shown
 from .value import Value
 
 Terms = int | tuple[int, ...]
@@ -43,8 +44,13 @@ class RangeErrorPrior(Value):
 
 
 def per_beam(terms: Terms, beams: int) -> tuple[int, ...]:
-    """Return the range-error terms of each of `beams` beams."""
-    return (terms,) * beams if isinstance(terms, int) else terms
+    """Return the range-error terms of each of `beams` beams; raises ArgumentError for what is none."""
+    each = tuple(terms) if isinstance(terms, (tuple, list)) else (terms,) * beams
+    if len(each) != beams or not {*map(type, each)} <= {int} or not set(each) <= {0, 1, 2}:
+        raise ArgumentError(
+            "terms", shown(terms), f"0, 1 or 2, or one of them for {beams} beams each"
+        )
+    return each
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

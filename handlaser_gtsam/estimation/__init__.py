@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from .estimate import BlockProblem as BlockProblem
     from .estimate import Estimate as Estimate
     from .estimate import TestedEffect as TestedEffect
+    from .estimate import kept_blocks as kept_blocks
     from .estimate import score_test as score_test
     from .learning_scales import LearnedScales as LearnedScales
     from .many_recordings import solve_many as solve_many

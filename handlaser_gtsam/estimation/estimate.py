@@ -289,7 +289,14 @@ def tested_columns(
 
 
 def kept_blocks(problem: BlockProblem, found: Estimate) -> list[Block]:
-    """Return the blocks without what was rejected, and without readings that are none."""
+    """Return the blocks without what an estimate rejected, and without readings that are none.
+
+    Parameters
+    ----------
+    problem : BlockProblem
+    found : Estimate
+        Of this problem.
+    """
     read = [_read(block) for block in problem.blocks]
     return [_kept(b, out) for b, out in zip(read, found.rejected, strict=True)]
 

@@ -16,7 +16,7 @@ from ..arrays import FloatArray, IntArray
 from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import NAMED_SHARE
-from ..factors.keys import BeamKeys
+from ..factors.keys import BeamKeys, integer_key, require_beam
 from ..model.distributions import SINGLE_LEVEL
 from ..model.families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance, strong_correlations
@@ -71,6 +71,10 @@ def _variables(own: OwnGraph) -> Variables:
     """
     if not own.beams:
         raise InputError("no beams", "a name and BeamKeys for each")
+    for name, beam in own.beams.items():
+        require_beam(f"beam {name}", beam)
+    for name, key in own.planes.items():
+        integer_key(key, f"plane {name}")
     inside = set(own.graph.keyVector())
     for key in inside:
         if not own.values.exists(key):

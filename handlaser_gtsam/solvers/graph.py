@@ -11,15 +11,16 @@ import gtsam
 import numpy as np
 
 from ..arrays import FloatArray, IntArray, renumbered
-from ..checks import require_kind
+from ..checks import require_covariance, require_kind, require_number
 from ..data.parameters import Parameters, RangeErrorPrior, Terms, per_beam
 from ..data.recording import Readings
+from ..errors import InputError
 from ..factors import RangeBlock, SharedEvaluation, range_error_prior, require_rows
 from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
 from ..model.families import POSE
 from ..model.losses import GAUSSIAN, Loss
 from ..model.weighting import Whitening
-from ..quantities import NEGLIGIBLE
+from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from .beam_problem import UNKNOWNS_RATIO
 
 
@@ -64,7 +65,17 @@ def pose_priors(
 
     Rotations are compared with translations at the typical range. GTSAM's elimination needs a variance
     along every axis: an axis without error gets a negligible part of the largest variance.
+
+    Raises
+    ------
+    InputError
+        What is no covariance of every station.
     """
+    count = int(readings.station.max()) + 1
+    if np.shape(covariance)[1:] != (6, 6) or len(covariance) < count:
+        found = f"covariances of shape {np.shape(covariance)}"
+        raise InputError(found, f"({count}, 6, 6), one of each station")
+    require_covariance("a pose covariance", covariance, LARGEST_LENGTH, NEGLIGIBLE)
     stations, first = np.unique(readings.station, return_index=True)
     length = readings.typical_range()
     unit = POSE.natural_units(length) / length
@@ -146,12 +157,29 @@ def build_graph(
         Standard deviation of every reading [m], or how to whiten them.
     loss : Loss
     priors : PosePriors, optional
-        Makes the hand pose of every station a variable; needs a whitening.
+        Makes the hand pose of every station a variable; needs a whitening of the readings alone.
     range_errors : RangeErrorPrior, optional
         Of every beam.
+
+    Raises
+    ------
+    InputError
+        Noise that is neither a number above zero nor a whitening, terms other than 0, 1 or 2, or hand
+        poses as variables of which the whitening has the errors, too.
     """
     require_kind("readings", readings, Readings)
     require_kind("start", start, Parameters)
+    require_kind("loss", loss, Loss)
+    if not isinstance(noise, Whitening):
+        remedy = ", or a whitening: hl.model.whitening(...)"
+        require_number("noise", noise, 0.0, LARGEST_LENGTH, above=True, unit="m", remedy=remedy)
+        noise = float(noise)
+    if priors is not None and (isinstance(noise, float) or noise.is_coupled):
+        found = "hand poses as variables, with "
+        found += (
+            "no whitening" if isinstance(noise, float) else "their errors in the whitening, too"
+        )
+        raise InputError(found, "a whitening of the readings alone: Variances without `pose`")
     counts, planes = per_beam(terms, readings.beams), tuple(map(plane_key, range(readings.planes)))
     beams = tuple(beam_keys(i, count) for i, count in enumerate(counts))
     whitening, sigma = (None, noise) if isinstance(noise, float) else (noise, noise.sigma)

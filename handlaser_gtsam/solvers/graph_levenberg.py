@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
-from ..errors import GrazingBeamError, InputError
+from ..checks import require_kind
+from ..errors import GrazingBeamError, InputError, MissedTargetError
 from ..model.damped_search import LevenbergOptions, StoppingRule
 from ..progress import Trial
 from ..quantities import LARGEST_NUMBER, ROUNDING, SINGULAR
@@ -254,13 +255,22 @@ def optimize(
 
     Raises
     ------
-    GrazingBeamError
-        A beam grazes its plane at the start already.
+    GrazingBeamError, MissedTargetError
+        A beam grazes its plane, or a ray misses its target, at the start already.
     InputError
-        An empty graph, a variable without a start, or numbers beyond sense.
+        An empty graph, a variable without a start or with one of another type, or numbers beyond
+        sense.
     """
     _require_startable(graph, values)
-    return _minimised(of_graph(graph, values), options or LevenbergOptions(), progress)
+    options = LevenbergOptions() if options is None else options
+    require_kind("options", options, LevenbergOptions)
+    try:
+        return _minimised(of_graph(graph, values), options, progress)
+    except RuntimeError as error:
+        if "Attempting to retrieve" not in str(error):
+            raise
+        expected = "Point3, Unit3, a vector, OrientedPlane3 and Pose3, as the factors need them"
+        raise InputError(f"a start of another type ({error})", expected) from error
 
 
 def _require_startable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -346,7 +356,7 @@ def _minimised(
 
 
 def _tried(objective: Objective, point: Point, step: Step, last: bool) -> Point | None:
-    """Return the point after a step; None where a beam grazes its plane there.
+    """Return the point after a step; None where a beam grazes its plane, or a ray misses its target.
 
     A last step that is too short to show in the cost is evaluated when its residuals are asked for.
     """
@@ -356,7 +366,7 @@ def _tried(objective: Objective, point: Point, step: Step, last: bool) -> Point 
         return replace(point, values=values, cost=cost, residuals=lambda: there(values).residuals())
     try:
         trial = objective.evaluate(values)
-    except GrazingBeamError:
+    except (GrazingBeamError, MissedTargetError):
         return None
     return trial if np.isfinite(trial.cost) else None
 
