@@ -44,7 +44,7 @@ from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .contents import Contents, PlaneContents, arranged
 from .moved_beam import recent, search
-from .plane import FittedPlane, fit_plane
+from .plane import SESSION_CUT, FittedPlane, fit_plane
 from .reports import Comparison
 
 REWEIGHED_MOVE = 5e-4
@@ -59,6 +59,7 @@ DISPLACED = 1e-3
 """Prior probability that a beam is displaced between two planes."""
 METHOD = "incremental"
 CONTRADICTED = "contradicted by the beams and the other readings"
+OUTLIERS_AGAIN = "outliers chosen again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +201,9 @@ class SessionState:
             excluded = tuple(new.contents.excluded)
             if excluded:  # they may fit beside the new scales
                 new, _, _ = new.changed(new.contents.included(), excluded)
+        judged = new.rejudged()
+        if judged is not new:
+            new, changes = judged, changes | {"outliers": OUTLIERS_AGAIN}
         comparison = new.compare()
         if max(comparison.largest, comparison.largest_sigma) > SAME_OPTIMUM:
             changes |= {"from-batch": "restarted from the batch solution, which it had left"}
@@ -207,6 +211,28 @@ class SessionState:
         planes = len(new.contents.inside)
         new = replace(new, compared=new.state, changes=0, learned_with=planes)
         return new, replace(comparison, changes=changes)
+
+    def rejudged(self) -> "SessionState":
+        """Return the state with readings judged by the present beams; itself where that changes none.
+
+        A plane that came early was judged by beams that were hardly known.
+        """
+        if not self.config.reject:
+            return self
+        contents, names = self.contents, []
+        for name, own in self.contents.inside.items():
+            kept = tuple(one for one in own.rejected if one.reason != CONTRADICTED)
+            fitted = own.fitted
+            far = fitted is not None and np.abs(fitted.standardized(self.state)).max() > SESSION_CUT
+            if far or len(kept) < len(own.rejected):
+                names.append(name)
+                contents = contents.with_planes({name: replace(own, rejected=kept)})
+        if not names:
+            return self
+        again, _, misfits = join_planes(self.config, self.at, self.state, contents, tuple(names))
+        if misfits or set(again.rejected) == set(self.contents.rejected):
+            return self
+        return self.changed(contents, tuple(names))[0]
 
     def calibrated(self) -> tuple[Calibration, SessionConfig]:
         """Return the batch calibration of everything, and what all planes have in common after it."""
@@ -224,7 +250,7 @@ class SessionState:
         contents = self.contents.restarted(batch.fit.rejected)
         out = [{(r.station, r.sensor) for r in each.rejected} for each in (contents, self.contents)]
         if out[0] != out[1]:
-            changes |= {"outliers": "outliers chosen again"}
+            changes |= {"outliers": OUTLIERS_AGAIN}
         if self.contents.excluded:
             changes |= {"excluded-planes": "planes that did not fit taken in again"}
         new = self
