@@ -424,6 +424,41 @@ def test_a_first_motion_satisfies_the_lemmas_and_is_safe():
 
 
 @pytest.mark.slow
+def test_all_spots_of_a_first_motion_lie_on_the_plate():
+    """Met by rays of its own, for mounts at the edges of the bounds."""
+    here = cell(np.random.default_rng(4), 1)
+    free = hl.planning.blind_motion(here.bounds, SENSOR, here.workspace, here.noise)
+    across = 0.8 * free.plate_across
+    bounds = replace(here.bounds, plate=replace(here.bounds.plate, across=across))
+    plan = hl.planning.blind_motion(bounds, SENSOR, here.workspace, here.noise)
+    assert plan.plate_across <= across + 2.0 * bounds.plate.within
+    rng, point = np.random.default_rng(8), bounds.plate.point
+    farthest = {"free": 0.0, "stated": 0.0}
+    for name, motion in (("free", free), ("stated", plan)):
+        R, t = motion.stations.world_R_hand, motion.stations.world_t_hand
+        for _ in range(50):
+            mount = bounds.draw(rng)
+            for r, v in zip(mount.locations, mount.directions, strict=True):
+                o, u = R @ r + t, R @ v
+                s = -(o @ mount.normals[0] + mount.offsets[0]) / (u @ mount.normals[0])
+                spots = o + s[:, None] * u
+                off = float(np.linalg.norm(spots - point, axis=1).max())
+                farthest[name] = max(farthest[name], off)
+    assert farthest["stated"] <= 0.52 * across < farthest["free"]
+    small = replace(here.bounds, plate=replace(here.bounds.plate, across=1e-3))
+    with pytest.raises(hl.InputError, match="a larger plate"):
+        hl.planning.blind_motion(small, SENSOR, here.workspace, here.noise)
+
+
+def test_a_box_in_another_unit_is_told_from_a_plate_that_cannot_be_reached():
+    here = cell(np.random.default_rng(4), 1)
+    low, high = 1e-3 * here.workspace.low, 1e-3 * here.workspace.high
+    away = hl.planning.Workspace(low, high, here.workspace.home)
+    with pytest.raises(hl.InputError, match="a box of the workspace away from"):
+        hl.planning.blind_motion(here.bounds, SENSOR, away, here.noise)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("taken", [4, 6])
 def test_what_a_first_motion_still_lacks_is_found(taken):
     """A first motion that was broken off, and mounts drawn from the bounds."""

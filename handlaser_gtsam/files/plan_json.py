@@ -54,7 +54,9 @@ def plan_text(plan: Plan) -> str:
         "forecast": _rows(known),
         "working_distance_m": forecast.working_distance,
         **record(
-            plan, "reached plates safe skipped uncounted undetermined determined", plates=plates
+            plan,
+            "reached plates safe plate_across_m skipped uncounted undetermined determined",
+            plates=plates,
         ),
     }
     if plan.sensors:

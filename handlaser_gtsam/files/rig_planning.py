@@ -6,7 +6,7 @@
              base_quaternion = [qx, qy, qz, qw], start_joints (rad, metres where they slide),
              clearance_mm, plate_across_mm, plate_thickness_mm, table_mm: its height in the world
 [blind]      location_mm and direction: three numbers a beam; location_within_mm, cone_deg;
-             plate_point_mm, plate_normal, plate_within_mm, plate_tilt_deg
+             plate_point_mm, plate_normal, plate_within_mm, plate_tilt_deg, plate_across_mm
 [goal]       criterion = "A", "D", "E" or "spot"; location_sigma_mm, direction_sigma_deg, spot_mm,
              working_distance_mm
 [placement]  largest_tilt_deg, within_mm, tilt_deg: how the plate can be moved
@@ -89,6 +89,7 @@ class BlindTable(FileRecord):
     cone_deg: float | None = None
     plate_within_mm: float | None = None
     plate_tilt_deg: float | None = None
+    plate_across_mm: float | None = None
 
     def to_si(self) -> "Bounds":
         """Return the bounds."""
@@ -148,7 +149,10 @@ class PlanTables(FileRecord):
         if self.workspace is not None:
             stated["workspace"] = self.workspace.to_si(robot)
         if self.blind is not None:
-            stated["bounds"] = self.blind.to_si()
+            known = self.blind
+            if known.plate_across_mm is None and self.robot is not None:  # it is the same plate
+                known = known.model_copy(update={"plate_across_mm": self.robot.plate_across_mm})
+            stated["bounds"] = known.to_si()
         if self.goal is not None:
             from ..planning.goal import Goal
 

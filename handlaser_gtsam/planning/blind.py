@@ -25,7 +25,7 @@ from ..data.recording import Recording
 from ..errors import InputError
 from ..model.sensor_limits import Sensor
 from ..model.weighting import Variances
-from ..quantities import KNOWN, MOST_ROUNDS, ROUNDING, ROWS_AT_ONCE, SINGULAR
+from ..quantities import IN_MM, KNOWN, MOST_ROUNDS, ROUNDING, ROWS_AT_ONCE, SINGULAR
 from ..validation.simulate import Stations, generator, plane_name
 from .belief import (
     COMPARED_DRAWS,
@@ -36,7 +36,7 @@ from .belief import (
     recorded_rows,
     station_rows,
 )
-from .bounds import MOST_PLANNED, SIDES, Bounds
+from .bounds import MOST_PLANNED, SIDES, Bounds, Plate
 from .choice import choose, updated, value
 from .goal import Goal, goal_rows
 from .plan import Task
@@ -140,9 +140,10 @@ def blind_motion(
     belief = known.belief(bounds.middle()).before(plates, only=True)
     every = joined([replace(motion, plane=np.full(len(motion), p)) for p in range(planes)])
     others = bounds.draw(rng, MOUNTS)
-    safe = float(safe_stations(others, motion, sensor).all(axis=1).mean())
+    safe = float(safe_stations(others, motion, sensor, bounds.plate).all(axis=1).mean())
+    across = 2.0 * float(spot_distances(others, motion, bounds.plate.point).max())
     task = Task(belief, workspace, sensor, Goal() if goal is None else goal)
-    return task.planned(every, ordered=True, plates=plates, safe=safe)
+    return task.planned(every, ordered=True, plates=plates, safe=safe, plate_across=across)
 
 
 def completing_motion(
@@ -296,10 +297,23 @@ class Blind(NamedTuple):
 
     def refusal(self, motion: str, remedy: str = "a wider workspace") -> InputError:
         """Return the error that says that there is no such motion."""
+        middle = self.moved(np.zeros((1, 3)), np.zeros(3))
+        if not inside(self.workspace, middle).any():
+            stands = ", ".join(f"{IN_MM * x:.0f}" for x in middle.world_t_hand[0])
+            return InputError(
+                f"a box of the workspace away from where a hand faces the plate, at ({stands}) mm",
+                "a box around there, and a home orientation that looks at the plate",
+            )
         reach = "" if self.workspace.robot is None else ", and that the arm reaches"
+        on, plate = "", ""
+        if self.bounds.plate.across is not None:
+            on, plate = (
+                f" and on a plate of {IN_MM * self.bounds.plate.across:.0f} mm",
+                "a larger plate, ",
+            )
         return InputError(
-            f"{motion} the beams of all mounts within the bounds in range{reach}",
-            f"narrower bounds of mount and plate, {remedy} or a sensor of longer range",
+            f"{motion} the beams of all mounts within the bounds in range{on}{reach}",
+            f"narrower bounds of mount and plate, {plate}{remedy} or a sensor of longer range",
         )
 
     def turns(self, rng: np.random.Generator) -> Stations:
@@ -321,7 +335,7 @@ class Blind(NamedTuple):
         """Return the stations of the workspace that are safe at all mounts, draw after draw."""
         stations = stations[inside(self.workspace, stations)]
         for mounts in draws:
-            safe = safe_stations(mounts, stations, self.sensor)
+            safe = safe_stations(mounts, stations, self.sensor, self.bounds.plate)
             stations = stations[np.flatnonzero(safe.all(axis=0))]
         return stations[reached(self.workspace, stations, [self.bounds.plate])]
 
@@ -387,15 +401,20 @@ def assumed(bounds: Bounds, sensor: Sensor, workspace: Workspace, noise: Noise |
     return Blind(bounds, sensor, workspace, variances)
 
 
-def safe_stations(mounts: Parameters, stations: Stations, sensor: Sensor) -> BoolArray:
+def safe_stations(
+    mounts: Parameters, stations: Stations, sensor: Sensor, plate: Plate
+) -> BoolArray:
     """Tell at which stations all readings of each mount are within the sensor's limits, (K, M).
 
-    `mounts` are K draws from bounds: the same number of beams each, and a plane.
+    All spots lie on the plate, too, where it says how large it is. `mounts` are K draws from bounds:
+    the same number of beams each, and a plane.
     """
     R, t = stations.world_R_hand, stations.world_t_hand
     n, b = mounts.normals, mounts.offsets
     r, v = (x.reshape(len(n), -1, 3) for x in (mounts.locations, mounts.directions))
     good = np.empty((len(n), len(t)), dtype=bool)
+    if not len(t):
+        return good
     size = max(ROWS_AT_ONCE // max(len(t) * r.shape[1], 1), 1)
     for some in (slice(k, k + size) for k in range(0, len(n), size)):
         n_hand = (n[some] @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(-1, len(t), 3)
@@ -404,4 +423,24 @@ def safe_stations(mounts: Parameters, stations: Stations, sensor: Sensor) -> Boo
         with np.errstate(all="ignore"):
             within = sensor.can_read(-height / cosine) & (cosine >= least_cosine(sensor))
         good[some] = within.all(axis=2)
+    if plate.across is not None:
+        good &= spot_distances(mounts, stations, plate.point) <= 0.5 * plate.across
     return good
+
+
+def spot_distances(mounts: Parameters, stations: Stations, point: FloatArray) -> FloatArray:
+    """Return how far the farthest spot of each draw and station is from a point of the plate (K, M)."""
+    R, t = stations.world_R_hand, stations.world_t_hand
+    n, b = mounts.normals, mounts.offsets
+    r, v = (x.reshape(len(n), -1, 3) for x in (mounts.locations, mounts.directions))
+    farthest = np.empty((len(n), len(t)))
+    size = max(ROWS_AT_ONCE // max(len(t) * r.shape[1], 1), 1)
+    for some in (slice(k, k + size) for k in range(0, len(n), size)):
+        origin, along = (np.einsum("mij,kbj->kmbi", R, x[some]) for x in (r, v))
+        origin += t[:, None]
+        height = np.einsum("kmbi,ki->kmb", origin, n[some]) + b[some, None, None]
+        with np.errstate(all="ignore"):
+            s = -height / np.einsum("kmbi,ki->kmb", along, n[some])
+            spots = origin + s[..., None] * along
+        farthest[some] = np.linalg.norm(spots - point, axis=3).max(axis=2)
+    return farthest

@@ -41,6 +41,9 @@ class Plate(Value):
         By how much it is nearer or farther at most [m].
     tilt : float
         By how much it is tilted to any side at most [rad].
+    across : float or None
+        How far it extends [m]: a disc about its point, on which all spots of a first motion are to
+        lie; of any size where not given.
 
     Raises
     ------
@@ -52,12 +55,15 @@ class Plate(Value):
     normal: FloatArray
     within: float = PLACED_WITHIN
     tilt: float = PLACED_TILT
+    across: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", vectors("point", self.point, 1)[0])
         object.__setattr__(self, "normal", directions("normal", self.normal, 1)[0])
         require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
         require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
+        if self.across is not None:
+            require_number("across", self.across, 0.0, LARGEST_LENGTH, above=True, unit="m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +109,7 @@ class Placement:
                 tilt = share * self.largest_tilt
                 toward = across @ np.array([math.cos(side), math.sin(side)])
                 normals.append(math.cos(tilt) * plate.normal + math.sin(tilt) * toward)
-        return [Plate(plate.point, n, self.within, self.tilt) for n in normals]
+        return [Plate(plate.point, n, self.within, self.tilt, plate.across) for n in normals]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

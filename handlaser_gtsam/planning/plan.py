@@ -190,6 +190,7 @@ class Task(NamedTuple):
         ordered: bool = False,
         plates: Mapping[str, Plate] | None = None,
         safe: float | None = None,
+        plate_across: float | None = None,
     ) -> Plan:
         """Return a plan of stations, which matter in the order given, or of `spare` ones instead.
 
@@ -229,6 +230,7 @@ class Task(NamedTuple):
             range_sigmas=sigmas,
             plates={} if plates is None else dict(plates),
             safe=safe,
+            plate_across=plate_across,
             uncounted=belief.uncounted,
         )
 

@@ -57,6 +57,9 @@ class Plan(Value):
     safe : float or None
         Of a first motion: the part of mounts within the bounds at which all readings are within the
         sensor's limits.
+    plate_across : float or None
+        Of a first motion: how far across the plate is about its point, at least, so that all spots lie
+        on it, wherever the mounts are within the bounds [m].
     skipped : int
         Stations fewer than were chosen: the arm found no way to them, nor to others in their place.
     uncounted : tuple of str
@@ -75,6 +78,7 @@ class Plan(Value):
     reached: int | None = None
     plates: Mapping[str, Plate] = field(default_factory=dict)
     safe: float | None = None
+    plate_across: float | None = None
     skipped: int = 0
     uncounted: tuple[str, ...] = ()
     sensors: tuple[str, ...] = ()
