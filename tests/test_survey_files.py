@@ -799,6 +799,21 @@ def test_labels_alone_make_a_survey_of_beams(folder, handlaser, refusal):
     beam = json.loads(out)["beams"][0]
     off = np.array(beam["location_m"]) - rig.truth["beam"]["location"]
     assert (np.abs(off) < 5.0 * np.array(beam["location_sigma_m"])).all()
+    (folder / "beam.json").write_text(out)
+    for to, axis in (("kuka", "z"), ("urdf", "x")):  # a tool works along z, a range finder along x
+        link = ("--link", "flange") if to == "urdf" else ()
+        text = handlaser("export", str(folder / "beam.json"), "--to", to, *link)[1]
+        assert f"{axis} of a beam's lies along it" in text
+        a, b, c = (
+            map(float, re.search(r"A (\S+),B (\S+),C (\S+)}", text).groups())
+            if link == ()
+            else (np.degrees([*map(float, re.search(r'rpy="(.*?)"', text)[1].split())])[::-1])
+        )
+        R = Rotation.from_euler("ZYX", [a, b, c], degrees=True).as_matrix()
+        assert R[:, "xyz".index(axis)] == pytest.approx(beam["direction"], abs=1e-6)
+    code, out, err = handlaser("export", str(folder / "beam.json"), "--to", "c")
+    assert (code, err) == (0, "")
+    assert f"{beam['direction'][0]:.6f}"[:8] in out
     code, out, err = handlaser("check", str(folder / "beam.csv"))
     assert (code, err) == (0, "")
     assert "sphere:S1, 14 stations" in out

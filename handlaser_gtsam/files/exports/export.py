@@ -198,10 +198,12 @@ def write_export(
 
 def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
     axis: Axis = (options.axis or "z") if to in TOOLS else "x"  # x is what sensor_msgs/Range wants
-    if isinstance(what, SurveyFile) and to not in (*LINKED, *TOOLS):
-        expected = f"one of {', '.join((*LINKED, *TOOLS))}, which hold frames"
-        raise InputError(f"the format {to} for sensors of many rays", expected)
     beams = exported_beams(what, options.beams, axis, float(options.at_reading))
+    if isinstance(what, SurveyFile) and to not in (*LINKED, *TOOLS):
+        sensors = {sensor.name for sensor in what.sensors} & {beam["name"] for beam in beams}
+        if sensors:
+            expected = f"one of {', '.join((*LINKED, *TOOLS))}, which hold frames, or beams alone"
+            raise InputError(f"the format {to} for sensors of many rays", expected)
     tool = options.tool or 1
     if to == "fanuc" and tool + len(beams) - 1 > LAST_TOOL:
         found = f"tool {tool} as the first of {len(beams)}"
