@@ -50,6 +50,9 @@ from .other_conventions import (
     other_lengths,
 )
 
+SAME_VIEW = 0.03
+"""Fields of view that differ by less than this part are of one sensor: types differ by a tenth."""
+
 
 def refuse_wrong_reading(
     survey: Survey, numbers: FloatArray, way: Way, given: LogFormat
@@ -234,7 +237,8 @@ def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float
         bounds = nearest + steps[[1, 3]]
         found = minimize_scalar(of_tangents, bounds=bounds, options={"xatol": 0.005})
         times = float(np.exp(found.x))
-        yield float(found.fun), f"the angles of {what} are about {times:.3g} times as large"
+        if abs(found.x) > SAME_VIEW:  # else another start leads to where they fit as they are read
+            yield float(found.fun), f"the angles of {what} are about {times:.3g} times as large"
 
 
 def _likelier(columns: FloatArray, at: int, times: float) -> bool:
