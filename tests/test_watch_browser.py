@@ -139,7 +139,8 @@ def test_it_follows_the_recording_and_comes_back_after_a_restart(chromium, folde
             assert tab.page.locator("#table-beams tbody tr").count() == 4
             assert tab.page.locator("#table-next tbody tr").count() == 3
             assert tab.page.locator("#by-count .points path").count() > 6
-            tab.page.locator("#space-world").scroll_into_view_if_needed()
+            # It is drawn once a reader comes near it, and has no place on the page before.
+            tab.page.evaluate("document.getElementById('space').scrollIntoView()")
             tab.until("document.getElementById('space-world').dataset.drawn === 'yes'")
             assert tab.page.locator("#space-world canvas").count() == 1
             assert tab.text("#connection") == "live"
@@ -157,6 +158,10 @@ def test_it_follows_the_recording_and_comes_back_after_a_restart(chromium, folde
             assert one.faults == []
         assert "line 21: found 2 fields" in tab.text("#error")
         assert tab.text("h1") == "Usable"  # the last good one
+        (folder / "recording.csv").unlink()
+        tab.until("document.getElementById('error').hidden")
+        assert "waiting for recording.csv" in tab.text("#note")
+        assert tab.page.evaluate("document.querySelector('main').classList.contains('stale')")
     tab.until("document.getElementById('connection').dataset.now === 'lost'")
     (folder / "recording.csv").write_text("".join(LINES))
     with watching(folder, "--port", port):

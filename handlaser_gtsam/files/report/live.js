@@ -42,12 +42,12 @@
       at("file").textContent = file;
       const changed = status.changed_ms === null ? "" : new Date(status.changed_ms).toLocaleTimeString();
       at("changed").textContent = changed && `changed ${changed}`;
-      at("phase").textContent = status.phase === "waiting" ? "waiting" : status.words;
+      at("phase").textContent = status.words;
       at("error").textContent = status.error;
       show(at("error"), status.error);
       at("note").textContent = status.note;
       show(at("note"), status.note);
-      document.querySelector("main").classList.toggle("stale", Boolean(status.error));
+      document.querySelector("main").classList.toggle("stale", Boolean(status.error) || status.phase === "waiting");
       root.dataset.phase = status.phase;
       title();
     },

@@ -137,7 +137,8 @@ class Follower:
         now = time.monotonic()
         if not answer.error:
             self._refused_since = None
-            self._say("waiting" if answer.waiting else "current", "up to date", note=answer.note)
+            phase, words = ("waiting",) * 2 if answer.waiting else ("current", "up to date")
+            self._say(phase, words, note=answer.note)
             return
         self._refused_since = self._refused_since or now
         if settled or now - self._refused_since >= SETTLED_S:  # before, it may be half written
