@@ -87,7 +87,8 @@ class FirstFit(Value):
     Attributes
     ----------
     misfit : float
-        Median of the root mean square misfits of the shots, in standard deviations.
+        Median of the root mean square misfits of the shots of a sensor, a beam or a target, in standard
+        deviations; the largest of any.
     distance : float
         Median distance of a ray's reading from where the ray meets its target [m].
     noise : Components
@@ -100,7 +101,7 @@ class FirstFit(Value):
 
     @property
     def fits(self) -> bool:
-        """Whether most shots fit each other."""
+        """Whether most shots of each sensor and beam, and before each target, fit each other."""
         return not self.misfit > GROSS
 
 
@@ -213,6 +214,8 @@ def estimate_survey(
     doubtful = _doubtful(state)
     if (doubtful or not settled) and _blames_relations(state, settled):
         settled, doubtful = True, _doubtful(state)
+        # Shots that only the relation contradicts fit each other.
+        first = replace(first, misfit=min(first.misfit, max(_typical_misfits(state))))
     problem, _ = state.problem()
     found = judged(problem, problem.blocks, dict(state.values))
     # A mirror image that fits better than the first state is none of its misfit.
@@ -347,11 +350,16 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
 
 def _surely_fits(state: SurveyState) -> bool:
     """Tell whether the shots of every sensor, and the readings of every beam, fit as they should."""
-    misfit = misfits(state)
+    return max(_typical_misfits(state)) <= SURELY_FITS
+
+
+def _typical_misfits(state: SurveyState) -> list[float]:
+    """Return the median misfit of the shots of each sensor, each beam and each target."""
     own = defaultdict[Entity, list[float]](list)
-    for item, one in zip(state.rows.items, misfit.tolist(), strict=True):
+    for item, one in zip(state.rows.items, misfits(state).tolist(), strict=True):
         own[item.mount].append(one)
-    return all(np.median(each) <= SURELY_FITS for each in own.values())
+        own[item.target].append(one)
+    return [float(np.median(each)) for each in own.values()]
 
 
 def begin_quickly(state: SurveyState, most: float = np.inf) -> bool:
@@ -472,7 +480,7 @@ def first_fit(state: SurveyState) -> FirstFit:
         if not isinstance(block, Unexplained)
     ]
     distance = float(np.median(np.concatenate(each)))
-    return FirstFit(float(np.median(misfits(state))), distance, state.sizes)
+    return FirstFit(max(_typical_misfits(state)), distance, state.sizes)
 
 
 def _settle(state: SurveyState) -> bool:

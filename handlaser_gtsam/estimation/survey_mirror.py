@@ -11,7 +11,7 @@ Planes that contain a_w are their own images, and each mount before them may be 
 where the hand moves along a_w. Mounts that see a common target of another kind are reflected together.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -50,6 +50,12 @@ def motion_of(rows: SurveyRows) -> PoorMotion | None:
     return poor_motion(rows.readings(seen, 1))
 
 
+def motion_with_images(rows: SurveyRows) -> PoorMotion | None:
+    """Return a motion in whose plane mounts have mirror images; None of any other."""
+    motion = motion_of(rows)
+    return motion if motion is not None and motion.kind in ("planar", "one axis") else None
+
+
 def best_image(
     state: "SurveyState", settle: Callable[["SurveyState"], bool]
 ) -> tuple[bool | None, list[Mapping[str, FloatArray]]]:
@@ -74,9 +80,9 @@ def best_image(
         Members (n, size) of each family of every image that fits as well; none where the motion
         determines one alone.
     """
-    motion, settled = motion_of(state.rows), None
+    motion, settled = motion_with_images(state.rows), None
     others: list[Mapping[str, FloatArray]] = []
-    if motion is None or motion.kind not in ("planar", "one axis"):
+    if motion is None:
         return settled, others
     for _ in range(MOST_ROUNDS):
         here, least, best, others = _chi2(state), -(FAR_SIGMAS**2), None, []
@@ -146,10 +152,8 @@ def _images(
 ) -> Iterator[dict[str, FloatArray]]:
     """Yield the values with every group of mounts, and what they see, reflected."""
     seen: dict[Entity, set[Entity]] = {}
-    stations: dict[Entity, list[int]] = {}
     for item in rows.items:
         seen.setdefault(item.target, set()).add(item.mount)
-        stations.setdefault(item.target, []).append(item.station)
     upright = {target: motion.upright[n] for target, n in numbers_of(rows).items()}
     groups = [{mount} for mount in dict.fromkeys(i.mount for i in rows.items)]
     for (family, member), mounts in seen.items():
@@ -159,30 +163,50 @@ def _images(
             groups = [group for group in groups if not group & mounts] + [set().union(*tied)]
     if len(groups) > 1:
         groups.append(set().union(*groups))
-    kinds = [KINDS[shots.kind] for shots in rows.survey.shots]
-    H = np.eye(3) - 2.0 * np.outer(motion.axis, motion.axis)
     for group in groups:
-        if any(family == SENSOR.name and not kinds[i].flat for family, i in group):
+        if all(has_image(rows, mount) for mount in group):
+            yield reflected(rows, values, motion, group)
+
+
+def has_image(rows: SurveyRows, mount: Entity) -> bool:
+    """Tell whether a mount has a mirror image that reads the same: a beam, or a flat sensor."""
+    family, member = mount
+    return family == BEAM.name or KINDS[rows.survey.shots[member].kind].flat
+
+
+def reflected(
+    rows: SurveyRows,
+    values: Mapping[str, FloatArray],
+    motion: PoorMotion,
+    group: Container[Entity],
+) -> dict[str, FloatArray]:
+    """Return values (1, n, size) with mounts that have images, and what they see, reflected."""
+    H = np.eye(3) - 2.0 * np.outer(motion.axis, motion.axis)
+    image = {name: x.copy() for name, x in values.items()}
+    mounts, stations = set[Entity](), dict[Entity, list[int]]()
+    for item in rows.items:
+        stations.setdefault(item.target, []).append(item.station)
+        if item.mount in group:
+            mounts.add(item.mount)
+    for family, i in mounts:
+        x = image[family][0, i]
+        if family == BEAM.name:
+            x[:3], x[3:6] = H @ x[:3], H @ x[3:6]
             continue
-        image = {name: x.copy() for name, x in values.items()}
-        for family, i in group:
-            x = image[family][0, i]
-            if family == BEAM.name:
-                x[:3], x[3:6] = H @ x[:3], H @ x[3:6]
-                continue
-            R, t = pose_of(x)
-            X = H @ R
-            X[:, kinds[i].across] *= -1.0
-            x[: POSE.size] = np.append(X, H @ t)
-        for target, mounts in seen.items():
-            if mounts & group:
-                x, a = image[target[0]][0, target[1]], upright[target]
-                height = a @ rows.survey.stations.world_t_hand[stations[target]].mean(axis=0)
-                place = slice(4, 7) if target[0] == PLANE.name else slice(0, 3)
-                x[place] -= 2.0 * (a @ x[place] - height) * a
-                if target[0] == PLANE.name:
-                    x[:3] -= 2.0 * (a @ x[:3]) * a
-        yield image
+        R, t = pose_of(x)
+        X = H @ R
+        X[:, KINDS[rows.survey.shots[i].kind].across] *= -1.0
+        x[: POSE.size] = np.append(X, H @ t)
+    seen = {item.target for item in rows.items if item.mount in mounts}
+    for target, number in numbers_of(rows).items():
+        if target in seen:
+            x, a = image[target[0]][0, target[1]], motion.upright[number]
+            height = a @ rows.survey.stations.world_t_hand[stations[target]].mean(axis=0)
+            place = slice(4, 7) if target[0] == PLANE.name else slice(0, 3)
+            x[place] -= 2.0 * (a @ x[place] - height) * a
+            if target[0] == PLANE.name:
+                x[:3] -= 2.0 * (a @ x[:3]) * a
+    return image
 
 
 def _differences(

@@ -37,6 +37,7 @@ from ..quantities import NEGLIGIBLE, SINGULAR
 from ..starts import find_start
 from ..starts.directions import least_squares
 from ..starts.rounds import FINALISTS, FIRST_STEPS, LAST_STEPS
+from .survey_mirror import has_image, motion_with_images, reflected
 from .survey_rows import Entity, Item, SurveyRows, blocks_of, priors_of, relations_of
 
 VIRTUAL = 3
@@ -68,7 +69,7 @@ def start_of(
     from_planes = {}
     if last_resort or any(i.family == BEAM.name and i.target[0] == PLANE.name for i in rows.items):
         from_planes = _from_planes(rows, among_outliers=last_resort)
-    ends: list[tuple[int, float, dict[Entity, FloatArray]]] = []
+    ends: list[End] = []
     without = []
     for entity in entities:
         own = [item for item in rows.items if item.mount == entity]
@@ -88,6 +89,7 @@ def start_of(
             ends.append((_redundancy(own, found[1]), found[0] / len(own), found[1]))
     if without:
         return {}, tuple(without)
+    ends = _images_that_agree(rows, entities, ends)
     values, said = _empty(rows), Counter[tuple[Entity, Entity]]()
     for item in rows.items:
         said[item.mount, item.target] += item.numbers
@@ -110,6 +112,45 @@ def start_of(
             _search_again(rows, entity, values, sigmas)
     complete_bodies(rows, values)
     return values, ()
+
+
+End = tuple[int, float, dict[Entity, FloatArray]]
+"""Where the search of a sensor or beam ended: its redundancy, its misfit a shot, and the numbers of the
+mount and its targets."""
+
+
+def _images_that_agree(
+    rows: SurveyRows, entities: Sequence[Entity], ends: Sequence[End]
+) -> list[End]:
+    """Return the ends of the searches, each as it is or its mirror image.
+
+    In a planar motion each sensor and beam finds one of two images of itself and its planes. That is
+    taken whose planes lean as others have them: first those without an image, then those that know
+    most.
+    """
+    motion, found = motion_with_images(rows), list(ends)
+    if motion is None or len(ends) == 1:
+        return found
+    normals: dict[Entity, FloatArray] = {}
+
+    def apart(there: Mapping[Entity, FloatArray]) -> float:
+        common = (e for e in there if e in normals)
+        return sum(float(np.linalg.norm(there[e][:3] - normals[e])) for e in common)
+
+    order = sorted(range(len(ends)), key=lambda i: (has_image(rows, entities[i]), -ends[i][0]))
+    for i in order:
+        redundancy, misfit, there = ends[i]
+        if has_image(rows, entities[i]):
+            values = _empty(rows)
+            for (family, member), x in there.items():
+                values[family][0, member] = x
+            image = reflected(rows, values, motion, (entities[i],))
+            there = min(there, {e: image[e[0]][0, e[1]] for e in there}, key=apart)
+        found[i] = redundancy, misfit, there
+        for entity, x in there.items():
+            if entity[0] == PLANE.name:
+                normals.setdefault(entity, x[:3])
+    return found
 
 
 def start_beside(
