@@ -40,6 +40,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         recording; `range_NAME` of single beams may stand there, too. Or a log of poses, where the rig
         file says how it is written. Or a bag with the poses and the topics of the sensors.
     rig : Rig, Path or str
+        Its `noise` is no part of a survey: `hl.calibrate(survey, rig.noise)` counts it.
 
     Raises
     ------

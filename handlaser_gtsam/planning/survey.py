@@ -142,7 +142,8 @@ def plan_survey(
     known = _Known(calibration, {(family, member) for family, member, _ in looks}, goal)
     chosen = known.chosen(rows[None], count, exchange=True)
     chosen = chosen[: known.enough(rows[chosen])]
-    visit = partial(visited, workspace, labels=labels, plates=plates)
+    taken = of.survey.stations.station_names
+    visit = partial(visited, workspace, labels=labels, plates=plates, taken=taken)
     plan, candidate = planned(known, pool, rows, chosen, visit)
     return replace(
         plan,

@@ -172,7 +172,8 @@ class SensorMount(Mount):
 class BeamMount(Mount):
     """A single beam in the hand.
 
-    Its `covariance` (7, 7) is of location, direction (two tangents), k1 and k2.
+    Its `covariance` (7, 7) is of location, direction, k1 and k2; the direction along two tangents, the
+    basis of `gtsam.Unit3`.
 
     Attributes
     ----------
