@@ -40,7 +40,7 @@ def validate(
     recording, given, model
     calibration : Path, optional
         Test this old calibration, JSON, on RECORDING: does it still hold? Of the other options only
-        noise, sensor and exact poses count then.
+        noise, sensor and exact poses count then. Sensors of many rays are calibrated anew and compared.
     hold_out : Path, optional
         Test the calibration of RECORDING on this other recording.
     splits : int
@@ -64,9 +64,10 @@ def validate(
         if calibration is not None and hold_out is not None:
             raise InputError("--calibration and --hold-out", "one of the two")
         against = calibration is not None or hold_out is not None
-        stated = ["--calibration or --hold-out"] if against else []
-        read = read_stated(rig, recording, [*stated, *model.stated()])
-        if isinstance(read, Survey):
+        read = read_stated(rig, recording, model.stated())
+        if isinstance(read, Survey) and against:
+            answer = _tested_survey(read, rig, calibration)
+        elif isinstance(read, Survey):
             answer = validated(read, rig, None, splits, seed)
         else:
             report, rig = read
@@ -104,6 +105,43 @@ def validated(
         failure = Exit.UNDETERMINED if unsolved else Exit.NOT_USABLE, judged.sentence
     lines = validation_lines(result, judged, text_width())
     return Answer(validation_text(result, judged), lines, failure=failure)
+
+
+def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
+    """Test an old calibration on a survey."""
+    import numpy as np
+
+    from ..errors import InputError
+    from ..files.calibration_reading import SurveyFile, read_calibration
+    from ..files.validation_json import survey_hold_out_text
+    from ..model.distributions import p_words
+    from ..quantities import IN_DEG, IN_MM
+    from ..validation.other_survey import hold_out_survey
+    from .words import survey_hold_out_lines
+
+    if old is None:  # the tables of points are those of the rig file
+        expected = "`validate OTHER --rig ITS_RIG --calibration RESULT`, the result of `calibrate`"
+        raise InputError("--hold-out with sensors of many rays or other targets", expected)
+    file = read_calibration(old)
+    if not isinstance(file, SurveyFile):
+        expected = "the result of a survey, with sensors of many rays or other targets"
+        raise InputError("a calibration of beams before planes", expected, old)
+    found = hold_out_survey(file.placed(), survey, rig.noise)
+    failure = None
+    if not found.holds:
+        words = "; ".join(
+            f"{one.subject} sits {np.linalg.norm(one.shift) * IN_MM:.2g} mm and "
+            f"{one.turn * IN_DEG:.2g} deg from where it was"
+            for one in found.moved
+        )
+        failure = (
+            Exit.NOT_USABLE,
+            f"the calibration does not hold ({p_words(found.p_value)}): {words}: look for a sensor "
+            "that was knocked or mounted anew, and calibrate again",
+        )
+    return Answer(
+        survey_hold_out_text(found), survey_hold_out_lines(found), survey.warnings, failure
+    )
 
 
 def _tested(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ..planning.route import Plan
     from ..results.verdict import Verdict
     from ..validation.other_recording import HoldOut
+    from ..validation.other_survey import SurveyHoldOut
     from ..validation.validation import Validation
 
 SHOWN_ROWS = 10
@@ -108,6 +109,11 @@ def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> li
         table = Description(calibration, verdict).systematic
         lines += [] if table is None else full_table("systematic errors", table, width)
     return lines + [f"WARNING: {warning}" for warning in calibration.warnings]
+
+
+def survey_hold_out_lines(found: "SurveyHoldOut") -> list[str]:
+    """Return the lines of a hold-out test of a survey: whether the calibration holds first."""
+    return lines_of("survey_hold_out", found=found, level=SINGLE_LEVEL, family_level=FAMILY_LEVEL)
 
 
 def hold_out_lines(found: "HoldOut") -> list[str]:

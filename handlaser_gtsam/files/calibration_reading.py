@@ -12,10 +12,12 @@ from typing import Annotated, Literal, TypeVar
 import numpy as np
 from pydantic import Field, Strict
 
-from ..errors import InputError
+from ..errors import InputError, NotConvergedError
 from ..model.families import BEAM
+from ..model.sensors.mounted import SENSOR
 from ..results.mounts import Mounts
 from ..text import shown
+from ..validation.other_survey import PlacedMount, beam_frame
 from .checked_text import FileRecord, checked, in_file, json_value, read_value, square_matrix
 from .writing import path_of
 
@@ -156,6 +158,7 @@ class SensorRecord(ObjectRecord):
     location_m: Vector
     location_sigma_m: Known
     rotation_sigma_rad: Known
+    covariance: Many[Known]
 
 
 class SurveyBeamRecord(ObjectRecord):
@@ -166,6 +169,7 @@ class SurveyBeamRecord(ObjectRecord):
     direction: Vector
     range_error: Numbers
     location_sigma_m: Known
+    covariance: Many[Known]
 
 
 class SurveyFile(ResultFile):
@@ -174,6 +178,35 @@ class SurveyFile(ResultFile):
     format: Literal["handlaser-survey"]
     sensors: Many[SensorRecord]
     beams: Many[SurveyBeamRecord]
+
+    def placed(self) -> list[PlacedMount]:
+        """Return where its sensors and beams sit, for `hl.validation.hold_out_survey`.
+
+        Raises
+        ------
+        NotConvergedError
+            The calibration is none.
+        """
+        if not self.success:
+            raise NotConvergedError(self.status, self.message)
+        mounts = [
+            (SENSOR.name, one.name, np.array(one.rotation), one.location_m, one.covariance)
+            for one in self.sensors
+        ]
+        mounts += [
+            (
+                BEAM.name,
+                one.name,
+                beam_frame(np.array(one.direction)),
+                one.location_m,
+                one.covariance,
+            )
+            for one in self.beams
+        ]
+        return [
+            PlacedMount(kind, name, frame, np.array(r), np.array(C, dtype=np.float64))
+            for kind, name, frame, r, C in mounts
+        ]
 
 
 def read_calibration(path: Path | str) -> CalibrationFile | SurveyFile:

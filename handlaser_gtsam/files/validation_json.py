@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from ..results.survey import SurveyCalibration
 from ..results.verdict import Verdict
 from ..validation.other_recording import HoldOut
+from ..validation.other_survey import SurveyHoldOut
 from ..validation.prediction import Prediction, SurveyPrediction
 from ..validation.validation import LeftOut, Predicted, Validation
 from .calibration_writing import verdict_record
@@ -49,6 +50,13 @@ def validation_text(validation: Validation, verdict: Verdict) -> str:
 def hold_out_text(found: HoldOut) -> str:
     """Return a hold-out test as JSON text."""
     return json_text("hold-out", _predicted(found))
+
+
+def survey_hold_out_text(found: SurveyHoldOut) -> str:
+    """Return how the mounts of a survey's calibration agree with another survey as JSON text."""
+    mounts = records(found.mounts, "subject statistic dof p_value shift_m turn_rad")
+    content: Record = {"p_value": found.p_value, "holds": found.holds, "mounts": mounts}
+    return json_text("survey-hold-out", content)
 
 
 def _left_out(parts: Sequence[LeftOut], kind: type[Predicted], name: str = "name") -> list[Record]:

@@ -1,0 +1,183 @@
+"""Whether the calibration of a survey still holds: its mounts beside those of another survey.
+
+Each sensor and beam is compared by itself. With d the turn and shift from one mount to the other, and
+the covariances C of both in the same coordinates, d' inv(C_1 + C_2) d is chi-square distributed if
+nothing has moved. Where range errors are known by their prior alone, which both have in common, it is
+smaller.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from ..arrays import FloatArray
+from ..checks import require_kind
+from ..data.noise import Noise
+from ..data.survey import Survey
+from ..errors import InputError, NotConvergedError
+from ..model.distributions import SINGLE_LEVEL, chi2_sf
+from ..model.families import BEAM, MOUNT_DIM, POSE
+from ..model.geometry import tangent_basis
+from ..model.sensors.mounted import SENSOR
+from ..pipeline import calibrate
+from ..results.survey import SurveyCalibration
+
+
+class PlacedMount(NamedTuple):
+    """Where a sensor or beam of a survey sits in the hand, and how well that is known.
+
+    Attributes
+    ----------
+    kind : "sensor" or "beam"
+    name : str
+    frame : (3, 3)
+        hand_R_sensor; of a beam the basis of its tangents, then its direction.
+    location : (3,)
+        [m]
+    covariance : (n, n)
+        As `SensorMount` and `BeamMount` have it.
+    """
+
+    kind: str
+    name: str
+    frame: FloatArray
+    location: FloatArray
+    covariance: FloatArray
+
+
+class MovedMount(NamedTuple):
+    """How far a sensor or beam is from where it was calibrated.
+
+    Attributes
+    ----------
+    subject : str
+        `sensor NAME` or `beam NAME`.
+    statistic, dof : float, int
+        Chi2 of the difference, if nothing has moved.
+    p_value : float
+        Probability of a larger one then.
+    shift : (3,)
+        Of its location in the hand [m].
+    turn : float
+        [rad]
+    """
+
+    subject: str
+    statistic: float
+    dof: int
+    p_value: float
+    shift: FloatArray
+    turn: float
+
+
+class SurveyHoldOut(NamedTuple):
+    """A survey that a calibration did not see.
+
+    Attributes
+    ----------
+    mounts : tuple of MovedMount
+        Of all sensors and beams in both.
+    """
+
+    mounts: tuple[MovedMount, ...]
+
+    @property
+    def p_value(self) -> float:
+        """Probability of a larger difference of any mount by chance, if nothing has moved."""
+        return min(1.0, len(self.mounts) * min(one.p_value for one in self.mounts))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the calibration still holds."""
+        return self.p_value >= SINGLE_LEVEL
+
+    @property
+    def moved(self) -> tuple[MovedMount, ...]:
+        """The mounts that contradict their calibration; none where it holds."""
+        level = SINGLE_LEVEL / len(self.mounts)
+        return tuple(one for one in self.mounts if one.p_value < level)
+
+
+def placed_mounts(result: SurveyCalibration) -> list[PlacedMount]:
+    """Return where the sensors and beams of a survey sit.
+
+    Raises
+    ------
+    NotConvergedError
+    """
+    if result.status != "converged":
+        raise NotConvergedError(result.status, result.message)
+    sensors = [
+        PlacedMount(SENSOR.name, one.name, one.rotation, one.location, one.covariance)
+        for one in result.sensors.values()
+    ]
+    return sensors + [
+        PlacedMount(BEAM.name, one.name, beam_frame(one.direction), one.location, one.covariance)
+        for one in result.beams.values()
+    ]
+
+
+def beam_frame(direction: FloatArray) -> FloatArray:
+    """Return the tangents and the direction of a beam as columns (3, 3)."""
+    return np.column_stack((tangent_basis(direction[None])[0], direction))
+
+
+def hold_out_survey(
+    calibration: SurveyCalibration | Sequence[PlacedMount],
+    survey: Survey,
+    noise: Noise | None = None,
+) -> SurveyHoldOut:
+    """Compare a calibration with what another survey says of the same sensors and beams by itself.
+
+    Parameters
+    ----------
+    calibration : SurveyCalibration, or mounts of a file
+        `hl.files.SurveyFile.placed()` gives these.
+    survey : Survey
+        With some of its sensors and beams, before any targets.
+    noise : Noise, optional
+        Of the new survey.
+
+    Raises
+    ------
+    InputError
+        A sensor or beam that was not calibrated.
+    NotConvergedError
+        One of the two calibrations does not determine a mount.
+    """
+    require_kind("survey", survey, Survey)
+    old = placed_mounts(calibration) if isinstance(calibration, SurveyCalibration) else calibration
+    now = calibrate(survey, noise)
+    before = {(one.kind, one.name): one for one in old}
+    compared = []
+    for mount in placed_mounts(now):
+        if (mount.kind, mount.name) not in before:
+            known = ", ".join(f"{kind} {name}" for kind, name in before) or "none"
+            raise InputError(
+                f"{mount.kind} {mount.name}, which was not calibrated", f"some of {known}"
+            )
+        compared.append(_compared(before[mount.kind, mount.name], mount))
+    return SurveyHoldOut(tuple(compared))
+
+
+def _compared(old: PlacedMount, now: PlacedMount) -> MovedMount:
+    shift, subject = now.location - old.location, f"{old.kind} {old.name}"
+    if old.kind == BEAM.name:
+        across, size = old.frame[:, :2].T, MOUNT_DIM
+        d = np.concatenate((shift, across @ now.frame[:, 2]))
+        to_old = block_diag(np.eye(3), across @ now.frame[:, :2])
+        turn = float(np.arctan2(np.linalg.norm(d[3:]), old.frame[:, 2] @ now.frame[:, 2]))
+    else:
+        turned = Rotation.from_matrix(old.frame.T @ now.frame).as_rotvec()
+        d, size = np.concatenate((turned, old.frame.T @ shift)), POSE.dim
+        to_old, turn = np.eye(size), float(np.linalg.norm(turned))
+    C = old.covariance[:size, :size] + to_old @ now.covariance[:size, :size] @ to_old.T
+    if not np.isfinite(C).all():
+        raise NotConvergedError("undetermined", f"nothing is known of a part of {subject}")
+    scale = np.sqrt(np.diagonal(C))
+    z = d / scale
+    statistic = float(z @ np.linalg.solve(C / np.outer(scale, scale), z))
+    return MovedMount(subject, statistic, size, float(chi2_sf(statistic, size)), shift, turn)
