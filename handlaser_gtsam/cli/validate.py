@@ -40,7 +40,7 @@ def validate(
     recording, given, model
     calibration : Path, optional
         Test this old calibration, JSON, on RECORDING: does it still hold? Of the other options only
-        noise, sensor and exact poses count then. Sensors of many rays are calibrated anew and compared.
+        noise, sensor and exact poses count then. Sensors of many rays are calibrated again and compared.
     hold_out : Path, optional
         Test the calibration of RECORDING on this other recording.
     splits : int
@@ -137,7 +137,7 @@ def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
         failure = (
             Exit.NOT_USABLE,
             f"the calibration does not hold ({p_words(found.p_value)}): {words}: look for a sensor "
-            "that was knocked or mounted anew, and calibrate again",
+            "that was knocked or moved, and calibrate again",
         )
     return Answer(
         survey_hold_out_text(found), survey_hold_out_lines(found), survey.warnings, failure

@@ -136,7 +136,7 @@ def _range_rows(own: OwnGraph, factor: gtsam.CustomFactor) -> RangeRows | None:
     """Return the rows of a range factor of some of the beams to one plane; None of another factor.
 
     A factor does not give its readings away, but its derivatives do: with the range s and the tangent
-    basis B of the direction, de/dv = s de/dr B, and the length of de/dr is that of de/db, however rows
+    basis B of the direction, de/dv = s de/dr B, and de/dr is as long as de/db, however rows
     weigh. Somebody else's factor on the same variables has other derivatives. A row of several beams,
     which errors of a pose couple, belongs to the one that moves it most.
     """
@@ -183,7 +183,7 @@ class OwnFit(NamedTuple):
     Attributes
     ----------
     fit : Fit
-        Of the rows of the range factors; chi2 and dof are those of the whole graph.
+        Of the rows of the range factors; chi2 and dof count the whole graph.
     times : float
         Residuals of the range factors in their sigmas, as their own losses count them.
     against : set of int

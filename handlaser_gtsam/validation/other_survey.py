@@ -1,4 +1,4 @@
-"""Whether the calibration of a survey still holds: its mounts beside those of another survey.
+"""Whether the calibration of a survey still holds: its mounts beside what another survey finds.
 
 Each sensor and beam is compared by itself. With d the turn and shift from one mount to the other, and
 the covariances C of both in the same coordinates, d' inv(C_1 + C_2) d is chi-square distributed if
