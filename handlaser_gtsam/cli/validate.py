@@ -40,7 +40,7 @@ def validate(
     recording, given, model
     calibration : Path, optional
         Test this old calibration, JSON, on RECORDING: does it still hold? Of the other options only
-        noise, sensor and exact poses count then. Sensors of many rays are calibrated again and compared.
+        noise, sensor and exact poses count then. Other sensors are calibrated again and compared.
     hold_out : Path, optional
         Test the calibration of RECORDING on this other recording.
     splits : int
