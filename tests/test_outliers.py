@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import GRIPPER, bench, motion, recording_of, simulated
+from helpers import GRIPPER, bench, codes, motion, recording_of, simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
@@ -88,6 +88,21 @@ def test_a_wrong_plane_label_is_recognised_and_suggested():
     expected = "station 4 is labelled plane C but fits plane A: correct its label"
     values = {"station": "4", "label": "C", "plane": "A"}
     assert hl.CalibrationWarning("wrong-label", expected, values) in found.warnings
+
+
+def test_wrong_labels_here_and_there_are_named_alone():
+    """The headline said of three of them that the whole plane was another one from some station on."""
+    recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
+    labels = list(recording.plane_labels)
+    wrong = [1, 5, 8]
+    assert {labels[j] for j in wrong} == {"A"}
+    for j in wrong:
+        labels[j] = "B"
+    changed = replace(recording, plane_labels=tuple(labels))
+    found = hl.calibrate(changed, hl.Noise(SIGMA["arm"]), NONE)
+    named = [one.values["station"] for one in found.warnings if one.code == "wrong-label"]
+    assert named == ["2", "6", "9"]
+    assert "file-mistake" not in codes(found)
 
 
 def test_swapped_readings_of_a_station_are_recognised():

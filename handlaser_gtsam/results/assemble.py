@@ -103,7 +103,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
             wrong = poor_fit(used, fit)
     elif wrong is None:
         wrong = implausible_mounts(used, solution.best, names)
-    way = _way(problem, used, fit, solution, wrong)
+    way = _way(problem, used, fit, solution, wrong, why)
     lost = lost_of_beams(fit, problem.recording.beam_names)
     # Where readings of beams are exchanged and one of them loses more than this part of its own, it is
     # not sure which of the two mounts is whose, or whether both are one. Nor is it where a mistake
@@ -257,15 +257,25 @@ def _way(
     fit: Fit,
     solution: Solution,
     wrong: CalibrationWarning | None,
+    why: Reasons,
 ) -> CalibrationWarning | None:
-    """Say how else the file could be read, where it does not fit or a beam loses many readings."""
+    """Say how else the file could be read, where it does not fit or a beam loses many readings.
+
+    Stations here and there that fit another plane than their labels name are mistakes of their own;
+    those of one run may have one cause.
+    """
     if wrong is not None and wrong.code == COARSE:
         return None
     recording, rejected = problem.recording, None
     if (wrong is None and not suspicious(used, fit)) or (
         wrong and wrong.code == "contradicting-beam"
     ):
-        out = [one for one in fit.rejected if one.reason not in BY_LIMITS]
+        other = sorted(int(problem.order.stations[j]) for j in why.other_plane)
+        scattered = bool((np.diff(other) > 1).any())
+        labels = {recording.station_names[j] for j in other if scattered}
+        out = [
+            one for one in fit.rejected if one.reason not in BY_LIMITS and one.station not in labels
+        ]
         if not out:
             return None
         row = {name: j for j, name in enumerate(recording.station_names)}
