@@ -374,6 +374,28 @@ def relabelled(survey, right, wrong):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 8])
+def test_wrong_labels_are_found_beside_beams(seed):
+    """Halves of the stations are without them; halves of all shots and readings never were."""
+    rig = rigs_by_rays.mixed(
+        seed, sensors=("profiler", "beam", "beam"), targets="planes+sphere", planes=2, stations=11
+    )
+    survey, rng = survey_of(rig), np.random.default_rng(seed)
+    labels = np.array(survey.stations.plane_labels, dtype=object)
+    wrong = rng.choice(np.flatnonzero(labels == "plane:A"), 4, replace=False)
+    labels[wrong] = "plane:B"
+    stations = replace(survey.stations, plane_labels=tuple(labels))
+    found = hl.calibrate(replace(survey, stations=stations))
+    assert found.status == "converged"
+    out = {one.station for one in found.rejected}
+    assert out >= {survey.stations.station_names[j] for j in wrong}
+    assert len(out) <= 6
+    (mount,) = found.sensors.values()
+    off = mount.location - rig.truth[mount.name][:3, 3]
+    assert (np.abs(off) < 5.0 * mount.location_sigma).all()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("case", KINDS_EXCHANGED)
 def test_a_target_of_the_other_kind_is_no_fit_where_the_search_ends_nowhere(case, monkeypatch):
     """One mistake, one code, whatever becomes of the search."""

@@ -74,7 +74,7 @@ def leave_out_gross(state: SurveyState) -> None:
 
 
 def started_from_halves(state: SurveyState) -> bool:
-    """Look for a start that most shots agree with, from random halves of the shots of each target.
+    """Look for a start that most shots agree with, from random halves of the stations of each target.
 
     A few wrong labels, which pull a start of all shots elsewhere, are in some of these halves only;
     the others need no random mounts as a last resort. Tell whether one was found.
@@ -82,13 +82,14 @@ def started_from_halves(state: SurveyState) -> bool:
     items, rng = state.rows.items, np.random.default_rng(len(state.rows.items))
     numbers = numbers_of(state.rows)
     target = np.array([numbers[item.target] for item in items])
+    station = np.array([item.station for item in items])
     least, values, nearest = float(np.median(misfits(state))), None, np.inf
     # Of eighteen shots with two wrong ones a fifth of the halves has none, and one of twelve with 93 %.
     for _ in range(12):
         some = np.zeros(len(items), dtype=bool)
         for one in np.unique(target):
-            own = rng.permutation(np.flatnonzero(target == one))
-            some[own[: max(len(own) // 2, 3)]] = True
+            own = rng.permutation(np.unique(station[target == one]))
+            some |= (target == one) & np.isin(station, own[: max(len(own) // 2, 3)])
         half = tuple(item for item, taken in zip(items, some, strict=True) if taken)
         part = replace(state.rows, items=half)
         begun, without = start_of(part, state.sigmas(), last_resort=False)
