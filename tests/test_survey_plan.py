@@ -350,7 +350,7 @@ def test_the_command(handlaser, refusal, tmp_path):
     assert "not checked: stand, plate and arm; there is no [workspace]" in said
     assert "\n3. scanner before sphere:ball\n" in said
     names = hl.read_stations(out).station_names
-    measured = hl.read_stations(poses).station_names
+    measured = hl.read_survey(poses, rig).stations.station_names
     assert len({*names, *measured}) == 3 + len(measured)  # so that they can be appended
     assert "qx qy qz qw" not in said
     _, said, _ = handlaser("plan", poses, "--rig", rig, "--stations", "3")
