@@ -44,6 +44,7 @@ from .survey_outliers import (
 from .survey_rows import (
     AIMING_SIGMA,
     Entity,
+    Item,
     SurveyRows,
     blocks_of,
     continued_items,
@@ -90,7 +91,7 @@ class FirstFit(Value):
         Median of the root mean square misfits of the shots of a sensor, a beam or a target, in standard
         deviations; the largest of any.
     distance : float
-        Median distance of a ray's reading from where the ray meets its target [m].
+        Median distance of a ray's reading of these from where the ray meets its target [m].
     noise : Components
         The noise that the standard deviations are of: as stated, from within shots, or as is usual.
     """
@@ -214,8 +215,7 @@ def estimate_survey(
     doubtful = _doubtful(state)
     if (doubtful or not settled) and _blames_relations(state, settled):
         settled, doubtful = True, _doubtful(state)
-        # Shots that only the relation contradicts fit each other.
-        first = replace(first, misfit=min(first.misfit, max(_typical_misfits(state))))
+        first = min(first, first_fit(state), key=lambda one: one.misfit)  # without the relation
     problem, _ = state.problem()
     found = judged(problem, problem.blocks, dict(state.values))
     # A mirror image that fits better than the first state is none of its misfit.
@@ -350,16 +350,19 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
 
 def _surely_fits(state: SurveyState) -> bool:
     """Tell whether the shots of every sensor, and the readings of every beam, fit as they should."""
-    return max(_typical_misfits(state)) <= SURELY_FITS
+    return max(_typical_misfits(state), key=lambda one: one[0])[0] <= SURELY_FITS
 
 
-def _typical_misfits(state: SurveyState) -> list[float]:
-    """Return the median misfit of the shots of each sensor, each beam and each target."""
-    own = defaultdict[Entity, list[float]](list)
+def _typical_misfits(state: SurveyState) -> list[tuple[float, list[Item]]]:
+    """Return the median misfit of the shots of each sensor, each beam and each target, and these."""
+    own = defaultdict[Entity, list[tuple[float, Item]]](list)
     for item, one in zip(state.rows.items, misfits(state).tolist(), strict=True):
-        own[item.mount].append(one)
-        own[item.target].append(one)
-    return [float(np.median(each)) for each in own.values()]
+        own[item.mount].append((one, item))
+        own[item.target].append((one, item))
+    return [
+        (float(np.median([one for one, _ in each])), [item for _, item in each])
+        for each in own.values()
+    ]
 
 
 def begin_quickly(state: SurveyState, most: float = np.inf) -> bool:
@@ -472,15 +475,15 @@ def _pose_sizes(stated: Components, usual: Components) -> tuple[float, float]:
 
 def first_fit(state: SurveyState) -> FirstFit:
     """Return how the shots of a first state fit each other, those that it rejects included."""
-    blocks, _ = blocks_of(state.rows.items, state.sigmas(), state.values)
+    misfit, items = max(_typical_misfits(state), key=lambda one: one[0])
+    blocks, _ = blocks_of(items, state.sigmas(), state.values)
     ranges = [block.ranges if isinstance(block, Mixed) else block for block in blocks]
     each = [
         np.abs(block.evaluate(state.values).columns[-1]).ravel()
         for block in ranges
         if not isinstance(block, Unexplained)
     ]
-    distance = float(np.median(np.concatenate(each)))
-    return FirstFit(max(_typical_misfits(state)), distance, state.sizes)
+    return FirstFit(misfit, float(np.median(np.concatenate(each))), state.sizes)
 
 
 def _settle(state: SurveyState) -> bool:

@@ -108,7 +108,8 @@ class SurveyCheck(Value):
         The standard deviations that those of the sensors follow from, and whether each is stated,
         assumed or from within shots; empty where no start was found.
     misfit : float
-        Typical misfit of a shot in standard deviations; NaN where no start was found.
+        Typical misfit of a shot in standard deviations, of the sensor, beam or target that fits worst;
+        NaN where no start was found.
     warnings : tuple of CalibrationWarning
         Of shots that do not fit each other, of arrays that read in the other convention and targets of
         another kind, of relations that the readings contradict, of stations without a reading, of lost
