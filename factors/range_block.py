@@ -196,11 +196,10 @@ def checked_block(
     ranges: ArrayLike,
     range_min: float,
     hands: tuple[FloatArray, FloatArray] | None,
-    pose: int | None = None,
 ) -> RangeBlock:
     """Return the block of a user's readings of one beam, all above `range_min` [m].
 
-    `hands` are the known hand poses (N, 3, 3), (N, 3); there are none where `pose` is a key.
+    `hands` are the known hand poses (N, 3, 3), (N, 3); None where the pose is a variable.
 
     Raises
     ------
@@ -223,8 +222,7 @@ def checked_block(
     require_rows(d, R, t)
     if hands is not None:
         check_poses(R, t, [f"{j + 1} of {len(d)}" for j in range(len(d))])
-    key = None if pose is None else integer_key(pose, "hand pose")
-    return RangeBlock(beam, integer_key(plane, "plane"), d, R, t, key)
+    return RangeBlock(beam, integer_key(plane, "plane"), d, R, t)
 
 
 def range_factor(block: RangeBlock, noise: Noise) -> gtsam.CustomFactor:
@@ -249,10 +247,12 @@ def _noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
         if noise.dim() != rows:
             raise InputError(f"a noise model of dimension {noise.dim()}", f"{rows}, one a reading")
         inner = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
-        constrained = isinstance(inner, gtsam.noiseModel.Constrained)
-        if constrained or (
-            isinstance(inner, gtsam.noiseModel.Gaussian) and not np.isfinite(inner.R()).all()
-        ):
+        sound = True
+        if isinstance(inner, gtsam.noiseModel.Diagonal):  # constrained ones have sigmas of zero
+            sound = bool((inner.sigmas() > 0.0).all())
+        elif isinstance(inner, gtsam.noiseModel.Gaussian):
+            sound = bool(np.isfinite(inner.R()).all())
+        if not sound:
             raise InputError(
                 "a noise model without sigmas above zero", "a sigma above zero a reading"
             )

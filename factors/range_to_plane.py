@@ -18,7 +18,7 @@ The hand pose (R, t) = world_T_hand is known, or a Pose3 of the graph. Moving it
 with x the laser spot in the hand frame.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import gtsam
 import numpy as np
@@ -34,7 +34,7 @@ from .range_block import Noise, checked_block, range_factor
 def range_to_plane(
     beam: BeamKeys,
     plane: int,
-    world_T_hand: Sequence[gtsam.Pose3],
+    world_T_hand: Iterable[gtsam.Pose3],
     ranges: ArrayLike,
     noise: Noise,
     *,
@@ -63,10 +63,11 @@ def range_to_plane(
         Keys that are no BeamKeys, readings that are not above `range_min`, hand poses that are none,
         or numbers of poses, readings and noise that differ.
     """
-    if not isinstance(world_T_hand, Sequence):
+    if isinstance(world_T_hand, gtsam.Pose3) or not isinstance(world_T_hand, Iterable):
         raise InputError(
             f"one {type(world_T_hand).__name__}", "a sequence of hand poses, one a reading"
         )
+    world_T_hand = list(world_T_hand)
     for each in world_T_hand:
         require_kind("a hand pose", each, gtsam.Pose3, "gtsam.Pose3")
     R = np.array([pose.rotation().matrix() for pose in world_T_hand]).reshape(-1, 3, 3)
@@ -105,5 +106,6 @@ def range_to_plane_from_pose(
     InputError
         Keys that are none, readings that are not above `range_min`, or noise of the wrong dimension.
     """
-    key = integer_key(pose, "hand pose")
-    return range_factor(checked_block(beam, plane, ranges, range_min, None, key), noise)
+    block = checked_block(beam, plane, ranges, range_min, None)
+    block.pose = integer_key(pose, "hand pose")
+    return range_factor(block, noise)

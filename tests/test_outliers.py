@@ -105,6 +105,24 @@ def test_wrong_labels_here_and_there_are_named_alone():
     assert "file-mistake" not in codes(found)
 
 
+def test_labels_of_two_planes_that_are_exchanged_late_are_named_where_planes_alternate():
+    recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
+    count = len(recording.plane_names)
+    order = np.argsort(
+        np.arange(len(recording.plane_labels)) % (len(recording.plane_labels) // count),
+        kind="stable",
+    )
+    turns = recording.part(order)
+    labels = np.array(turns.plane_labels, dtype=object)
+    assert len(set(labels[:count])) == count
+    late = np.arange(len(labels)) >= 2 * len(labels) // 3
+    a, b = late & (labels == "A"), late & (labels == "B")
+    labels[a], labels[b] = "B", "A"
+    found = hl.calibrate(replace(turns, plane_labels=tuple(labels)), hl.Noise(SIGMA["arm"]), NONE)
+    assert found.warnings[0].code == "file-mistake"
+    assert "exchanged" in found.warnings[0].message
+
+
 def test_swapped_readings_of_a_station_are_recognised():
     recording, _ = simulated("arm", range_sigma=SIGMA["arm"])
     ranges = recording.ranges.copy()

@@ -648,3 +648,49 @@ def test_normals_point_away_from_the_sensor_whichever_way_the_values_have_them(w
         assert found.planes[name].covariance == pytest.approx(own.covariance, abs=1e-12)
     whole, other = (one.covariance.matrix() for one in (as_it_is, found))
     assert np.abs(whole - other).max() < 1e-6 * np.abs(whole).max()
+
+
+def test_readings_with_a_full_covariance_are_read_back():
+    """Whitening mixes rows of different hands and ranges."""
+    walker, rng = robot(), np.random.default_rng(5)
+    graph, plain = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
+    C = SIGMA**2 * (0.7 * np.eye(20) + 0.3)
+    for half, plane in ((0, WALL), (1, FLOOR)):
+        poses = walker.poses[half::2]
+        d = [reading(pose, plane, R, V, noise=SIGMA * rng.standard_normal()) for pose in poses]
+        full = gtsam.noiseModel.Gaussian.Covariance(C)
+        graph.push_back(range_to_plane(BEAM, plane, tuple(poses), d, full))
+        plain.push_back(range_to_plane(BEAM, plane, np.array(poses, dtype=object), d, SIGMA))
+    for one in (graph, plain):
+        found = hl.read_graph(one, hl.optimize(one, started()).values, {"laser": BEAM}, PLANES)
+        assert_near_truth(found)
+        assert found.fit.readings == 40
+
+
+def test_readings_without_weight_are_listed_as_well():
+    """Tukey takes all weight from a gross error; it is the largest residual all the same."""
+    walker, rng = robot(), np.random.default_rng(6)
+    graph = gtsam.NonlinearFactorGraph()
+    kinds = gtsam.noiseModel.mEstimator
+    tukey = kinds.Tukey.Create(4.685, kinds.Base.ReweightScheme.Scalar)
+    model = gtsam.noiseModel.Robust.Create(tukey, gtsam.noiseModel.Isotropic.Sigma(1, SIGMA))
+    for j, pose in enumerate(walker.poses):
+        plane = (WALL, FLOOR)[j % 2]
+        d = reading(pose, plane, R, V, noise=SIGMA * rng.standard_normal()) + 0.3 * (j == 7)
+        graph.push_back(range_to_plane(BEAM, plane, [pose], [d], model))
+    start = started()
+    for key, plane in TRUE_PLANES.items():
+        start.update(key, plane)
+    start.update(BEAM.location, R)
+    start.update(BEAM.direction, gtsam.Unit3(V))
+    found = hl.read_graph(graph, hl.optimize(graph, start).values, {"laser": BEAM}, PLANES)
+    assert found.status == "converged"
+    assert found.fit.readings == 40
+    assert found.fit.max_residual == pytest.approx(0.3, abs=0.01)
+
+
+def test_values_before_their_optimum_are_not_said_to_misfit(walk):
+    found = hl.read_graph(*walk, {"laser": BEAM}, PLANES)
+    assert found.status == "not_converged"
+    assert "optimise further" in found.message
+    assert "no-fit" not in codes(found)

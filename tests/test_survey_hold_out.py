@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
-from handlaser_gtsam.validation.other_survey import placed_mounts
+from handlaser_gtsam.validation.other_survey import _compared, placed_mounts
 
 NOISE = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 
@@ -70,9 +70,20 @@ def test_what_cannot_be_compared_is_refused():
     before = hl.calibrate(drawn(0), NOISE)
     with pytest.raises(hl.InputError, match="which was not calibrated"):
         hl.validation.hold_out_survey(placed_mounts(before)[:1], drawn(1), NOISE)
-    few = drawn(1)
-    with pytest.raises(hl.HandlaserError):
-        hl.validation.hold_out_survey(before, few.part(np.arange(2)), NOISE)
+    whole = drawn(1)
+    few = whole.part(np.arange(len(whole.stations)) < 2)
+    with pytest.raises(hl.HandlaserError, match=r"station|determine"):
+        hl.validation.hold_out_survey(before, few, NOISE)
+    with pytest.raises(hl.InputError, match="PlacedMount"):
+        hl.validation.hold_out_survey([before], whole, NOISE)
+
+
+def test_a_beam_turned_back_to_front_has_moved():
+    (_, beam) = placed_mounts(hl.calibrate(drawn(0), NOISE))
+    turned = beam.frame @ np.diag([1.0, -1.0, -1.0])
+    moved = _compared(beam._replace(frame=turned), beam)
+    assert moved.turn == pytest.approx(np.pi)
+    assert moved.p_value < 1e-9
 
 
 @pytest.mark.slow

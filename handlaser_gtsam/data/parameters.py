@@ -45,12 +45,15 @@ class RangeErrorPrior(Value):
 
 def per_beam(terms: Terms, beams: int) -> tuple[int, ...]:
     """Return the range-error terms of each of `beams` beams; raises ArgumentError for what is none."""
-    each = tuple(terms) if isinstance(terms, (tuple, list)) else (terms,) * beams
-    if len(each) != beams or not {*map(type, each)} <= {int} or not set(each) <= {0, 1, 2}:
+    each: tuple[object, ...] = (
+        tuple(terms) if isinstance(terms, (tuple, list)) else (terms,) * beams
+    )
+    whole = [int(one) for one in each if isinstance(one, (int, np.integer)) and one is not True]
+    if len(whole) != beams or len(each) != beams or not set(whole) <= {0, 1, 2}:
         raise ArgumentError(
             "terms", shown(terms), f"0, 1 or 2, or one of them for {beams} beams each"
         )
-    return each
+    return tuple(whole)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

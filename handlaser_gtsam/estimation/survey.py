@@ -85,13 +85,16 @@ class RelationTest(Value):
 class FirstFit(Value):
     """How shots fit each other where an estimate begins, before the noise is learned.
 
+    Where most shots fit, it is of the sensor, beam or target that fits worst.
+
     Attributes
     ----------
     misfit : float
-        Median of the root mean square misfits of the shots of a sensor, a beam or a target, in standard
-        deviations; the largest of any.
+        Median of the root mean square misfits of the shots, in standard deviations.
     distance : float
-        Median distance of a ray's reading of these from where the ray meets its target [m].
+        Median distance of a ray's reading from where the ray meets its target [m].
+    of : str
+        Which shots: empty for all, ` of sensor NAME`, ` of beam NAME` or ` before TARGET`.
     noise : Components
         The noise that the standard deviations are of: as stated, from within shots, or as is usual.
     """
@@ -99,6 +102,7 @@ class FirstFit(Value):
     misfit: float
     distance: float
     noise: Components
+    of: str = ""
 
     @property
     def fits(self) -> bool:
@@ -350,18 +354,25 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
 
 def _surely_fits(state: SurveyState) -> bool:
     """Tell whether the shots of every sensor, and the readings of every beam, fit as they should."""
-    return max(_typical_misfits(state), key=lambda one: one[0])[0] <= SURELY_FITS
+    return all(misfit <= SURELY_FITS for misfit, _, _ in _typical_misfits(state))
 
 
-def _typical_misfits(state: SurveyState) -> list[tuple[float, list[Item]]]:
-    """Return the median misfit of the shots of each sensor, each beam and each target, and these."""
-    own = defaultdict[Entity, list[tuple[float, Item]]](list)
+def _typical_misfits(state: SurveyState) -> list[tuple[float, str, list[Item]]]:
+    """Return the median misfit of all shots, then of each sensor, beam and target; which, and them.
+
+    Of an even number the lower one of the two in the middle counts: one shot of two is not most.
+    """
+    own = defaultdict[str, list[tuple[float, Item]]](list)
     for item, one in zip(state.rows.items, misfits(state).tolist(), strict=True):
-        own[item.mount].append((one, item))
-        own[item.target].append((one, item))
+        for of in (
+            "",
+            f" of {_name(state.rows, item.mount)}",
+            f" before {state.rows.label(item.target)}",
+        ):
+            own[of].append((one, item))
     return [
-        (float(np.median([one for one, _ in each])), [item for _, item in each])
-        for each in own.values()
+        (float(np.quantile([x for x, _ in each], 0.5, method="lower")), of, [i for _, i in each])
+        for of, each in own.items()
     ]
 
 
@@ -475,7 +486,8 @@ def _pose_sizes(stated: Components, usual: Components) -> tuple[float, float]:
 
 def first_fit(state: SurveyState) -> FirstFit:
     """Return how the shots of a first state fit each other, those that it rejects included."""
-    misfit, items = max(_typical_misfits(state), key=lambda one: one[0])
+    every, *parts = _typical_misfits(state)
+    misfit, of, items = every if every[0] > GROSS else max(parts, key=lambda one: one[0])
     blocks, _ = blocks_of(items, state.sigmas(), state.values)
     ranges = [block.ranges if isinstance(block, Mixed) else block for block in blocks]
     each = [
@@ -483,7 +495,7 @@ def first_fit(state: SurveyState) -> FirstFit:
         for block in ranges
         if not isinstance(block, Unexplained)
     ]
-    return FirstFit(misfit, float(np.median(np.concatenate(each))), state.sizes)
+    return FirstFit(misfit, float(np.median(np.concatenate(each))), state.sizes, of)
 
 
 def _settle(state: SurveyState) -> bool:

@@ -270,11 +270,17 @@ def _way(
     if (wrong is None and not suspicious(used, fit)) or (
         wrong and wrong.code == "contradicting-beam"
     ):
-        other = sorted(int(problem.order.stations[j]) for j in why.other_plane)
-        scattered = bool((np.diff(other) > 1).any())
-        labels = {recording.station_names[j] for j in other if scattered}
+        other = {int(problem.order.stations[j]) for j in why.other_plane}
+        scattered = set[str]()
+        for own in range(len(recording.plane_names)):  # in the order of the stations with a label
+            labelled = np.flatnonzero(recording.plane_of_station == own).tolist()
+            wrong_ones = [place for place, j in enumerate(labelled) if j in other]
+            if (np.diff(wrong_ones) > 1).any():
+                scattered |= {recording.station_names[labelled[place]] for place in wrong_ones}
         out = [
-            one for one in fit.rejected if one.reason not in BY_LIMITS and one.station not in labels
+            one
+            for one in fit.rejected
+            if one.reason not in BY_LIMITS and one.station not in scattered
         ]
         if not out:
             return None

@@ -21,7 +21,7 @@ from ..model.distributions import SINGLE_LEVEL
 from ..model.families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
-from ..quantities import NEGLIGIBLE, TINY
+from ..quantities import NEGLIGIBLE
 from ..solvers.graph import parameters_of
 from ..solvers.graph_levenberg import require_values
 from .calibration import Calibration
@@ -136,9 +136,9 @@ def _range_rows(own: OwnGraph, factor: gtsam.CustomFactor) -> RangeRows | None:
     """Return the rows of a range factor of some of the beams to one plane; None of another factor.
 
     A factor does not give its readings away, but its derivatives do: with the range s and the tangent
-    basis B of the direction, de/dv = s de/dr B, and de/dr is as long as de/db, however rows
-    weigh. Somebody else's factor on the same variables has other derivatives. A row of several beams,
-    which errors of a pose couple, belongs to the one that moves it most.
+    basis B of the direction, de/dv = s de/dr B, and de/dr is as long as de/db, however rows weigh.
+    Somebody else's factor on the same variables has other derivatives. A row of several beams, which
+    errors of a pose couple, belongs to the one that moves it most.
     """
     owner = {beam.variables: i for i, beam in enumerate(own.beams.values())}
     keys, beams, bases, first = list(factor.keys()), [], [], [0]
@@ -150,28 +150,31 @@ def _range_rows(own: OwnGraph, factor: gtsam.CustomFactor) -> RangeRows | None:
         keys = keys[size:]
     if not beams or not 1 <= len(keys) <= 2 or keys[0] not in own.planes.values():
         return None
-    J = factor.linearize(own.values).jacobian()[0]
+    J: FloatArray = factor.linearize(own.values).jacobian()[0]
+    inner, robust = factor.noiseModel(), False
+    if isinstance(inner, gtsam.noiseModel.Robust):
+        inner, robust = inner.noise(), True
+    if isinstance(inner, gtsam.noiseModel.Gaussian) and not isinstance(
+        inner, gtsam.noiseModel.Diagonal
+    ):
+        root: FloatArray = inner.R()
+        J = np.asarray(np.linalg.solve(root, J))  # it mixes readings of several hands
     by_location = np.stack([J[:, a:][:, LOCATION] for a in first[:-1]])
     by_direction = np.stack([J[:, a:][:, DIRECTION] for a in first[:-1]])
+    by_offset = J[:, first[-1] + PLANE.dim - 1]
     mine = np.square(by_location).sum(axis=2).argmax(axis=0), np.arange(len(J))
-    across = (by_location @ np.array(bases))[mine]
+    across, turned = (by_location @ np.array(bases))[mine], by_direction[mine]
     size, square = (np.square(x).sum(axis=1) for x in (by_location[mine], across))
     # Squares of the sine of the incidence; a row at right angles says nothing of its range.
     seen = square > NEGLIGIBLE * size
-    product = (by_direction[mine] * across).sum(axis=1)
+    product = (turned * across).sum(axis=1)
     ranges: FloatArray = np.where(seen, product / np.where(seen, square, 1.0), np.nan)
-    off = np.where(seen[:, None], by_direction[mine] - ranges[:, None] * across, 0.0)
-    by_offset = J[:, first[-1] + PLANE.dim - 1]
-    unlike = np.abs(np.square(by_location.sum(axis=0)).sum(axis=1) - by_offset**2)
-    # A robust model may take all weight from some rows.
-    if (
-        not size.any()
-        or max(
-            np.square(off).max() / max(np.square(by_direction).max(), TINY),
-            unlike.max() / size.max(),
-        )
-        > NEGLIGIBLE
-    ):
+    off = np.where(seen[:, None], turned - ranges[:, None] * across, 0.0)
+    turns_as_a_range = np.square(off).max() <= NEGLIGIBLE * np.square(turned).max()
+    length = np.square(by_location.sum(axis=0)).sum(axis=1)
+    moves_as_a_plane = np.abs(length - by_offset**2).max() <= NEGLIGIBLE * size.max()
+    # A robust model may take all weight from every row.
+    if not (size.any() or (robust and not J.any())) or not (turns_as_a_range and moves_as_a_plane):
         return None
     pose = keys[1] if len(keys) > 1 else None
     return RangeRows(np.array(beams)[mine[0]], keys[0], pose, ranges, -float(by_offset.sum()))
@@ -231,7 +234,8 @@ def _fit_of_graph(own: OwnGraph, unknowns: int) -> OwnFit:
         rows.append((read.beam, e, sigma, read.ranges))
     for i, name in enumerate(own.beams):
         if all((beam != i).all() for beam, *_ in rows):
-            raise InputError(f"no range factor of beam {name} to these planes", "at least one")
+            expected = "at least one, and all beams of a factor that holds several"
+            raise InputError(f"no range factor of beam {name} to these planes", expected)
     chi2 = 2.0 * own.graph.error(own.values)
     if not np.isfinite(chi2):
         raise InputError(f"an error of the graph of {chi2}", "values that are finite numbers")
@@ -300,14 +304,15 @@ def read_graph(
     at = replace(at, normals=signs[:, None] * at.normals, offsets=signs * at.offsets)
     warnings: tuple[CalibrationWarning, ...] = ()
     far = float(np.linalg.norm(at.locations, axis=1).max())
-    if fit.dof > 0 and times > TEN_TIMES:
-        warnings = (warned("no-fit:sigmas", {"sigma0": times}),)
-    elif far > NO_MOUNT:
-        warnings = (warned("far-beam:no-mount", {"distance_m": far}),)
+    wrong = None
+    if status == "converged" and fit.dof > 0 and times > TEN_TIMES:
+        wrong = warned("no-fit:sigmas", {"sigma0": times})
+    elif status == "converged" and far > NO_MOUNT:
+        wrong = warned("far-beam:no-mount", {"distance_m": far})
+    if wrong is not None:
+        status, message, covariance, warnings = "not_converged", wrong.message, None, (wrong,)
     elif fit.p_value < SINGLE_LEVEL:
         warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)
-    if status == "converged" and warnings and warnings[0].code in ("no-fit", "far-beam"):
-        status, message, covariance = "not_converged", warnings[0].message, None
     keys = [beam.range_error for beam in beams.values()]
     terms = tuple(0 if key is None else len(wanted[key][1]) for key in keys)
     joint = None if covariance is None else _joint(covariance, wanted, own, terms, signs)

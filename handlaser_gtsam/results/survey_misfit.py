@@ -210,7 +210,7 @@ def no_fit(
         what += "; leave out [[known]] to see whether one of them is false"
     noise = some(first_noise(rows, fit, given), NAMES_IN_LINE)
     values = {"misfit": fit.misfit, "distance_m": fit.distance}
-    return warned(f"{NO_FIT}:shots", values, noise=noise, what=what)
+    return warned(f"{NO_FIT}:shots", values, noise=noise, what=what, of=fit.of)
 
 
 def with_causes(error: InputError, causes: Iterable[CalibrationWarning]) -> InputError:

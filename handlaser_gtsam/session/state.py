@@ -44,7 +44,7 @@ from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
 from .contents import Contents, PlaneContents, arranged
 from .moved_beam import recent, search
-from .plane import SESSION_CUT, FittedPlane, fit_plane
+from .plane import FittedPlane, fit_plane
 from .reports import Comparison
 
 REWEIGHED_MOVE = 5e-4
@@ -222,9 +222,8 @@ class SessionState:
         contents, names = self.contents, []
         for name, own in self.contents.inside.items():
             kept = tuple(one for one in own.rejected if one.reason != CONTRADICTED)
-            fitted = own.fitted
-            far = fitted is not None and np.abs(fitted.standardized(self.state)).max() > SESSION_CUT
-            if far or len(kept) < len(own.rejected):
+            bad = None if own.fitted is None else own.fitted.outliers(own.used(), self.state)
+            if len(kept) < len(own.rejected) or (bad is not None and bad.any()):
                 names.append(name)
                 contents = contents.with_planes({name: replace(own, rejected=kept)})
         if not names:

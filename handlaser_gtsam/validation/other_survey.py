@@ -23,6 +23,7 @@ from ..model.families import BEAM, MOUNT_DIM, POSE
 from ..model.geometry import tangent_basis
 from ..model.sensors.mounted import SENSOR
 from ..pipeline import calibrate
+from ..quantities import SINGULAR
 from ..results.survey import SurveyCalibration
 
 
@@ -87,7 +88,7 @@ class SurveyHoldOut(NamedTuple):
     @property
     def p_value(self) -> float:
         """Probability of a larger difference of any mount by chance, if nothing has moved."""
-        return min(1.0, len(self.mounts) * min(one.p_value for one in self.mounts))
+        return float(np.minimum(1.0, len(self.mounts) * min(one.p_value for one in self.mounts)))
 
     @property
     def holds(self) -> bool:
@@ -150,17 +151,16 @@ def hold_out_survey(
     """
     require_kind("survey", survey, Survey)
     old = placed_mounts(calibration) if isinstance(calibration, SurveyCalibration) else calibration
-    now = calibrate(survey, noise)
+    for one in old:
+        require_kind("a calibrated mount", one, PlacedMount)
     before = {(one.kind, one.name): one for one in old}
-    compared = []
-    for mount in placed_mounts(now):
-        if (mount.kind, mount.name) not in before:
+    names = [(SENSOR.name, shots.name) for shots in survey.shots]
+    for kind, name in (*names, *((BEAM.name, name) for name in survey.beam_names)):
+        if (kind, name) not in before:
             known = ", ".join(f"{kind} {name}" for kind, name in before) or "none"
-            raise InputError(
-                f"{mount.kind} {mount.name}, which was not calibrated", f"some of {known}"
-            )
-        compared.append(_compared(before[mount.kind, mount.name], mount))
-    return SurveyHoldOut(tuple(compared))
+            raise InputError(f"{kind} {name}, which was not calibrated", f"some of {known}")
+    now = placed_mounts(calibrate(survey, noise))
+    return SurveyHoldOut(tuple(_compared(before[one.kind, one.name], one) for one in now))
 
 
 def _compared(old: PlacedMount, now: PlacedMount) -> MovedMount:
@@ -169,7 +169,10 @@ def _compared(old: PlacedMount, now: PlacedMount) -> MovedMount:
         across, size = old.frame[:, :2].T, MOUNT_DIM
         d = np.concatenate((shift, across @ now.frame[:, 2]))
         to_old = block_diag(np.eye(3), across @ now.frame[:, :2])
-        turn = float(np.arctan2(np.linalg.norm(d[3:]), old.frame[:, 2] @ now.frame[:, 2]))
+        sine = float(np.linalg.norm(d[3:]))
+        turn = float(np.arctan2(sine, old.frame[:, 2] @ now.frame[:, 2]))
+        # The tangent as long as the turn; of a beam turned back to front any is as good.
+        d[3:] = d[3:] * turn / sine if sine > SINGULAR else [turn, 0.0]
     else:
         turned = Rotation.from_matrix(old.frame.T @ now.frame).as_rotvec()
         d, size = np.concatenate((turned, old.frame.T @ shift)), POSE.dim
