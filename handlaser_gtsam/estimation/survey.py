@@ -360,19 +360,19 @@ def _surely_fits(state: SurveyState) -> bool:
 def _typical_misfits(state: SurveyState) -> list[tuple[float, str, list[Item]]]:
     """Return the median misfit of all shots, then of each sensor, beam and target; which, and them.
 
-    Of an even number the lower one of the two in the middle counts: one shot of two is not most.
+    Of a sensor, beam or target those count that are not rejected so far, three at least: of two that
+    differ nothing tells which is wrong.
     """
     own = defaultdict[str, list[tuple[float, Item]]](list)
-    for item, one in zip(state.rows.items, misfits(state).tolist(), strict=True):
-        for of in (
-            "",
-            f" of {_name(state.rows, item.mount)}",
-            f" before {state.rows.label(item.target)}",
-        ):
+    used = state.used.tolist()
+    for item, one, counts in zip(state.rows.items, misfits(state).tolist(), used, strict=True):
+        parts = _name(state.rows, item.mount), state.rows.label(item.target)
+        for of in ("", f" of {parts[0]}", f" before {parts[1]}") if counts else ("",):
             own[of].append((one, item))
     return [
-        (float(np.quantile([x for x, _ in each], 0.5, method="lower")), of, [i for _, i in each])
+        (float(np.median([one for one, _ in each])), of, [item for _, item in each])
         for of, each in own.items()
+        if len(each) > 2 or not of
     ]
 
 
@@ -485,9 +485,11 @@ def _pose_sizes(stated: Components, usual: Components) -> tuple[float, float]:
 
 
 def first_fit(state: SurveyState) -> FirstFit:
-    """Return how the shots of a first state fit each other, those that it rejects included."""
+    """Return how the shots of a first state fit each other."""
     every, *parts = _typical_misfits(state)
-    misfit, of, items = every if every[0] > GROSS else max(parts, key=lambda one: one[0])
+    misfit, of, items = every
+    if misfit <= GROSS and parts:
+        misfit, of, items = max(parts, key=lambda one: one[0])
     blocks, _ = blocks_of(items, state.sigmas(), state.values)
     ranges = [block.ranges if isinstance(block, Mixed) else block for block in blocks]
     each = [
