@@ -27,7 +27,7 @@ def beam_drift(
     now: BeamKeys,
     location_sigma: float,
     direction_sigma: float,
-    range_error_sigmas: Sequence[float] | ArrayLike = (),
+    range_error_sigmas: ArrayLike = (),
 ) -> tuple[gtsam.NonlinearFactor, ...]:
     """Return the factors that tie a beam to its earlier state.
 

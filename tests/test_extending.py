@@ -10,6 +10,7 @@ import pytest
 from helpers import ROOT, bench, by_reading, motion, recording_of
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.errors import MissedTargetError
 from handlaser_gtsam.model.beams_on_planes import BeamsOnPlanes, values_of
 from handlaser_gtsam.model.block import Weights
 from handlaser_gtsam.model.families import FAMILIES, Family, Vector, register
@@ -340,20 +341,39 @@ def test_columns_are_derivatives(page, variable):
         assert np.abs(columns[slot.columns.start + c] - slope).max() < 1e-7
 
 
-def test_a_step_to_where_a_ray_misses_is_too_far_and_readings_that_are_none_are_named(page):
+def test_readings_that_are_none_are_named(page):
     problem, values = page["problem"], page["values"]
-    graph, head = page["graph"], page["graph"].keys["head", 0, 0]
-    start = gtsam.Values(graph.values)
-    start.update(head, start.atPose3(head).retract(np.array([0.1, -0.1, 0.05, 0.02, 0.01, 0.02])))
-    solved = hl.optimize(graph.graph, start)  # from there a full step misses the sphere
-    assert solved.status == "converged"
-    assert 2.0 * solved.cost == pytest.approx(page["found"].chi2, rel=1e-6)
-    start.update(head, start.atPose3(head).retract(np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])))
-    with pytest.raises(hl.HandlaserError):
-        hl.optimize(graph.graph, start)
     block = problem.blocks[0]
     reading = block.reading.copy()
     reading[0, 0, 5] = np.nan
     blocks = [replace(block, reading=reading), *problem.blocks[1:]]
     with pytest.raises(hl.InputError, match="block 0 that are not finite"):
         hl.factors.graph_of_blocks(blocks, values, problem.unknown)
+
+
+def test_a_ray_that_misses_its_target_is_no_start(page):
+    graph, head = page["graph"], page["graph"].keys["head", 0, 0]
+    start = gtsam.Values(graph.values)
+    start.update(head, start.atPose3(head).retract(np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])))
+    with pytest.raises(MissedTargetError, match="misses its target"):
+        hl.optimize(graph.graph, start)
+
+
+def test_a_step_to_where_a_ray_misses_is_too_far():
+    """Newton's step from x = -9 towards log(1 - x) = log(0.5) leads to 21, where there is no row."""
+
+    def row(_factor, values, jacobians):
+        x = float(values.atVector(1)[0])
+        if x >= 1.0:
+            raise MissedTargetError("a ray misses its target here")
+        if jacobians is not None:
+            jacobians[0] = np.array([[-1.0 / (1.0 - x)]])
+        return np.array([np.log(1.0 - x) - np.log(0.5)])
+
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.push_back(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [1], row))
+    start.insert(1, np.array([-9.0]))
+    solved = hl.optimize(graph, start)
+    assert solved.status == "converged"
+    assert any(not trial.accepted for trial in solved.history)
+    assert solved.values.atVector(1) == pytest.approx([0.5])

@@ -8,6 +8,7 @@ be shifted with all that it looks at.
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -139,6 +140,22 @@ def test_flat_sensors_take_the_mirror_image_that_the_others_have(seed):
         true = mounted(name, kind, tilt, (0.0, 0.0, 0.0))[1][:3, :3]
         turned = Rotation.from_matrix(true.T @ found.sensors[name].rotation).magnitude()
         assert turned < 5.0 * found.sensors[name].rotation_sigma.max()
+
+
+@pytest.mark.slow
+def test_one_of_two_shots_before_a_target_does_not_make_a_survey_no_fit():
+    """At the start both misfit, because the one at the wrong pose pulls the wall."""
+    survey = vehicle("profiler", "planar", "one leans")
+    t = survey.stations.world_t_hand.copy()
+    t[13] += [0.1, 0.05, 0.0]
+    kept = np.isin(np.arange(36), [*range(14), *range(24, 36)])
+    found = hl.calibrate(
+        replace(survey, stations=replace(survey.stations, world_t_hand=t)).part(kept)
+    )
+    assert found.status == "undetermined"  # one common height
+    assert [one.target for one in found.rejected] == ["plane:B"]
+    off = found.sensors["eye"].location[:2] - [0.1, -0.05]
+    assert (np.abs(off) < 4.0 * found.sensors["eye"].location_sigma[:2]).all()
 
 
 @pytest.mark.slow

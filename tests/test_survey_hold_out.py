@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
+from handlaser_gtsam.model.families import bases
 from handlaser_gtsam.validation.other_survey import _compared, placed_mounts
 
 NOISE = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
@@ -50,17 +51,17 @@ def test_what_has_not_moved_differs_by_what_chance_allows():
 def test_a_mount_that_moved_is_named_with_how_far():
     before = hl.calibrate(drawn(0), NOISE)
     (profiler, beam) = placed_mounts(before)
-    turned = profiler.frame @ Rotation.from_rotvec([0.0, 0.005, 0.0]).as_matrix()
+    turned = profiler.turned @ Rotation.from_rotvec([0.0, 0.005, 0.0]).as_matrix()
     there = profiler.location + np.array([0.0, 0.0, 1e-3])
-    knocked = [profiler._replace(frame=turned, location=there), beam]
+    knocked = [profiler._replace(turned=turned, location=there), beam]
     found = hl.validation.hold_out_survey(knocked, drawn(1), NOISE)
     assert not found.holds
     (moved,) = found.moved
     assert moved.subject == f"sensor {profiler.name}"
     assert moved.turn == pytest.approx(0.005, abs=5e-4)
     assert moved.shift == pytest.approx([0.0, 0.0, -1e-3], abs=2e-4)
-    nodded = Rotation.from_rotvec(0.005 * beam.frame[:, 0]).as_matrix()
-    knocked = [profiler, beam._replace(frame=nodded @ beam.frame)]
+    nodded = Rotation.from_rotvec(0.005 * bases(beam.turned)[:, 0]).as_matrix()
+    knocked = [profiler, beam._replace(turned=nodded @ beam.turned)]
     (moved,) = hl.validation.hold_out_survey(knocked, drawn(1), NOISE).moved
     assert moved.subject == f"beam {beam.name}"
     assert moved.turn == pytest.approx(0.005, abs=1e-3)
@@ -80,8 +81,7 @@ def test_what_cannot_be_compared_is_refused():
 
 def test_a_beam_turned_back_to_front_has_moved():
     (_, beam) = placed_mounts(hl.calibrate(drawn(0), NOISE))
-    turned = beam.frame @ np.diag([1.0, -1.0, -1.0])
-    moved = _compared(beam._replace(frame=turned), beam)
+    moved = _compared(beam._replace(turned=-beam.turned), beam)
     assert moved.turn == pytest.approx(np.pi)
     assert moved.p_value < 1e-9
 

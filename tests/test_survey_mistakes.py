@@ -19,6 +19,7 @@ from handlaser_gtsam.files.logs.format_checks import convention_of
 from handlaser_gtsam.files.logs.motion import Way
 from handlaser_gtsam.files.logs.survey_conventions import (
     _accused,
+    _misfits_of_directions,
     _single_mistakes,
     refuse_wrong_reading,
 )
@@ -857,3 +858,12 @@ def test_check_says_which_shots_contradict_the_others():
 def test_a_right_table_of_poses_is_not_accused_of_a_mistake():
     survey, numbers, kuka = written_wrong("right")
     assert not refuse_wrong_reading(survey, numbers, Way.of_rows(18), kuka)
+
+
+@pytest.mark.slow
+def test_the_angles_of_right_zones_are_not_suspected():
+    """Where they fit as they are read, another start leads to a factor next to one."""
+    survey = survey_of(rigs_by_rays.array(3, planes=2, stations=6))
+    words = [words for _, words in _misfits_of_directions(survey, survey.shots[0])]
+    assert len(words) == 1
+    assert "mirrored" in words[0]

@@ -1,5 +1,6 @@
 """handlaser validate: does a calibration predict what it has not seen; does an old one still hold."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -109,8 +110,6 @@ def validated(
 
 def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
     """Test an old calibration on a survey."""
-    import numpy as np
-
     from ..errors import InputError
     from ..files.calibration_reading import SurveyFile, read_calibration
     from ..files.validation_json import survey_hold_out_text
@@ -130,7 +129,7 @@ def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
     failure = None
     if not found.holds:
         words = "; ".join(
-            f"{one.subject} sits {np.linalg.norm(one.shift) * IN_MM:.2g} mm and "
+            f"{one.subject} sits {math.hypot(*one.shift) * IN_MM:.2g} mm and "
             f"{one.turn * IN_DEG:.2g} deg from where it was"
             for one in found.moved
         )

@@ -93,10 +93,10 @@ class FirstFit(Value):
         Median of the root mean square misfits of the shots, in standard deviations.
     distance : float
         Median distance of a ray's reading from where the ray meets its target [m].
-    of : str
-        Which shots: empty for all, ` of sensor NAME`, ` of beam NAME` or ` before TARGET`.
     noise : Components
         The noise that the standard deviations are of: as stated, from within shots, or as is usual.
+    of : str
+        Which shots: empty for all, ` of sensor NAME`, ` of beam NAME` or ` before TARGET`.
     """
 
     misfit: float
@@ -353,7 +353,7 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
 
 
 def _surely_fits(state: SurveyState) -> bool:
-    """Tell whether the shots of every sensor, and the readings of every beam, fit as they should."""
+    """Tell whether the shots of every sensor and beam, and before every target, fit as they should."""
     return all(misfit <= SURELY_FITS for misfit, _, _ in _typical_misfits(state))
 
 
@@ -487,9 +487,9 @@ def _pose_sizes(stated: Components, usual: Components) -> tuple[float, float]:
 def first_fit(state: SurveyState) -> FirstFit:
     """Return how the shots of a first state fit each other."""
     every, *parts = _typical_misfits(state)
-    misfit, of, items = every
-    if misfit <= GROSS and parts:
-        misfit, of, items = max(parts, key=lambda one: one[0])
+    misfit, of, items = (
+        every if every[0] > GROSS else max(parts, key=lambda one: one[0], default=every)
+    )
     blocks, _ = blocks_of(items, state.sigmas(), state.values)
     ranges = [block.ranges if isinstance(block, Mixed) else block for block in blocks]
     each = [

@@ -55,6 +55,10 @@ OF_MOUNT = {SENSOR.name: POSE.dim, BEAM.name: MOUNT_DIM}
 FAR_AND_NEAR = (0.1, 0.9)
 """Quantiles of readings between which points on a virtual beam stand for it."""
 
+End = tuple[int, float, dict[Entity, FloatArray]]
+"""Where the search of a sensor or beam ended: its redundancy, its misfit a shot, and the numbers of the
+mount and its targets."""
+
 
 def start_of(
     rows: SurveyRows, sigmas: Mapping[Entity, float], *, last_resort: bool = True
@@ -112,11 +116,6 @@ def start_of(
             _search_again(rows, entity, values, sigmas)
     complete_bodies(rows, values)
     return values, ()
-
-
-End = tuple[int, float, dict[Entity, FloatArray]]
-"""Where the search of a sensor or beam ended: its redundancy, its misfit a shot, and the numbers of the
-mount and its targets."""
 
 
 def _images_that_agree(

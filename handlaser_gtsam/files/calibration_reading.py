@@ -12,12 +12,12 @@ from typing import Annotated, Literal, TypeVar
 import numpy as np
 from pydantic import Field, Strict
 
+from ..arrays import FloatArray
 from ..errors import InputError, NotConvergedError
 from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
-from ..results.mounts import Mounts
+from ..results.mounts import Mounts, PlacedMount
 from ..text import shown
-from ..validation.other_survey import PlacedMount, beam_frame
 from .checked_text import FileRecord, checked, in_file, json_value, read_value, square_matrix
 from .writing import path_of
 
@@ -189,23 +189,18 @@ class SurveyFile(ResultFile):
         """
         if not self.success:
             raise NotConvergedError(self.status, self.message)
-        mounts = [
-            (SENSOR.name, one.name, np.array(one.rotation), one.location_m, one.covariance)
-            for one in self.sensors
-        ]
-        mounts += [
-            (
-                BEAM.name,
-                one.name,
-                beam_frame(np.array(one.direction)),
-                one.location_m,
-                one.covariance,
-            )
-            for one in self.beams
-        ]
+        sensors = [(SENSOR.name, one, np.array(one.rotation)) for one in self.sensors]
+        beams = [(BEAM.name, one, np.array(one.direction)) for one in self.beams]
+        every: list[tuple[str, SensorRecord | SurveyBeamRecord, FloatArray]] = [*sensors, *beams]
         return [
-            PlacedMount(kind, name, frame, np.array(r), np.array(C, dtype=np.float64))
-            for kind, name, frame, r, C in mounts
+            PlacedMount(
+                kind,
+                one.name,
+                turned,
+                np.array(one.location_m),
+                np.array(one.covariance, dtype=float),
+            )
+            for kind, one, turned in every
         ]
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .calibration_data import ScaledSolution as ScaledSolution
     from .calibration_data import StartReport as StartReport
     from .limits import LimitCheck as LimitCheck
+    from .mounts import PlacedMount as PlacedMount
     from .spots import MeasuredPlane as MeasuredPlane
     from .spots import Spot as Spot
     from .spots import VarianceShares as VarianceShares

@@ -5,7 +5,7 @@ the information of beams and planes. Whether the values are the optimum of the g
 whether the graph determines the beams.
 """
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -132,15 +132,20 @@ class RangeRows(NamedTuple):
     along: float
 
 
-def _range_rows(own: OwnGraph, factor: gtsam.CustomFactor) -> RangeRows | None:
+def _range_rows(
+    own: OwnGraph,
+    owner: Mapping[tuple[int, ...], int],
+    planes: Container[int],
+    factor: gtsam.CustomFactor,
+) -> RangeRows | None:
     """Return the rows of a range factor of some of the beams to one plane; None of another factor.
 
     A factor does not give its readings away, but its derivatives do: with the range s and the tangent
     basis B of the direction, de/dv = s de/dr B, and de/dr is as long as de/db, however rows weigh.
     Somebody else's factor on the same variables has other derivatives. A row of several beams, which
-    errors of a pose couple, belongs to the one that moves it most.
+    errors of a pose couple, belongs to the one that moves it most. `owner` has the number of each beam
+    by its variables.
     """
-    owner = {beam.variables: i for i, beam in enumerate(own.beams.values())}
     keys, beams, bases, first = list(factor.keys()), [], [], [0]
     while size := next((n for n in (3, 2) if tuple(keys[:n]) in owner), 0):
         beams.append(owner[tuple(keys[:size])])
@@ -148,7 +153,7 @@ def _range_rows(own: OwnGraph, factor: gtsam.CustomFactor) -> RangeRows | None:
         terms = own.values.atVector(keys[2]).size if size == 3 else 0
         first.append(first[-1] + MOUNT_DIM + terms)
         keys = keys[size:]
-    if not beams or not 1 <= len(keys) <= 2 or keys[0] not in own.planes.values():
+    if not beams or not 1 <= len(keys) <= 2 or keys[0] not in planes:
         return None
     J: FloatArray = factor.linearize(own.values).jacobian()[0]
     inner, robust = factor.noiseModel(), False
@@ -207,9 +212,10 @@ def _fit_of_graph(own: OwnGraph, unknowns: int) -> OwnFit:
         A beam without a range factor to these planes, two names for one beam, or an error that is no
         number.
     """
-    if len({beam.variables for beam in own.beams.values()}) < len(own.beams):
+    owner = {beam.variables: i for i, beam in enumerate(own.beams.values())}
+    if len(owner) < len(own.beams):
         raise InputError("two names for one beam", "different variables for every beam")
-    labels, dims, cost, poses = list[str](), 0, 0.0, False
+    planes, labels, dims, cost, poses = set(own.planes.values()), list[str](), 0, 0.0, False
     along: dict[int, float] = {}
     rows: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     for number in range(own.graph.size()):
@@ -219,7 +225,7 @@ def _fit_of_graph(own: OwnGraph, unknowns: int) -> OwnFit:
         dims += factor.dim()
         if not isinstance(factor, gtsam.CustomFactor):
             continue
-        read = _range_rows(own, factor)
+        read = _range_rows(own, owner, planes, factor)
         if read is None:
             continue
         poses |= read.pose is not None

@@ -1,6 +1,7 @@
 """Calibrated beams without the planes behind them: what a calibration leaves for later use."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -139,3 +140,25 @@ class Mounts(Value):
             self.range_sigma,
             self.pose_covariance,
         )
+
+
+class PlacedMount(NamedTuple):
+    """Where a sensor or beam of a survey sits in the hand, and how well that is known.
+
+    Attributes
+    ----------
+    kind : "sensor" or "beam"
+    name : str
+    turned : (3, 3) or (3,)
+        hand_R_sensor; of a beam its direction.
+    location : (3,)
+        [m]
+    covariance : (n, n)
+        As `SensorMount` and `BeamMount` have it.
+    """
+
+    kind: str
+    name: str
+    turned: FloatArray
+    location: FloatArray
+    covariance: FloatArray

@@ -19,34 +19,12 @@ from ..data.noise import Noise
 from ..data.survey import Survey
 from ..errors import InputError, NotConvergedError
 from ..model.distributions import SINGLE_LEVEL, chi2_sf
-from ..model.families import BEAM, MOUNT_DIM, POSE
-from ..model.geometry import tangent_basis
+from ..model.families import BEAM, MOUNT_DIM, POSE, bases
 from ..model.sensors.mounted import SENSOR
 from ..pipeline import calibrate
 from ..quantities import SINGULAR
+from ..results.mounts import PlacedMount
 from ..results.survey import SurveyCalibration
-
-
-class PlacedMount(NamedTuple):
-    """Where a sensor or beam of a survey sits in the hand, and how well that is known.
-
-    Attributes
-    ----------
-    kind : "sensor" or "beam"
-    name : str
-    frame : (3, 3)
-        hand_R_sensor; of a beam the basis of its tangents, then its direction.
-    location : (3,)
-        [m]
-    covariance : (n, n)
-        As `SensorMount` and `BeamMount` have it.
-    """
-
-    kind: str
-    name: str
-    frame: FloatArray
-    location: FloatArray
-    covariance: FloatArray
 
 
 class MovedMount(NamedTuple):
@@ -111,19 +89,12 @@ def placed_mounts(result: SurveyCalibration) -> list[PlacedMount]:
     """
     if result.status != "converged":
         raise NotConvergedError(result.status, result.message)
-    sensors = [
-        PlacedMount(SENSOR.name, one.name, one.rotation, one.location, one.covariance)
-        for one in result.sensors.values()
+    sensors = [(SENSOR.name, one, one.rotation) for one in result.sensors.values()]
+    beams = [(BEAM.name, one, one.direction) for one in result.beams.values()]
+    return [
+        PlacedMount(kind, one.name, turned, one.location, one.covariance)
+        for kind, one, turned in (*sensors, *beams)
     ]
-    return sensors + [
-        PlacedMount(BEAM.name, one.name, beam_frame(one.direction), one.location, one.covariance)
-        for one in result.beams.values()
-    ]
-
-
-def beam_frame(direction: FloatArray) -> FloatArray:
-    """Return the tangents and the direction of a beam as columns (3, 3)."""
-    return np.column_stack((tangent_basis(direction[None])[0], direction))
 
 
 def hold_out_survey(
@@ -166,16 +137,16 @@ def hold_out_survey(
 def _compared(old: PlacedMount, now: PlacedMount) -> MovedMount:
     shift, subject = now.location - old.location, f"{old.kind} {old.name}"
     if old.kind == BEAM.name:
-        across, size = old.frame[:, :2].T, MOUNT_DIM
-        d = np.concatenate((shift, across @ now.frame[:, 2]))
-        to_old = block_diag(np.eye(3), across @ now.frame[:, :2])
+        across, size = bases(old.turned).T, MOUNT_DIM
+        d = np.concatenate((shift, across @ now.turned))
+        to_old = block_diag(np.eye(3), across @ bases(now.turned))
         sine = float(np.linalg.norm(d[3:]))
-        turn = float(np.arctan2(sine, old.frame[:, 2] @ now.frame[:, 2]))
+        turn = float(np.arctan2(sine, old.turned @ now.turned))
         # The tangent as long as the turn; of a beam turned back to front any is as good.
         d[3:] = d[3:] * turn / sine if sine > SINGULAR else [turn, 0.0]
     else:
-        turned = Rotation.from_matrix(old.frame.T @ now.frame).as_rotvec()
-        d, size = np.concatenate((turned, old.frame.T @ shift)), POSE.dim
+        turned = Rotation.from_matrix(old.turned.T @ now.turned).as_rotvec()
+        d, size = np.concatenate((turned, old.turned.T @ shift)), POSE.dim
         to_old, turn = np.eye(size), float(np.linalg.norm(turned))
     C = old.covariance[:size, :size] + to_old @ now.covariance[:size, :size] @ to_old.T
     if not np.isfinite(C).all():
