@@ -526,13 +526,10 @@ def test_the_plate_of_the_arm_is_that_of_the_first_motion(tmp_path):
     """Its size is stated in either table; that of [blind] counts for the spots where both have one."""
     blind = "[blind]\nlocation_mm = [[0, 0, 0]]\ndirection = [[0, 0, 1]]\n"
     blind += "plate_point_mm = [600, 100, 400]\nplate_normal = [0, 0, 1]\n"
+    of_arm, own = "plate_across_mm = 250\n", "plate_across_mm = 200\n"
     across = []
-    for robot, own in (
-        ("", ""),
-        ("plate_across_mm = 250\n", ""),
-        ("plate_across_mm = 250\n", "plate_across_mm = 200\n"),
-    ):
-        (tmp_path / "rig.toml").write_text(f"{TABLES}{robot}{blind}{own}")
+    for text in (TABLES + blind, TABLES + of_arm + blind, TABLES + of_arm + blind + own):
+        (tmp_path / "rig.toml").write_text(text)
         across.append(hl.read_rig(tmp_path / "rig.toml").bounds.plate.across)
     assert across == [None, 0.25, 0.2]
 

@@ -8,7 +8,7 @@ mount that was drawn from the bounds within the sensor's limits.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
@@ -409,19 +409,9 @@ def safe_stations(
     All spots lie on the plate, too, where it says how large it is. `mounts` are K draws from bounds:
     the same number of beams each, and a plane.
     """
-    R, t = stations.world_R_hand, stations.world_t_hand
-    n, b = mounts.normals, mounts.offsets
-    r, v = (x.reshape(len(n), -1, 3) for x in (mounts.locations, mounts.directions))
-    good = np.empty((len(n), len(t)), dtype=bool)
-    if not len(t):
-        return good
-    size = max(ROWS_AT_ONCE // max(len(t) * r.shape[1], 1), 1)
-    for some in (slice(k, k + size) for k in range(0, len(n), size)):
-        n_hand = (n[some] @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(-1, len(t), 3)
-        cosine = n_hand @ np.swapaxes(v[some], 1, 2)
-        height = n_hand @ np.swapaxes(r[some], 1, 2) + (n[some] @ t.T + b[some, None])[..., None]
-        with np.errstate(all="ignore"):
-            within = sensor.can_read(-height / cosine) & (cosine >= least_cosine(sensor))
+    good = np.empty((len(mounts.normals), len(stations)), dtype=bool)
+    for some, cosine, s in _met(mounts, stations):
+        within = sensor.can_read(s) & (cosine >= least_cosine(sensor))
         good[some] = within.all(axis=2)
     if plate.across is not None:
         good &= spot_distances(mounts, stations, plate.point) <= 0.5 * plate.across
@@ -431,16 +421,30 @@ def safe_stations(
 def spot_distances(mounts: Parameters, stations: Stations, point: FloatArray) -> FloatArray:
     """Return how far the farthest spot of each draw and station is from a point of the plate (K, M)."""
     R, t = stations.world_R_hand, stations.world_t_hand
-    n, b = mounts.normals, mounts.offsets
-    r, v = (x.reshape(len(n), -1, 3) for x in (mounts.locations, mounts.directions))
-    farthest = np.empty((len(n), len(t)))
-    size = max(ROWS_AT_ONCE // max(len(t) * r.shape[1], 1), 1)
-    for some in (slice(k, k + size) for k in range(0, len(n), size)):
-        origin, along = (np.einsum("mij,kbj->kmbi", R, x[some]) for x in (r, v))
-        origin += t[:, None]
-        height = np.einsum("kmbi,ki->kmb", origin, n[some]) + b[some, None, None]
+    r, v = _of_draws(mounts)
+    farthest = np.empty((len(mounts.normals), len(t)))
+    for some, _, s in _met(mounts, stations):
         with np.errstate(all="ignore"):
-            s = -height / np.einsum("kmbi,ki->kmb", along, n[some])
-            spots = origin + s[..., None] * along
-        farthest[some] = np.linalg.norm(spots - point, axis=3).max(axis=2)
+            in_hand = r[some, None] + s[..., None] * v[some, None]
+            off = np.einsum("mij,kmbj->kmbi", R, in_hand) + t[:, None] - point
+        farthest[some] = np.linalg.norm(off, axis=3).max(axis=2)
     return farthest
+
+
+def _of_draws(mounts: Parameters) -> tuple[FloatArray, FloatArray]:
+    """Return locations and directions (K, B, 3) of the beams of each draw."""
+    draws = len(mounts.normals)
+    return mounts.locations.reshape(draws, -1, 3), mounts.directions.reshape(draws, -1, 3)
+
+
+def _met(mounts: Parameters, stations: Stations) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+    """Yield some of the draws at a time, with cosines and ranges (k, M, B) of their beams."""
+    R, t, n, b = stations.world_R_hand, stations.world_t_hand, mounts.normals, mounts.offsets
+    r, v = _of_draws(mounts)
+    size = max(ROWS_AT_ONCE // max(len(t) * r.shape[1], 1), 1)
+    for some in (slice(k, k + size) for k in range(0, len(n) if len(t) else 0, size)):
+        n_hand = (n[some] @ R.transpose(1, 0, 2).reshape(3, -1)).reshape(-1, len(t), 3)
+        cosine = n_hand @ np.swapaxes(v[some], 1, 2)
+        height = n_hand @ np.swapaxes(r[some], 1, 2) + (n[some] @ t.T + b[some, None])[..., None]
+        with np.errstate(all="ignore"):
+            yield some, cosine, -height / cosine
