@@ -25,7 +25,7 @@ from scipy.stats import chi2
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.errors import HandlaserError
-from handlaser_gtsam.results import SurveyCalibration
+from handlaser_gtsam.results.survey import SurveyCalibration
 
 from . import rigs_by_distance, rigs_by_rays
 

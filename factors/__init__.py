@@ -4,6 +4,7 @@ from .beam_drift import beam_drift as beam_drift
 from .keys import BeamKeys as BeamKeys
 from .of_blocks import BlockGraph as BlockGraph
 from .of_blocks import graph_of_blocks as graph_of_blocks
+from .poses_of_stop import poses_of_stop as poses_of_stop
 from .range_block import RangeBlock as RangeBlock
 from .range_block import range_factor as range_factor
 from .range_block import require_rows as require_rows

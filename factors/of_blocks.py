@@ -4,16 +4,23 @@ A family becomes one variable for each of its parts: a vector, a `Unit3` or a `P
 coordinates agree with GTSAM's, so that the columns of a block are its Jacobians.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
-from handlaser_gtsam.arrays import BoolArray, FloatArray
+from handlaser_gtsam.arrays import BoolArray, FloatArray, IntArray
 from handlaser_gtsam.errors import InputError, MissedTargetError
 from handlaser_gtsam.model.block import Block, Values, impossible, whitened
-from handlaser_gtsam.model.families import FAMILIES, Constant, Direction, Motion, Part
+from handlaser_gtsam.model.families import (
+    FAMILIES,
+    Constant,
+    Direction,
+    Motion,
+    Part,
+    Vector,
+)
 
 FIRST_LETTER = ord("a")
 """Keys of the first part of the first family begin with this letter, further parts with the next."""
@@ -51,23 +58,19 @@ def graph_of_blocks(
     values : mapping
         Members (1, n, size) of each family.
     unknown : mapping
-        For each unknown family, which of its tangent coordinates are unknown: of each part all or none.
+        For each unknown family, which of its tangent coordinates are unknown. Of a direction or a pose
+        these are all or none; the variable of a vector has those that are unknown.
 
     Raises
     ------
     InputError
-        Some coordinates of a part are unknown, and others of the same part are not; or rows that are
-        not finite.
+        Some coordinates of a direction or a pose are unknown, and others are not; or rows that are not
+        finite.
     """
     start, keys = gtsam.Values(), {}
-    letter = FIRST_LETTER
-    for family, mask in unknown.items():
-        for index, (part, numbers, steps) in enumerate(_parts(family)):
-            free = np.broadcast_to(mask, FAMILIES[family].dim)[steps]
-            if not free.any():
-                continue
-            if not free.all():
-                raise InputError(f"some unknown coordinates of a part of {family}", "all or none")
+    letter, parts = FIRST_LETTER, _parts(unknown)
+    for family, of_family in parts.items():
+        for index, (part, numbers, _) in of_family.items():
             for member, x in enumerate(values[family][0]):
                 key = gtsam.symbol(chr(letter), member)
                 keys[family, member, index] = key
@@ -75,7 +78,7 @@ def graph_of_blocks(
             letter += 1
     graph = gtsam.NonlinearFactorGraph()
     for number, block in enumerate(blocks):
-        error = _BlockError(block, values, keys)
+        error = _BlockError(block, values, keys, parts)
         now = whitened(block.evaluate(error.known), block.weights)
         if not np.isfinite(now).all():
             expected = "finite numbers: hl.estimation.kept_blocks leaves readings out that are none"
@@ -89,16 +92,21 @@ class _BlockError:
     """The error function of one block."""
 
     def __init__(
-        self, block: Block, values: Values, keys: Mapping[tuple[str, int, int], int]
+        self,
+        block: Block,
+        values: Values,
+        keys: Mapping[tuple[str, int, int], int],
+        parts: Mapping[str, Mapping[int, "_Part"]],
     ) -> None:
+        self.parts = parts
         self.block, self.known = block, {name: x[:1] for name, x in values.items()}
         self.keys: list[int] = []
         self.variables: list[tuple[str, int, int]] = []
         for slot in block.slots():
             for member in np.unique(slot.member).tolist():
-                for index in range(len(FAMILIES[slot.family].parts)):
+                for index in self.parts.get(slot.family, ()):
                     variable = slot.family, member, index
-                    if variable in keys and variable not in self.variables:
+                    if variable not in self.variables:
                         self.variables.append(variable)
                         self.keys.append(keys[variable])
 
@@ -111,7 +119,7 @@ class _BlockError:
         """Return the residuals in standard deviations, and fill the Jacobians where asked for."""
         now = {name: x.copy() for name, x in self.known.items()}
         for (family, member, index), key in zip(self.variables, self.keys, strict=True):
-            part, numbers, _ = list(_parts(family))[index]
+            part, numbers, _ = self.parts[family][index]
             now[family][0, member, numbers] = _numbers(part, values, key)
         rows = self.block.evaluate(now)
         if impossible(rows, self.block).any():
@@ -126,22 +134,37 @@ class _BlockError:
 
     def _jacobian(self, variable: tuple[str, int, int], columns: FloatArray) -> FloatArray:
         family, member, index = variable
-        steps = list(_parts(family))[index][2]
-        J = np.zeros((*columns.shape[1:], steps.stop - steps.start))
+        steps = self.parts[family][index][2]
+        J = np.zeros((*columns.shape[1:], len(steps)))
         for slot in self.block.slots():
             if slot.family == family:
                 seen = slot.member == member
-                own = slice(slot.columns.start + steps.start, slot.columns.start + steps.stop)
-                J[seen] += np.moveaxis(columns[own][:, seen], 0, 2)
+                own = columns[slot.columns.start + steps]
+                J[seen] += np.moveaxis(own[:, seen], 0, 2)
         return np.asfortranarray(J.reshape(-1, J.shape[2]))
 
 
-def _parts(family: str) -> Iterator[tuple[Part, slice, slice]]:
-    """Yield the parts of a family that move, with their numbers and tangent coordinates."""
-    of = FAMILIES[family]
-    for part, numbers, steps in zip(of.parts, of.places, of.tangents, strict=True):
-        if not isinstance(part, Constant):
-            yield part, numbers, steps
+_Part = tuple[Part, IntArray, IntArray]
+"""A part of a family, with the numbers and the tangent coordinates of it that are unknown."""
+
+
+def _parts(unknown: Mapping[str, BoolArray | bool]) -> dict[str, dict[int, _Part]]:
+    """Return the parts of each family that move, by their index."""
+    found: dict[str, dict[int, _Part]] = {}
+    for family, mask in unknown.items():
+        of, found[family] = FAMILIES[family], {}
+        free = np.broadcast_to(mask, of.dim)
+        for index, part in enumerate(of.parts):
+            numbers, steps = (np.r_[cuts[index]] for cuts in (of.places, of.tangents))
+            if isinstance(part, Constant) or not free[steps].any():
+                continue
+            if isinstance(part, Vector):
+                numbers, steps = numbers[free[steps]], steps[free[steps]]
+            elif not free[steps].all():
+                found_free = f"some unknown coordinates of {type(part).__name__} in {family}"
+                raise InputError(found_free, "all or none")
+            found[family][index] = part, numbers, steps
+    return found
 
 
 def _native(part: Part, x: FloatArray) -> gtsam.Unit3 | gtsam.Pose3 | FloatArray:

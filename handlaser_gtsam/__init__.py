@@ -8,7 +8,7 @@ Recordings, and logs of robots and loggers
     Recording, join, read_recording, write_recording, read_log, describe_log, LogFormat, read_rig,
     StationList, read_stations, write_stations.
 Sensors of many rays, spheres, points, and what is known of them
-    Survey, Shots, Known, read_survey; the result is a `results.SurveyCalibration`.
+    Survey, Shots, Known, read_survey; the result is a `SurveyCalibration`.
 Results, in files and pictures
     read_calibration, write_calibration, read_mounts, Mounts, export_text, write_export, ExportOptions,
     write_report, ReportOptions, plot, write_pictures, spot, measured_plane.
@@ -102,6 +102,7 @@ if TYPE_CHECKING:
     from .results.mounts import Mounts as Mounts
     from .results.spots import measured_plane as measured_plane
     from .results.spots import spot as spot
+    from .results.survey import SurveyCalibration as SurveyCalibration
     from .session.session import Session as Session
     from .session.survey import SurveySession as SurveySession
     from .solvers.graph_levenberg import optimize as optimize

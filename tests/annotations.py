@@ -38,6 +38,7 @@ LATE |= offered()
 """Names that modules import for type checkers only."""
 
 INSIDE = {"Session.state"}
+INSIDE |= {f"{name}.described" for name in ("Result", "Calibration", "SurveyCalibration")}
 """Views of the inside, documented as such: their classes may change and have no public name."""
 
 

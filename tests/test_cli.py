@@ -371,7 +371,7 @@ def test_a_cross_check_that_disagrees_is_no_calibration(handlaser, monkeypatch):
     )
     code, _, err = handlaser("calibrate", GRIPPER / "recording.csv", "--cross-check", "--quiet")
     assert code == 3
-    assert "SciPy disagrees by 2.5 standard deviations" in err
+    assert "SciPy finds another solution, by 2.5 standard deviations" in err
 
 
 def test_linear_algebra_has_one_thread_unless_somebody_says_so(monkeypatch):

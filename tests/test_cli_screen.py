@@ -13,7 +13,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.cli.answer import Answer
 from handlaser_gtsam.cli.words import hold_out_lines
 from handlaser_gtsam.model.sensor_limits import Rejected
-from handlaser_gtsam.results.description.description import Description
+from handlaser_gtsam.results.description.beams import CalibrationDescription
 from handlaser_gtsam.results.description.terminal import LINES, full_lines, screen_lines
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.lines import WIDTH, decimals, wrapped
@@ -94,7 +94,7 @@ def test_a_warning_is_said_once(calibration, capsys):
     far = hl.CalibrationWarning("far-beam", "a beam lies 4 m away; in inches?", {})
     found = replace(calibration, warnings=(far,))
     judged = verdict(found)
-    lines = screen_lines(Description(found, judged), closing=3)
+    lines = screen_lines(CalibrationDescription(found, judged), closing=3)
     assert " ".join(" ".join(lines).split()).count("a beam lies 4 m away") == 1
     with pytest.raises(typer.Exit):
         Answer("", (), (far,), (4, judged.sentence)).give(json=True)
@@ -107,7 +107,7 @@ def test_warnings_that_do_not_fit_are_counted(calibration):
         for i in range(12)
     )
     many = replace(calibration, warnings=words)
-    lines = screen_lines(Description(many, verdict(many)), closing=3)
+    lines = screen_lines(CalibrationDescription(many, verdict(many)), closing=3)
     fits("\n".join(lines))
     assert len(lines) <= LINES - 3
     shown = sum(line.startswith("WARNING") for line in lines)
@@ -136,7 +136,7 @@ def test_the_worst_case_of_everything_fits(calibration):
         * 9,
     )
     judged = verdict(wide, Limits(1e-6, 1e-6, 1e-6))
-    fits("\n".join(screen_lines(Description(wide, judged), closing=3)))
+    fits("\n".join(screen_lines(CalibrationDescription(wide, judged), closing=3)))
 
 
 @pytest.mark.slow
@@ -193,7 +193,7 @@ def test_limits_are_said_to_hold(handlaser, tmp_path):
 def systematic_of(calibration, *errors):
     """Return what the screen and the full tables say of systematic errors."""
     changed = replace(calibration, systematic=errors)
-    described = Description(changed, verdict(changed))
+    described = CalibrationDescription(changed, verdict(changed))
     lines = screen_lines(described)
     first = next(i for i, line in enumerate(lines) if line.startswith("systematic errors"))
     text = lines[first]

@@ -16,7 +16,7 @@ from helpers import GRIPPER, ROOT
 import handlaser_gtsam as hl
 from handlaser_gtsam.cli import main
 from handlaser_gtsam.cli.verbs import VERBS, examples_of
-from handlaser_gtsam.results.description.description import Description
+from handlaser_gtsam.results.description.beams import CalibrationDescription
 from handlaser_gtsam.results.description.tables import PLAIN, Column, Table, text, text_table
 from handlaser_gtsam.results.lines import as_many
 
@@ -123,7 +123,7 @@ def test_mounts_of_any_number_fit(calibration, width, count):
     beams = ([*calibration.beams.values()] * 3)[:count]
     named = {f"b{i}": replace(beam, name=f"b{i}") for i, beam in enumerate(beams)}
     many = replace(calibration, beams=named, covariance=None)
-    table = Description(many, calibration.verdict).beams
+    table = CalibrationDescription(many, calibration.verdict).beams
     lines = text_table(table, width, 8)
     assert max(map(len, lines)) <= width
     words = " ".join(lines).split()

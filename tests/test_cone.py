@@ -123,7 +123,7 @@ def two_cones(seed: int, half: float = HALF) -> tuple[hl.Survey, Array]:
 
 
 @cache
-def two_calibrated(seed: int) -> hl.results.SurveyCalibration:
+def two_calibrated(seed: int) -> hl.SurveyCalibration:
     """Return the calibration of two cones, made once for all tests."""
     return hl.calibrate(two_cones(seed)[0], STATED)
 
@@ -196,7 +196,7 @@ def test_a_cone_is_found_from_nothing():
         squares.append(error @ np.linalg.solve(beam.covariance[:3, :3], error))
         assert math.acos(min(1.0, float(v @ beam.direction))) < 5.0 * beam.direction_sigma
         if seed == 0:
-            assert hl.validation.cross_check_survey(result).largest < 1e-4
+            assert hl.cross_check(result).largest < 1e-4
     least, most = chi2.ppf([1e-3, 1.0 - 1e-3], 3 * cones)
     assert least < sum(squares) < most
 

@@ -14,7 +14,7 @@ from handlaser_gtsam.model.effects import EFFECTS, OF_STATIONS
 from handlaser_gtsam.planning.advice import advice_lines
 from handlaser_gtsam.planning.belief import belief_of, station_rows
 from handlaser_gtsam.planning.choice import updated
-from handlaser_gtsam.results.description.description import Description
+from handlaser_gtsam.results.description.beams import CalibrationDescription
 from handlaser_gtsam.results.description.terminal import LINES, screen_lines
 from handlaser_gtsam.results.freed import MOST_FREED
 from handlaser_gtsam.results.limits import Limits
@@ -255,7 +255,7 @@ def test_the_remedy_of_an_undetermined_error_is_whole_on_any_screen():
     judged = verdict(found, limits=Limits(rms=5e-5, location_sigma=1e-4, direction_sigma=1e-3))
     assert judged.best.code == "effect-undetermined"
     assert EFFECTS["incidence"].reveal in judged.sentence
-    described = Description(found, judged)
+    described = CalibrationDescription(found, judged)
     # Next best stations, a cross-check and files that are written keep up to 8 lines for themselves.
     for closing in range(9):
         screen = screen_lines(described, closing=closing)

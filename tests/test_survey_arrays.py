@@ -152,7 +152,7 @@ def test_zones_on_something_else_are_sorted_out_by_all_shots():
         assert (found._found.spread >= 1.0).all()
         assert found._found.spread.max() > 1.0
     assert max(squares) < BY_CHANCE
-    check = hl.validation.cross_check_survey(found)
+    check = hl.cross_check(found)
     assert check.largest_sigma < 0.05  # SciPy, of the noise alone; linear to first order
 
 
@@ -184,7 +184,7 @@ def test_what_is_open_and_misread_is_not_solved_again():
     estimate = replace(found._found.estimate, status="undetermined")
     wrong = replace(found, status="contradicted", _found=replace(found._found, estimate=estimate))
     with pytest.raises(hl.InputError, match="a calibration that is undetermined"):
-        hl.validation.cross_check_survey(wrong)
+        hl.cross_check(wrong)
 
 
 def test_echoes_before_are_checked():

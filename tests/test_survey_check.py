@@ -19,7 +19,6 @@ from test_survey_arrays import rough
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
-from handlaser_gtsam.results.description.survey import mounts_tables
 from handlaser_gtsam.results.description.tables import NONE
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
 from handlaser_gtsam.validation.survey_scenes import fan_of
@@ -175,7 +174,7 @@ def test_an_open_height_takes_no_sigma_from_the_other_coordinates(tilt):
     beside = closed.sensors["eye"].location_sigma
     assert mount.location_sigma[:2] == pytest.approx(beside[:2], rel=1e-3)
     assert beside[2] > 0.05
-    (table,) = mounts_tables(left_open)
+    (table,) = left_open.described(left_open.verdict).main_tables
     row = dict(zip([column.title for column in table.columns], table.rows[0], strict=True))
     assert row["z [mm]"].text == NONE
     assert row["x [mm]"].value == pytest.approx(1e3 * mount.location[0])

@@ -17,7 +17,7 @@ from handlaser_gtsam.cli.validate import validated
 from handlaser_gtsam.files.rig_toml import Rig
 from handlaser_gtsam.model.families import FAMILIES
 from handlaser_gtsam.validation import validate, validation
-from handlaser_gtsam.validation.cross_check import cross_check_survey
+from handlaser_gtsam.validation.cross_check import cross_check
 
 CONDENSED = 2e-3
 """Shots whose readings are not linear in their shape are condensed to first order in the noise."""
@@ -44,7 +44,7 @@ def test_scipy_finds_the_same_from_all_points_by_themselves(case):
     kind, options, noise, bound = CASES[case]
     rig = getattr(rigs_by_rays, kind)(3, **options)
     known = body_of(rig) if options.get("targets") == "body" else []
-    agreement = cross_check_survey(hl.calibrate(survey_of(rig, known), noise))
+    agreement = cross_check(hl.calibrate(survey_of(rig, known), noise))
     assert agreement.largest < bound, agreement
     assert agreement.largest_sigma < bound, agreement
 
@@ -102,7 +102,7 @@ def covariance_without_relations():
 @pytest.mark.parametrize("known", list(some_relations()))
 def test_scipy_counts_every_relation_alike(known):
     with_it = hl.calibrate(survey_of(cell(), [known]), EXACT)
-    assert cross_check_survey(with_it).largest < ROUND
+    assert cross_check(with_it).largest < ROUND
     # And the relation is more than nothing.
     free, held = covariance_without_relations(), with_it._found.estimate.covariance
     assert (np.diagonal(held) < (1.0 - 1e-9) * np.diagonal(free)).any()
@@ -118,7 +118,7 @@ def test_scipy_counts_a_relation_of_two_sensors_alike():
     pose = np.linalg.inv(T) @ Q
     known = hl.Known("mounts", of, sigma=2e-5, sigma_angle=2e-4, pose=pose)
     found = hl.calibrate(survey_of(rig, [known]), EXACT)
-    assert cross_check_survey(found).largest < ROUND
+    assert cross_check(found).largest < ROUND
 
 
 @pytest.mark.slow
@@ -134,7 +134,7 @@ def test_scipy_counts_relations_of_beams_alike():
         hl.Known("mount", (f"beam:{names[0]}",), sigma=1e-4, sigma_angle=1e-3, pose=pose),
     ]
     found = hl.calibrate(survey_of(rig, known), EXACT)
-    assert cross_check_survey(found).largest < ROUND
+    assert cross_check(found).largest < ROUND
 
 
 @pytest.mark.slow
@@ -143,7 +143,7 @@ def test_range_errors_that_are_free_are_found_alike():
     shots = replace(survey.shots[0], free=("scale", "k1"))
     assert shots.free == ("k1", "scale")
     found = hl.calibrate(replace(survey, shots=(shots,)), EXACT)
-    assert cross_check_survey(found).largest < ROUND
+    assert cross_check(found).largest < ROUND
 
 
 @pytest.mark.slow

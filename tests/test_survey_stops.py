@@ -119,7 +119,7 @@ def test_copies_of_a_shot_count_once():
 
 @pytest.mark.slow
 def test_the_reference_counts_errors_of_a_stop_once():
-    checked = hl.validation.cross_check_survey(calibrated(3))
+    checked = hl.cross_check(calibrated(3))
     # Readings of few points count noise along and across the profile to first order.
     assert checked.largest < 0.1
     assert checked.largest_sigma < 1e-3

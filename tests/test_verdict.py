@@ -396,7 +396,7 @@ def test_the_rms_limit_holds_for_planes_left_out(validation):
 
 def against(validation, largest=0.1, largest_sigma=0.1):
     """The same where SciPy's result is so far off: of a location, and of a standard deviation."""
-    reference = CrossCheck(largest, "beam 1 x", largest_sigma, "plane A b", 9)
+    reference = CrossCheck(largest, "beam 1 x", largest_sigma, "plane A b", 9, 0.5)
     return replace(with_p(validation, 0.9, 0.9, 0.9, 0.9), reference=reference)
 
 

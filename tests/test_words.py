@@ -11,7 +11,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.cli.words import plan_lines
 from handlaser_gtsam.files.recording_csv import write_recording
 from handlaser_gtsam.observability.motion import check_motion, lemma_words
-from handlaser_gtsam.results.description.description import Description
+from handlaser_gtsam.results.description.beams import CalibrationDescription
 from handlaser_gtsam.results.description.evidence import noise_words
 
 
@@ -63,7 +63,7 @@ def test_a_motion_without_translations_is_no_fault_where_it_suffices():
 def test_a_large_condition_number_says_what_counts(calibration):
     found = replace(calibration.observability, condition=760.0)
     changed = replace(calibration, observability=found)
-    words = " ".join(Description(changed, changed.verdict).observability)
+    words = " ".join(CalibrationDescription(changed, changed.verdict).observability)
     assert "the standard deviations hold all the same" in words
 
 

@@ -110,7 +110,7 @@ def calibrate(recording: RecordingArgument, given: Given, manner: Manner, output
         outputs = {"--out": output.out, "--report": output.report}
         require_outputs_of(outputs, rig, (recording, given.rig))
         stated = [] if output.at_range_mm is None else ["--at-range-mm"]
-        stated += replace(manner, incremental=False).stated()
+        stated += replace(manner, incremental=False, cross_check=False).stated()
         read = read_stated(rig, recording, stated)
         if isinstance(read, Survey):
             answer = _answer(recording, rig, read, manner, output, given.rig)
@@ -132,7 +132,6 @@ def _answer(
     from ..data.survey import Survey
     from ..files.calibration_writing import calibration_text
     from ..files.writing import write_text
-    from ..quantities import SAME_OPTIMUM
     from ..results.calibration import Calibration
 
     reading, plan = metres(output.at_range_mm), None
@@ -149,22 +148,22 @@ def _answer(
     if output.out is not None:
         write_text(output.out, text)
     aloud = output.json_ or output.quiet
-    if recording is not None and isinstance(result, Calibration):
-        if manner.cross_check and result.success:
-            from ..validation.cross_check import cross_check
+    if manner.cross_check and result.success:
+        from ..validation.cross_check import cross_check
 
-            check = cross_check(result, recording)
-            checked = [
-                f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
-                f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
-                f"({check.sigma_parameter})"
-            ]
-            if check.largest > SAME_OPTIMUM:
-                disagreement = f"SciPy disagrees by {check.difference}"
-        if output.report is not None or not aloud:
-            from .check import advised
+        check = cross_check(result, recording)
+        checked = [
+            f"cross-check with SciPy: largest difference {check.largest:.1e} standard deviations "
+            f"({check.parameter}); standard deviations agree to {check.largest_sigma:.1e} "
+            f"({check.sigma_parameter})"
+        ]
+        if check.difference:
+            disagreement = f"SciPy finds {check.difference}"
+    shown = output.report is not None or not aloud
+    if shown and recording is not None and isinstance(result, Calibration):
+        from .check import advised
 
-            plan = advised(recording, rig, result)
+        plan = advised(recording, rig, result)
     if output.report is not None:
         from ..files.report.options import ReportOptions
         from ..files.report.report import write_report
@@ -229,27 +228,21 @@ def _lines(
 ) -> Iterator[str]:
     """Yield the result, what stands `above` the next best stations, these, and what is `after` them."""
     from ..planning.advice import advice_lines, advice_within
-    from ..results.calibration import Calibration
-    from ..results.description.description import Description
     from ..results.description.tables import full_table
-    from ..results.description.terminal import LINES, full_lines, screen_lines
+    from ..results.description.terminal import LINES
     from ..results.lines import as_many, wrapped
 
-    width, next_best = text_width(), list[str]()
+    described, width, next_best = result.described(judged), text_width(), list[str]()
     first = [line for words in above for line in wrapped(words, None, width)]
     last = [line for words in after for line in wrapped(words, None, width)]
     around = len(first) + len(last)
-    if not isinstance(result, Calibration):
-        from ..results.description.survey import survey_lines
-
-        lines, taught = survey_lines(result, judged, width, taught), None
-    elif verbose:
-        lines = full_lines(Description(result, judged), width)
+    if verbose:
+        lines = described.full(width)
         next_best = [] if plan is None else advice_lines(plan)
     else:
         # Lines of the next best stations; warnings come before more.
         kept = 0 if plan is None else as_many(5, width)
-        lines = screen_lines(Description(result, judged), closing=around + kept, width=width)
+        lines = described.screen(closing=around + kept, width=width)
         room = max(as_many(LINES, width) - around - len(lines), kept)
         next_best = [] if plan is None else advice_within(plan, room, width)
     yield from lines

@@ -93,7 +93,6 @@ def station_lines(stations: "StationList") -> list[str]:
 def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> list[str]:
     """Return the lines of a validation, the verdict first."""
     from ..results.calibration import Calibration
-    from ..results.description.description import Description
     from ..results.description.tables import full_table
     from ..validation.prediction import pooled
 
@@ -106,7 +105,7 @@ def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> li
         every=pooled(result.predictions),
     )
     if isinstance(calibration, Calibration):
-        table = Description(calibration, verdict).systematic
+        table = calibration.described(verdict).systematic
         lines += [] if table is None else full_table("systematic errors", table, width)
     return lines + [f"WARNING: {warning}" for warning in calibration.warnings]
 

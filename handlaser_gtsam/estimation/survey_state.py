@@ -63,10 +63,13 @@ class SurveyState:
         if pose_errors:
             own = self.own_covariance() if self.sizes.again else None
             blocks = with_pose_errors(blocks, self.values, self.pose_covariance(), own)
-        more: list[Block] = [*priors_of(self.rows), *self._held()]
-        more += [relation for _, relation in self.relations]
         unknown, length = self.rows.unknown(), self.rows.length
-        return BlockProblem([*blocks, *more], self.values, unknown, length), used[owner]
+        return BlockProblem([*blocks, *self.beside()], self.values, unknown, length), used[owner]
+
+    def beside(self) -> list[Block]:
+        """Return the blocks that are of no item: priors and relations."""
+        relations = (relation for _, relation in self.relations)
+        return [*priors_of(self.rows), *self._held(), *relations]
 
     def minimize(self, iterations: int | None = None) -> bool:
         """Go to the minimum of what counts, or `iterations` steps towards it; say whether one exists.

@@ -45,7 +45,7 @@ from ..arrays import FloatArray, IntArray, renumbered
 from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
 from ..data.value import Value
-from ..quantities import FAR_SIGMAS
+from ..quantities import FAR_SIGMAS, NEGLIGIBLE
 from . import equation
 from .equation import corrected, residuals, scene
 from .families import POSE
@@ -276,6 +276,19 @@ def covariance_roots(covariance: FloatArray) -> FloatArray:
     values, axes = np.linalg.eigh(covariance)
     root: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     return root
+
+
+def without_exact_axes(covariance: FloatArray, length: float) -> FloatArray:
+    """Return covariances (M, 6, 6) of poses with a variance along every axis, as an elimination needs.
+
+    An axis without error gets a negligible part of the largest variance; rotations are compared with
+    translations at a typical range [m].
+    """
+    unit = POSE.natural_units(length) / length
+    values, axes = np.linalg.eigh(covariance / np.outer(unit, unit))
+    values = np.maximum(values, NEGLIGIBLE * values[:, -1:])
+    whole: FloatArray = (axes * values[:, None, :]) @ np.swapaxes(axes, 1, 2)
+    return whole * np.outer(unit, unit)
 
 
 def reading_sigmas(parameters: Parameters, readings: Readings, variances: Variances) -> FloatArray:

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     from .calibration_data import StartReport as StartReport
     from .limits import LimitCheck as LimitCheck
     from .mounts import PlacedMount as PlacedMount
+    from .result import Result as Result
     from .spots import MeasuredPlane as MeasuredPlane
     from .spots import Spot as Spot
     from .spots import VarianceShares as VarianceShares
     from .survey import BeamMount as BeamMount
     from .survey import Mount as Mount
     from .survey import SensorMount as SensorMount
-    from .survey import SurveyCalibration as SurveyCalibration
     from .survey import SurveyTarget as SurveyTarget
     from .systematic import SystematicError as SystematicError
     from .verdict import Improvement as Improvement

@@ -13,17 +13,18 @@ from ..model.weighting import weighed, whitening
 from ..quantities import UNIT_SIGMA
 from .calibration_data import Beam, CalibrationData, Plane
 from .limits import Limits
+from .result import Result
 from .verdict import Verdict
 from .verdict import verdict as verdict_on
 
 if TYPE_CHECKING:  # both take long to import, and few need them
-    import gtsam
     import polars as pl
 
     from ..solvers.graph import CalibrationGraph
+    from .description.beams import CalibrationDescription
 
 
-class Calibration(CalibrationData):
+class Calibration(CalibrationData, Result):
     """Beams and planes with their uncertainty, and how they were found.
 
     Attributes
@@ -73,11 +74,6 @@ class Calibration(CalibrationData):
         Systematic errors that were unknowns, with their estimates.
     recorded : Recording or None
         `recording` with these errors; None where there are none.
-
-    Notes
-    -----
-    A calibration can be pickled, copied and compared, which GTSAM graphs with Python factors cannot.
-    So it does not keep its graph: `problem`, and `graph` and `values` after it, build it again.
     """
 
     __slots__ = ()
@@ -116,41 +112,6 @@ class Calibration(CalibrationData):
         how = whitening(at, readings, variances)
         return build_graph(readings, at, terms, how, loss, priors, self.range_error_prior)
 
-    @property
-    def graph(self) -> "gtsam.NonlinearFactorGraph":
-        """The factor graph that was solved, built again every time; see `problem`."""
-        return self.problem().graph
-
-    @property
-    def values(self) -> "gtsam.Values":
-        """The solution as GTSAM values, for `graph`; see `problem`."""
-        return self.problem().values
-
-    def summary(self, limits: Limits | None = None, reading: float | None = None) -> str:
-        """Return what `handlaser calibrate` prints: the verdict first, 30 lines of 100 columns.
-
-        But for the next best stations, which `hl.plan` chooses.
-
-        Parameters
-        ----------
-        limits : Limits, optional
-            What its user demands; the verdict says whether it holds.
-        reading : float, optional
-            Working distance at which laser spots are judged [m]; the median reading where not given.
-        """
-        from .description.description import Description
-        from .description.terminal import screen_lines
-
-        return "\n".join(screen_lines(Description(self, self.judged(limits, reading))))
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether to use it, what it is good for, what may hide, and what would improve it most.
-
-        Without limits of a user, and at the median reading; `judged` takes others.
-        """
-        return self.judged()
-
     def judged(self, limits: Limits | None = None, reading: float | None = None) -> Verdict:
         """Return the verdict by what a user demands, at a working distance [m].
 
@@ -158,12 +119,11 @@ class Calibration(CalibrationData):
         """
         return verdict_on(self, limits, reading)
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: the verdict, and a row a beam."""
-        from .description.description import Description
-        from .description.terminal import notebook_html
+    def described(self, verdict: Verdict) -> "CalibrationDescription":
+        """Return what there is to say of it under a verdict, for the views of this package."""
+        from .description.beams import CalibrationDescription
 
-        return notebook_html(Description(self, self.verdict))
+        return CalibrationDescription(self, verdict)
 
     def to_polars(self) -> "tuple[pl.DataFrame, pl.DataFrame]":
         """Return a table of the beams and one of the planes, a row each.

@@ -351,11 +351,6 @@ class CalibrationData(Value):
     effects: tuple[FreedEffect, ...] = ()
     recorded: Recording | None = None
 
-    @property
-    def success(self) -> bool:
-        """Whether the solver converged on a solution that the recording determines."""
-        return self.status == "converged"
-
     def parameters(self) -> Parameters:
         """Return beams and planes as arrays, in their order."""
         beams, planes = self.beams.values(), self.planes.values()

@@ -4,7 +4,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -42,6 +42,7 @@ from ..model.sensors.mounted import SENSOR
 from ..observability.wording import open_sentence
 from .limits import Limits
 from .messages import said
+from .result import Result
 from .spots import radius, spot_of
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
 from .survey_motion import counts_of, open_words, opening
@@ -49,6 +50,10 @@ from .survey_verdict import survey_verdict
 from .survey_warnings import rejected_of, survey_warnings
 from .verdict import Verdict
 from .warnings import DISPLACED
+
+if TYPE_CHECKING:  # both are for few users
+    from ..factors.of_blocks import BlockGraph
+    from .description.survey import SurveyDescription
 
 Status = Literal["converged", "undetermined", "contradicted", "not_converged"]
 
@@ -228,7 +233,7 @@ class SurveyTarget(Value):
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class SurveyCalibration(Value):
+class SurveyCalibration(Result):
     """Sensors, beams and targets of a survey, with their uncertainty.
 
     Attributes
@@ -291,14 +296,6 @@ class SurveyCalibration(Value):
         """All sensors, then all beams."""
         return *self.sensors.values(), *self.beams.values()
 
-    @property
-    def verdict(self) -> Verdict:
-        """Whether to use it, what it is good for, and what would improve it most.
-
-        Without limits of a user, as of a `Calibration`; `judged` takes them.
-        """
-        return self.judged()
-
     def judged(self, limits: Limits | None = None, reading: float | None = None) -> Verdict:
         """Return the verdict by what a user demands.
 
@@ -312,10 +309,25 @@ class SurveyCalibration(Value):
             raise InputError(found, "none: each sensor and beam has its own, the median reading")
         return survey_verdict(self, limits)
 
-    @property
-    def usable(self) -> bool:
-        """Whether it can be used, by its verdict."""
-        return self.verdict.usable
+    def problem(self) -> "BlockGraph":
+        """Return its factor graph with the noise that was found, in the world frame.
+
+        Rejected shots are not in it. Its keys are by family (`sensor`, `beam`, `plane`, `sphere`,
+        `point`, `body`, `pose`), number in the order of the result or of the stations, and part of
+        what is native to GTSAM: `keys["sensor", 0, 0]` is the `Pose3` of the first sensor in the hand,
+        and `keys["sensor", 0, 1]` its range errors that are free; of a beam parts 0 to 2 are location,
+        `Unit3` and range error. Hand poses are variables where they err, with priors, and stand at
+        their recorded values: `hl.optimize` moves them to their optimum.
+        """
+        from .survey_graph import survey_graph
+
+        return survey_graph(self._found)
+
+    def described(self, verdict: Verdict) -> "SurveyDescription":
+        """Return what there is to say of it under a verdict, for the views of this package."""
+        from .description.survey import SurveyDescription
+
+        return SurveyDescription(self, verdict)
 
 
 def survey_calibration(found: SurveyEstimate) -> SurveyCalibration:

@@ -17,9 +17,8 @@ from ..data.recording import Readings
 from ..errors import InputError
 from ..factors import RangeBlock, SharedEvaluation, range_error_prior, require_rows
 from ..factors.keys import BeamKeys, beam_keys, plane_key, pose_key
-from ..model.families import POSE
 from ..model.losses import GAUSSIAN, Loss
-from ..model.weighting import Whitening
+from ..model.weighting import Whitening, without_exact_axes
 from ..quantities import LARGEST_LENGTH, NEGLIGIBLE
 from .beam_problem import UNKNOWNS_RATIO
 
@@ -63,8 +62,7 @@ def pose_priors(
 ) -> PosePriors:
     """Return the priors of all stations with readings, from the covariance (M, 6, 6) of each.
 
-    Rotations are compared with translations at the typical range. GTSAM's elimination needs a variance
-    along every axis: an axis without error gets a negligible part of the largest variance.
+    GTSAM's elimination needs a variance along every axis, as `without_exact_axes` gives.
 
     Raises
     ------
@@ -77,11 +75,7 @@ def pose_priors(
         raise InputError(found, f"({count}, 6, 6), one of each station")
     require_covariance("a pose covariance", covariance, LARGEST_LENGTH, NEGLIGIBLE)
     stations, first = np.unique(readings.station, return_index=True)
-    length = readings.typical_range()
-    unit = POSE.natural_units(length) / length
-    values, axes = np.linalg.eigh(covariance[stations] / np.outer(unit, unit))
-    values = np.maximum(values, NEGLIGIBLE * values[:, -1:])
-    whole = (axes * values[:, None, :]) @ np.swapaxes(axes, 1, 2) * np.outer(unit, unit)
+    whole = without_exact_axes(covariance[stations], readings.typical_range())
     return PosePriors(
         stations, readings.world_R_hand[first], readings.world_t_hand[first], whole, start
     )

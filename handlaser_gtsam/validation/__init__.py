@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .cross_check import CrossCheck as CrossCheck
-    from .cross_check import cross_check_survey as cross_check_survey
     from .other_recording import BeamDrift as BeamDrift
     from .other_recording import HoldOut as HoldOut
     from .other_survey import MovedMount as MovedMount

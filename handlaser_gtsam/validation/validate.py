@@ -29,7 +29,7 @@ from ..results.calibration import Calibration
 from ..results.mounts import Mounts
 from ..results.spots import radius, spot_of
 from ..results.survey import Mount, SurveyCalibration, survey_calibration
-from .cross_check import cross_check_survey, fits
+from .cross_check import cross_check, fits
 from .other_recording import HoldOut, hold_out
 from .prediction import Prediction, SurveyPrediction, predict, reconstruction
 from .simulate import generator
@@ -151,7 +151,7 @@ def validate_survey(
     calibration = calibrate(survey, noise)
     if not fits(calibration):
         raise SolverError(calibration.verdict.sentence)
-    reference = cross_check_survey(calibration)
+    reference = cross_check(calibration)
     predict = partial(_predicted, calibration)
     # Stations of one stop share the error of the hand, and go together.
     _, stop = np.unique(survey.stations.stops(*noise.standstill), return_inverse=True)

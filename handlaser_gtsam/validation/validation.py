@@ -15,7 +15,6 @@ from ..data.value import Value
 from ..errors import CalibrationWarning, HandlaserError
 from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, chance, contradicted
 from ..progress import tell
-from ..quantities import IN_PERCENT
 from ..results.calibration import Calibration
 from ..results.limits import Limits, rms_checked
 from ..results.lines import NAMES_IN_LINE
@@ -27,10 +26,6 @@ from .cross_check import CrossCheck
 from .other_recording import HoldOut
 from .prediction import Prediction, SurveyPrediction
 
-LARGEST_DIFFERENCE = 0.5
-"""A parameter may differ from SciPy's by this many of its standard deviations, and a standard deviation
-by this part. Shots are condensed to first order in their noise: of balls that are read with a noise of
-2 % of the range they differ by up to 0.47, which makes errors a tenth larger than is stated."""
 DISAGREES = "reference-disagrees"
 """Code of the cause that SciPy finds another solution."""
 PART_LEFT_OUT = 0.3
@@ -130,16 +125,12 @@ class Validation(Value):
     @property
     def disagreement(self) -> str:
         """What SciPy, which solves all points by themselves, finds otherwise; empty where it agrees."""
-        of = self.reference
-        if of is None or max(of.largest, of.largest_sigma) <= LARGEST_DIFFERENCE:
+        found = "" if self.reference is None else self.reference.difference
+        if not found:
             return ""
-        found = f"finds another solution, by {of.difference}"
-        if of.largest <= LARGEST_DIFFERENCE:
-            percent = f"{IN_PERCENT * of.largest_sigma:.0f} %"
-            found = f"finds standard deviations that differ by {percent} in {of.sigma_parameter}"
         return (
-            f"SciPy, point by point, {found}: do not use this calibration; shots are too noisy, or "
-            "have too few points, for their targets: look at larger parts of them, from nearer"
+            f"SciPy, point by point, finds {found}: do not use this calibration; shots are too noisy, "
+            "or have too few points, for their targets: look at larger parts of them, from nearer"
         )
 
     @property
@@ -181,7 +172,7 @@ def verdict_of_validation(validation: Validation, limits: Limits | None = None) 
     if validation.reference is not None and validation.disagreement:
         of = validation.reference
         values: dict[str, float | str] = {"parameter": of.parameter, "difference": of.largest}
-        if of.largest <= LARGEST_DIFFERENCE:
+        if of.largest <= of.allowed:
             values = {"parameter": of.sigma_parameter, "difference": of.largest_sigma}
         why.append(CalibrationWarning(DISAGREES, validation.disagreement, values))
     if against:

@@ -24,7 +24,7 @@ from ...planning.goal import Forecast
 from ...planning.route import Plan
 from ...progress import tell
 from ...results.calibration import Calibration
-from ...results.description.description import Description
+from ...results.description.beams import CalibrationDescription
 from ...results.spots import freedom, radius, spot_at
 from ...validation.quick_validation import WholeSolution, held_out
 from ...validation.validation import Validation
@@ -32,7 +32,7 @@ from .options import ReportOptions
 
 
 @dataclass(frozen=True)
-class Subject(Description):
+class Subject(CalibrationDescription):
     """A calibration and what a report shows of it, beside what every view shows.
 
     Attributes

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from ... import __version__
-from ...results.description.survey import facts, mounts_tables, targets_table
-from ...results.description.tables import listed, name_cell, sentence, text
+from ...results.description.survey import facts, targets_table
+from ...results.description.tables import listed, name_cell, text
 from ...results.survey import SurveyCalibration
 from ...results.verdict import Verdict
 from .figure import STYLE, Figure
@@ -56,7 +56,7 @@ def survey_content(
     day : str
         Date of the report; none where not given.
     """
-    survey = result.survey
+    survey, shown = result.survey, result.described(verdict)
     seen = list(seen_by_all(result, survey))
     on = on_targets(result, survey, seen)
     drawn = [world_figure(result, survey, seen)]
@@ -70,20 +70,9 @@ def survey_content(
     made += [("date", day)] if day else []
     values = {
         "title": source,
-        "shown": {
-            "mark": verdict.mark,
-            "opening": verdict.opening,
-            "findings": [sentence(part) for part in verdict.findings],
-            "counts": (
-                ("stations", len(survey.stations)),
-                ("targets", len(result.targets)),
-                ("sensors", len(result.sensors) + len(result.beams)),
-                ("points", sum(len(shots.reading) for shots in survey.shots)),
-                ("rejected", len(result.rejected)),
-            ),
-        },
-        "warnings": [one.message for one in result.warnings],
-        "mounts": mounts_tables(result),
+        "shown": shown,
+        "warnings": shown.warnings,
+        "mounts": shown.main_tables,
         "targets": targets_table(result),
         "rows": facts(result, verdict),
         "rejected": listed(
@@ -99,4 +88,4 @@ def survey_content(
         "figures": figures,
         "on_targets": [(target, figure.name) for target, figure in on],
     }
-    return verdict.opening, sections_of("survey.html.j2", SECTIONS, values), figures
+    return shown.opening, sections_of("survey.html.j2", SECTIONS, values), figures

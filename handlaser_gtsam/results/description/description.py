@@ -4,33 +4,33 @@ Facts are pairs of a name and words; tables hold text with the number behind it.
 not know is no table at all.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
 
 from ...text import count
-from ..calibration_data import CalibrationData
+from ..lines import WIDTH
+from ..result import Result
 from ..verdict import Verdict
-from . import evidence, parameters
-from .tables import sentence
+from .tables import Table, as_html, sentence
 
 
 @dataclass(frozen=True)
-class Description:
+class Description(ABC):
     """A calibration, the verdict on it, and what follows from the two.
 
     Attributes
     ----------
-    calibration : CalibrationData
+    calibration : Result
     verdict : Verdict
     """
 
-    calibration: CalibrationData
+    calibration: Result
     verdict: Verdict
 
     @property
     def solved(self) -> bool:
-        """Whether there is a calibration: every number of beams and planes means something."""
-        return self.calibration.status == "converged"
+        """Whether there is a calibration: every number of it means something."""
+        return self.calibration.success
 
     @property
     def opening(self) -> str:
@@ -45,26 +45,11 @@ class Description:
     @property
     def findings(self) -> tuple[str, ...]:
         """The reasons of the verdict, as sentences."""
-        found = self.verdict.findings if self.solved else (self.calibration.message,)
-        return tuple(map(sentence, found))
-
-    @property
-    def counts(self) -> tuple[tuple[str, int], ...]:
-        """How much there is of everything, as names and numbers."""
-        calibration = self.calibration
-        fit, recording = calibration.fit, calibration.recording
-        stations = () if recording is None else (("stations", len(recording.plane_labels)),)
-        return (
-            *stations,
-            ("planes", len(calibration.planes)),
-            ("beams", len(calibration.beams)),
-            ("readings", fit.readings + len(fit.rejected)),
-            ("rejected", len(fit.rejected)),
-        )
+        return tuple(map(sentence, self.verdict.findings))
 
     @property
     def sizes(self) -> str:
-        """The same in one line: "44 stations, 4 planes, ..."."""
+        """How much there is of everything, in one line: "44 stations, 4 planes, ..."."""
         return ", ".join(
             f"{number} rejected" if name == "rejected" else count(number, name.removesuffix("s"))
             for name, number in self.counts
@@ -72,28 +57,28 @@ class Description:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings that the verdict does not repeat, as `calibration.warnings` orders them."""
+        """Warnings that the verdict does not repeat, as the calibration orders them."""
         warnings = self.calibration.warnings
         return tuple(str(one) for one in warnings if not self.verdict.says(one.message))
 
     @property
-    def observability(self) -> tuple[str, ...]:
-        """What the recording determines, in sentences."""
-        return tuple(evidence.observability_sentences(self))
+    @abstractmethod
+    def counts(self) -> tuple[tuple[str, int], ...]:
+        """How much there is of everything, as names and numbers."""
 
     @property
-    def advice(self) -> tuple[str, ...]:
-        """What would improve the calibration, in sentences, the best first."""
-        return tuple(evidence.advice_sentences(self))
+    @abstractmethod
+    def main_tables(self) -> tuple[Table, ...]:
+        """Where everything sits in the hand; none of what is not known."""
 
-    # Tables and facts, made when a view first asks for them.
-    beams = cached_property(parameters.beams_table)
-    mounts = cached_property(parameters.mounts_table)
-    spots = cached_property(parameters.spots_table)
-    planes = cached_property(parameters.planes_table)
-    limits = cached_property(parameters.limits_table)
-    fit = cached_property(evidence.fit_facts)
-    correlations = cached_property(evidence.correlations_table)
-    systematic = cached_property(evidence.systematic_table)
-    systematic_facts = cached_property(evidence.systematic_facts)
-    rejected = cached_property(evidence.rejected_table)
+    @abstractmethod
+    def screen(self, *, closing: int = 0, width: int = WIDTH) -> list[str]:
+        """Return the default screen, with room for `closing` lines after it."""
+
+    @abstractmethod
+    def full(self, width: int = WIDTH) -> list[str]:
+        """Return everything that there is to say, in reading order."""
+
+    def notebook_html(self) -> str:
+        """Return the verdict, the sizes and the main tables as HTML; names are escaped."""
+        return as_html(self.verdict.sentence, self.sizes, self.main_tables)

@@ -34,7 +34,7 @@ from .tables import (
 )
 
 if TYPE_CHECKING:
-    from .description import Description
+    from .beams import CalibrationDescription
 
 PRIOR = "the prior decides"
 """Stands beside a sigma of which the recording says little."""
@@ -45,7 +45,7 @@ KINDS = {
 }
 
 
-def fit_facts(described: "Description") -> Facts:
+def fit_facts(described: "CalibrationDescription") -> Facts:
     """Return how well the readings fit."""
     calibration = described.calibration
     fit = calibration.fit
@@ -75,7 +75,7 @@ def fit_facts(described: "Description") -> Facts:
     return tuple(facts)
 
 
-def rejected_words(described: "Description") -> str:
+def rejected_words(described: "CalibrationDescription") -> str:
     """Return how many readings were rejected, and the most frequent reasons."""
     rejected = described.calibration.fit.rejected
     numbers = Counter(reading.reason for reading in rejected).most_common()
@@ -83,7 +83,7 @@ def rejected_words(described: "Description") -> str:
     return f"{len(rejected)} rejected" + (f" ({reasons})" if reasons else "")
 
 
-def observability_sentences(described: "Description") -> Iterator[str]:
+def observability_sentences(described: "CalibrationDescription") -> Iterator[str]:
     """Yield what the recording determines."""
     observed = described.calibration.observability
     if observed.condition is None or not described.solved:
@@ -105,7 +105,7 @@ def observability_sentences(described: "Description") -> Iterator[str]:
         yield said("indices", O1=O1, O2=O2, O3=O3, O4=O4)
 
 
-def _shares(described: "Description") -> Iterator[str]:
+def _shares(described: "CalibrationDescription") -> Iterator[str]:
     """Yield what the variance of the least certain laser spot is made of."""
     shares = described.verdict.shares
     if shares is None:
@@ -126,7 +126,7 @@ def _shares(described: "Description") -> Iterator[str]:
         yield f"Of the variance of the worst laser spot (beam {beam}), {', '.join(parts)}{overlap}."
 
 
-def advice_sentences(described: "Description") -> Iterator[str]:
+def advice_sentences(described: "CalibrationDescription") -> Iterator[str]:
     """Yield what would improve the calibration, the best first."""
     calibration, best = described.calibration, described.verdict.best.words
     if not described.solved:
@@ -142,7 +142,7 @@ def advice_sentences(described: "Description") -> Iterator[str]:
         yield sentence(said("correlated", advice=advice, pair=pair, rho=rho, others=others))
 
 
-def correlations_table(described: "Description") -> Table | None:
+def correlations_table(described: "CalibrationDescription") -> Table | None:
     """Return the pairs of unknowns that are hardly distinguished; None without a covariance."""
     calibration = described.calibration
     if calibration.covariance is None or not described.solved:
@@ -162,7 +162,7 @@ def correlations_table(described: "Description") -> Table | None:
     return table._replace(note=note.rstrip())
 
 
-def systematic_table(described: "Description") -> Table | None:
+def systematic_table(described: "CalibrationDescription") -> Table | None:
     """Return every systematic error that was tested, the clearest first; None where none was."""
     tested = described.calibration.systematic
     if not tested or not described.solved:
@@ -187,7 +187,7 @@ def _systematic(error: SystematicError, reading: float) -> tuple[Cell, ...]:
     return name, state, significant(error.p_value, 2), below, significant(shift * IN_MM, 2)
 
 
-def systematic_facts(described: "Description") -> Facts:
+def systematic_facts(described: "CalibrationDescription") -> Facts:
     """Return the errors that were found or are confounded, each with its remedy in words."""
     tested = described.calibration.systematic if described.solved else ()
     return tuple(
@@ -200,7 +200,7 @@ def systematic_facts(described: "Description") -> Facts:
     )
 
 
-def rejected_table(described: "Description") -> Table | None:
+def rejected_table(described: "CalibrationDescription") -> Table | None:
     """Return the readings that were rejected, each with its reason; None where there are none."""
     rejected = described.calibration.fit.rejected
     if not rejected:

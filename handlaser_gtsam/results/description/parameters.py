@@ -34,7 +34,7 @@ from .tables import (
 )
 
 if TYPE_CHECKING:
-    from .description import Description
+    from .beams import CalibrationDescription
 
 NUMBERS, K1 = range(BEAM.size), OF_RANGE_ERROR.start
 PARTS = {
@@ -47,7 +47,7 @@ PARTS = {
 their decimals at most: no sensor shows what is smaller."""
 
 
-def beams_table(described: "Description") -> Table | None:
+def beams_table(described: "CalibrationDescription") -> Table | None:
     """Return one row a beam: where it sits and points, and how well that is known."""
     beams = list(described.calibration.beams.values())
     if not any(_known(beam.sigma) for beam in beams):
@@ -98,7 +98,7 @@ def _concise(value: float, sigma: float, most: int) -> Cell:
     return Cell(f"{plain(value, digits)}({sigma * 10.0**digits:.0f})", value)
 
 
-def mounts_table(described: "Description") -> Table | None:
+def mounts_table(described: "CalibrationDescription") -> Table | None:
     """Return value, standard deviation and 95 % interval of every parameter; None if none is known."""
     beams = list(described.calibration.beams.values())
     if not any(_known(beam.sigma) for beam in beams):
@@ -107,7 +107,7 @@ def mounts_table(described: "Description") -> Table | None:
     return table_of("mounts", rows, more(len(beams) - ROWS_ON_PAGE, "beam"))
 
 
-def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ...]]:
+def _parameters(described: "CalibrationDescription", beam: Beam) -> Iterator[tuple[Cell, ...]]:
     """Yield the rows of one beam; no number where the recording determines none."""
     calibration = described.calibration
     sigma = np.full(BEAM.size, np.inf) if beam.sigma is None else beam.sigma
@@ -131,7 +131,7 @@ def _parameters(described: "Description", beam: Beam) -> Iterator[tuple[Cell, ..
             yield text(beam.name), words, dash, angle, dash, dash, text("deg")
 
 
-def spots_table(described: "Description") -> Table | None:
+def spots_table(described: "CalibrationDescription") -> Table | None:
     """Return how well the laser spot of every beam is known at the working distance."""
     calibration, reading = described.calibration, described.verdict.reading
     radii = spot_radii(calibration, reading) if described.solved else {}
@@ -154,7 +154,7 @@ def spots_table(described: "Description") -> Table | None:
     return table._replace(note=f"{note} {table.note}".rstrip())
 
 
-def planes_table(described: "Description") -> Table | None:
+def planes_table(described: "CalibrationDescription") -> Table | None:
     """Return where every plane was found; None where nothing is known."""
     planes = list(described.calibration.planes.values())
     if not any(_known(plane.sigma) for plane in planes):
@@ -177,7 +177,7 @@ def _known(sigma: FloatArray | None) -> bool:
     return sigma is not None and bool(np.isfinite(sigma).any())
 
 
-def limits_table(described: "Description") -> Table | None:
+def limits_table(described: "CalibrationDescription") -> Table | None:
     """Return every value beside its limit; None where no limit was given."""
     checks = sorted(described.verdict.limits, key=lambda one: -one.ratio)
     if not checks:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,11 +15,11 @@ from ...model.families import BEAM, RANGE_ERROR
 from ...model.sensors.mounted import SENSOR
 from ...quantities import IN_DEG, IN_MM, IN_PERCENT
 from ...text import count, some
-from ..lines import NAMES_IN_LINE, UNDETERMINED, decimals
+from ..lines import NAMES_IN_LINE, UNDETERMINED, WIDTH, decimals
 from ..messages import said
-from ..survey import BeamMount, SensorMount, SurveyCalibration, SurveyTarget
 from ..survey_warnings import rejected_shot
 from ..verdict import Verdict
+from .description import Description
 from .tables import (
     Cell,
     Facts,
@@ -32,6 +33,9 @@ from .tables import (
     text_lines,
 )
 
+if TYPE_CHECKING:
+    from ..survey import BeamMount, Mount, SensorMount, SurveyCalibration, SurveyTarget
+
 SHOWN = {1: ("mm", IN_MM), 0: ("%", IN_PERCENT), -1: ("%/m", IN_PERCENT)}
 """Units of range errors for people, with the factor from SI, by the power of the metre."""
 UNITS = {
@@ -42,40 +46,64 @@ UNITS = {
 """The same by range error, and of both axes at once."""
 
 
-def survey_lines(
-    result: SurveyCalibration, verdict: Verdict, width: int, taught: Table | None = None
-) -> list[str]:
-    """Return what a person sees of a result: the verdict, tables, facts and warnings.
+class SurveyDescription(Description):
+    """What there is to say of the result of a survey."""
 
-    Among the tables is what each target `taught`, where they were added one by one.
-    """
-    lines = text_lines([verdict.sentence], width)
-    for table in (*mounts_tables(result), targets_table(result), taught):
-        lines += [] if table is None else full_table(table.name, table, width)
-    rest = [f"{name}: {words}" for name, words in facts(result, verdict)]
-    rest += result.undetermined[1:]
-    warnings = (one.message for one in result.warnings if not verdict.says(one.message))
-    rest += (f"WARNING: {words}" for words in warnings)
-    return lines + text_lines(rest, width)
+    calibration: "SurveyCalibration"
+
+    @property
+    def counts(self) -> tuple[tuple[str, int], ...]:
+        """How much there is of everything, as names and numbers."""
+        result, survey = self.calibration, self.calibration.survey
+        return (
+            ("stations", len(survey.stations)),
+            ("targets", len(result.targets)),
+            ("sensors", len(result.mounts)),
+            ("points", sum(len(shots.reading) for shots in survey.shots)),
+            ("rejected", len(result.rejected)),
+        )
+
+    @property
+    def main_tables(self) -> tuple[Table, ...]:
+        """Where sensors of many rays sit, and where single beams do; no table of none."""
+        sensors, beams = (
+            list(self.calibration.sensors.values()),
+            list(self.calibration.beams.values()),
+        )
+        tables = [listed("sensors", sensors, _sensor_row, "sensor")] if sensors else []
+        tables += [listed("beams:survey", beams, _beam_row, "beam")] if beams else []
+        return tuple(tables)
+
+    def screen(self, *, closing: int = 0, width: int = WIDTH) -> list[str]:  # noqa: ARG002
+        """Return everything: it has no more than a screen of some sensors and targets."""
+        return self.full(width)
+
+    def full(self, width: int = WIDTH) -> list[str]:
+        """Return the verdict, tables, facts and warnings."""
+        lines = text_lines([self.verdict.sentence], width)
+        for table in (*self.main_tables, targets_table(self.calibration)):
+            lines += full_table(table.name, table, width)
+        rest = [f"{name}: {words}" for name, words in facts(self.calibration, self.verdict)]
+        rest += self.calibration.undetermined[1:]
+        return lines + text_lines([*rest, *(f"WARNING: {one}" for one in self.warnings)], width)
 
 
-def mounts_tables(result: SurveyCalibration) -> list[Table]:
-    """Return where sensors of many rays sit, and where single beams do; no table of none."""
-    sensors, beams = list(result.sensors.values()), list(result.beams.values())
-    tables = [listed("sensors", sensors, _mount_row, "sensor")] if sensors else []
-    return tables + ([listed("beams:survey", beams, _mount_row, "beam")] if beams else [])
+def _sensor_row(sensor: "SensorMount") -> tuple[Cell, ...]:
+    """Return location and Euler angles of a sensor with the sigmas of both, its spot and its shots."""
+    angles = Rotation.from_matrix(sensor.rotation).as_euler("ZYX", degrees=True)
+    digits = _digits(sensor.largest_sigmas[1] * IN_DEG)
+    care = "care" if sensor.rejected else ""
+    rejected = Cell(str(sensor.rejected), sensor.rejected, care)
+    return *_mount_row(sensor, angles, digits, sensor.shots), rejected
 
 
-def _mount_row(mount: SensorMount | BeamMount) -> tuple[Cell, ...]:
-    """Return location, Euler angles of a sensor or the direction of a beam, and sigmas of both."""
+def _beam_row(beam: "BeamMount") -> tuple[Cell, ...]:
+    """Return location and direction of a beam with the sigmas of both, its spot and its readings."""
+    return _mount_row(beam, beam.direction, 5, beam.readings)
+
+
+def _mount_row(mount: "Mount", turned: FloatArray, digits: int, read: int) -> tuple[Cell, ...]:
     turn = mount.largest_sigmas[1]
-    if isinstance(mount, SensorMount):
-        turned = Rotation.from_matrix(mount.rotation).as_euler("ZYX", degrees=True)
-        digits, read = _digits(turn * IN_DEG), mount.shots
-        care = "care" if mount.rejected else ""
-        rejected = [Cell(str(mount.rejected), mount.rejected, care)]
-    else:
-        turned, digits, read, rejected = mount.direction, 5, mount.readings, []
     return (
         name_cell(mount.name),
         *_located(mount.location, mount.location_sigma),
@@ -83,7 +111,6 @@ def _mount_row(mount: SensorMount | BeamMount) -> tuple[Cell, ...]:
         significant(turn * IN_DEG, 2),
         significant(mount.spot_error * IN_MM, 2),
         Cell(str(read), read),
-        *rejected,
     )
 
 
@@ -105,12 +132,12 @@ NOT_JUDGED = "not judged, because the readings do not fit each other"
 """Said of a relation where its test means nothing."""
 
 
-def targets_table(result: SurveyCalibration) -> Table:
+def targets_table(result: "SurveyCalibration") -> Table:
     """Return what was looked at."""
     return listed("targets", list(result.targets.values()), _target_row, "target")
 
 
-def _target_row(target: SurveyTarget) -> tuple[Cell, ...]:
+def _target_row(target: "SurveyTarget") -> tuple[Cell, ...]:
     sigma, kind = dict(target.sigma), target.kind
     words = UNDETERMINED
     if all(map(math.isfinite, sigma.values())):
@@ -124,7 +151,7 @@ def _target_row(target: SurveyTarget) -> tuple[Cell, ...]:
     )
 
 
-def facts(result: SurveyCalibration, verdict: Verdict) -> Facts:
+def facts(result: "SurveyCalibration", verdict: Verdict) -> Facts:
     """Return noise, fit, limits, relations and tests as pairs of a name and words."""
     found = [("fit", f"chi2 {result.chi2:.4g} at {result.dof} degrees of freedom{_counts(result)}")]
     noise = [
@@ -163,7 +190,7 @@ def facts(result: SurveyCalibration, verdict: Verdict) -> Facts:
     return tuple(found)
 
 
-def _counts(result: SurveyCalibration) -> str:
+def _counts(result: "SurveyCalibration") -> str:
     """Say what degrees of freedom are made of, in the counts of `check`; empty of what is open."""
     own = result._found
     if own.estimate.status == "undetermined":
@@ -174,7 +201,7 @@ def _counts(result: SurveyCalibration) -> str:
     return said("degrees", numbers=numbers, more=more, unknowns=unknowns)
 
 
-def _without(result: SurveyCalibration, other: SurveyCalibration) -> Iterator[tuple[str, str]]:
+def _without(result: "SurveyCalibration", other: "SurveyCalibration") -> Iterator[tuple[str, str]]:
     """Yield what follows without the relations that are contradicted: how far each mount moves."""
     false = " and ".join(one.known.words for one in result.relations if one.contradicted)
     yield f"without {false}", other.verdict.sentence
@@ -213,7 +240,7 @@ def _errors(errors: Mapping[str, float], sigmas: FloatArray) -> str:
     return ", ".join(parts)
 
 
-def _tested(sensor: SensorMount) -> str:
+def _tested(sensor: "SensorMount") -> str:
     """Say which range errors were found, and the largest that could be there all the same."""
     parts = []
     for code, error in sensor.errors.items():

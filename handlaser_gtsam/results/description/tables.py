@@ -5,6 +5,7 @@ And the same as plain text of bounded width, for terminals and files.
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from html import escape
 from typing import NamedTuple, TypeVar
 
 from ...arrays import FloatArray
@@ -223,3 +224,18 @@ def full_table(title: str, table: Table, width: int) -> list[str]:
 def text_lines(sentences: list[str], width: int) -> list[str]:
     """Return sentences as lines of at most `width` columns."""
     return [line for words in sentences for line in wrapped(words.translate(PLAIN), None, width)]
+
+
+def as_html(verdict: str, sizes: str, tables: Iterable[Table]) -> str:
+    """Return two sentences and tables as HTML; names are escaped."""
+    html = f"<p><b>{escape(verdict)}</b></p><p>{escape(sizes)}</p>"
+    for table in tables:
+        head = "".join(f"<th>{escape(column.title)}</th>" for column in table.columns)
+        rows = (
+            "<tr>" + "".join(f"<td>{escape(cell.text)}</td>" for cell in row) + "</tr>"
+            for row in table.rows
+        )
+        html += f"<p>{escape(table.caption)}</p><table><thead><tr>{head}</tr></thead>"
+        html += f"<tbody>{''.join(rows)}</tbody></table>"
+        html += f"<p>{escape(table.note)}</p>" if table.note else ""
+    return html

@@ -1,9 +1,9 @@
 """What a person sees of a calibration: the verdict first, on one screen of 30 lines of 100 columns.
 
-And in full, where every table is asked for; and what a notebook shows.
+And in full, where every table is asked for.
 """
 
-from html import escape
+from typing import TYPE_CHECKING
 
 from ...model.distributions import p_words
 from ...model.effects.effect import size_in_words
@@ -12,8 +12,10 @@ from ...text import count, some
 from ..lines import NAMES_IN_LINE, WIDTH, as_many, wrapped
 from ..messages import said
 from ..systematic import SystematicError
-from .description import Description
 from .tables import PLAIN, ROWS_ON_SCREEN, Facts, full_table, text_lines, text_table
+
+if TYPE_CHECKING:
+    from .beams import CalibrationDescription
 
 LINES = 30
 """Lines of the whole answer, which then stands on one screen."""
@@ -21,7 +23,9 @@ BRIEF = ("rms residual", "largest residual", "sigma0", "degrees of freedom")
 """Facts of the fit that stand on the screen."""
 
 
-def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH) -> list[str]:
+def screen_lines(
+    described: "CalibrationDescription", *, closing: int = 0, width: int = WIDTH
+) -> list[str]:
     """Return the default screen; `closing` lines of the 30 are kept for what follows it.
 
     A screen of less than 100 columns has more lines: as many letters. Where the first warning would
@@ -37,7 +41,7 @@ def screen_lines(described: Description, *, closing: int = 0, width: int = WIDTH
     return lines + _warnings(described, room, width)
 
 
-def _above_warnings(described: Description, evidence: int, width: int) -> list[str]:
+def _above_warnings(described: "CalibrationDescription", evidence: int, width: int) -> list[str]:
     """Return the screen up to the warnings.
 
     Observability and systematic errors have `evidence` lines each, at most, and other facts at most two
@@ -76,7 +80,7 @@ def _above_warnings(described: Description, evidence: int, width: int) -> list[s
     return lines
 
 
-def full_lines(described: Description, width: int = WIDTH) -> list[str]:
+def full_lines(described: "CalibrationDescription", width: int = WIDTH) -> list[str]:
     """Return everything that there is to say, in reading order."""
     calibration = described.calibration
     opening = [described.verdict.sentence, _head(described)]
@@ -103,7 +107,7 @@ def full_lines(described: Description, width: int = WIDTH) -> list[str]:
     return lines + text_lines(_warning_texts(described), width)
 
 
-def _warning_texts(described: Description) -> list[str]:
+def _warning_texts(described: "CalibrationDescription") -> list[str]:
     return [f"WARNING: {words}" for words in described.warnings]
 
 
@@ -111,7 +115,7 @@ def _fact_lines(facts: Facts, width: int) -> list[str]:
     return text_lines([f"{name}: {words}" for name, words in facts], width)
 
 
-def _head(described: Description) -> str:
+def _head(described: "CalibrationDescription") -> str:
     calibration = described.calibration
     words = f"{described.sizes}; start: {calibration.start.method}"
     recording = calibration.recording
@@ -147,7 +151,7 @@ def _systematic(tested: tuple[SystematicError, ...], reading: float) -> str:
     return said("unnoticed", words=words, code=worst.code, size=size, moved=moved)
 
 
-def _warnings(described: Description, room: int, width: int) -> list[str]:
+def _warnings(described: "CalibrationDescription", room: int, width: int) -> list[str]:
     """Return as many warnings as there is room for, whole; the first one is cut if need be."""
     warnings = _warning_texts(described)
     lines: list[str] = []
@@ -159,19 +163,3 @@ def _warnings(described: Description, room: int, width: int) -> list[str]:
             return [*lines, f"and {count(rest + 1, 'more warning')}: --verbose"]
         lines += own if len(own) <= left else wrapped(warning, max(left, 1), width)
     return lines
-
-
-def notebook_html(described: Description) -> str:
-    """Return the verdict, the sizes and the table of the beams as HTML; names are escaped."""
-    html = f"<p><b>{escape(described.verdict.sentence)}</b></p><p>{escape(described.sizes)}</p>"
-    beams = described.beams
-    if beams is None:
-        return html
-    head = "".join(f"<th>{escape(column.title)}</th>" for column in beams.columns)
-    rows = (
-        "<tr>" + "".join(f"<td>{escape(cell.text)}</td>" for cell in row) + "</tr>"
-        for row in beams.rows
-    )
-    html += f"<p>{escape(beams.caption)}</p><table><thead><tr>{head}</tr></thead>"
-    html += f"<tbody>{''.join(rows)}</tbody></table>"
-    return html + (f"<p>{escape(beams.note)}</p>" if beams.note else "")
