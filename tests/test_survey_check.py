@@ -181,6 +181,15 @@ def test_an_open_height_takes_no_sigma_from_the_other_coordinates(tilt):
     assert row["sigma [mm]"].value == pytest.approx(1e3 * mount.location_sigma[:2].max())
 
 
+def test_flat_sensors_before_one_ball_find_it_at_one_height():
+    """In a planar motion each has two mirror images, and finds the ball at a height of its own."""
+    found = hl.calibrate(vehicle("profiler", "planar", "a sphere", beside=("scanner",), seed=5))
+    assert found.status == "undetermined"
+    assert not found.rejected
+    assert found.chi2 < 1.5 * found.dof
+    assert found.targets["sphere:S"].values["radius"] == pytest.approx(0.5, abs=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("walls", ["vertical", "one leans"])
 def test_a_level_scanner_on_a_flat_floor_sees_no_wall_lean(walls):

@@ -32,12 +32,13 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
+from ..observability.motion import PoorMotion
 from ..outliers.consensus import find_consensus
 from ..quantities import NEGLIGIBLE, SINGULAR
 from ..starts import find_start
 from ..starts.directions import least_squares
 from ..starts.rounds import FINALISTS, FIRST_STEPS, LAST_STEPS
-from .survey_mirror import has_image, motion_with_images, reflected
+from .survey_mirror import has_image, motion_with_images, numbers_of, reflected
 from .survey_rows import Entity, Item, SurveyRows, blocks_of, priors_of, relations_of
 
 VIRTUAL = 3
@@ -79,21 +80,22 @@ def start_of(
         own = [item for item in rows.items if item.mount == entity]
         candidates = [from_planes[entity]] if entity in from_planes else []
         candidates += _others(rows, entity, own)
-        found = _searched(rows, entity, own, candidates, sigmas, thorough=last_resort)
-        # A mean square misfit beyond this [squared standard deviations] is no good fit; of few shots a
-        # false minimum fits well, too.
-        poor = found is None or found[0] > 25.0 or _redundancy(own, found[1]) < FEW_DEGREES
-        if last_resort and entity[0] == SENSOR.name and poor:
-            more = _searched(rows, entity, own, _random_mounts(), sigmas, thorough=True)
-            if more is not None and (found is None or more[0] < found[0]):
-                found = more
+        found = _searched_or_drawn(rows, entity, candidates, sigmas, last_resort=last_resort)
         if found is None:
             without.append(entity)
         else:
             ends.append((_redundancy(own, found[1]), found[0] / len(own), found[1]))
     if without:
         return {}, tuple(without)
-    ends = _images_that_agree(rows, entities, ends)
+    motion = motion_with_images(rows) if len(ends) > 1 else None
+    common = {i.target for i in rows.items} if motion is not None else set()
+    if motion is not None and any(family != PLANE.name for family, _ in common):
+        around = _around_one(rows, entities, ends, motion, sigmas, last_resort=last_resort)
+        if around is not None:
+            complete_bodies(rows, around)
+            return around, ()
+    if motion is not None:
+        ends = _images_that_agree(rows, entities, ends, motion)
     values, said = _empty(rows), Counter[tuple[Entity, Entity]]()
     for item in rows.items:
         said[item.mount, item.target] += item.numbers
@@ -118,8 +120,106 @@ def start_of(
     return values, ()
 
 
+def _searched_or_drawn(
+    rows: SurveyRows,
+    entity: Entity,
+    candidates: Sequence[FloatArray],
+    sigmas: Mapping[Entity, float],
+    held: Values | None = None,
+    *,
+    last_resort: bool,
+) -> tuple[float, dict[Entity, FloatArray]] | None:
+    """Do as `_searched`, as the last resort from random mounts of a sensor, too."""
+    own = [item for item in rows.items if item.mount == entity]
+    found = _searched(rows, entity, own, candidates, sigmas, thorough=last_resort, held=held)
+    # A mean square misfit beyond this [squared standard deviations] is no good fit; of few shots a
+    # false minimum fits well, too.
+    poor = found is None or found[0] > 25.0 or _redundancy(own, found[1]) < FEW_DEGREES
+    if last_resort and entity[0] == SENSOR.name and poor:
+        drawn = _random_mounts()
+        more = _searched(rows, entity, own, drawn, sigmas, thorough=True, held=held)
+        if more is not None and (found is None or more[0] < found[0]):
+            found = more
+    return found
+
+
+def _around_one(
+    rows: SurveyRows,
+    entities: Sequence[Entity],
+    ends: Sequence[End],
+    motion: PoorMotion,
+    sigmas: Mapping[Entity, float],
+    *,
+    last_resort: bool,
+) -> dict[str, FloatArray] | None:
+    """Return the best start in which all others see the targets where one of them has found these.
+
+    In a planar motion each sensor and beam finds one of two images of itself and its balls and points,
+    at some height, and those of which rays see little beside their height at other sizes. None where
+    a target is not seen by the one from which a start begins.
+    """
+    best, least = None, np.inf
+    upright = {e: motion.upright[number] for e, number in numbers_of(rows).items()}
+    for reference, (_, misfit, there) in zip(entities, ends, strict=True):
+        if not upright.keys() <= there.keys():
+            continue
+        values, cost = _empty(rows), misfit
+        for (family, member), x in there.items():
+            values[family][0, member] = x
+        for entity, (_, _, own_end) in zip(entities, ends, strict=True):
+            if entity == reference:
+                continue
+            own = [item for item in rows.items if item.mount == entity]
+            candidates = list(_moved_to(rows, entity, own_end, values, upright, motion))
+            found = _searched_or_drawn(
+                rows, entity, candidates, sigmas, values, last_resort=last_resort
+            )
+            if found is None:
+                break
+            cost += found[0] / len(own)
+            values[entity[0]][0, entity[1]] = found[1][entity]
+        else:
+            if cost < least:
+                best, least = values, cost
+    return best
+
+
+def _moved_to(
+    rows: SurveyRows,
+    entity: Entity,
+    end: Mapping[Entity, FloatArray],
+    held: Values,
+    upright: Mapping[Entity, FloatArray],
+    motion: PoorMotion,
+) -> Iterator[FloatArray]:
+    """Yield a sensor or beam and its mirror image, at the heights at which it sees each target held."""
+    place = slice(9, 12) if entity[0] == SENSOR.name else slice(0, 3)
+    for image in _images(rows, entity, end, motion):
+        x = image[entity]
+        yield x
+        for target in end:
+            if target != entity and target[0] != PLANE.name:
+                there = held[target[0]][0, target[1], :3]
+                moved = x.copy()
+                moved[place] += upright[target] @ (there - image[target][:3]) * motion.axis
+                yield moved
+
+
+def _images(
+    rows: SurveyRows, entity: Entity, end: Mapping[Entity, FloatArray], motion: PoorMotion
+) -> Iterator[Mapping[Entity, FloatArray]]:
+    """Yield a sensor or beam with its targets, then its mirror image, where it has one."""
+    yield end
+    if has_image(rows, entity):
+        values = _empty(rows)
+        for (family, member), x in end.items():
+            values[family][0, member] = x
+        image = reflected(rows, values, motion, (entity,))
+        yield {e: image[e[0]][0, e[1]] for e in end}
+
+
 def _images_that_agree(
-    rows: SurveyRows, entities: Sequence[Entity], ends: Sequence[End]
+    rows: SurveyRows, entities: Sequence[Entity], ends: Sequence[End], motion: PoorMotion
 ) -> list[End]:
     """Return the ends of the searches, each as it is or its mirror image.
 
@@ -127,9 +227,7 @@ def _images_that_agree(
     taken whose planes lean as others have them: first those without an image, then those that know
     most.
     """
-    motion, found = motion_with_images(rows), list(ends)
-    if motion is None or len(ends) == 1:
-        return found
+    found = list(ends)
     normals: dict[Entity, FloatArray] = {}
 
     def apart(there: Mapping[Entity, FloatArray]) -> float:
@@ -138,13 +236,8 @@ def _images_that_agree(
 
     order = sorted(range(len(ends)), key=lambda i: (has_image(rows, entities[i]), -ends[i][0]))
     for i in order:
-        redundancy, misfit, there = ends[i]
-        if has_image(rows, entities[i]):
-            values = _empty(rows)
-            for (family, member), x in there.items():
-                values[family][0, member] = x
-            image = reflected(rows, values, motion, (entities[i],))
-            there = min(there, {e: image[e[0]][0, e[1]] for e in there}, key=apart)
+        redundancy, misfit, end = ends[i]
+        there = min((dict(one) for one in _images(rows, entities[i], end, motion)), key=apart)
         found[i] = redundancy, misfit, there
         for entity, x in there.items():
             if entity[0] == PLANE.name:
