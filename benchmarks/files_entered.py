@@ -9,6 +9,7 @@ import dataclasses
 import sys
 import tempfile
 from collections import Counter
+from inspect import CO_OPTIMIZED
 from pathlib import Path
 from types import FrameType
 
@@ -31,7 +32,7 @@ def main() -> None:
     def enter(frame: FrameType, event: str, _: object) -> None:
         code = frame.f_code
         inside = "handlaser_gtsam/" in code.co_filename or "/factors/" in code.co_filename
-        if event == "call" and inside and code.co_name != "<module>":
+        if event == "call" and inside and code.co_flags & CO_OPTIMIZED:
             functions.add((code.co_filename, code.co_qualname, code.co_firstlineno))
             owner = frame.f_locals.get("self")
             if dataclasses.is_dataclass(owner):

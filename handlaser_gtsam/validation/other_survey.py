@@ -13,7 +13,6 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
 from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.survey import Survey
@@ -38,7 +37,7 @@ class MovedMount(NamedTuple):
         Chi2 of the difference, if nothing has moved.
     p_value : float
         Probability of a larger one then.
-    shift : (3,)
+    shift : (x, y, z)
         Of its location in the hand [m].
     turn : float
         [rad]
@@ -48,7 +47,7 @@ class MovedMount(NamedTuple):
     statistic: float
     dof: int
     p_value: float
-    shift: FloatArray
+    shift: tuple[float, ...]
     turn: float
 
 
@@ -154,4 +153,5 @@ def _compared(old: PlacedMount, now: PlacedMount) -> MovedMount:
     scale = np.sqrt(np.diagonal(C))
     z = d / scale
     statistic = float(z @ np.linalg.solve(C / np.outer(scale, scale), z))
-    return MovedMount(subject, statistic, size, float(chi2_sf(statistic, size)), shift, turn)
+    p_value = float(chi2_sf(statistic, size))
+    return MovedMount(subject, statistic, size, p_value, tuple(shift.tolist()), turn)
