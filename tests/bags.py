@@ -63,9 +63,9 @@ class Messages:
     def tf(self, *transforms):
         return self.make("tf2_msgs/msg/TFMessage", list(transforms))
 
-    def range(self, time, d, least=0.01, most=10.0):
+    def range(self, time, d, least=0.01, most=10.0, kind=1, view=0.01):
         return self.make(
-            "sensor_msgs/msg/Range", self.header(time, "laser"), 1, 0.01, least, most, float(d)
+            "sensor_msgs/msg/Range", self.header(time, "laser"), kind, view, least, most, float(d)
         )
 
     def scan(self, time, ranges, least=0.01, most=10.0):
@@ -172,7 +172,7 @@ def write_bag(folder, kind, messages, compression="", *, publishers=(), whole=Fa
     return next(path.glob("*.mcap")) if kind == "mcap-file" else path
 
 
-def published(drive: Drive, make: Messages, *, by="pose", lag=0.0, scans=False):
+def published(drive: Drive, make: Messages, *, by="pose", lag=0.0, scans=False, cone=None):
     """Yield what the arm and its sensors publish, in the order of time; readings are stamped late."""
     events = [(float(t), 0, i) for i, t in enumerate(drive.pose_time)]
     events += [(float(t), 1, i) for i, t in enumerate(drive.time)]
@@ -188,7 +188,8 @@ def published(drive: Drive, make: Messages, *, by="pose", lag=0.0, scans=False):
             yield "/scan", time, make.scan(time + lag, rays)
         else:
             for beam in range(drive.ranges.shape[1]):
-                reading = make.range(time + lag, drive.ranges[i, beam])
+                how = {} if cone is None else {"kind": 0, "view": cone}
+                reading = make.range(time + lag, drive.ranges[i, beam], **how)
                 yield f"/laser/{beam + 1}", time, reading
 
 

@@ -163,6 +163,27 @@ def test_a_bag_of_a_moving_arm_is_interpolated(tmp_path, driven):
     assert np.abs(found.ranges - in_float(drive.ranges[:count])).max() < 1e-9
 
 
+def test_messages_that_say_ultrasound_are_no_beams(tmp_path, short, handlaser, refusal):
+    bag, rig = (
+        write_bag(tmp_path, "ros2", partial(published, short, cone=0.42)),
+        tmp_path / "r.toml",
+    )
+    log = "[log]\nplane = 'A'\n"
+    rig.write_text(log)
+    said = refusal("check", bag, "--rig", rig)
+    assert "ULTRASOUND with a field of view of 24.1 deg on /laser/1" in said
+    assert "expected half_angle_deg = 12 in [sensor]" in said
+    found = hl.read_log(bag, hl.LogFormat(plane="A"))
+    assert "no-half-angle" in [one.code for one in found.warnings]
+    for stated in ('kind = "time-of-flight"', "half_angle_deg = 12"):
+        rig.write_text(f"{log}[sensor]\n{stated}\n")
+        code, out, err = handlaser("check", bag, "--rig", rig)
+        assert "ULTRASOUND" not in out + err
+        assert code in (0, 3)
+    narrow = write_bag(tmp_path, "ros1", partial(published, short, cone=0.0))
+    assert not hl.read_log(narrow, hl.LogFormat(plane="A")).warnings
+
+
 def test_what_a_bag_lacks_is_named(tmp_path, driven, refusal):
     drive, _ = driven
     bag = write_bag(tmp_path, "ros2", partial(published, drive))

@@ -20,10 +20,11 @@ from ..data.value import Value
 from ..errors import InputError
 from ..model.condensed_shots import Mixed, Unexplained
 from ..model.distributions import FAMILY_LEVEL, chi2_sf
+from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.weighting import covariance_roots
-from ..quantities import IN_PERCENT, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
+from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import tests_of
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
 from .survey_mirror import best_image, with_images
@@ -60,6 +61,9 @@ FIRST_SIGMA = 0.1 * MM
 SURELY_FITS = 2.0
 """Shots of every sensor whose typical misfit is at most this [standard deviations] have the right
 start, where they say much more than the unknowns: no other start is looked for."""
+ROUGHEST = 0.03
+"""Readings of beams whose noise is not stated err by at most this part of the typical range: what
+misfits more is no noise."""
 FINEST = 1e-9
 """Readings that fit better than this [m] are made up, or rounded."""
 
@@ -326,6 +330,9 @@ def first_state(
         names = ", ".join(_name(rows, entity) for entity in without)
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
     leave_out_gross(state)
+    rough = _roughened(state)
+    if rough is not None and np.median(misfits(rough)) <= GROSS:
+        return rough
     if np.median(misfits(state)) <= GROSS:
         return state
     free = _begun_without_relations(state)
@@ -336,6 +343,28 @@ def first_state(
     elif started_from_halves(state):
         leave_out_gross(state)
     return state
+
+
+def _roughened(state: SurveyState) -> SurveyState | None:
+    """Return a state whose readings of beams err by as much as most of them misfit, if that is a lot.
+
+    Nothing tells it beforehand: a beam has one reading a station, and the noise of triangulating lasers
+    is a thousandth of that of ultrasonic sensors. It is taken up to the part `ROUGHEST` of the range.
+    None where readings fit as they are, misfit by more, or their noise is stated.
+    """
+    beams = len(state.rows.survey.shots)
+    of_beams = [i.family == BEAM.name and i.target[0] != POINT.name for i in state.rows.items]
+    if not (any(of_beams) and np.isnan(state.stated.sigma[beams])):
+        return None
+    misfit = float(np.median(misfits(state)[of_beams]))
+    sigma = state.sizes.sigma.copy()
+    sigma[beams] *= MEDIAN_TO_SIGMA * misfit
+    if misfit <= GROSS or sigma[beams] > ROUGHEST * state.rows.length:
+        return None
+    every = np.ones(len(state.used), dtype=bool)
+    rough = replace(state, sizes=replace(state.sizes, sigma=sigma), used=every)
+    leave_out_gross(rough)
+    return rough
 
 
 def _begun_without_relations(state: SurveyState) -> SurveyState | None:

@@ -9,7 +9,7 @@ from ..data.survey import Survey, kind_of
 from ..errors import CalibrationWarning, InputError
 from ..model.sensor_limits import Sensor
 from ..text import shown
-from .logs.format import LogFormat, LogReport
+from .logs.format import NO_HALF_ANGLE, LogFormat, LogReport
 from .recording_csv import read_recording
 from .rig_toml import Rig, as_fields, naming_fields
 
@@ -81,16 +81,27 @@ def _warnings(
     """Return what was warned of, in fields of the table [log] in place of options of `convert`.
 
     Ultrasonic sensors are added whose readings are taken for readings of beams.
+
+    Raises
+    ------
+    InputError
+        A bag that says of itself that it has such readings, where nothing is stated of them.
     """
+    kind = rig.sensor.kind
     warnings = tuple(replace(one, message=as_fields(one.message)) for one in read)
-    if rig.sensor.kind != "ultrasonic" or rig.half_angle or not beams:
+    for one in warnings:
+        if one.code == NO_HALF_ANGLE and kind in (None, "ultrasonic") and not rig.half_angle:
+            found, _, expected = one.message.partition("; expected ")
+            raise InputError(found, expected)
+    warnings = tuple(one for one in warnings if one.code != NO_HALF_ANGLE)
+    if kind != "ultrasonic" or rig.half_angle or not beams:
         return warnings
     words = (
         'kind = "ultrasonic" in [sensor] without half_angle_deg: readings are taken for those along a '
         "beam, where an ultrasonic sensor reads what is nearest in a cone; state half_angle_deg, half "
         "the opening angle of the data sheet"
     )
-    return (*warnings, CalibrationWarning("no-half-angle", words, {"beams": len(beams)}))
+    return (*warnings, CalibrationWarning(NO_HALF_ANGLE, words, {"beams": len(beams)}))
 
 
 def read_any(

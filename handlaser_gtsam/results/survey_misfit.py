@@ -53,6 +53,8 @@ LABEL = "misspelt-label"
 """Code of the warning that few stations have a label of their own, and fit another target."""
 NO_FIT = "no-fit"
 """Code of the warning that most shots do not fit each other."""
+UNSURE_ANGLE = "half-angle-unsure"
+"""Code of the warning that readings of cones fit as well with another half angle."""
 HALF_ANGLE = "half-angle"
 """Code of the warning that cones are wider, or narrower, than is stated."""
 BEHIND_ECHO = "behind-echo"
@@ -90,7 +92,7 @@ def misread(rows: SurveyRows, noise: Noise) -> Iterator[CalibrationWarning]:
 
 
 def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
-    """Warn of cones whose readings fit far better with another half angle, by an F test.
+    """Warn of cones whose readings fit far better with another half angle, by an F test, or as well.
 
     Each reading that does not fit costs as much as one that just does.
     """
@@ -115,6 +117,7 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
 
     at_stated, squares = fitted(stated, found)
     least, better, tries = squares, stated, 0
+    others: list[tuple[float, float, SurveyEstimate]] = []
     # A datum of a data sheet may be another one, or the whole angle in its place. From the stated
     # angle outwards each begins where the one before ended. On the way to the right one the misfit may
     # grow by a tenth, as shots come in and others go out; beyond it, it grows to nearly twice as much.
@@ -128,14 +131,31 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             if now > 1.5 * squares_before:
                 break
             before, squares_before = again, now
+            others.append((half_angle, now, again))
             if now < least:
                 least, better = now, half_angle
     dof = found.estimate.dof
-    if better == stated or least <= 0.0 or dof < 1:
+    if least <= 0.0 or not np.isfinite(least) or dof < 1:
         return
-    gain = (squares - least) / (least / dof)
-    if np.isfinite(gain) and f_sf(gain, 1, dof) < FAMILY_LEVEL / tries:
+    variance = least / dof
+    gain = (squares - least) / variance
+    if better != stated and np.isfinite(gain) and f_sf(gain, 1, dof) < FAMILY_LEVEL / tries:
         yield warned(HALF_ANGLE, {"half_angle": better}, stated=stated)
+        return
+    alike = [(a, e) for a, s, e in others if s - squares <= FAR_SIGMAS**2 * variance]
+    shifts = [(_shift_of_beams(at_stated, other), angle) for angle, other in alike]
+    (times, shift), angle = max(shifts, default=((0.0, 0.0), stated))
+    if times > 1.0:
+        yield warned(UNSURE_ANGLE, {"half_angle": angle, "shift_m": shift}, stated=stated)
+
+
+def _shift_of_beams(found: SurveyEstimate, other: SurveyEstimate) -> tuple[float, float]:
+    """Return the largest shift of a beam between two estimates, in its sigmas and in metres."""
+    moved = other.estimate.values[BEAM.name][:, :3] - found.estimate.values[BEAM.name][:, :3]
+    shifts = np.linalg.norm(moved, axis=1)
+    blocks = [found.estimate.marginal(BEAM.name, i)[:3, :3] for i in range(len(moved))]
+    sigma = np.sqrt([np.trace(C) for C in blocks])
+    return max(zip((shifts / sigma).tolist(), shifts.tolist(), strict=True))
 
 
 def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

@@ -1,5 +1,6 @@
 """What a survey leaves undetermined, in words: by the kind of its motion, by circles, or one by one."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -8,16 +9,16 @@ from ..arrays import FloatArray
 from ..data.survey import RAY_ERRORS
 from ..estimation.estimate import Estimate
 from ..estimation.survey_mirror import motion_of, numbers_of
-from ..estimation.survey_rows import SurveyRows
+from ..estimation.survey_rows import SurveyRows, blocks_of
 from ..model.distributions import FEW_DEGREES
-from ..model.families import BEAM, FAMILIES, PLANE, RANGE_ERROR, bases, pose_of
+from ..model.families import BEAM, DIRECTION, FAMILIES, PLANE, RANGE_ERROR, bases, pose_of
 from ..model.relation import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
 from ..observability.motion import COUNTED_TURN, PoorMotion, named
 from ..observability.wording import MOUNTED, WORTH_A_WORD, Kind, OpenPart, vector_words
-from ..quantities import FAR_SIGMAS, IN_DEG
+from ..quantities import FAR_SIGMAS, IN_DEG, NEGLIGIBLE
 from ..text import some
 from .lines import NAMES_IN_LINE
 from .messages import said
@@ -53,7 +54,8 @@ def open_words(
     """
     what, cures = _words_of_images(rows, images)
     parts = tuple(_parts(rows, found.values, null))
-    unheard = [p for p in parts if rows.survey.half_angle and p.quantity == "direction"]
+    within = set(_within_their_cones(rows, found)) if rows.survey.half_angle else set()
+    unheard = [p for p in parts if p.quantity == "direction" and p.name in within]
     if unheard:
         names = some([part.name for part in unheard], 6)
         what += (said("open:cone", names=names),)
@@ -233,6 +235,17 @@ def _quantities(
 def _name_of(rows: SurveyRows, family: str, member: int) -> str:
     """Return the name of a target without its kind."""
     return rows.label((family, member)).partition(":")[2]
+
+
+def _within_their_cones(rows: SurveyRows, found: Estimate) -> Iterator[str]:
+    """Yield the names of cones whose readings all stay the same where their axis turns."""
+    values = {name: x[None] for name, x in found.values.items()}
+    for member, name in enumerate(rows.survey.beam_names):
+        own = [item for item in rows.items if item.mount == (BEAM.name, member)]
+        blocks, _ = blocks_of(own, defaultdict(lambda: 1.0), values)
+        turned = (block.evaluate(values).columns[DIRECTION] for block in blocks)
+        if all((np.abs(columns) <= NEGLIGIBLE * rows.length).all() for columns in turned):
+            yield name
 
 
 def _on_one_circle(rows: SurveyRows, values: Mapping[str, FloatArray]) -> Iterator[str]:

@@ -55,6 +55,7 @@ from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, warned
 from .survey_misfit import (
+    MISREAD,
     contradictions,
     implausible,
     misheard,
@@ -81,7 +82,9 @@ def survey_warnings(
 ) -> Iterator[CalibrationWarning]:
     """Yield the warnings of a survey, causes before what they make of the result."""
     yield from contradictions(relations)
-    causes = (*misread(found.rows, found.given), *misheard(found), *pulled(found))
+    heard = tuple(misheard(found))
+    causes = (*misread(found.rows, found.given), *pulled(found))
+    causes += tuple(one for one in heard if one.code in MISREAD)
     causes += tuple(implausible(found.rows, found.estimate.values))
     causes += tuple(mislabelled(found.ended(), found.estimate))
     unread = tuple(unread_stations(found.rows))
@@ -95,6 +98,7 @@ def survey_warnings(
     elif not causes:
         yield from unconfirmed(found.rows, unread)
     yield from causes
+    yield from (one for one in heard if one not in causes)
     gone = [one for one in unread if one.code == "no-edge" or "targets" in one.values]
     yield from gone  # a target of which no shot counts is missing in all that follows
     yield from _sigmas(found)

@@ -25,15 +25,19 @@ from ...arrays import FloatArray
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...model.conventions import LENGTHS
 from ...progress import tell
-from ...quantities import LARGEST_LENGTH, ROWS_AT_ONCE
+from ...quantities import IN_DEG, LARGEST_LENGTH, ROWS_AT_ONCE
 from ...text import A_NAME, name_fault, shown, some
 from ..recording_csv import off_unit
 from ..table import FileTable
-from .format import TUM_HEADER, LogFormat
+from .format import NO_HALF_ANGLE, TUM_HEADER, LogFormat
 from .motion import interpolated, neighbours
 from .packed import limit_chunks, refuse_bag_bomb
 from .rows import LogRows
 
+ULTRASOUND = 0
+"""Of `radiation_type` in messages of `Range`. Drivers of lasers that leave it so state no view."""
+NARROW = 0.05
+"""Fields of view up to this [rad] are those of beams."""
 RANGE, SCAN = "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan"
 POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
@@ -98,6 +102,7 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     """
     beams: dict[str, Place] = {}
     numbers: dict[str, array[float]] = {}  # of each beam time [s] and reading [m], in turn
+    cones: dict[str, float] = {}  # fields of view of ultrasonic topics [rad]
     unit = LENGTHS[given.range_units]
 
     def read(topic: str, message: Any, time: float) -> None:
@@ -107,6 +112,8 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
                 continue
             if ray is None:
                 least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
+                if message.radiation_type == ULTRASOUND and message.field_of_view > NARROW:
+                    cones[topic] = float(message.field_of_view)
             else:
                 if ray >= len(message.ranges):
                     found = f"a scan of {len(message.ranges)} rays on {topic}"
@@ -127,7 +134,20 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
         if not len(numbers[name]):
             found = f"no reading of beam {name} within the limits of its messages, on {topic}"
             raise InputError(found, "at least one, or the other topics by --range-columns")
-    return poses, _readings(numbers, path)
+    readings = _readings(numbers, path)
+    return poses, readings._replace(warnings=(*readings.warnings, *_of_cones(cones)))
+
+
+def _of_cones(cones: Mapping[str, float]) -> Iterator[CalibrationWarning]:
+    """Warn of topics whose messages say that they are of ultrasonic sensors."""
+    if cones:
+        topics, widest = some(list(cones), 8), max(cones.values()) * IN_DEG
+        words = (
+            f"messages of ULTRASOUND with a field of view of {widest:.3g} deg on {topics}; expected "
+            f"half_angle_deg = {widest / 2.0:.3g} in [sensor] of a rig file, half of it, because such "
+            'a sensor reads what is nearest in a cone; or kind = "time-of-flight" there for beams'
+        )
+        yield CalibrationWarning(NO_HALF_ANGLE, words, {"beams": len(cones)})
 
 
 def read_messages(

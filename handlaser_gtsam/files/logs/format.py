@@ -18,6 +18,8 @@ AngleUnits = Literal["deg", "rad"]
 Decimal = Literal["point", "comma"]
 Average = Literal["mean", "median"]
 TimeUnits = Literal["s", "ms", "us", "ns"]
+NO_HALF_ANGLE = "no-half-angle"
+"""Code of the warning that readings of an ultrasonic sensor are taken for readings along a beam."""
 TUM_HEADER = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 """The columns of a TUM file, and the numbers of a stamped pose."""
 
