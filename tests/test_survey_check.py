@@ -181,6 +181,26 @@ def test_an_open_height_takes_no_sigma_from_the_other_coordinates(tilt):
     assert row["sigma [mm]"].value == pytest.approx(1e3 * mount.location_sigma[:2].max())
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [2, 5])
+def test_the_mirror_image_is_that_of_the_mount_that_is_stated(seed):
+    """Whatever else is wrong, here the noise that is stated: the true mount was called contradicted."""
+    survey = vehicle("scanner", "planar", "one leans", tilt=11.0, seed=seed)
+    rng = np.random.default_rng(seed)
+    (shots,) = survey.shots
+    shots = replace(shots, reading=shots.reading + 5e-3 * rng.normal(size=shots.reading.shape))
+    t = survey.stations.world_t_hand
+    t = t + [2e-3, 2e-3, 0.0] * rng.normal(size=t.shape)
+    true = mounted("eye", "scanner", 11.0, (0.1, -0.05, 0.3))[1]
+    known = hl.Known("mount", ("sensor:eye",), sigma=5e-3, sigma_angle=np.radians(3.0), pose=true)
+    found = hl.calibrate(
+        hl.Survey(replace(survey.stations, world_t_hand=t), (shots,), known=(known,))
+    )
+    turn = Rotation.from_matrix(true[:3, :3].T @ found.sensors["eye"].rotation).magnitude()
+    assert np.degrees(turn) < 1.0
+    assert "relation-contradicted" not in [one.code for one in found.warnings]
+
+
 def test_flat_sensors_before_one_ball_find_it_at_one_height():
     """In a planar motion each has two mirror images, and finds the ball at a height of its own."""
     found = hl.calibrate(vehicle("profiler", "planar", "a sphere", beside=("scanner",), seed=5))

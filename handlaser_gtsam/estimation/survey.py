@@ -27,7 +27,7 @@ from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import tests_of
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
-from .survey_mirror import best_image, with_images
+from .survey_mirror import best_image, images_of, motion_with_images, with_images
 from .survey_noise import USUALLY_AGAIN, Components, Inside, components
 from .survey_outliers import (
     GROSS,
@@ -224,6 +224,10 @@ def estimate_survey(
     if (doubtful or not settled) and _blames_relations(state, settled):
         settled, doubtful = True, _doubtful(state)
         first = min(first, first_fit(state), key=lambda one: one.misfit)  # without the relation
+    if state.relations and _some_relation_is_contradicted(state) and _image_that_agrees(state):
+        settled, doubtful = True, _doubtful(state)
+        first = min(first, first_fit(state), key=lambda one: one.misfit)
+        again, others = best_image(state, _settle_near)
     problem, _ = state.problem()
     found = judged(problem, problem.blocks, dict(state.values))
     # A mirror image that fits better than the first state is none of its misfit.
@@ -461,6 +465,22 @@ def _blames_relations(state: SurveyState, settled: bool) -> bool:
         state.rows, state.values = found.rows, found.values
         state.sizes, state.used = found.sizes, found.used
         return True
+    return False
+
+
+def _image_that_agrees(state: SurveyState) -> bool:
+    """Go to a mirror image in the plane of the motion that no relation contradicts, if there is one.
+
+    Where relations are rough, a search may end between an image and what they say, with sizes of the
+    noise that hide which image they mean.
+    """
+    motion = motion_with_images(state.rows)
+    for values in () if motion is None else images_of(state.rows, state.values, motion):
+        every = np.ones(len(state.used), dtype=bool)
+        image = replace(state, values=values, used=every)
+        if _settle_near(image) and not _some_relation_is_contradicted(image):
+            state.values, state.sizes, state.used = image.values, image.sizes, image.used
+            return True
     return False
 
 

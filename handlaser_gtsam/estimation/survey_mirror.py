@@ -86,7 +86,7 @@ def best_image(
         return settled, others
     for _ in range(MOST_ROUNDS):
         here, least, best, others = _chi2(state), -(FAR_SIGMAS**2), None, []
-        for values in _images(state.rows, state.values, motion):
+        for values in images_of(state.rows, state.values, motion):
             trial = replace(state, values=values)
             more = _chi2(trial) - here
             # Where all that counts is symmetric, an image is a minimum itself. A relation that tells
@@ -147,7 +147,7 @@ def _chi2(state: "SurveyState") -> float:
     return float(e @ e)
 
 
-def _images(
+def images_of(
     rows: SurveyRows, values: Mapping[str, FloatArray], motion: PoorMotion
 ) -> Iterator[dict[str, FloatArray]]:
     """Yield the values with every group of mounts, and what they see, reflected."""

@@ -36,6 +36,7 @@ from ..observability.motion import PoorMotion
 from ..outliers.consensus import find_consensus
 from ..quantities import NEGLIGIBLE, SINGULAR
 from ..starts import find_start
+from ..starts.choice import SAME_COST
 from ..starts.directions import least_squares
 from ..starts.rounds import FINALISTS, FIRST_STEPS, LAST_STEPS
 from .survey_mirror import has_image, motion_with_images, numbers_of, reflected
@@ -79,7 +80,7 @@ def start_of(
     for entity in entities:
         own = [item for item in rows.items if item.mount == entity]
         candidates = [from_planes[entity]] if entity in from_planes else []
-        candidates += _others(rows, entity, own)
+        candidates += [*_stated(rows, entity), *_others(rows, entity, own)]
         found = _searched_or_drawn(rows, entity, candidates, sigmas, last_resort=last_resort)
         if found is None:
             without.append(entity)
@@ -384,6 +385,17 @@ def _virtual_across(across: FloatArray) -> FloatArray:
 # --- all other starts ------------------------------------------------------------------------------
 
 
+def _stated(rows: SurveyRows, entity: Entity) -> Iterator[FloatArray]:
+    """Yield where a sensor or beam is stated to be, without range errors."""
+    for known in rows.known:
+        if known.relation == "mount" and rows.entities(known) == [entity]:
+            assert known.pose is not None
+            R, t = known.pose[:3, :3], known.pose[:3, 3]
+            where = (t, R[:, 2]) if entity[0] == BEAM.name else (R.ravel(), t)
+            none = np.zeros(FAMILIES[entity[0]].size - sum(map(len, where)))
+            yield np.concatenate((*where, none))
+
+
 def _others(rows: SurveyRows, entity: Entity, own: Sequence[Item]) -> list[FloatArray]:
     """Return starts by other ways."""
     seen = {item.target[0] for item in own}
@@ -668,6 +680,12 @@ def _searched(
     k = int(cost.argmin())
     if not np.isfinite(cost[k]):
         return None
+    # Of mirror images, which fit alike, the one that is stated of the mount.
+    stated = [r for known, r in relations_of(rows) if rows.entities(known) == [entity]]
+    if stated:
+        off = [np.square(r.evaluate(ended.values).columns[-1]).sum(axis=(1, 2)) for r in stated]
+        alike = cost <= SAME_COST * cost[k]
+        k = int(np.where(alike, np.sum(off, axis=0), np.inf).argmin())
     return float(cost[k]), {e: ended.values[e[0]][k, e[1]] for e in (entity, *targets)}
 
 

@@ -132,9 +132,10 @@ def _words_of_images(
     if not names and images:
         planes = some([_name_of(rows, *target) for target in images], 6)
         return (f"which way planes {planes} lean: {image}",), (said("cure:mirrored-planes"),)
-    # A relation tells the images apart where it makes chi2 of the false one far larger.
+    # A relation tells the images apart where it makes chi2 of the false one far larger, and of all that
+    # is nearer to it than to the true one, where readings with much noise hardly tell a lean.
     cures = [
-        said("cure:mirrored-mount", name=name, sigma=images[mount] * IN_DEG / FAR_SIGMAS)
+        said("cure:mirrored-mount", name=name, sigma=0.5 * images[mount] * IN_DEG / FAR_SIGMAS)
         for mount, name in names.items()
     ]
     return tuple(f"which way up {name} is: {image}" for name in names.values()), tuple(cures)
