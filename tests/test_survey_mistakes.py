@@ -397,6 +397,27 @@ def test_wrong_labels_are_found_beside_beams(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sensors", "seed"), [(("profiler",), 2), (("profiler", "beam", "beam"), 1)]
+)
+def test_labels_exchanged_before_two_planes_are_found(sensors, seed):
+    """A twentieth of the halves is without three of ten before each of two planes, and more thirds."""
+    rig = rigs_by_rays.mixed(seed, sensors=sensors, targets="planes+sphere", planes=2, stations=10)
+    survey, rng = survey_of(rig), np.random.default_rng(seed)
+    labels = np.array(survey.stations.plane_labels, dtype=object)
+    of = [rng.choice(np.flatnonzero(labels == f"plane:{x}"), 3, replace=False) for x in "AB"]
+    labels[of[0]], labels[of[1]] = "plane:B", "plane:A"
+    stations = replace(survey.stations, plane_labels=tuple(labels))
+    found = hl.calibrate(replace(survey, stations=stations))
+    assert found.status == "converged"
+    out = {one.station for one in found.rejected}
+    assert out >= {survey.stations.station_names[j] for j in np.concatenate(of)}
+    (mount,) = found.sensors.values()
+    off = mount.location - rig.truth[mount.name][:3, 3]
+    assert (np.abs(off) < 5.0 * mount.location_sigma).all()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("case", KINDS_EXCHANGED)
 def test_a_target_of_the_other_kind_is_no_fit_where_the_search_ends_nowhere(case, monkeypatch):
     """One mistake, one code, whatever becomes of the search."""

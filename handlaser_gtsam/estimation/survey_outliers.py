@@ -35,7 +35,7 @@ from .estimate import BlockProblem
 from .joint_solution import STEPS_IN_VAIN
 from .survey_mirror import numbers_of
 from .survey_rows import Item, SurveyRows, blocks_of
-from .survey_starts import TRIMMED, start_of
+from .survey_starts import TRIMMED, search_again, start_of
 from .survey_state import SurveyState, grazing
 
 GROSS = 6.0
@@ -74,34 +74,45 @@ def leave_out_gross(state: SurveyState) -> None:
 
 
 def started_from_halves(state: SurveyState) -> bool:
-    """Look for a start that most shots agree with, from random halves of the stations of each target.
+    """Look for a start that most shots agree with, from random parts of the stations of each target.
 
-    A few wrong labels, which pull a start of all shots elsewhere, are in some of these halves only;
-    the others need no random mounts as a last resort. Tell whether one was found.
+    A few wrong labels, which pull a start of all shots elsewhere, are in some of these parts only; the
+    others need no random mounts as a last resort. Halves are tried first, which tell most, then thirds:
+    these are without wrong ones where several targets have some. Tell whether one was found.
     """
     items, rng = state.rows.items, np.random.default_rng(len(state.rows.items))
     numbers = numbers_of(state.rows)
     target = np.array([numbers[item.target] for item in items])
     station = np.array([item.station for item in items])
-    least, values, nearest = float(np.median(misfits(state))), None, np.inf
-    # Of eighteen shots with two wrong ones a fifth of the halves has none, and one of twelve with 93 %.
-    for _ in range(12):
+    # A shot says more than a reading: beams follow, where sensors of many rays have found the targets.
+    first = np.array([item.family == SENSOR.name for item in items])
+    first = first if first.any() else ~first
+    least, values, nearest = float(np.median(misfits(state)[first])), None, np.inf
+    # Of eighteen shots with two wrong ones a fifth of the halves has none, and one of twelve with 93 %;
+    # with two of ten wrong before each of two planes a fifth of the thirds, and a twentieth of halves.
+    for parts in (2,) * 12 + (3,) * 24:
         some = np.zeros(len(items), dtype=bool)
         for one in np.unique(target):
             own = rng.permutation(np.unique(station[target == one]))
-            some |= (target == one) & np.isin(station, own[: max(len(own) // 2, 3)])
-        half = tuple(item for item, taken in zip(items, some, strict=True) if taken)
-        part = replace(state.rows, items=half)
-        begun, without = start_of(part, state.sigmas(), last_resort=False)
+            some |= (target == one) & np.isin(station, own[: max(len(own) // parts, 3)])
+        some &= first
+        part = tuple(item for item, taken in zip(items, some, strict=True) if taken)
+        begun, without = start_of(
+            replace(state.rows, items=part), state.sigmas(), last_resort=False
+        )
         if without:
             continue
         trial = replace(state, values=begun, used=some)
-        start = float(np.median(misfits(trial)))
+        start = float(np.median(misfits(trial)[first]))
         # One without wrong labels starts nearer than all with some.
         if start >= nearest or not trial.minimize(STEPS_IN_VAIN):
             continue
         nearest = start
-        misfit = float(np.median(misfits(trial)))
+        # What most agree on is known better from all of these.
+        each = misfits(trial)
+        trial.used = first & (each <= np.quantile(each[first], TRIMMED))
+        each = misfits(trial) if trial.minimize(STEPS_IN_VAIN) else each
+        misfit = float(np.median(each[first]))
         if misfit < least:
             least, values = misfit, trial.values
         if misfit < 1.0:
@@ -109,7 +120,14 @@ def started_from_halves(state: SurveyState) -> bool:
     if values is None:
         return False
     state.values = values
-    state.used = misfits(state) <= GROSS * max(least, 1.0)
+    good = misfits(state) <= GROSS * max(least, 1.0)
+    if not first.all():
+        there = np.isin(station, station[first & good]) & ~first
+        rest = tuple(item for item, right in zip(items, there, strict=True) if right)
+        for mount in dict.fromkeys(item.mount for item in rest):
+            search_again(replace(state.rows, items=rest), mount, values, state.sigmas())
+        good = misfits(state) <= GROSS * max(least, 1.0)
+    state.used = good
     return True
 
 

@@ -116,7 +116,7 @@ def start_of(
     known = {e for (_, _, there), trust in zip(ends, trusted, strict=True) if trust for e in there}
     for (_, _, there), entity, trust in zip(ends, entities, trusted, strict=True):
         if not trust and known.issuperset(set(there) - {entity}):
-            _search_again(rows, entity, values, sigmas)
+            search_again(rows, entity, values, sigmas)
     complete_bodies(rows, values)
     return values, ()
 
@@ -293,7 +293,7 @@ def _redundancy(own: Sequence[Item], there: Iterable[Entity]) -> int:
     return numbers - sum(OF_MOUNT.get(family, FAMILIES[family].dim) for family, _ in there)
 
 
-def _search_again(
+def search_again(
     rows: SurveyRows, entity: Entity, values: dict[str, FloatArray], sigmas: Mapping[Entity, float]
 ) -> None:
     """Search for a sensor or beam with its targets held where others have found them."""
