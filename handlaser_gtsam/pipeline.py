@@ -17,6 +17,7 @@ from .estimation.selection import select
 from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
+from .results.messages import warned
 from .results.problem import Problem
 
 if TYPE_CHECKING:
@@ -154,6 +155,9 @@ def calibrate_from(
             start = start.part(order.beams, order.planes).seen_from(origins)
         selection = select(recording, local, ordered, options, start)
         # 4. Warnings and tests, in the names and the order of the recording.
+        stated = noise.range_sigma
+        if selection.range_sigma != stated:
+            noise, ordered = (replace(one, range_sigma=None) for one in (noise, ordered))
         problem = Problem(recording, readings, order, origins, noise, options.sensor)
         freed = None
         if options.free:
@@ -162,6 +166,9 @@ def calibrate_from(
 
             problem, selection, freed = with_freed(problem, selection, ordered, options)
         result = assemble(problem, selection, freed)
+    if stated is not None and noise.range_sigma is None:
+        values = {"stated": stated, "sigma": result.fit.range_sigma}
+        warnings = (*warnings, warned("sigmas-too-small:range", values))
     recorded = None if freed is None else recording
     result = replace(
         result,

@@ -155,3 +155,33 @@ def test_too_few_stations_to_have_moved_amid_them():
     whole = recorded(3)
     few = hl.calibrate(whole.part(np.arange(12)))
     assert not any(one.code == DISPLACED for one in few.warnings)
+
+
+STATED = hl.Noise(range_sigma=5e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_true_range_sigma_does_not_let_poses_explain_a_beam_that_was_moved(seed):
+    """Large pose errors would explain it at the stated sigma: the fit was off by 3 mm (seed 0)."""
+    recording = recorded(seed, shifted(3e-3))
+    found, free = hl.calibrate(recording, STATED), hl.calibrate(recording)
+    assert found.verdict.code == "systematic-error"
+    moved = [one for one in found.warnings if one.code == DISPLACED]
+    assert [one.values["target"] for one in moved] == ["beam 2"]
+    assert not found.fit.range_sigma_given
+    (stated,) = (one for one in found.warnings if one.code == "sigmas-too-small")
+    assert stated.values == {"stated": 5e-5, "sigma": found.fit.range_sigma}
+    for name in ("1", "3"):
+        one, other = found.beams[name], free.beams[name]
+        assert (np.abs(one.location - other.location) < 0.1 * other.sigma[:3]).all()
+
+
+@pytest.mark.parametrize("robot", [1.0, 10.0])
+def test_large_errors_of_poses_do_not_contradict_a_true_range_sigma(robot):
+    recording = recorded(4)
+    rng = np.random.default_rng(4)
+    t = recording.world_t_hand + robot * 1e-4 * rng.standard_normal((42, 3))
+    found = hl.calibrate(replace(recording, world_t_hand=t), STATED)
+    assert found.fit.range_sigma_given
+    assert "sigmas-too-small" not in {one.code for one in found.warnings}

@@ -460,6 +460,42 @@ def test_steps_that_swing_are_taken_with_damping(noise):
         assert (np.abs(found.beams[name].location - beam.location) < 1e-6).all()
 
 
+@pytest.mark.parametrize(
+    ("again", "message"),
+    [
+        (2, ""),
+        (9, "a session does not arrive .the estimate does not settle"),
+    ],
+    ids=["settles from everything", "never settles"],
+)
+def test_what_does_not_settle_begins_again_from_everything(monkeypatch, again, message):
+    """Scales that early planes gave may fit later ones so badly that undamped steps swing."""
+    recording = recorded(5)
+    session = hl.Session(EXACT, NONE)
+    for index in range(4):
+        session.add(plane(recording, index))
+    settle, refused = isam.IncrementalGraph._settle, []
+
+    def swinging(graph, part):
+        if len(refused) < again:
+            refused.append(part)
+            raise RuntimeError("the estimate does not settle")
+        settle(graph, part)
+
+    monkeypatch.setattr(isam.IncrementalGraph, "_settle", swinging)
+    last = plane(recording, 4)
+    if message:
+        with pytest.raises(hl.InputError, match=message):
+            session.add(last)
+        monkeypatch.undo()
+        assert session.planes == recording.plane_names[:4]
+    else:
+        session.add(last)
+        assert len(refused) == again
+        assert session.planes == recording.plane_names
+    assert_batch(session)
+
+
 @pytest.mark.slow
 def test_readings_that_meet_their_plane_too_flat_are_left_out():
     recording = recorded(10)

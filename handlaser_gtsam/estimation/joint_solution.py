@@ -18,6 +18,7 @@ from ..data.parameters import Parameters, RangeErrorPrior, per_beam
 from ..data.recording import Readings
 from ..model.beams_on_planes import CENTRE, parameters_of, values_of
 from ..model.damped_search import LevenbergOptions, RobustLoss, Searched, search
+from ..model.distributions import UNLIKELY_EXCESS
 from ..model.equation import residuals, residuals_or_infinite, scene
 from ..model.families import BEAM, PLANE
 from ..model.losses import GAUSSIAN, Loss
@@ -33,7 +34,7 @@ from ..solvers.gtsam_sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
 from .options import CalibrationOptions
-from .scales import Scales, start_of, unknown_scales, with_scales
+from .scales import RANGE, Scales, start_of, unknown_scales, with_scales
 from .solution import Minimum, Solution, covariance_by_gtsam, numbered, posterior
 
 WEIGHTS_SETTLED = 1e-3
@@ -66,7 +67,8 @@ def settle(
     """Solve jointly, find unknown scales, and diagnose the solution.
 
     The integration over the scales is left to `SolutionTask.finished`: it is not needed before the
-    readings are chosen. Of readings that do not fit no scale is learned.
+    readings are chosen. Of readings that do not fit no scale is learned. A given range sigma that the
+    readings contradict is estimated (`SolutionTask.noise` has none then).
 
     Parameters
     ----------
@@ -91,6 +93,9 @@ def settle(
     alike = base.pose is None and base.incidence_sigma == 0.0 and given
     # A common sigma is found by sigma0 without any effort.
     task.learns = task.prior_is_learned or bool(task.scales.unknown and not alike)
+    if task.learns and task.contradicts_range_sigma(first):
+        noise = replace(noise, range_sigma=None)
+        return settle(readings, first.parameters, noise, options, scale, prior)
     if task.learns or not alike or unequal(base, task.terms, readings):
         task.solution = task.settled(first)
     return task
@@ -101,6 +106,8 @@ class SolutionTask:
 
     Attributes
     ----------
+    noise : Noise
+        As given; without a range sigma that the readings contradict.
     solution : Solution
         At the most probable scales.
     """
@@ -162,6 +169,33 @@ class SolutionTask:
         """Tell whether residuals (N,) [m] are no fit; outliers that a loss bounds are none."""
         rms = float(np.sqrt(residual @ residual / len(residual)))
         return self.loss == GAUSSIAN and rms > NO_FIT * self.readings.spread()
+
+    def contradicts_range_sigma(self, first: Solution) -> bool:
+        """Tell whether the readings contradict a given range sigma, beside unknown pose sigmas.
+
+        An error of one beam alone, such as a move amid the recording, is no error of a pose. Where the
+        range sigma is too small for it, large pose errors explain it all the same: the readings of a
+        station then say hardly anything, and the fit may go anywhere.
+
+        The given sigma is contradicted where the readings are more probable by 1 / `SINGLE_LEVEL` if
+        each errs as the residuals of equal weights do, and poses as usual. Where sigma and model hold,
+        a fixed rival is as much more probable with this probability at most (Markov's inequality).
+        """
+        given, unknown = self.noise.range_sigma, self.scales.unknown
+        if given is None or self.sigma <= given or self.loss != GAUSSIAN or not unknown:
+            return False
+        if any(scale.name == RANGE for scale in unknown) or not first.observability.full:
+            return False
+        usual = start_of(self.scales, self.sigma, self.length)
+        self.point = usual, self.point[1]
+        stated = self._scale_problem(first)
+        ranges = np.full(self.readings.beams, self.sigma)
+        rival = replace(stated, scales=replace(self.scales, range_sigma=ranges))
+        enough = float(rival.log_posterior(usual[None])[0]) - 0.5 * UNLIKELY_EXCESS
+        # Mostly no search for the most probable pose sigmas is needed.
+        if float(stated.log_posterior(usual[None])[0]) >= enough:
+            return False
+        return float(stated.log_posterior(stated.mode(usual)[None])[0]) < enough
 
     @property
     def redundancy(self) -> int:

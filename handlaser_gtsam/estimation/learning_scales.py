@@ -300,7 +300,7 @@ class ScaleProblem:
 
     def mode(self, start: FloatArray) -> FloatArray:
         """Return the most probable logarithms of the scales of the noise."""
-        return find_mode(self._log_posterior, start, self.scales.bounds)
+        return find_mode(self.log_posterior, start, self.scales.bounds)
 
     def range_error_scales(self, mode: FloatArray) -> FloatArray:
         """Return geometric posterior means (T,) of the sigmas of range errors, noise known."""
@@ -314,7 +314,7 @@ class ScaleProblem:
             grids = (self._most_probable(mode, probable),)
         wide = self.readings.beams <= INTEGRATED_BEAMS and len(self.readings) <= CERTAIN_READINGS
         least = 0.0 if wide else np.inf
-        points, log_weight, left = design(self._log_posterior, mode, self.scales.bounds, least)
+        points, log_weight, left = design(self.log_posterior, mode, self.scales.bounds, least)
         return LearnedScales(
             self.scales,
             self.base,
@@ -362,7 +362,8 @@ class ScaleProblem:
         terms = 0 if self.linearity is None else self.terms
         return widest_grids(self.linearity or 1.0, terms, self.readings.beams, angles)
 
-    def _log_posterior(self, points: FloatArray) -> FloatArray:
+    def log_posterior(self, points: FloatArray) -> FloatArray:
+        """Return the logarithms (J,) of the posterior density at logarithms (J, d) of the scales."""
         part = self._part
         evidence = part.beams(points)[0].log_evidence_of(part._wide)
         likelihood = logsumexp(evidence + part._wide.log_prior, axis=1)

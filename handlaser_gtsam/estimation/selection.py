@@ -42,6 +42,8 @@ class Selection:
         Every start that was tried, with the rms of its residuals [m].
     solution : Solution
         Solution of the readings `used`, in their order.
+    range_sigma : float or None
+        The range sigma that was given [m], unless the readings contradict it.
     """
 
     used: BoolArray
@@ -50,6 +52,7 @@ class Selection:
     method: str
     tried: tuple[tuple[str, float], ...]
     solution: Solution
+    range_sigma: float | None
 
     def outliers(self) -> BoolArray:
         """Return which readings (N,) were rejected because the others contradict them."""
@@ -99,6 +102,7 @@ def select(
         whole = solved(first.parameters, inside)
         if _needs_what_was_rejected(whole.solution, settled.solution, noise):
             used, settled = inside.copy(), whole
+    noise = settled.noise
     for _ in range(MOST_ROUNDS):
         before, solution = used.copy(), settled.solution
         if options.outliers == "reject":
@@ -114,8 +118,9 @@ def select(
         if _needs_what_was_rejected(solution, again.solution, noise):
             used = before
             break
-        settled = again
-    return Selection(used, ~inside, flat, first.method, first.tried, settled.finished())
+        settled, noise = again, again.noise
+    tried, sigma = first.tried, noise.range_sigma
+    return Selection(used, ~inside, flat, first.method, tried, settled.finished(), sigma)
 
 
 def _needs_what_was_rejected(before: Solution, after: Solution, noise: Noise) -> bool:

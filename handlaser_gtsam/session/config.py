@@ -59,7 +59,7 @@ class SessionConfig:
     def of(cls, batch: Calibration, noise: Noise, options: CalibrationOptions) -> "SessionConfig":
         """Return what all planes have in common after a calibration."""
         fit = batch.fit
-        dof = np.inf if noise.range_sigma is not None else float(max(fit.dof, 1))
+        dof = np.inf if fit.range_sigma_given else float(max(fit.dof, 1))
         of_fit = fit.typical_range, fit.range_sigma, dof
         return cls(tuple(batch.beams), *of_fit, noise, fit.poses, options, batch.learned)
 

@@ -158,7 +158,8 @@ class SessionState:
         used, outside, flat = (
             used_of(problem, self.contents, reason) for reason in (None, OUTSIDE, FLAT)
         )
-        return assemble(problem, Selection(used, ~outside, ~flat, METHOD, tried, solution))
+        sigma = problem.noise.range_sigma
+        return assemble(problem, Selection(used, ~outside, ~flat, METHOD, tried, solution, sigma))
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes, every plane in its frame."""
@@ -197,7 +198,7 @@ class SessionState:
         new, config = self, self.learned()
         changes = config.changes(self.config)
         if changes:
-            new = begun_or_refused(self.contents, config, self.state.beams)
+            new = self._begun_with(self.contents, config, self.state.beams)
             excluded = tuple(new.contents.excluded)
             if excluded:  # they may fit beside the new scales
                 new, _, _ = new.changed(new.contents.included(), excluded)
@@ -207,7 +208,8 @@ class SessionState:
         comparison = new.compare()
         if max(comparison.largest, comparison.largest_sigma) > SAME_OPTIMUM:
             changes |= {"from-batch": "restarted from the batch solution, which it had left"}
-            new = begun_or_refused(new.contents, new.config, new.solution.parameters.beams)
+            beams = new.solution.parameters.beams
+            new = self._begun_with(new.contents, new.config, beams)
         planes = len(new.contents.inside)
         new = replace(new, compared=new.state, changes=0, learned_with=planes)
         return new, replace(comparison, changes=changes)
@@ -324,10 +326,13 @@ class SessionState:
     def solved_at_once(self) -> "SessionState":
         """Return the same from a batch solution of the contents, beside the present beams.
 
+        Where that leads nowhere at the present scales, which earlier planes gave, everything is
+        calibrated again.
+
         Raises
         ------
         InputError
-            The beams are not determined.
+            The beams are not determined, or the estimate does not settle.
         """
         config, beams = self.config, self.state.beams
         try:
@@ -344,8 +349,48 @@ class SessionState:
             if not config.determines(begun.state):
                 raise RuntimeError("too few planes are left")
         except (RuntimeError, HandlaserError) as error:
-            raise undetermined(f" ({error})") from error
+            return self._begun_from_batch(error)
         return begun
+
+    def _begun_with(
+        self, contents: Contents, config: SessionConfig, beams: Beams
+    ) -> "SessionState":
+        """Return a state as `begin` does, or from the calibration of everything.
+
+        Raises
+        ------
+        InputError
+            The beams are not determined, or the estimate does not settle.
+        """
+        try:
+            return begin(contents, config, beams)
+        except RuntimeError as error:  # iSAM2 takes undamped steps: the batch solver does not
+            return replace(self, contents=contents)._begun_from_batch(error)
+
+    def _begun_from_batch(self, why: Exception) -> "SessionState":
+        """Return the same from the calibration of everything, with scales that are learned again.
+
+        Raises
+        ------
+        InputError
+            The beams are not determined, which `why` says, or the estimate does not settle.
+        """
+        try:
+            batch, config = self.calibrated()
+        except InputError as error:
+            raise undetermined(f" ({why})") from error
+        if batch.status == "unobservable":
+            raise undetermined(f" ({why})") from why
+        if batch.status != "converged":
+            found = f"a change after which everything together does not converge ({batch.message})"
+            raise InputError(found, "planes that agree") from why
+        contents = self.contents.restarted(batch.fit.rejected)
+        try:
+            return begin(contents, config, batch.parameters().beams)
+        except RuntimeError as error:
+            found = f"a change after which a session does not arrive ({error})"
+            remedy = "planes that agree; calibrate everything at once to see which do not"
+            raise InputError(found, remedy) from error
 
 
 def begin(contents: Contents, config: SessionConfig, beams: Beams) -> SessionState:
@@ -391,7 +436,10 @@ def problem_of(contents: Contents, config: SessionConfig) -> Problem:
     readings, sensor = config.readings(recording), config.options.sensor
     sizes = len(recording.plane_labels), len(recording.beam_names), len(recording.plane_names)
     order = Order(*map(np.arange, sizes))  # readings are numbered as in the recording
-    return Problem(recording, readings, order, origins, config.noise, sensor)
+    noise = config.noise
+    if np.isfinite(config.sigma_dof):  # not given, or contradicted
+        noise = replace(noise, range_sigma=None)
+    return Problem(recording, readings, order, origins, noise, sensor)
 
 
 def used_of(problem: Problem, contents: Contents, reason: str | None = None) -> BoolArray:
