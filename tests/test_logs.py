@@ -776,3 +776,51 @@ def test_poses_that_were_held_are_warned_of(tmp_path):
     found = hl.read_log(path, hl.LogFormat(pose_format="kuka", as_stated=True))
     (held,) = [one for one in found.warnings if one.code == "held-poses"]
     assert held.values["stations"] in (3, 4)  # station 22 is before another plane than the first
+
+
+# --- single gross readings inside a station ----------------------------------------------------------
+
+
+def repeated_log(path, noise):
+    """Write a log of stations (S) with readings (S, N) that are 0.2 m and some noise."""
+    lines = ["station,x,y,z,qx,qy,qz,qw,range_1"]
+    for i, row in enumerate(noise):
+        lines += [f"S{i},{0.01 * i},0,0,0,0,0,1,{0.2 + e!r}" for e in row.tolist()]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_single_gross_readings_that_shift_a_mean_are_warned_of(tmp_path):
+    noise = 5e-5 * np.random.default_rng(3).standard_normal((12, 60))
+    noise[4, 20] += 0.05
+    noise[7, 31:45:3] -= 0.02
+    path = repeated_log(tmp_path / "log.csv", noise)
+    (found,) = hl.read_log(path, hl.LogFormat(plane="A", as_stated=True)).warnings
+    assert (found.code, found.values) == ("gross-readings", {"readings": 6, "stations": 2})
+    assert "(S4, S7)" in found.message
+    assert "--average median" in found.message
+    assert not hl.read_log(path, hl.LogFormat(plane="A", average="median", as_stated=True)).warnings
+
+
+def clean(kind, rng):
+    """Return noise [m] (12, 60) of stations without a gross reading."""
+    k, gauss = np.arange(60.0), rng.standard_normal((12, 60))
+    return {
+        "Gaussian": 5e-5 * gauss,
+        "heavy tails": 5e-5 * rng.laplace(size=(12, 60)),
+        "uniform": 5e-5 * rng.uniform(-1.0, 1.0, (12, 60)),
+        "rounded": np.round(4e-5 * gauss, 4),
+        "settling": 2e-5 * gauss + 2e-3 * np.exp(-k / 4.0),
+        "drift": 2e-5 * gauss + 1e-4 * k * (rng.random(12) > 0.7)[:, None],
+        "held": 0.0 * gauss,
+    }[kind]
+
+
+KINDS = ("Gaussian", "heavy tails", "uniform", "rounded", "settling", "drift", "held")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_reading_of_a_clean_station_is_called_gross(tmp_path, kind):
+    for seed in range(3):
+        path = repeated_log(tmp_path / "log.csv", clean(kind, np.random.default_rng(seed)))
+        assert not hl.read_log(path, hl.LogFormat(plane="A", as_stated=True)).warnings

@@ -22,7 +22,7 @@ from handlaser_gtsam import run_study
 from handlaser_gtsam.validation import Case, Study
 from handlaser_gtsam.validation.scenes import Layout, draw_scene
 from handlaser_gtsam.validation.simulate import Errors
-from handlaser_gtsam.validation.study import ATTEMPTS, run_blocks, solve_runs
+from handlaser_gtsam.validation.study import ATTEMPTS, processes, run_blocks, solve_runs
 
 EXACT = hl.Noise(3e-5, 0.0, 0.0)
 PAPER = partial(draw_scene, layout=Layout(2, 3, 11), errors=Errors(3e-5))
@@ -84,6 +84,25 @@ def killed(_):
 def test_workers_that_are_lost_again_and_again_are_given_up():
     with pytest.raises(hl.SolverError, match=f"lost {ATTEMPTS} times"):
         list(run_blocks(killed, [(0,)], partial(ProcessPoolExecutor, 1)))
+
+
+def read_beside_threads(rng):
+    """Draw a recorded file, which polars reads with threads of its own."""
+    hl.read_recording(Path(__file__).parents[1] / "examples/gripper/recording.csv")
+    return PAPER(rng)
+
+
+@pytest.mark.slow
+def test_a_scene_that_reads_a_file_ends_where_this_process_has_threads():
+    read_beside_threads(np.random.default_rng(1))
+    executor = processes(1)
+    found = executor.submit(read_beside_threads, np.random.default_rng(1))
+    try:
+        recording, _ = found.result(timeout=60.0)
+    finally:
+        for process in executor._processes.values():
+            process.terminate()
+    assert recording.beam_names == PAPER(np.random.default_rng(1))[0].beam_names
 
 
 def noted(rng, file):

@@ -8,6 +8,7 @@ Work is done in blocks on processes or on a Dask cluster; a block whose worker w
 """
 
 import hashlib
+import multiprocessing
 import pickle
 import time
 import traceback
@@ -100,9 +101,24 @@ class Study:
             raise InputError(f"cases {names}", "one or more, each scene and treatment once")
 
 
+def processes(jobs: int | None = None) -> Executor:
+    """Return an executor of processes that begin afresh, not as copies of this one.
+
+    A copy of a process with threads may wait for ever for a lock that one of them holds, as where a
+    function of a scene reads a file with polars.
+
+    Parameters
+    ----------
+    jobs : int, optional
+        How many; one a processor where not given.
+    """
+    afresh = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    return ProcessPoolExecutor(jobs, multiprocessing.get_context(afresh))
+
+
 def run_study(
     study: Study,
-    executor: Callable[[], Executor] = ProcessPoolExecutor,
+    executor: Callable[[], Executor] = processes,
     kept: pl.DataFrame | None = None,
     keep: Callable[[pl.DataFrame], None] | None = None,
     progress: Listener | None = None,
@@ -114,7 +130,7 @@ def run_study(
     study : Study
     executor : callable
         Makes the executor that works: a process for every processor where not given,
-        `partial(ProcessPoolExecutor, 4)`, or `client.get_executor` of a Dask client.
+        `partial(processes, 4)`, or `client.get_executor` of a Dask client.
     kept : polars.DataFrame, optional
         Table of an interrupted study, or of one with fewer runs: its runs are not done again.
     keep : callable, optional
@@ -249,7 +265,7 @@ def workers(jobs: int | None, scheduler: str | None) -> Iterator[Callable[[], Ex
     if jobs is not None:
         require_count("jobs", jobs, 1, 1000)  # more than any computer has processors
     if scheduler is None:
-        yield partial(ProcessPoolExecutor, jobs)
+        yield partial(processes, jobs)
         return
     if jobs is not None:
         raise InputError("--jobs beside --scheduler", "one of the two")
@@ -291,7 +307,7 @@ def run_blocks(
     """
     left, losses = dict(enumerate(blocks)), 0
     while left:
-        pool = executor()
+        pool, finished = executor(), False
         futures: dict[Future[Result], int] = {}
         try:
             for number, block in left.items():
@@ -307,6 +323,7 @@ def run_blocks(
                         yield one.result()
                 if error is not None:
                     raise error
+            finished = True
         except BaseException as error:
             if type(error).__name__ not in LOST:
                 raise
@@ -317,6 +334,11 @@ def run_blocks(
                     "expected workers that live as long as the study, with enough memory"
                 ) from error
         finally:
-            for future in futures:
+            # Work that nobody waits for any more, as after Ctrl-C, would keep Python from ending. Its
+            # futures fail with the processes: the pool cannot end those that are cancelled before.
+            working = {} if finished else dict(getattr(pool, "_processes", None) or {})
+            for future in () if working else futures:
                 future.cancel()
             pool.shutdown(wait=False)
+            for process in working.values():
+                process.terminate()

@@ -19,11 +19,11 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
-from ...data.screening import FINEST_STEP, worth_of_mean
+from ...data.screening import FAR_SAMPLE, FINEST_STEP, worth_of_mean
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor_limits import Sensor
-from ...quantities import MEDIAN_TO_SIGMA
-from ...text import count
+from ...quantities import FAR_SIGMAS, MEDIAN_TO_SIGMA
+from ...text import count, some
 from ..exports.rendering import environment
 from .format import Average, LogFormat, LogReport
 from .joining import JoinedStations, intervals, planes_of
@@ -58,6 +58,9 @@ def assembled(
     planes, chosen, warnings = targets_of(log, given)
     counted = (log.station >= 0) & chosen[log.station]
     warnings = (*readings.code_warnings(counted), *warnings)
+    if given.average == "mean":
+        counted_rows = np.where(counted, log.station, -1)
+        warnings = (*warnings, *_gross_readings(readings.ranges, counted_rows, log.names))
     if log.times is not None:  # stations in time: a stand may be without a reading
         unread = chosen & np.isnan(mean).all(axis=1)
         chosen = chosen & ~unread
@@ -139,6 +142,59 @@ def targets_of(
 def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
     words = f"{count} of {total} stations {what}, and were left out"
     return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
+
+
+def _gross_readings(
+    d: FloatArray, station: IntArray, names: Sequence[str]
+) -> tuple[CalibrationWarning, ...]:
+    """Return a warning of single readings that shift the means of their stations, if there are any.
+
+    Such a reading is more than `FAR_SAMPLE` sigmas from the median of its station, and also from the
+    median of itself and its two neighbours: where a hand settles or readings drift, a reading lies
+    between its neighbours. Sigma is the larger of the beam's and the station's, by medians, and at
+    least the step of rounded readings. A mean is shifted if such readings move it by more than
+    `FAR_SIGMAS` of its standard deviations.
+
+    Parameters
+    ----------
+    d : (M, B)
+        Readings [m]; NaN where there is none.
+    station : (M,)
+        Of each row; -1 for none.
+    names : S labels
+    """
+    gross, shifted = 0, set[int]()
+    for column in d.T:
+        rows = np.flatnonzero(~np.isnan(column) & (station >= 0))
+        rows = rows[np.argsort(station[rows], kind="stable")]
+        first = np.flatnonzero(np.diff(station[rows], prepend=-1))
+        parts = [part for part in np.split(rows, first[1:]) if len(part) >= 3]
+        if not parts:
+            continue
+        off = [np.abs(column[part] - np.median(column[part])) for part in parts]
+        steps = np.concatenate([np.diff(np.sort(column[part])) for part in parts])
+        steps = steps[steps > FINEST_STEP]
+        step = float(steps.min()) if len(steps) else FINEST_STEP
+        least = max(step, MEDIAN_TO_SIGMA * float(np.median(np.concatenate(off))))
+        for part, away in zip(parts, off, strict=True):
+            sigma = max(least, MEDIAN_TO_SIGMA * float(np.median(away)))
+            three = np.lib.stride_tricks.sliding_window_view(column[part], 3)
+            peak = np.abs(column[part][1:-1] - np.median(three, axis=1))
+            single = np.minimum(away[1:-1], peak)
+            single = single[single > FAR_SAMPLE * sigma]
+            if single.sum() > FAR_SIGMAS * sigma * math.sqrt(len(part)):
+                gross += len(single)
+                shifted.add(int(station[part[0]]))
+    if not shifted:
+        return ()
+    some_names = some([names[i] for i in sorted(shifted)], 5)
+    words = (
+        f"{gross} single readings are far from the median of their station and shift its mean, at "
+        f'{count(len(shifted), "station")} ({some_names}): average = "median" in [log] '
+        "(--average median) withstands them"
+    )
+    values = {"readings": gross, "stations": len(shifted)}
+    return (CalibrationWarning("gross-readings", words, values),)
 
 
 def averaged(
