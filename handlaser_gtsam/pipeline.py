@@ -17,8 +17,8 @@ from .estimation.selection import select
 from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
-from .results.messages import warned
 from .results.problem import Problem
+from .results.warnings import contradicted_range_sigma
 
 if TYPE_CHECKING:
     from .estimation.estimate import BlockProblem, Estimate
@@ -167,8 +167,7 @@ def calibrate_from(
             problem, selection, freed = with_freed(problem, selection, ordered, options)
         result = assemble(problem, selection, freed)
     if stated is not None and noise.range_sigma is None:
-        values = {"stated": stated, "sigma": result.fit.range_sigma}
-        warnings = (*warnings, warned("sigmas-too-small:range", values))
+        warnings = (*warnings, contradicted_range_sigma(stated, result.fit.range_sigma))
     recorded = None if freed is None else recording
     result = replace(
         result,

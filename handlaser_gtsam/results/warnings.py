@@ -289,3 +289,8 @@ def rival_warnings(
             continue
         values: Values = {"beam": listed[beam], "turn_deg": float(np.degrees(turn)), "chi2": chi2}
         yield warned(RIVAL, values, more=max(chi2, 0.0))
+
+
+def contradicted_range_sigma(stated: float, sigma: float) -> CalibrationWarning:
+    """Warn that the readings contradict the range sigma [m] that is stated; `sigma` was estimated."""
+    return warned("sigmas-too-small:range", {"stated": stated, "sigma": sigma})
