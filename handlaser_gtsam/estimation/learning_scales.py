@@ -223,7 +223,13 @@ class LearnedScales(Value):
         return tuple(replace(g, angles=angles) if g.turned else g for g in self.grids)
 
     def apart(self, other: "LearnedScales") -> float:
-        """Return by how much the most probable scales differ from others, in the logarithm."""
+        """Return by how much the most probable scales differ from others, in the logarithm.
+
+        Infinite where others were learned, as where a range sigma was given, and is contradicted now.
+        """
+        names = ([scale.name for scale in one.scales.unknown] for one in (self, other))
+        if next(names) != next(names):
+            return np.inf
         both = (np.append(learned.mode, np.log(learned.range_error)) for learned in (self, other))
         difference = np.subtract(*both)
         return float(np.abs(difference).max(initial=0.0))
