@@ -352,8 +352,8 @@ def first_state(
 def _roughened(state: SurveyState) -> SurveyState | None:
     """Return a state whose readings of beams err by as much as most of them misfit, if that is a lot.
 
-    Nothing tells it beforehand: a beam has one reading a station, and the noise of triangulating lasers
-    is a thousandth of that of ultrasonic sensors. It is taken up to the part `ROUGHEST` of the range.
+    Nothing tells it beforehand: a beam has one reading a station, and ultrasonic sensors have up to a
+    thousand times the noise of triangulating lasers. It is at most the part `ROUGHEST` of the range.
     None where readings fit as they are, misfit by more, or their noise is stated.
     """
     beams = len(state.rows.survey.shots)

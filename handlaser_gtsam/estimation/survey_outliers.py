@@ -86,7 +86,8 @@ def started_from_halves(state: SurveyState) -> bool:
     station = np.array([item.station for item in items])
     # A shot says more than a reading: beams follow, where sensors of many rays have found the targets.
     first = np.array([item.family == SENSOR.name for item in items])
-    first = first if first.any() else ~first
+    if len(np.unique(target[first])) < len(numbers):  # some targets are seen by beams alone
+        first[:] = True
     least, values, nearest = float(np.median(misfits(state)[first])), None, np.inf
     # Of eighteen shots with two wrong ones a fifth of the halves has none, and one of twelve with 93 %;
     # with two of ten wrong before each of two planes a fifth of the thirds, and a twentieth of halves.

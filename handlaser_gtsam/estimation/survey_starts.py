@@ -155,9 +155,9 @@ def _around_one(
 ) -> dict[str, FloatArray] | None:
     """Return the best start in which all others see the targets where one of them has found these.
 
-    In a planar motion each sensor and beam finds one of two images of itself and its balls and points,
-    at some height, and those of which rays see little beside their height at other sizes. None where
-    a target is not seen by the one from which a start begins.
+    In a planar motion each sensor and beam finds one of two images of itself with its balls and points,
+    at some height; rays that meet balls nearly level find them too large or too small. None where a
+    target is not seen by the one from which a start begins.
     """
     best, least = None, np.inf
     upright = {e: motion.upright[number] for e, number in numbers_of(rows).items()}

@@ -37,7 +37,7 @@ from .rows import LogRows
 ULTRASOUND = 0
 """Of `radiation_type` in messages of `Range`. Drivers of lasers that leave it so state no view."""
 NARROW = 0.05
-"""Fields of view up to this [rad] are those of beams."""
+"""A sensor with a field of view up to this [rad] is a beam."""
 RANGE, SCAN = "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan"
 POSE = "geometry_msgs/msg/PoseStamped"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
