@@ -282,6 +282,14 @@ def test_rough_readings_whose_noise_is_not_stated_fit():
         assert error @ np.linalg.solve(beam.covariance[:3, :3], error) < chi2.ppf(1.0 - 1e-3, 3)
 
 
+def test_what_is_more_than_noise_is_no_fit():
+    """Without a bound the noise of transposed poses is learned, and the motion said to be too poor."""
+    made, _ = two_cones(0)
+    turned = replace(made.stations, world_R_hand=made.stations.world_R_hand.swapaxes(1, 2))
+    found = hl.calibrate(replace(made, stations=turned))
+    assert (found.status, found.verdict.code) == ("contradicted", "no-fit")
+
+
 @pytest.mark.slow
 def test_only_cones_that_read_alike_however_they_turn_are_said_to():
     """Readings with much noise leave directions undetermined that tilted axes tell."""
@@ -321,7 +329,9 @@ def test_within_the_cone_its_direction_is_open_and_its_location_is_not() -> None
     pose[:3, :3] = Rotation.align_vectors([v], [[0.0, 0.0, 1.0]])[0].as_matrix()
     pose[:3, 3] = r
     known = hl.Known("mount", ("beam:sonar",), sigma=0.1, sigma_angle=0.02, pose=pose)
-    assert hl.calibrate(replace(made, known=(known,)), STATED).usable
+    cured = hl.calibrate(replace(made, known=(known,)), STATED)
+    assert cured.usable
+    assert not cured.warnings  # a wider cone reads the same, and moves nothing
 
 
 @pytest.mark.slow

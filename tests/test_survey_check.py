@@ -19,6 +19,10 @@ from test_survey_arrays import rough
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
 from benchmarks.rigs import survey_of
+from handlaser_gtsam.estimation.survey import state_of
+from handlaser_gtsam.estimation.survey_rows import rows_of
+from handlaser_gtsam.estimation.survey_starts import start_of
+from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.results.description.tables import NONE
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
 from handlaser_gtsam.validation.survey_scenes import fan_of
@@ -199,6 +203,42 @@ def test_the_mirror_image_is_that_of_the_mount_that_is_stated(seed):
     turn = Rotation.from_matrix(true[:3, :3].T @ found.sensors["eye"].rotation).magnitude()
     assert np.degrees(turn) < 1.0
     assert "relation-contradicted" not in [one.code for one in found.warnings]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_start_is_the_mirror_image_that_is_stated(seed):
+    """Both fit alike: which one a search without the statement finds is chance."""
+    survey = vehicle("scanner", "planar", "one leans", tilt=11.0, seed=seed)
+    true = mounted("eye", "scanner", 11.0, (0.1, -0.05, 0.3))[1]
+    image = np.diag([1.0, 1.0, -1.0, 1.0]) @ true
+    image[:3, KINDS["scanner"].across] *= -1.0
+    for pose in (true, image):
+        known = hl.Known("mount", ("sensor:eye",), sigma=0.1, sigma_angle=0.05, pose=pose)
+        rows = rows_of(replace(survey, known=(known,)))
+        values, _ = start_of(rows, state_of(rows, hl.Noise()).sigmas())
+        R = values["sensor"][0, 0, :9].reshape(3, 3)
+        assert Rotation.from_matrix(pose[:3, :3].T @ R).magnitude() < np.radians(2.0)
+
+
+def test_a_true_mount_that_is_rough_beside_much_noise_is_not_contradicted():
+    """The search ends in the mirror image, with sizes of the noise that hide it."""
+    survey, rng = vehicle("scanner", "planar", "one leans", tilt=11.0), np.random.default_rng(0)
+    (shots,), of = survey.shots, survey.stations
+    reading = shots.reading + 5e-3 * rng.normal(size=shots.reading.shape)
+    t = of.world_t_hand + [2e-3, 2e-3, 0.0] * rng.normal(size=of.world_t_hand.shape)
+    yaw = np.radians(0.1) * rng.normal(size=(len(of), 1))
+    R = of.world_R_hand @ Rotation.from_euler("z", yaw).as_matrix()
+    true = mounted("eye", "scanner", 11.0, (0.1, -0.05, 0.3))[1]
+    known = hl.Known("mount", ("sensor:eye",), sigma=5e-3, sigma_angle=np.radians(6.0), pose=true)
+    stations = replace(of, world_R_hand=R, world_t_hand=t)
+    noisy = replace(shots, sigma=None, reading=reading)
+    found = hl.calibrate(hl.Survey(stations, (noisy,), known=(known,)))
+    assert found.status == "undetermined"
+    asked = re.search(r"sigma_deg below ([0-9.]+)", found.message)
+    turn = np.degrees(found._found.images["sensor", 0])
+    # All that is nearer to the image than to the true mount has to be four sigmas away.
+    assert float(asked[1]) == pytest.approx(turn / 8.0, rel=0.02)
 
 
 def test_flat_sensors_before_one_ball_find_it_at_one_height():

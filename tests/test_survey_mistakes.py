@@ -418,6 +418,25 @@ def test_labels_exchanged_before_two_planes_are_found(sensors, seed):
 
 
 @pytest.mark.slow
+def test_labels_are_found_beside_a_plane_that_beams_alone_see():
+    rig = rigs_by_rays.mixed(
+        3, sensors=("profiler", "beam", "beam"), targets="planes+sphere", planes=3, stations=10
+    )
+    survey, rng = survey_of(rig), np.random.default_rng(3)
+    labels = np.array(survey.stations.plane_labels, dtype=object)
+    (shots,) = survey.shots
+    shots = shots.part(np.flatnonzero(labels[shots.station] != "plane:C"))
+    of = [rng.choice(np.flatnonzero(labels == f"plane:{x}"), 3, replace=False) for x in "AB"]
+    labels[of[0]], labels[of[1]] = "plane:B", "plane:A"
+    stations = replace(survey.stations, plane_labels=tuple(labels))
+    found = hl.calibrate(replace(survey, shots=(shots,), stations=stations))
+    assert found.status == "converged"
+    (mount,) = found.sensors.values()
+    off = mount.location - rig.truth[mount.name][:3, 3]
+    assert (np.abs(off) < 5.0 * mount.location_sigma).all()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("case", KINDS_EXCHANGED)
 def test_a_target_of_the_other_kind_is_no_fit_where_the_search_ends_nowhere(case, monkeypatch):
     """One mistake, one code, whatever becomes of the search."""

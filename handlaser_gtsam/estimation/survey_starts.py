@@ -39,7 +39,7 @@ from ..starts import find_start
 from ..starts.choice import SAME_COST
 from ..starts.directions import least_squares
 from ..starts.rounds import FINALISTS, FIRST_STEPS, LAST_STEPS
-from .survey_mirror import has_image, motion_with_images, numbers_of, reflected
+from .survey_mirror import has_image, motion_with_images, reflected
 from .survey_rows import Entity, Item, SurveyRows, blocks_of, priors_of, relations_of
 
 VIRTUAL = 3
@@ -160,9 +160,9 @@ def _around_one(
     target is not seen by the one from which a start begins.
     """
     best, least = None, np.inf
-    upright = {e: motion.upright[number] for e, number in numbers_of(rows).items()}
+    targets = {item.target for item in rows.items}
     for reference, (_, misfit, there) in zip(entities, ends, strict=True):
-        if not upright.keys() <= there.keys():
+        if not targets <= there.keys():
             continue
         values, cost = _empty(rows), misfit
         for (family, member), x in there.items():
@@ -171,7 +171,7 @@ def _around_one(
             if entity == reference:
                 continue
             own = [item for item in rows.items if item.mount == entity]
-            candidates = list(_moved_to(rows, entity, own_end, values, upright, motion))
+            candidates = [one[entity] for one in _images(rows, entity, own_end, motion)]
             found = _searched_or_drawn(
                 rows, entity, candidates, sigmas, values, last_resort=last_resort
             )
@@ -183,27 +183,6 @@ def _around_one(
             if cost < least:
                 best, least = values, cost
     return best
-
-
-def _moved_to(
-    rows: SurveyRows,
-    entity: Entity,
-    end: Mapping[Entity, FloatArray],
-    held: Values,
-    upright: Mapping[Entity, FloatArray],
-    motion: PoorMotion,
-) -> Iterator[FloatArray]:
-    """Yield a sensor or beam and its mirror image, at the heights at which it sees each target held."""
-    place = slice(9, 12) if entity[0] == SENSOR.name else slice(0, 3)
-    for image in _images(rows, entity, end, motion):
-        x = image[entity]
-        yield x
-        for target in end:
-            if target != entity and target[0] != PLANE.name:
-                there = held[target[0]][0, target[1], :3]
-                moved = x.copy()
-                moved[place] += upright[target] @ (there - image[target][:3]) * motion.axis
-                yield moved
 
 
 def _images(

@@ -153,15 +153,8 @@ def _gross_readings(
     median of itself and its two neighbours: where a hand settles or readings drift, a reading lies
     between its neighbours. Sigma is the larger of the beam's and the station's, by medians, and at
     least the step of rounded readings. A mean is shifted if such readings move it by more than
-    `FAR_SIGMAS` of its standard deviations.
-
-    Parameters
-    ----------
-    d : (M, B)
-        Readings [m]; NaN where there is none.
-    station : (M,)
-        Of each row; -1 for none.
-    names : S labels
+    `FAR_SIGMAS` of its standard deviations. Readings `d` and `station` are as of `averaged`, and
+    `names` are the labels of stations.
     """
     gross, shifted = 0, set[int]()
     for column in d.T:
