@@ -800,6 +800,10 @@ def test_single_gross_readings_that_shift_a_mean_are_warned_of(tmp_path):
     assert "(S4, S7)" in found.message
     assert "--average median" in found.message
     assert not hl.read_log(path, hl.LogFormat(plane="A", average="median", as_stated=True)).warnings
+    noise = 5e-5 * np.random.default_rng(3).standard_normal((12, 60))
+    noise[4, 20] += 1e-3  # twenty sigmas move the mean of sixty by less than three of its own
+    path = repeated_log(tmp_path / "little.csv", noise)
+    assert not hl.read_log(path, hl.LogFormat(plane="A", as_stated=True)).warnings
 
 
 def clean(kind, rng):

@@ -77,6 +77,24 @@ def test_a_lost_worker_loses_and_doubles_nothing(tmp_path):
     assert rows.equals(rows_of_one(60))
 
 
+@pytest.mark.slow
+def test_work_that_nobody_waits_for_ends_at_once():
+    """As after Ctrl-C: Python would not end before a run of ten minutes did."""
+    pools = []
+
+    def executor():
+        pools.append(processes(2))
+        return pools[-1]
+
+    results = run_blocks(time.sleep, [(0.0,), (600.0,)], executor)
+    next(results)
+    working = list(pools[0]._processes.values())
+    results.close()
+    for process in working:
+        process.join(timeout=20.0)
+    assert not any(process.is_alive() for process in working)
+
+
 def killed(_):
     os.kill(os.getpid(), signal.SIGKILL)
 

@@ -89,13 +89,12 @@ def start_of(
     if without:
         return {}, tuple(without)
     motion = motion_with_images(rows) if len(ends) > 1 else None
-    common = {i.target for i in rows.items} if motion is not None else set()
-    if motion is not None and any(family != PLANE.name for family, _ in common):
-        around = _around_one(rows, entities, ends, motion, sigmas, last_resort=last_resort)
-        if around is not None:
-            complete_bodies(rows, around)
-            return around, ()
     if motion is not None:
+        if any(item.target[0] != PLANE.name for item in rows.items):
+            around = _around_one(rows, entities, ends, sigmas, last_resort=last_resort)
+            if around is not None:
+                complete_bodies(rows, around)
+                return around, ()
         ends = _images_that_agree(rows, entities, ends, motion)
     values, said = _empty(rows), Counter[tuple[Entity, Entity]]()
     for item in rows.items:
@@ -148,7 +147,6 @@ def _around_one(
     rows: SurveyRows,
     entities: Sequence[Entity],
     ends: Sequence[End],
-    motion: PoorMotion,
     sigmas: Mapping[Entity, float],
     *,
     last_resort: bool,
@@ -171,9 +169,8 @@ def _around_one(
             if entity == reference:
                 continue
             own = [item for item in rows.items if item.mount == entity]
-            candidates = [one[entity] for one in _images(rows, entity, own_end, motion)]
             found = _searched_or_drawn(
-                rows, entity, candidates, sigmas, values, last_resort=last_resort
+                rows, entity, [own_end[entity]], sigmas, values, last_resort=last_resort
             )
             if found is None:
                 break
@@ -183,19 +180,6 @@ def _around_one(
             if cost < least:
                 best, least = values, cost
     return best
-
-
-def _images(
-    rows: SurveyRows, entity: Entity, end: Mapping[Entity, FloatArray], motion: PoorMotion
-) -> Iterator[Mapping[Entity, FloatArray]]:
-    """Yield a sensor or beam with its targets, then its mirror image, where it has one."""
-    yield end
-    if has_image(rows, entity):
-        values = _empty(rows)
-        for (family, member), x in end.items():
-            values[family][0, member] = x
-        image = reflected(rows, values, motion, (entity,))
-        yield {e: image[e[0]][0, e[1]] for e in end}
 
 
 def _images_that_agree(
@@ -216,8 +200,13 @@ def _images_that_agree(
 
     order = sorted(range(len(ends)), key=lambda i: (has_image(rows, entities[i]), -ends[i][0]))
     for i in order:
-        redundancy, misfit, end = ends[i]
-        there = min((dict(one) for one in _images(rows, entities[i], end, motion)), key=apart)
+        redundancy, misfit, there = ends[i]
+        if has_image(rows, entities[i]):
+            values = _empty(rows)
+            for (family, member), x in there.items():
+                values[family][0, member] = x
+            image = reflected(rows, values, motion, (entities[i],))
+            there = min(there, {e: image[e[0]][0, e[1]] for e in there}, key=apart)
         found[i] = redundancy, misfit, there
         for entity, x in there.items():
             if entity[0] == PLANE.name:
