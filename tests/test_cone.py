@@ -350,7 +350,7 @@ def test_cones_are_made_and_read_by_the_command(handlaser, refusal, tmp_path):
     rays = '[[sensors]]\nname = "s"\nkind = "profiler"\npoints = "p.csv"\n'
     rig.write_text(f"{rays}half_angle_deg = 6\n")
     err = refusal("calibrate", made / "stations.csv", "--rig", rig)
-    assert err.rstrip().endswith("; half_angle_deg stands in [sensor], which is of single beams")
+    assert "half_angle_deg of s, which is of kind = 'profiler'; expected it of kind = 'beam'" in err
     rig.write_text("[sensor]\nhalf_angle_deg = 95\n")
     assert "half_angle" in refusal("calibrate", made / "stations.csv", "--rig", rig)
 

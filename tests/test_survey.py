@@ -129,7 +129,7 @@ def test_noise_that_next_to_nothing_tells_is_as_is_usual_and_said():
     (warning,) = result.warnings
     assert warning.code == "few-readings"
     assert warning.values["spare"] < 2.0
-    assert "the noise of beam beam" in result.verdict.sentence
+    assert "the noise of single beams" in result.verdict.sentence
     off = rig.truth["beam"]["location"] - result.beams["beam"].location
     assert (np.abs(off) < 4.0 * result.beams["beam"].location_sigma).all()
     stated = calibrate_survey(survey, replace(noise, range_sigma=1e-4), result)

@@ -319,7 +319,7 @@ def test_what_stands_behind_a_near_echo_is_left_out(tmp_path):
         table = SensorTable.model_validate(
             {"name": "a", "kind": "array", "points": "points.csv", "zones": "zones.csv", **more}
         )
-        return SurveyTables((table,), (), tmp_path).shots(("s", "t"))[0][0]
+        return SurveyTables((table,), {}, (), tmp_path).shots(("s", "t"))[0][0]
 
     far = read({"echo": "far"})
     assert far.reading.tolist() == pytest.approx([0.3, 0.31, 0.305])

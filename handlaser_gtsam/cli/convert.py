@@ -125,7 +125,7 @@ def convert(
         rig_text = ""
         if write_log is not None:  # refused, if at all, before anything is written
             rig_text = with_log_table(write_log, given)
-        if known.survey is not None:
+        if known.many_rays:
             from .survey import converted_survey
 
             lines, found = converted_survey(log_file, known, out)

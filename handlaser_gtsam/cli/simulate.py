@@ -187,7 +187,9 @@ def simulated_survey(
 
     known = read_rig(rig)
     tables = () if known.survey is None else known.survey.sensors
-    if not tables and not (known.half_angle and beams):
+    single = () if known.survey is None else tuple(known.survey.beams.values())
+    beams = max(beams, len(single))
+    if not tables and not single and not (known.half_angle and beams):
         expected = "one for each sensor to simulate, or half_angle_deg in [sensor], with --beams"
         raise InputError("no table [[sensors]]", expected, rig)
     if known.half_angle and not beams:
@@ -223,8 +225,10 @@ def simulated_survey(
         more = {"sigma": sigma, "sigma_across": one.sigma_across_mm * MM, "free": one.free}
         fans.append(fan_of(one.name, one.kind, working, zones.get(one.name), **more))
     truth, stations = survey_scene(fans, beams, labels, table.stations, rng, working)
-    truth = replace(truth, range_error=(table.k1, table.k2_per_m))
-    survey = simulate_survey(truth, stations, fans, errors, rng, known.half_angle)
+    of_beams = [*(one.name for one in single), *truth.beams][: len(truth.beams)]
+    drawn = dict(zip(of_beams, truth.beams.values(), strict=True))
+    truth = replace(truth, beams=drawn, range_error=(table.k1, table.k2_per_m))
+    survey = simulate_survey(truth, stations, fans, errors, rng, *known.of_beams(of_beams))
 
     stated = errors.stated()
     if not beams:  # a range sigma is that of single beams
@@ -233,7 +237,7 @@ def simulated_survey(
     def write(folder: Path) -> None:
         outputs = {name: folder / name for name in files}
         require_outputs_of(outputs, known, (rig,))
-        write_simulated(folder, survey, truth, tables, zones, stated, sensor)
+        write_simulated(folder, survey, truth, tables, zones, stated, sensor, single)
 
     unread, of = int((~survey.stations_read()).sum()), count(len(stations), "station")
     return tuple(files), write, f"; at {unread} of {of} no ray hits a target" if unread else ""

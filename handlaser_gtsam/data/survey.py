@@ -17,6 +17,7 @@ from ..checks import number_array, require_kind, require_number, require_word
 from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
+from .noise import LEAST_SIGMA
 from .recording import (
     TARGETS,
     first_repeated,
@@ -368,9 +369,12 @@ class Survey(Value):
     aiming_sigma : float, optional
         Standard deviation of a spot across its ray where it is aimed at a point [m]; learned where not
         given.
-    half_angle : float
-        Of the cones in which the single beams read what is nearest [rad], as ultrasonic sensors do;
-        zero of beams.
+    half_angle : float or (B,)
+        Of the cone in which each single sensor reads what is nearest [rad], as ultrasonic sensors do;
+        zero of a beam. One number is of all; they are kept as an array.
+    range_sigma : float or (B,), optional
+        Standard deviation of a reading of each beam [m]; NaN where the noise says it for all, or where
+        it is learned: beams with the same half angle of which nothing is stated have one.
     linearity : float
         Of the single beams: standard deviation of k1, and of k2 times the typical range, before any
         reading.
@@ -393,7 +397,8 @@ class Survey(Value):
     beam_names: tuple[str, ...] = ()
     known: tuple[Known, ...] = ()
     aiming_sigma: float | None = None
-    half_angle: float = 0.0
+    half_angle: float | FloatArray = 0.0
+    range_sigma: float | FloatArray | None = None
     linearity: float = 0.01
     lines: tuple[str, ...] = ()
     warnings: tuple[CalibrationWarning, ...] = ()
@@ -401,7 +406,6 @@ class Survey(Value):
     def __post_init__(self) -> None:
         if self.aiming_sigma is not None:
             require_number("aiming_sigma", self.aiming_sigma, 0.0, LARGEST_LENGTH, above=True)
-        require_number("half_angle", self.half_angle, 0.0, WIDEST_CONE)
         require_number("linearity", self.linearity, 0.0, LARGEST_LENGTH, above=True)
         require_kind("stations", self.stations, StationList)
         for name in ("lines", "warnings"):
@@ -422,6 +426,11 @@ class Survey(Value):
                 found = f"station {int(shots.station.max())} of {shots.name}"
                 raise InputError(found, f"0 to {count - 1}")
         object.__setattr__(self, "beam_names", names_of("the name of a beam", self.beam_names))
+        for name, bounds, none in (
+            ("half_angle", (0.0, WIDEST_CONE), 0.0),
+            ("range_sigma", (LEAST_SIGMA, LARGEST_LENGTH), np.nan),
+        ):
+            object.__setattr__(self, name, self._of_beams(name, bounds, none))
         if self.ranges is not None:
             ranges = number_array("ranges", self.ranges)
             if ranges.shape != (count, len(self.beam_names)):
@@ -438,29 +447,58 @@ class Survey(Value):
             raise InputError("a survey without readings", "shots, or ranges of beams")
         self._check_labels()
 
+    def _of_beams(self, name: str, bounds: tuple[float, float], none: float) -> FloatArray:
+        """Return a number of each beam (B,), `none` where none is said."""
+        value, beams = getattr(self, name), len(self.beam_names)
+        numbers = number_array(name, none if value is None else value)
+        if numbers.shape not in ((), (beams,)):
+            expected = f"one number, or ({beams},): one a beam"
+            raise InputError(f"{name} of shape {numbers.shape}", expected)
+        said = numbers.ravel()[~(np.isnan(numbers) & np.isnan(none)).ravel()]
+        for number in said.tolist():
+            require_number(name, number, *bounds)
+        if not beams and (said != none).any():
+            found = f"{name} = {said[0]:g}, and no single beam that it would count for"
+            raise InputError(found, f"ranges and beam_names, or no {name}")
+        return frozen(np.broadcast_to(numbers, (beams,)))
+
+    @property
+    def cones(self) -> FloatArray:
+        """Half angle of the cone of each beam (B,) [rad], zero of beams."""
+        return np.asarray(self.half_angle)
+
+    @property
+    def stated_sigmas(self) -> FloatArray:
+        """Standard deviation of a reading of each beam (B,) [m], NaN where it is not stated here."""
+        return np.asarray(self.range_sigma)
+
+    def said_of_beams(self) -> dict[str, tuple[float, float]]:
+        """Return the half angle and the stated sigma of each beam, by its name."""
+        of_each = zip(self.cones.tolist(), self.stated_sigmas.tolist(), strict=True)
+        return dict(zip(self.beam_names, of_each, strict=True))
+
+    @property
+    def beam_sources(self) -> IntArray:
+        """Which noise each beam (B,) has, from 0: cones and stated noise that are alike have one."""
+        alike = np.stack((self.cones, np.nan_to_num(self.stated_sigmas)))
+        return frozen_indices(np.unique(alike, axis=1, return_inverse=True)[1])
+
     def _check_labels(self) -> None:
         labels = self.stations.plane_labels
         kinds = np.array([kind_of(label) for label in labels])
-        read: BoolArray = np.zeros(len(labels), dtype=bool)
-        if self.ranges is not None:
-            read |= ~np.isnan(self.ranges).all(axis=1)
-        if self.half_angle and not self.beam_names:
-            found = (
-                f"half_angle = {self.half_angle:g} rad, and no single beam that it would count for"
-            )
-            raise InputError(found, "ranges and beam_names of cones, or no half_angle")
-        single, others = "beam", "planes, spheres and points"
-        if self.half_angle:
-            single, others = "cone", "planes and spheres"
-        refused = {"groove": f"{others}: only a profile shows the edge of a groove"}
-        if self.half_angle:
-            refused["point"] = f"{others}: only a beam is aimed at a point"
-        for kind, expected in refused.items():
-            wrong = read & (kinds == kind)
+        read = ~np.isnan(np.empty((len(labels), 0)) if self.ranges is None else self.ranges)
+        cone = self.cones > 0.0
+        edge = "only a profile shows the edge of a groove"
+        for single, which, kind, expected in (
+            ("beam", ~cone, "groove", f"planes, spheres and points: {edge}"),
+            ("cone", cone, "groove", f"planes and spheres: {edge}"),
+            ("cone", cone, "point", "planes and spheres: only a beam is aimed at a point"),
+        ):
+            wrong = read[:, which].any(axis=1) & (kinds == kind)
             if wrong.any():
                 found = f"a {single} that reads {labels[int(wrong.argmax())]}"
                 raise InputError(found, expected)
-        aimed = {labels[station] for station in np.flatnonzero(read).tolist()}
+        aimed = {labels[station] for station in np.flatnonzero(read.any(axis=1)).tolist()}
         for shots in self.shots:
             for station in np.unique(shots.station).tolist():
                 if kinds[station] == "point" and labels[station] not in aimed:
@@ -510,19 +548,19 @@ class Survey(Value):
             if kept.any():
                 some_of = one.part(kept)
                 shots.append(replace(some_of, station=number[some_of.station]))
-        ranges, names = self.ranges, self.beam_names
+        ranges, read = self.ranges, np.zeros(0, np.intp)
         if ranges is not None:
             read = np.flatnonzero(~np.isnan(ranges[stations]).all(axis=0))
-            names = tuple(names[i] for i in read)
-            ranges = ranges[stations][:, read] if names else None
+            ranges = ranges[stations][:, read] if len(read) else None
         part = replace(
             self,
             stations=self.stations.part(stations),
             shots=tuple(shots),
             ranges=ranges,
-            beam_names=names,
+            beam_names=tuple(self.beam_names[i] for i in read),
             known=(),
-            half_angle=self.half_angle if names else 0.0,
+            half_angle=self.cones[read],
+            range_sigma=self.stated_sigmas[read],
         )
         there = part.variables()
         of_these = [known.among(there) for known in self.known]
@@ -540,10 +578,15 @@ class Survey(Value):
         """
         of_beams = self if self.beam_names else other
         both = bool(self.beam_names and other.beam_names)
-        for name in ("aiming_sigma", *(("half_angle", "linearity") if both else ())):
+        for name in ("aiming_sigma", *(("linearity",) if both else ())):
             if getattr(self, name) != getattr(other, name):
                 given = f"{name} = {getattr(other, name)} after {getattr(self, name)}"
                 raise InputError(given, "the same in both surveys")
+        own = other.said_of_beams() | self.said_of_beams()
+        for name, said in other.said_of_beams().items():
+            if not np.array_equal(said, own[name], equal_nan=True):
+                found = f"half angle and range sigma {said} of {name} after {own[name]}"
+                raise InputError(found, "the same of a beam in both surveys")
         shots = {one.name: one for one in self.shots}
         for one in other.shots:
             later = replace(one, station=one.station + len(self.stations))
@@ -562,7 +605,8 @@ class Survey(Value):
             ranges=ranges if names else None,
             beam_names=names,
             known=(*self.known, *(one for one in other.known if one not in self.known)),
-            half_angle=of_beams.half_angle,
+            half_angle=np.array([own[name][0] for name in names]),
+            range_sigma=np.array([own[name][1] for name in names]),
             linearity=of_beams.linearity,
             lines=tuple(dict.fromkeys((*self.lines, *other.lines))),
             warnings=(*self.warnings, *(w for w in other.warnings if w not in self.warnings)),

@@ -356,14 +356,17 @@ def _roughened(state: SurveyState) -> SurveyState | None:
     thousand times the noise of triangulating lasers. It is at most the part `ROUGHEST` of the range.
     None where readings fit as they are, misfit by more, or their noise is stated.
     """
-    beams = len(state.rows.survey.shots)
-    of_beams = [i.family == BEAM.name and i.target[0] != POINT.name for i in state.rows.items]
-    if not (any(of_beams) and np.isnan(state.stated.sigma[beams])):
-        return None
-    misfit = float(np.median(misfits(state)[of_beams]))
-    sigma = state.sizes.sigma.copy()
-    sigma[beams] *= MEDIAN_TO_SIGMA * misfit
-    if misfit <= GROSS or sigma[beams] > ROUGHEST * state.rows.length:
+    sigma, misfit, sources = state.sizes.sigma.copy(), misfits(state), state.rows.sources
+    of_beam = [i.family == BEAM.name and i.target[0] != POINT.name for i in state.rows.items]
+    source = np.where(of_beam, [sources[i.mount] for i in state.rows.items], -1)
+    for one in np.unique(source[source >= 0]).tolist():
+        typical = float(np.median(misfit[source == one]))
+        rough = MEDIAN_TO_SIGMA * typical * sigma[one]
+        if typical > GROSS and np.isnan(state.stated.sigma[one]):
+            if rough > ROUGHEST * state.rows.length:
+                return None
+            sigma[one] = rough
+    if (sigma == state.sizes.sigma).all():
         return None
     every = np.ones(len(state.used), dtype=bool)
     rough = replace(state, sizes=replace(state.sizes, sigma=sigma), used=every)
@@ -490,8 +493,7 @@ def _name(rows: SurveyRows, mount: Entity) -> str:
 
 def _inside(rows: SurveyRows) -> Inside:
     """Return what shots tell of the noise inside them; beams and the aiming tell nothing."""
-    count = len(rows.survey.shots) + 2
-    squares, dof = np.zeros((2, count))
+    squares, dof = np.zeros((2, len(set(rows.sources.values())) + 1))
     for member in range(len(rows.survey.shots)):
         shots = [i.shot for i in rows.items if i.family == SENSOR.name and i.member == member]
         each = np.array([(s.squares, s.dof) for s in shots if s is not None and s.dof > 0])
@@ -505,24 +507,30 @@ def _inside(rows: SurveyRows) -> Inside:
 
 def _stated(rows: SurveyRows, noise: Noise) -> Components:
     """Return what is stated of the noise, NaN for what is not."""
-    sigma = [np.nan if shots.sigma is None else shots.sigma for shots in rows.survey.shots]
-    for used, given, otherwise in (
-        (bool(rows.survey.beam_names), noise.range_sigma, FIRST_SIGMA),
-        (POINT.name in rows.targets, rows.survey.aiming_sigma, AIMING_SIGMA),
-    ):
-        sigma.append(given if given is not None else np.nan if used else otherwise)
     turn, shift = noise.pose_rotation_sigma, noise.pose_translation_sigma
     if noise.pose_covariance is not None:
         turn = shift = 1.0
     pose = np.nan if turn is None else turn, np.nan if shift is None else shift
     again = np.nan if any(own_sizes(noise)) and rows.shared.any() else 0.0
-    return Components(np.array(sigma), pose, again)
+    return Components(_sigmas_stated(rows, noise), pose, again)
+
+
+def _sigmas_stated(rows: SurveyRows, noise: Noise) -> FloatArray:
+    """Return the standard deviations of readings and of the aiming, NaN for what is not stated."""
+    survey, of_all = rows.survey, np.nan if noise.range_sigma is None else noise.range_sigma
+    beams = np.full(len(np.unique(survey.beam_sources)), of_all)
+    own = ~np.isnan(survey.stated_sigmas)
+    beams[survey.beam_sources[own]] = survey.stated_sigmas[own]
+    aiming = survey.aiming_sigma
+    if aiming is None:
+        aiming = np.nan if POINT.name in rows.targets else AIMING_SIGMA
+    sensors = [np.nan if shots.sigma is None else shots.sigma for shots in survey.shots]
+    return np.array([*sensors, *beams.tolist(), aiming])
 
 
 def usual_noise(rows: SurveyRows, noise: Noise) -> Components:
     """Return the sizes that noise usually has: the scales of the priors of what is not stated."""
-    sigma = np.full(len(rows.survey.shots) + 2, FIRST_SIGMA)
-    sigma[-1] = AIMING_SIGMA
+    sigma = np.append(np.full(len(set(rows.sources.values())), FIRST_SIGMA), AIMING_SIGMA)
     pose = noise.pose_rotation_prior, noise.pose_translation_prior
     return Components(sigma, pose, USUALLY_AGAIN)
 

@@ -52,7 +52,7 @@ class Components:
     Attributes
     ----------
     sigma : (n,)
-        Standard deviation of a reading of each sensor, of all beams, and of the aiming at points [m].
+        Standard deviation of a reading of each of `SurveyRows.sources`, and of the aiming [m].
     pose : (rotation, translation)
         Standard deviations of the hand pose an axis [rad], [m].
     again : float

@@ -31,6 +31,7 @@ from ..model.targets.plane import PlaneTarget
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere, continued
 from ..quantities import MM, ROUNDING
+from ..text import some
 from .dense import Unknowns, unknowns_of
 
 TARGETS: dict[str, type[PlaneTarget] | type[Sphere]] = {
@@ -211,6 +212,26 @@ class SurveyRows:
         families = SENSOR.name, BEAM.name
         return {(family, i): n for family in families for i, n in enumerate(self.names(family))}
 
+    @property
+    def sources(self) -> dict[Entity, int]:
+        """Whose noise each sensor and each beam has: sensors each their own, then kinds of beams."""
+        first = len(self.survey.shots)
+        found = {(SENSOR.name, i): i for i in range(first)}
+        of_beams = self.survey.beam_sources.tolist()
+        return found | {(BEAM.name, i): first + one for i, one in enumerate(of_beams)}
+
+    def names_of_noise(self) -> list[str]:
+        """Return the names of the sensors or beams that have each noise, in words."""
+        names = [shots.name for shots in self.survey.shots]
+        of_beams = self.survey.beam_sources
+        if len(of_beams) and not of_beams.any():
+            return [*names, "single beams"]
+        kinds = (
+            [name for (f, i), name in self.mounts.items() if f == BEAM.name and of_beams[i] == k]
+            for k in np.unique(of_beams)
+        )
+        return [*names, *(some(kind, 6) for kind in kinds)]
+
     def entities(self, known: Known) -> list[Entity]:
         """Return what a relation is of: families and numbers of their members."""
         numbers: dict[str, Entity] = {}
@@ -270,7 +291,7 @@ def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
             name, mount = survey.beam_names[member], (BEAM.name, member)
             if repeats(name, mount, station, at, np.array(d)):
                 continue
-            stop, cone = int(stops[station]), survey.half_angle
+            stop, cone = int(stops[station]), float(survey.cones[member])
             items.append(Item(*mount, station, stop, at, reading=float(d), half_angle=cone))
     seen = {f"sensor:{shots.name}" for shots in survey.shots}
     seen |= {f"beam:{name}" for name in survey.beam_names}
@@ -414,12 +435,12 @@ def blocks_of(
     given_poses : bool
         Whether the hand poses are constants of the blocks, without derivatives, and not variables.
     """
-    alike: dict[tuple[str, str, int], list[int]] = defaultdict(list)
+    alike: dict[tuple[str, str, int, float], list[int]] = defaultdict(list)
     for number, item in enumerate(items):
         size = 1
         if item.shot is not None and not of_single_readings(item.shot):
             size = len(item.shot.reading)
-        alike[item.family, item.target[0], size].append(number)
+        alike[item.family, item.target[0], size, item.half_angle].append(number)
     blocks: list[Block] = []
     owners: list[IntArray] = []
 
@@ -427,7 +448,7 @@ def blocks_of(
         """Weigh rows (G, S) of a stop together."""
         return Weights(root[None], None, np.repeat(stop[:, None], root.shape[1], axis=1))
 
-    for (family, target, size), of_size in alike.items():
+    for (family, target, size, half_angle), of_size in alike.items():
         some = [items[i] for i in of_size]
         shots = [i.shot for i in some if i.shot is not None]
         groups = [len(shot.reading) // size for shot in shots] or 1
@@ -446,7 +467,7 @@ def blocks_of(
             axes, beam = axes_along(values[BEAM.name][0, member, 3:6]), BeamSensor(member)
             blocks.append(SpotsOnPoints(beam, robot, seen, reading, axes, weights(root)))
         elif not shots:
-            sensor = BeamSensor(member, some[0].half_angle)
+            sensor = BeamSensor(member, half_angle)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
             parts = zip(

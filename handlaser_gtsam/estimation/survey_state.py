@@ -9,7 +9,6 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.noise import Noise
 from ..data.survey import Known
 from ..model.block import Block
-from ..model.families import BEAM
 from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -116,10 +115,9 @@ class SurveyState:
 
     def sigmas(self) -> dict[tuple[str, int], float]:
         """Return the standard deviation of a reading of each sensor and beam, and of the aiming."""
-        *sensors, beams, aiming = self.sizes.sigma.tolist()
-        found = {(SENSOR.name, i): sigma for i, sigma in enumerate(sensors)}
-        found |= {(BEAM.name, i): beams for i in range(len(self.rows.survey.beam_names))}
-        return found | {(POINT.name, 0): aiming}
+        sigma = self.sizes.sigma
+        found = {mount: float(sigma[i]) for mount, i in self.rows.sources.items()}
+        return found | {(POINT.name, 0): float(sigma[-1])}
 
     def pose_covariance(self) -> FloatArray:
         """Return the covariance (M, 6, 6) of the hand poses."""
@@ -146,13 +144,15 @@ class SurveyState:
         return np.where(owner < 0, -1, self.rows.stops[self.stations(owner)])
 
     def sources(self, owner: IntArray) -> IntArray:
-        """Return whose noise rows of items have: sensors, beams, then the aiming; -1 of none."""
-        items, beams = self.rows.items, len(self.rows.survey.shots)
-        source = [beams if item.family == BEAM.name else item.member for item in items]
+        """Return whose noise rows of items have, by `SurveyRows.sources`: -1 of none."""
+        items, of = self.rows.items, self.rows.sources
+        source = [of[item.mount] for item in items]
         on_point = np.array([item.target[0] == POINT.name for item in items])
         # Of a spot on a point the first row is along the ray.
         aimed = (owner == np.roll(owner, 1)) & on_point[owner]
-        return np.where(owner < 0, -1, np.where(aimed, beams + 1, np.array(source)[owner]))
+        return np.where(
+            owner < 0, -1, np.where(aimed, len(self.sizes.sigma) - 1, np.array(source)[owner])
+        )
 
 
 Columns = Callable[[SurveyState, bool], FloatArray]

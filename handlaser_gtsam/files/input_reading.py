@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from ..data.recording import beyond_planes
 from ..data.survey import Survey, kind_of
 from ..errors import CalibrationWarning, InputError
@@ -47,7 +49,7 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     InputError
     """
     with naming_fields("" if rig.log.stated else WRITES_IT):
-        if rig.survey is not None:
+        if rig.many_rays:
             from .survey_reading import read_survey
 
             survey = read_survey(path, rig)
@@ -59,7 +61,7 @@ def read_any_kind(rig: Rig, path: Path) -> Survey | tuple[LogReport, Rig]:
     warnings = _warnings(rig, recording.warnings, recording.beam_names)
     recording = replace(recording, warnings=warnings)
     lines = tuple(map(as_fields, report.lines))
-    if beyond_planes(recording.plane_names) or rig.half_angle:
+    if beyond_planes(recording.plane_names) or rig.half_angle or rig.survey is not None:
         from .survey_reading import survey_of
 
         return replace(survey_of(recording, rig), lines=lines)
@@ -87,14 +89,15 @@ def _warnings(
     InputError
         A bag that says of itself that it has such readings, where nothing is stated of them.
     """
-    kind = rig.sensor.kind
+    kind, cones = rig.sensor.kind, np.count_nonzero(rig.of_beams(beams)[0]) if beams else 0
     warnings = tuple(replace(one, message=as_fields(one.message)) for one in read)
     for one in warnings:
-        if one.code == NO_HALF_ANGLE and kind in (None, "ultrasonic") and not rig.half_angle:
+        unstated = one.code == NO_HALF_ANGLE and cones < float(one.values["beams"])
+        if unstated and kind in (None, "ultrasonic"):
             found, _, expected = one.message.partition("; expected ")
             raise InputError(found, expected)
     warnings = tuple(one for one in warnings if one.code != NO_HALF_ANGLE)
-    if kind != "ultrasonic" or rig.half_angle or not beams:
+    if kind != "ultrasonic" or cones or not beams:
         return warnings
     words = (
         'kind = "ultrasonic" in [sensor] without half_angle_deg: readings are taken for those along a '

@@ -23,21 +23,24 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
+import numpy as np
 from pydantic import Field, Strict, create_model
 
+from ..arrays import FloatArray
 from ..checks import require_number
 from ..data.noise import Noise
 from ..errors import InputError
 from ..model.effects.plausible import FIELDS, Plausible
 from ..model.sensor_limits import Sensor
-from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH, WIDEST_CONE
+from ..quantities import DEG, IN_DEG, IN_MM, LARGEST_LENGTH, MM, WIDEST_CONE
 from ..results.limits import Limits
+from ..text import shown, some
 from .checked_text import (
     FileRecord,
     in_file,
@@ -52,7 +55,7 @@ from .checked_text import (
 from .logs.format import LogFormat
 from .logs.format_checks import EXCLUSIVE
 from .rig_planning import PlanTables
-from .sensor_tables import SurveyRig, SurveyTables
+from .sensor_tables import SINGLE, SurveyRig, SurveyTables
 from .writing import path_of, write_text
 
 if TYPE_CHECKING:  # calibrating needs none of it
@@ -217,7 +220,8 @@ class Rig:
         Standard deviation of a spot across its ray where beams are aimed at points [m].
     half_angle : float
         Half the opening angle of the cone in which each single sensor reads what is nearest [rad], as
-        ultrasonic ones do; zero of beams. Recordings of cones are surveys.
+        ultrasonic ones do; zero of beams, and `survey` may say another of one. Recordings of cones are
+        surveys.
     workspace : Workspace or None
         Where the hand may go, and the robot that is to reach it.
     bounds : Bounds or None
@@ -239,6 +243,31 @@ class Rig:
     bounds: "Bounds | None" = None
     stated_goal: "Goal | None" = None
     stated_placement: "Placement | None" = None
+
+    @property
+    def many_rays(self) -> bool:
+        """Whether there are sensors of many rays."""
+        return self.survey is not None and bool(self.survey.sensors)
+
+    def of_beams(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        """Return the half angles [rad] and stated sigmas [m] of named beams (B,): 0 and NaN for none.
+
+        Raises
+        ------
+        InputError
+            A beam in [[sensors]] that is none of these.
+        """
+        tables = {} if self.survey is None else self.survey.beams
+        for name in tables:
+            if name not in names:
+                found = f"{name} of kind = {shown(SINGLE)} in [[sensors]], of which nothing is read"
+                raise InputError(found, f"one of the single beams: {some(names, 8) or 'none'}")
+        cones, sigmas = np.full(len(names), self.half_angle), np.full(len(names), np.nan)
+        for i, table in enumerate(map(tables.get, names)):
+            if table is not None:
+                cones[i] = table.half_angle_deg * DEG
+                sigmas[i] = np.nan if table.sigma_mm is None else table.sigma_mm * MM
+        return cones, sigmas
 
     @property
     def goal(self) -> "Goal":

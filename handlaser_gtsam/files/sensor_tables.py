@@ -10,6 +10,9 @@ near or far; clear_mm: what a zone reads behind an echo nearer than this does no
 sigma_mm, sigma_deg; direction; position_mm; pose_mm_deg: x, y, z, A, B, C with
 R = Rz(A) Ry(B) Rx(C); faces: rows of a normal and an offset in mm
 
+A row of [[sensors]] with kind = beam says of one single beam, whose readings are a column of ranges of
+that name, what differs from the others: sigma_mm, and half_angle_deg of its cone, zero if not stated.
+
 `RELATIONS` of `data.survey` says which of these a relation has: all of them are needed, and no others.
 """
 
@@ -24,14 +27,14 @@ from pydantic import Strict
 from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
-from ..checks import require_word
+from ..checks import require_number, require_word
 from ..data.screening import shots_code_warning
 from ..data.station_list import StationList
 from ..data.survey import RELATIONS, Convention, Echo, Kind, Known, Shots
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
-from ..quantities import DEG, IN_MM, MAJORITY, MM
+from ..quantities import DEG, IN_DEG, IN_MM, MAJORITY, MM, WIDEST_CONE
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
@@ -41,8 +44,18 @@ from .writing import same_file
 if TYPE_CHECKING:  # tables of points are read where a rig file names some
     from .points_table import Codes, Points
 
-ONE_KIND = {"angles": "scanner", "convention": "array", "echo": "array", "clear_mm": "array"}
+SINGLE = "beam"
+"""The kind of a single beam."""
+ONE_KIND = {
+    "angles": "scanner",
+    "convention": "array",
+    "echo": "array",
+    "clear_mm": "array",
+    "half_angle_deg": SINGLE,
+}
 """Fields of [[sensors]] that one kind of sensor has."""
+OF_BEAMS = {"name", "kind", "sigma_mm", "half_angle_deg"}
+"""Fields that a single beam has."""
 EACH = "*"
 """Stands for the name of a station in the name of a table of points."""
 Words = Annotated[tuple[str, ...], Strict(False)]
@@ -53,7 +66,7 @@ class SensorTable(FileRecord):
     """A row of [[sensors]]."""
 
     name: str
-    kind: Kind
+    kind: Kind | Literal["beam"]
     points: str = ""
     topics: Words = ()
     units: Literal["mm", "m", "in"] | None = None
@@ -65,6 +78,7 @@ class SensorTable(FileRecord):
     convention: Convention = "radial"
     echo: Echo = "all"
     clear_mm: float = 0.0
+    half_angle_deg: float = 0.0
 
 
 class KnownTable(FileRecord):
@@ -89,6 +103,9 @@ class SurveyTables:
     Attributes
     ----------
     sensors : tuple of SensorTable
+        Of many rays.
+    beams : mapping of str to SensorTable
+        What is stated of single beams, by name.
     known : tuple of Known
     folder : Path
         Where the rig file stands, from which tables of points are named.
@@ -98,6 +115,7 @@ class SurveyTables:
     """
 
     sensors: tuple[SensorTable, ...]
+    beams: Mapping[str, SensorTable]
     known: tuple[Known, ...]
     folder: Path
     copies: Mapping[Path, Path] = field(default_factory=dict)
@@ -204,10 +222,6 @@ class SurveyTables:
         if (table.zones is None) == (table.kind == "array"):
             found = f"{'no ' if table.zones is None else ''}zones of {name}"
             raise InputError(found, "the file of zones of an array, and of nothing else")
-        for stated, kind in ONE_KIND.items():
-            if stated in table.model_fields_set and table.kind != kind:
-                found = f"{stated} of {name}, which is of kind = {shown(table.kind)}"
-                raise InputError(found, f"it of kind = {shown(kind)} only")
         sigma = None if table.sigma_mm is None else table.sigma_mm * MM
         noise: dict[str, Any] = {"sigma": sigma, "sigma_across": table.sigma_across_mm * MM}
         noise["free"] = table.free
@@ -304,12 +318,26 @@ class SurveyRig(FileRecord):
         if not self.sensors and not self.known:
             return None
         known = []
-        for i, table in enumerate(self.known):
+        for i, relation in enumerate(self.known):
             try:
-                known.append(_known(table))
+                known.append(_known(relation))
             except InputError as error:
                 raise InputError(f"{error.found} in known.{i}", error.expected) from error
-        return SurveyTables(self.sensors, tuple(known), folder)
+        for table in self.sensors:
+            for stated, kind in ONE_KIND.items():
+                if stated in table.model_fields_set and table.kind != kind:
+                    found = f"{stated} of {table.name}, which is of kind = {shown(table.kind)}"
+                    raise InputError(found, f"it of kind = {shown(kind)} only")
+        beams = {one.name: one for one in self.sensors if one.kind == SINGLE}
+        for name, one in beams.items():
+            others = sorted(one.model_fields_set - OF_BEAMS)
+            if others:
+                found = f"{others[0]} of {name}, which is of kind = {shown(SINGLE)}"
+                raise InputError(found, f"{', '.join(sorted(OF_BEAMS))} of such a sensor only")
+            widest = WIDEST_CONE * IN_DEG
+            require_number(f"half_angle_deg of {name}", one.half_angle_deg, 0.0, widest)
+        many = tuple(one for one in self.sensors if one.kind != SINGLE)
+        return SurveyTables(many, beams, tuple(known), folder)
 
 
 def _unit(field: str, stated: str, named: set[str], usual: str) -> tuple[str, str]:

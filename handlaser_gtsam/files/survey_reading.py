@@ -49,8 +49,8 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     """
     path = path_of(path)
     rig = rig if isinstance(rig, Rig) else read_rig(rig)
-    if rig.survey is None:
-        if rig.half_angle:
+    if rig.survey is None or not rig.many_rays:
+        if rig.survey is not None or rig.half_angle:
             return survey_of(read_recording(path, rig.sensor), rig)
         expected = "one of them in the rig file, or half_angle_deg in [sensor]"
         raise InputError("no table [[sensors]] or [[known]]", expected, path)
@@ -79,7 +79,8 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
             "columns range_NAME of single beams in the table of stations, or no half_angle_deg"
         )
         raise InputError(found, expected, path)
-    survey = _survey(stations, ranges, beams, rig, shots=shots, known=tables.known, lines=lines)
+    with in_file(path):
+        survey = _survey(stations, ranges, beams, rig, shots=shots, lines=lines)
     warnings = coded if rows is None else (*rows.warnings, *coded)
     if shots and not is_bag(path):
         with in_file(path):
@@ -107,8 +108,9 @@ def _survey(
     """Return a survey of single beams that are as a rig file says, and more."""
     if ranges is not None:  # without those that the sensor cannot give
         ranges = np.where(rig.sensor.can_read(ranges), ranges, np.nan)
-    more |= {"half_angle": rig.half_angle, "linearity": rig.sensor.linearity}
-    more["aiming_sigma"] = rig.aiming_sigma
+    more["half_angle"], more["range_sigma"] = rig.of_beams(beams)
+    more |= {"linearity": rig.sensor.linearity, "aiming_sigma": rig.aiming_sigma}
+    more["known"] = () if rig.survey is None else rig.survey.known
     return Survey(stations, ranges=ranges, beam_names=beams, **more)
 
 

@@ -18,7 +18,7 @@ from .checked_text import Record, json_text, toml_table
 from .points_table import COLUMNS
 from .recording_csv import PREFIX, write_columns
 from .rig_toml import write_rig
-from .sensor_tables import SensorTable
+from .sensor_tables import SINGLE, SensorTable
 from .writing import write_text
 
 STATIONS_WRITTEN, RIG_WRITTEN, TRUTH_WRITTEN = "stations.csv", "rig.toml", "truth.json"
@@ -38,6 +38,7 @@ def write_simulated(
     zones: dict[str, FloatArray],
     noise: Noise,
     sensor: Sensor,
+    beams: Sequence[SensorTable] = (),
 ) -> None:
     """Write a simulated survey as `calibrate` reads it, and what is true beside it.
 
@@ -54,6 +55,8 @@ def write_simulated(
         As the rig file states it.
     sensor : Sensor
         Of the beams.
+    beams : sequence of SensorTable
+        Those that differ from each other.
 
     Raises
     ------
@@ -76,8 +79,9 @@ def write_simulated(
             u = pl.DataFrame(zones[table.name], schema=["x", "y", "z"], orient="row")
             content = u.with_row_index("zone")
             write_text(folder / _zones(table), content.write_csv())
-    more = "".join(map(_sensor_text, tables))
-    write_rig(folder / RIG_WRITTEN, noise, sensor, more, survey.half_angle)
+    more = "".join(map(_sensor_text, (*tables, *beams)))
+    half_angle = float(survey.cones[0]) if len(survey.cones) and not beams else 0.0
+    write_rig(folder / RIG_WRITTEN, noise, sensor, more, half_angle)
     write_text(folder / TRUTH_WRITTEN, json_text("survey-truth", _truth(truth)))
 
 
@@ -105,12 +109,13 @@ def _columns(table: SensorTable, shots: Shots, zones: FloatArray | None) -> Floa
 
 def _sensor_text(table: SensorTable) -> str:
     """Return a row of [[sensors]]: what was stated, in millimetres and degrees, with its own files."""
-    is_array = table.kind == "array"
+    is_array, single = table.kind == "array", table.kind == SINGLE
     fields: dict[str, object] = {
         "name": table.name,
         "kind": table.kind,
-        "points": _points(table),
-        "units": "mm",
+        "points": None if single else _points(table),
+        "units": None if single else "mm",
+        "half_angle_deg": table.half_angle_deg or None,
         "angles": "deg" if table.kind == "scanner" else None,
         "zones": _zones(table) if is_array else None,
         "convention": table.convention if is_array else None,

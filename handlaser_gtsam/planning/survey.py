@@ -97,7 +97,7 @@ def plan_survey(
             "what is enough: stations are chosen for spots at the typical readings",
         )
     of = calibration._found.rows
-    if of.survey.half_angle and not calibration.sensors:
+    if of.survey.cones.any() and not calibration.sensors:
         raise InputError(
             "a survey of cones alone, which no stations are planned for",
             "a sensor of many rays in [[sensors]]; for cones add stations that lean by more than "

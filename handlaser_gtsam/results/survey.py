@@ -466,7 +466,7 @@ def _beam(found: SurveyEstimate, member: int) -> BeamMount:
         x[:3],
         C,
         np.sqrt(np.diagonal(C)[LOCATION]),
-        float(found.noise.sigma[-2]),
+        float(found.noise.sigma[rows.sources[BEAM.name, member]]),
         float(np.median(own)) if own else math.nan,
         rejected,
         x[3:6],

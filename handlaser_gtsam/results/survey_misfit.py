@@ -96,16 +96,29 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
 
     Each reading that does not fit costs as much as one that just does.
     """
-    stated = found.rows.survey.half_angle
-    if not stated or found.estimate.status not in ("converged", "contradicted"):
+    cones = found.rows.survey.cones
+    if not cones.any() or found.estimate.status not in ("converged", "contradicted"):
         return
-    noise = replace(found.given, range_sigma=float(found.noise.sigma[-2]))
+    noise, sources = found.given, found.rows.sources
+    sigma = [found.noise.sigma[sources[BEAM.name, i]] for i in range(len(cones))]
+    survey = replace(found.rows.survey, range_sigma=np.array(sigma))
     if noise.pose_covariance is None:
         turn, shift = found.noise.pose
         noise = replace(noise, pose_rotation_sigma=turn, pose_translation_sigma=shift)
+    for stated in np.unique(cones[cones > 0.0]).tolist():
+        one = [] if (cones == stated).all() else np.flatnonzero(cones == stated).tolist()
+        of = " of " + some([survey.beam_names[i] for i in one], NAMES_IN_LINE) if one else ""
+        yield from _misheard(found, survey, noise, stated, of)
+
+
+def _misheard(
+    found: SurveyEstimate, survey: Survey, noise: Noise, stated: float, of: str
+) -> Iterator[CalibrationWarning]:
+    """Warn of the cones with one stated half angle, whose names are said where others have another."""
+    mine = survey.cones == stated
 
     def fitted(half_angle: float, beside: SurveyEstimate) -> tuple[SurveyEstimate, float]:
-        other = replace(found.rows.survey, half_angle=half_angle)
+        other = replace(survey, half_angle=np.where(mine, half_angle, survey.cones))
         try:
             again = estimate_survey(other, noise, beside)
         except InputError:  # no start with this angle
@@ -140,13 +153,13 @@ def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     variance = least / dof
     gain = (squares - least) / variance
     if better != stated and np.isfinite(gain) and f_sf(gain, 1, dof) < FAMILY_LEVEL / tries:
-        yield warned(HALF_ANGLE, {"half_angle": better}, stated=stated)
+        yield warned(HALF_ANGLE, {"half_angle": better}, stated=stated, of=of)
         return
     alike = [(a, e) for a, s, e in others if s - squares <= FAR_SIGMAS**2 * variance]
     shifts = [(_shift_of_beams(at_stated, other), angle) for angle, other in alike]
     (times, shift), angle = max(shifts, default=((0.0, 0.0), stated))
     if times > 1.0:
-        yield warned(UNSURE_ANGLE, {"half_angle": angle, "shift_m": shift}, stated=stated)
+        yield warned(UNSURE_ANGLE, {"half_angle": angle, "shift_m": shift}, stated=stated, of=of)
 
 
 def _shift_of_beams(found: SurveyEstimate, other: SurveyEstimate) -> tuple[float, float]:
@@ -319,19 +332,19 @@ def contradictions(tests: Sequence[RelationTest]) -> Iterator[CalibrationWarning
 def first_noise(rows: SurveyRows, fit: FirstFit, given: Noise) -> tuple[str, ...]:
     """Return the standard deviations of readings and hand at a first fit, and where each is from."""
     sigma = fit.noise.sigma.tolist()
+    hows = ["from its shots" if one.sigma is None else "as stated" for one in rows.survey.shots]
+    of_beams = rows.survey.stated_sigmas[np.unique(rows.survey.beam_sources, return_index=True)[1]]
+    hows += [_how(given.range_sigma if np.isnan(own) else own) for own in of_beams.tolist()]
     parts = [
-        f"{shots.name} {sigma[i] * IN_MM:.2g} mm "
-        f"{'from its shots' if shots.sigma is None else 'as stated'}"
-        for i, shots in enumerate(rows.survey.shots)
+        f"{name} {one * IN_MM:.2g} mm {how}"
+        for name, one, how in zip(rows.names_of_noise(), sigma, hows, strict=False)
     ]
-    if rows.survey.beam_names:
-        parts.append(f"beams {sigma[-2] * IN_MM:.2g} mm {_how(given.range_sigma)}")
     if given.pose_covariance is not None:
         return (*parts, "hand as its covariances state")
     turn, shift = fit.noise.pose
-    hows = _how(given.pose_translation_sigma), _how(given.pose_rotation_sigma)
-    of_shift = "" if hows[0] == hows[1] else f" {hows[0]}"
-    hand = f"hand {shift * IN_MM:.2g} mm{of_shift} and {turn * IN_DEG:.2g} deg {hows[1]}"
+    how, of_turn = _how(given.pose_translation_sigma), _how(given.pose_rotation_sigma)
+    of_shift = "" if how == of_turn else f" {how}"
+    hand = f"hand {shift * IN_MM:.2g} mm{of_shift} and {turn * IN_DEG:.2g} deg {of_turn}"
     return (*parts, hand)
 
 

@@ -54,12 +54,12 @@ def open_words(
     """
     what, cures = _words_of_images(rows, images)
     parts = tuple(_parts(rows, found.values, null))
-    within = set(_within_their_cones(rows, found)) if rows.survey.half_angle else set()
+    within = set(_within_their_cones(rows, found)) if rows.survey.cones.any() else set()
     unheard = [p for p in parts if p.quantity == "direction" and p.name in within]
     if unheard:
         names = some([part.name for part in unheard], 6)
         what += (said("open:cone", names=names),)
-        cures += (said("cure:cone", angle=rows.survey.half_angle),)
+        cures += (said("cure:cone", angle=rows.survey.cones.max()),)
         parts = tuple(part for part in parts if part not in unheard)
     if not parts:
         return what, cures

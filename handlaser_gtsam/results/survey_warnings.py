@@ -251,9 +251,7 @@ def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     learned = np.isnan(found.stated.sigma)
     if found.estimate.status != "converged" or not learned.any():
         return
-    survey = found.rows.survey
-    names = [f"{SENSOR.name} {name}" for name in found.rows.names(SENSOR.name)]
-    names += [f"{BEAM.name} {some(survey.beam_names, NAMES_IN_LINE)}", "the aiming at points"]
+    names = [*found.rows.names_of_noise(), "the aiming at points"]
     spare, usual = found.redundancy(), usual_noise(found.rows, found.given).sigma
     for i in np.flatnonzero(learned & (spare < FEW_DEGREES)).tolist():
         sigma = {"sigma": float(found.noise.sigma[i]), "usual": float(usual[i])}
@@ -275,7 +273,7 @@ def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         yield warned(
             f"{TOO_FEW}:survey", {"numbers": numbers, "unknowns": every}, sentence=sentence
         )
-    if found.estimate.status != "converged" or not np.isnan(found.stated.sigma[-2]):
+    if found.estimate.status != "converged":
         return
     related = {entity for known in rows.known for entity in rows.entities(known)}
     for member, name in enumerate(rows.survey.beam_names):
@@ -285,7 +283,8 @@ def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             for item, used in zip(rows.items, found.used, strict=True)
             if used and item.mount == mount
         )
-        if numbers < unknowns and mount not in related:
+        learned = np.isnan(found.stated.sigma[rows.sources[mount]])
+        if numbers < unknowns and learned and mount not in related:
             values: Values = {"beam": name, "numbers": numbers, "unknowns": unknowns}
             yield warned(TOO_FEW, values)
 

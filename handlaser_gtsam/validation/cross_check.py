@@ -248,8 +248,8 @@ def _problem(found: SurveyEstimate) -> ReferenceProblem:
     sigmas = state.sigmas()
     groups: dict[tuple[str, int, str], list[Item]] = defaultdict(list)
     for item, used in zip(rows.items, found.used, strict=True):
-        if used:  # all beams together
-            member = -1 if item.points is None else item.member
+        if used:  # all beams of one kind together
+            member = item.member if item.points is not None else -1 - rows.sources[item.mount]
             groups[item.family, member, item.target[0]].append(item)
     observed = []
     for (family, member, kind), items in groups.items():
@@ -264,7 +264,7 @@ def _problem(found: SurveyEstimate) -> ReferenceProblem:
             sensor,
             np.array([item.reading for item in items]),
             np.full(len(which), sigmas[family, items[0].member]),
-            half_angle=survey.half_angle,
+            half_angle=items[0].half_angle,
         )
         if member >= 0:
             shots = survey.shots[member]
@@ -274,7 +274,6 @@ def _problem(found: SurveyEstimate) -> ReferenceProblem:
                 shape=shots.kind,
                 across=shots.across[which],
                 sigma_across=shots.sigma_across,
-                half_angle=0.0,
             )
         observed.append(one)
     mounts = np.full((len(survey.shots), POSE.dim), np.inf)

@@ -55,7 +55,8 @@ def simulate_survey(
     fans: Sequence[Shots],
     errors: Errors,
     rng: np.random.Generator,
-    half_angle: float = 0.0,
+    half_angle: float | FloatArray = 0.0,
+    range_sigma: FloatArray | None = None,
 ) -> Survey:
     """Read every sensor and beam at every station; what does not look at the target reads nothing.
 
@@ -71,8 +72,10 @@ def simulate_survey(
         `errors.range_sigma` else.
     errors : Errors
     rng : numpy.random.Generator
-    half_angle : float
+    half_angle : float or (B,)
         Of the cones of the beams [rad]; zero of beams.
+    range_sigma : (B,), optional
+        Standard deviation of each beam [m], NaN for `errors.range_sigma`.
 
     Raises
     ------
@@ -109,7 +112,7 @@ def simulate_survey(
         lines = np.array(list(truth.beams.values()))
         values[BEAM.name] = np.hstack((lines, np.zeros((len(lines), 2))))[None]
 
-    def read(s: FloatArray, sigma: float) -> FloatArray:
+    def read(s: FloatArray, sigma: float | FloatArray) -> FloatArray:
         """Return the readings (N,) of ranges, noise and all."""
         k = np.broadcast_to(truth.range_error, (len(s), 2))
         return read_back(s, k) + sigma * rng.standard_normal(len(s))
@@ -129,10 +132,16 @@ def simulate_survey(
         shots.append(replace(fan, station=station, across=across, reading=reading))
     ranges = None
     if truth.beams:
-        ranges = _ranges_of_beams(values, seen, len(labels), half_angle)
+        cones = np.broadcast_to(half_angle, len(truth.beams))
+        ranges = _ranges_of_beams(values, seen, len(labels), cones)
         good = np.isfinite(ranges)
-        ranges[good] = read(ranges[good], errors.range_sigma)
-    return Survey(stations, tuple(shots), ranges, tuple(truth.beams), half_angle=half_angle)
+        sigma = np.full(ranges.shape, np.nan if range_sigma is None else range_sigma)
+        sigma[np.isnan(sigma)] = errors.range_sigma
+        ranges[good] = read(ranges[good], sigma[good])
+    names = tuple(truth.beams)
+    return Survey(
+        stations, tuple(shots), ranges, names, half_angle=half_angle, range_sigma=range_sigma
+    )
 
 
 def _ranges_of_rays(
@@ -159,7 +168,7 @@ def _ranges_of_beams(
     values: Mapping[str, FloatArray],
     seen: Mapping[str, tuple[IntArray, IntArray]],
     count: int,
-    half_angle: float,
+    cones: FloatArray,
 ) -> FloatArray:
     """Return the ranges of beams (M, B) [m]: NaN where they miss, or are not aimed at a point."""
     beams = values[BEAM.name].shape[1]
@@ -174,11 +183,16 @@ def _ranges_of_beams(
             spots = SpotsOnPoints(BeamSensor(beam), robot, target, zero, axes)
             e = spots.evaluate(values).columns[-1, 0]
             passed = np.hypot(e[:, 1], e[:, 2])
-            aimed = passed < FAR_SIGMAS * AIMING_SIGMA
+            aimed = (passed < FAR_SIGMAS * AIMING_SIGMA) & (cones[beam] == 0.0)
             s[station, beam] = np.where(aimed, e[:, 0], np.nan)
             continue
-        sensor = BeamSensor(beam, half_angle)
-        rows = Ranges(sensor, TARGETS[family](target), robot, zero).evaluate(values)
-        met = np.where(missed(family, rows), np.nan, rows.columns[-1, 0])[:, 0]
-        s[station, beam] = np.where(met > 0.0, met, np.nan)
+        for half_angle in np.unique(cones).tolist():
+            of = np.flatnonzero(cones[beam] == half_angle)
+            sensor = BeamSensor(beam[of], half_angle)
+            ranges = Ranges(
+                sensor, TARGETS[family](target[of]), PoseVariables(station[of]), zero[:, of]
+            )
+            rows = ranges.evaluate(values)
+            met = np.where(missed(family, rows), np.nan, rows.columns[-1, 0])[:, 0]
+            s[station[of], beam[of]] = np.where(met > 0.0, met, np.nan)
     return s

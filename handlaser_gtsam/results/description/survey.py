@@ -154,11 +154,8 @@ def _target_row(target: "SurveyTarget") -> tuple[Cell, ...]:
 def facts(result: "SurveyCalibration", verdict: Verdict) -> Facts:
     """Return noise, fit, limits, relations and tests as pairs of a name and words."""
     found = [("fit", f"chi2 {result.chi2:.4g} at {result.dof} degrees of freedom{_counts(result)}")]
-    noise = [
-        f"{sensor.name} {sensor.reading_sigma * IN_MM:.2g} mm" for sensor in result.sensors.values()
-    ]
-    beams = list(result.beams.values())
-    noise += [f"single beams {beams[0].reading_sigma * IN_MM:.2g} mm"] if beams else []
+    sigmas, sources = result._found.noise.sigma.tolist(), result._found.rows.names_of_noise()
+    noise = [f"{of} {one * IN_MM:.2g} mm" for of, one in zip(sources, sigmas, strict=False)]
     turn, shift = result.pose_sigma
     if math.isfinite(turn):
         how = " (estimated)" if result.pose_sigma_estimated else ""
@@ -170,7 +167,7 @@ def facts(result: "SurveyCalibration", verdict: Verdict) -> Facts:
             found.append((f"range error of {sensor.name}", _errors(sensor.range_error, sigmas)))
         if sensor.errors:
             found.append((f"tested of {sensor.name}", _tested(sensor)))
-    for beam in beams:
+    for beam in result.beams.values():
         errors = dict(zip(BEAM.coordinates[RANGE_ERROR], beam.range_error, strict=True))
         sigmas = np.sqrt(np.diagonal(beam.covariance)[RANGE_ERROR])
         found.append((f"range error of beam {beam.name}", _errors(errors, sigmas)))
