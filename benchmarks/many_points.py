@@ -3,16 +3,19 @@
     python -m benchmarks.many_points [--shots 10000] [--points 1000] [--every]
 
 With `--every` the same is solved from every point as a row of its own, for sizes that fit into memory,
-and the two answers are compared in standard deviations.
+and the two answers are compared in standard deviations: of one search from the same start, and of the
+whole calibration, hand poses exact and with noise that is learned.
 """
 
 import argparse
 import resource
 import time
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+import handlaser_gtsam as hl
 from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.station_list import StationList
@@ -21,9 +24,11 @@ from handlaser_gtsam.estimation.dense import unknowns_of
 from handlaser_gtsam.estimation.estimate import BlockProblem, minimum
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.estimation.survey_rows import SurveyRows, blocks_of, rows_of
+from handlaser_gtsam.model import condensed_shots
 from handlaser_gtsam.model.block import Weights
+from handlaser_gtsam.model.condensed_shots import Condensed, Shape
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
-from handlaser_gtsam.model.sensors.kinds import KINDS
+from handlaser_gtsam.model.sensors.kinds import KINDS, Rayset
 from handlaser_gtsam.model.sensors.mounted import Mounted
 from handlaser_gtsam.model.targets.plane import PlaneTarget
 
@@ -128,6 +133,35 @@ def compare(survey: Survey) -> None:
     )
 
 
+def compare_calibrations(survey: Survey) -> None:
+    """Calibrate from condensed shots and from every point, and compare."""
+    condensed = condensed_shots._condensed
+
+    def as_they_are(
+        shape: Shape, rays: Rayset, reading: FloatArray, few: int, *of_noise: Any
+    ) -> list[Condensed | None]:
+        del few
+        return condensed(shape, rays, reading, reading.size, *of_noise)
+
+    exact = Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
+    hl.calibrate(survey, exact)  # a first time, for what is made once
+    for name, noise in (("hand exact", exact), ("nothing stated", Noise())):
+        ends, seconds = [], []
+        for how in (condensed, as_they_are):
+            condensed_shots._condensed = how  # type: ignore[assignment]
+            begin = time.process_time()
+            ends.append(hl.calibrate(survey, noise).sensors["profiler"])
+            seconds.append(time.process_time() - begin)
+        condensed_shots._condensed = condensed
+        few, many = ends
+        apart = np.abs((few.location - many.location) / many.location_sigma).max()
+        print(
+            f"calibrate, {name}: {seconds[0]:.2f} s of a processor against {seconds[1]:.2f}, "
+            f"{seconds[1] / seconds[0]:.0f} times; {apart:.1e} standard deviations apart",
+            flush=True,
+        )
+
+
 def main() -> None:
     """Print times and peak memory."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -138,6 +172,7 @@ def main() -> None:
     survey = survey_of(arguments.shots, arguments.points, np.random.default_rng(1))
     if arguments.every:
         compare(survey)
+        compare_calibrations(survey)
         return
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     begin, busy = time.perf_counter(), time.process_time()

@@ -105,9 +105,10 @@ def dense_rows(blocks: Sequence[Block], values: Values, of: Unknowns) -> DenseRo
                 P = np.moveaxis(columns[slot.columns], 0, 2)
             if slot.family not in of.place:
                 continue
-            for c, coordinate in enumerate(of.free[slot.family]):
-                at = of.place[slot.family][slot.member] + c
-                J[np.arange(G), :, at] += columns[slot.columns.start + coordinate]
+            free = of.free[slot.family]
+            at = of.place[slot.family][slot.member][:, None] + np.arange(len(free))
+            own = columns[slot.columns.start + free].transpose(1, 0, 2)
+            J[np.arange(G)[:, None], :, at] += own
         if block.weights.common is not None:
             U = np.moveaxis(np.broadcast_to(block.weights.common[:, 0], (width, G, S)), 0, 2)
         station = block.weights.station

@@ -33,9 +33,10 @@ def tangent_basis(unit: FloatArray) -> FloatArray:
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the cross products of vectors (3, ...), in half of the time of `numpy.cross`."""
-    return np.stack(
-        (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-    )
+    crossed = np.empty((3, *np.broadcast_shapes(a.shape[1:], b.shape[1:])))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.subtract(a[j] * b[k], a[k] * b[j], out=crossed[i])
+    return crossed
 
 
 def steps_between(

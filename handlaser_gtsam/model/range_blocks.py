@@ -16,7 +16,7 @@ Arrays of vectors have the coordinates first, (3, K, G, S): K problems, G groups
 the same members.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -169,13 +169,14 @@ class Ranges:
         hits = self.target.hit(values, origin, turned(R, rays.direction))
         a = turned_back(R, hits.covector)
         s = hits.range
-        columns = [self.sensor.pull(values, a, rays, s)]
         if rays.read is None:
             e, slope = s - rays.true, None
             by_error = None if rays.by_error is None else -rays.by_error
         else:
             reading, slope, by_error = rays.read(s)
             e = reading - d
+        shape = np.broadcast_shapes(e.shape, d.shape)
+        columns = [self.sensor.pull(values, a, rays, s)]
         if by_error is not None:
             columns.append(by_error)
         columns.append(hits.columns)
@@ -183,10 +184,10 @@ class Ranges:
             columns.append(self.robot.pull(by_motion(rays.origin + s * rays.direction, a)))
         if slope is not None:
             columns = [c if c is by_error else c * slope for c in columns]
-        shape = np.broadcast_shapes(e.shape, d.shape)
-        whole = [np.broadcast_to(c, (len(c), *shape)) for c in (*columns, e[None])]
-        impossible = np.broadcast_to(hits.impossible, shape)
-        return Rows(np.concatenate(whole), impossible if impossible.any() else None)
+        impossible = None
+        if hits.impossible.any():
+            impossible = np.broadcast_to(hits.impossible, shape)
+        return Rows(spread((*columns, e[None]), shape), impossible)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,14 +252,13 @@ def of_groups(x: FloatArray, member: IntArray, rays: int = 1) -> FloatArray:
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the products of vectors (3, ...)."""
-    product: FloatArray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return product
+    return np.einsum("i...,i...->...", a, b)
 
 
 def by_motion(spot: FloatArray, a: FloatArray) -> FloatArray:
     """Return derivatives (6, ...) by a turn and a shift, for covectors a at spots (3, ...)."""
-    spot, a = np.broadcast_arrays(spot, a)
-    return np.concatenate((cross(spot, a), a))
+    turned = cross(spot, a)
+    return spread((turned, a), turned.shape[1:])
 
 
 def by_beam(
@@ -270,22 +270,26 @@ def by_beam(
     """
     basis = bases(values[BEAM.name][..., OF_DIRECTION])
     basis = of_groups(basis.reshape(*basis.shape[:2], -1), member)
-    turned = s * np.stack([dot(basis[tangent::2], turning) for tangent in range(2)])
-    shape = np.broadcast_shapes(a.shape[1:], s.shape)
-    return np.concatenate([np.broadcast_to(part, (len(part), *shape)) for part in (a, turned)])
+    turned = [(s * dot(basis[tangent::2], turning))[None] for tangent in range(2)]
+    return spread((a, *turned), np.broadcast_shapes(a.shape[1:], s.shape))
+
+
+def spread(parts: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
+    """Return arrays (n, ...) one after the other, each repeated to (n, *shape)."""
+    whole, first = np.empty((sum(map(len, parts)), *shape)), 0
+    for part in parts:
+        whole[first : (first := first + len(part))] = part
+    return whole
 
 
 def turned(R: FloatArray, x: FloatArray) -> FloatArray:
     """Return R x for rotations (3, 3, ...) and vectors (3, ...)."""
-    product: FloatArray = R[:, 0] * x[0]
-    product += R[:, 1] * x[1]
-    product += R[:, 2] * x[2]
-    return product
+    return np.einsum("ij...,j...->i...", R, x)
 
 
 def turned_back(R: FloatArray, x: FloatArray) -> FloatArray:
     """Return R' x for rotations (3, 3, ...) and vectors (3, ...)."""
-    return turned(np.swapaxes(R, 0, 1), x)
+    return np.einsum("ji...,j...->i...", R, x)
 
 
 def slots_of(*variables: tuple[str, IntArray]) -> tuple[Slot, ...]:

@@ -55,9 +55,11 @@ class Mounted:
             square = (1.0 + k1) ** 2 + 4.0 * k2 * by_square * known
             root = np.sqrt(np.maximum(square, LEAST_SLOPE**2))
             h = 2.0 * known / np.maximum(1.0 + k1 + root, LEAST_SLOPE)
-            parts = offset, h, by_square * h**2, by_scale
-            by_error = -np.stack(np.broadcast_arrays(*parts)) / root
-            return h, 1.0 / root, by_error
+            slope = 1.0 / root
+            by_error = np.empty((len(self.by_error), *h.shape))
+            for i, part in enumerate((offset, h, by_square * h**2, by_scale)):
+                np.multiply(part, -slope, out=by_error[i])
+            return h, slope, by_error
 
         return Rays(origin, direction, reading, reading, read=read)
 

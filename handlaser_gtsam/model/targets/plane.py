@@ -34,8 +34,11 @@ class PlaneTarget:
         basis = bases(values[self.family][..., :3])
         basis = of_groups(basis.reshape(*basis.shape[:2], -1), self.member, rays)
         spot = arm + s * direction
-        along = [dot(basis[tangent::2], spot) * f for tangent in range(2)]
-        return Hits(s, n * f, np.stack((*along, f)), grazing)
+        columns = np.empty((3, *s.shape))
+        for tangent in range(2):
+            np.multiply(dot(basis[tangent::2], spot), f, out=columns[tangent])
+        columns[2] = f
+        return Hits(s, n * f, columns, grazing)
 
     def nearest(self, values: Values, origin: FloatArray) -> FloatArray:
         """Return the directions (3, K, G, S) at right angles to it, from points in the world."""
