@@ -252,7 +252,7 @@ def of_groups(x: FloatArray, member: IntArray, rays: int = 1) -> FloatArray:
 
 def dot(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the products of vectors (3, ...)."""
-    return np.einsum("i...,i...->...", a, b)
+    return np.asarray(np.einsum("i...,i...->...", a, b))
 
 
 def by_motion(spot: FloatArray, a: FloatArray) -> FloatArray:
@@ -284,12 +284,12 @@ def spread(parts: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
 
 def turned(R: FloatArray, x: FloatArray) -> FloatArray:
     """Return R x for rotations (3, 3, ...) and vectors (3, ...)."""
-    return np.einsum("ij...,j...->i...", R, x)
+    return np.asarray(np.einsum("ij...,j...->i...", R, x))
 
 
 def turned_back(R: FloatArray, x: FloatArray) -> FloatArray:
     """Return R' x for rotations (3, 3, ...) and vectors (3, ...)."""
-    return np.einsum("ji...,j...->i...", R, x)
+    return np.asarray(np.einsum("ji...,j...->i...", R, x))
 
 
 def slots_of(*variables: tuple[str, IntArray]) -> tuple[Slot, ...]:
