@@ -17,8 +17,14 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_distance, rigs_by_rays
 from handlaser_gtsam import pipeline
+from handlaser_gtsam.errors import InputError
 from handlaser_gtsam.files.points_table import read_points
-from handlaser_gtsam.files.sensor_tables import SensorTable, SurveyTables, _refuse_exchanged
+from handlaser_gtsam.files.sensor_tables import (
+    SensorTable,
+    SurveyTables,
+    _refuse_exchanged,
+    directions_of,
+)
 
 
 @pytest.fixture
@@ -162,6 +168,38 @@ def in_inches(folder, suffix="", log="", sensor=""):
     text = rig.read_text().replace('units = "mm"', sensor)
     rig.write_text(text.replace('pose_format = "kuka"', f'pose_format = "kuka"\n{log}'))
     return str(folder / "poses.csv"), "--rig", str(rig)
+
+
+@pytest.mark.parametrize(
+    ("angles", "stated", "words"),
+    [
+        ((-0.26, 0.26), "", "angles of a from -0.26 to 0.26, in no unit that is stated"),
+        ((-15.0, 15.0), 'angles = "rad"', "angles of a from -15 to 15 rad"),
+        ((-0.26, 0.26), 'angles = "deg"', None),
+        ((-0.26, 0.26), 'angles = "rad"', None),
+        ((-15.0, 15.0), "", None),
+    ],
+)
+def test_angles_of_a_scanner_in_another_unit_are_refused(tmp_path, angles, stated, words):
+    """Radians that are read as degrees were a scanner whose rays are nearly parallel: no fit."""
+    lines = [f"s,{angle},{500.0 + i}" for i, angle in enumerate(np.linspace(*angles, 40))]
+    (tmp_path / "p.csv").write_text("\n".join(["station,angle,reading", *lines]))
+    rig, poses = tmp_path / "rig.toml", tmp_path / "poses.csv"
+    rig.write_text(f'[[sensors]]\nname = "a"\nkind = "scanner"\npoints = "p.csv"\n{stated}\n')
+    poses.write_text("station,plane,x,y,z,qx,qy,qz,qw\ns,A,0,0,0,0,0,0,1\n")
+    if words is None:
+        assert len(hl.read_survey(poses, rig).shots[0].reading) == 40
+        return
+    with pytest.raises(InputError, match=words):
+        hl.read_survey(poses, rig)
+
+
+def test_zones_in_radians_are_refused(tmp_path):
+    """No array has a field of view of a degree."""
+    path = tmp_path / "zones.csv"
+    path.write_text("zone,x_deg,y_deg\n0,-0.2,-0.2\n1,0.2,-0.2\n2,-0.2,0.2\n3,0.2,0.2\n")
+    with pytest.raises(InputError, match=r"a field of 0\.4 deg; expected x_deg and y_deg in degrees"):
+        directions_of(path)
 
 
 @pytest.mark.slow

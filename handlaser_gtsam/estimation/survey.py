@@ -550,7 +550,7 @@ def first_fit(state: SurveyState) -> FirstFit:
     blocks, _ = blocks_of(items, state.sigmas(), state.values)
     ranges = [block.ranges if isinstance(block, Mixed) else block for block in blocks]
     each = [
-        np.abs(block.evaluate(state.values).columns[-1]).ravel()
+        np.abs(block.evaluate(state.values).columns[-1]).max(axis=-1).ravel()
         for block in ranges
         if not isinstance(block, Unexplained)
     ]

@@ -16,6 +16,7 @@ that name, what differs from the others: sigma_mm, and half_angle_deg of its con
 `RELATIONS` of `data.survey` says which of these a relation has: all of them are needed, and no others.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -202,6 +203,8 @@ class SurveyTables:
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
         with in_file(path):
+            if turns:
+                _require_turns(table, points[1][:, 0], stated=named["angle"] or table.angles or "")
             length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
             angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
             shots = self._shots(table, points, LENGTHS[length], ANGLES[angle])
@@ -371,6 +374,16 @@ def _unit(field: str, stated: str, named: set[str], usual: str) -> tuple[str, st
     return unit, words + assumed
 
 
+def _require_turns(table: SensorTable, numbers: FloatArray, *, stated: str) -> None:
+    """Refuse angles of a 2-D scanner that are most likely of another unit, or of one nobody states."""
+    least, most = float(numbers.min()), float(numbers.max())
+    found = f"angles of {table.name} from {least:.3g} to {most:.3g}"
+    if not stated and most - least <= math.tau:
+        raise InputError(f"{found}, in no unit that is stated", 'angles = "rad", or "deg", for it')
+    if stated == "rad" and most - least > 2.0 * math.tau:
+        raise InputError(f"{found} rad", 'angles = "deg", as they are')
+
+
 def _require_lengths(shots: Shots) -> None:
     """Refuse shots whose lengths no such sensor has: a wrong unit."""
     d = np.abs(shots.reading)
@@ -429,6 +442,10 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
     if {"zone", "x", "y", "z"} <= numbers.keys():
         u = np.stack([numbers[a] for a in "xyz"], axis=1)
     elif {"zone", "x_deg", "y_deg"} <= numbers.keys():
+        widest = max(float(np.ptp(numbers[f"{a}_deg"])) for a in "xy")
+        if 0.0 < widest <= 0.5 * math.pi:
+            found = f"zones of a field of {widest:.2g} deg"
+            raise InputError(found, "x_deg and y_deg in degrees; these look like radians", path)
         x, y = (np.tan(numbers[f"{a}_deg"] * DEG) for a in "xy")
         u = np.stack((x, y, np.ones_like(x)), axis=1)
     else:
