@@ -147,6 +147,51 @@ def test_range_errors_that_are_free_are_found_alike():
     assert cross_check(found).largest < ROUND
 
 
+K1, SCALE = 0.03, 0.02
+"""Range errors that bend what a ball looks like by many standard deviations of a point."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["profiler", "scanner", "points"])
+def test_range_errors_that_bend_shapes_are_found(kind):
+    """Shots were condensed without their errors: k1 and the scale were 5 to 10 sigmas off."""
+    far = []
+    for seed in range(4):
+        rig = getattr(rigs_by_rays, kind)(seed, targets="planes+sphere", planes=2, hand_sigma=HAND)
+        survey = survey_of(rig)
+        across = survey.shots[0].across / (1.0 + SCALE)
+        if kind == "points":
+            u = survey.shots[0].across / np.array([1.0 + SCALE, 1.0 + SCALE, 1.0])
+            across = u / np.linalg.norm(u, axis=1)[:, None]
+        reading = survey.shots[0].reading / (1.0 + K1)
+        shots = replace(survey.shots[0], across=across, reading=reading, free=("k1", "scale"))
+        found = hl.calibrate(replace(survey, shots=(shots,)), STATED)
+        assert found.status == "converged"
+        (sensor,) = found.sensors.values()
+        sigma = np.sqrt(np.diagonal(sensor.covariance)[6:])
+        far += ((np.array(list(sensor.range_error.values())) - (K1, SCALE)) / sigma).tolist()
+        if seed == 0:
+            assert cross_check(found).largest < 0.1
+    assert np.abs(far).max() < 4.0
+    assert np.sqrt(np.mean(np.square(far))) < 1.8
+
+
+def test_the_offset_of_a_plane_is_as_sure_as_it_is_said_far_from_the_origin():
+    """The standard deviation was that of the distance of a point near the hand: 13 times too small."""
+    far, away = [], np.array([20.0, -15.0, 5.0])
+    for seed in range(6):
+        rig = rigs_by_distance.profiler(seed, planes=3, stations=6)
+        survey = survey_of(rig)
+        stations = replace(survey.stations, world_t_hand=survey.stations.world_t_hand + away)
+        found = hl.calibrate(replace(survey, stations=stations), EXACT)
+        for label, target in found.targets.items():
+            n, b = (rig.truth["targets"][label][name] for name in ("normal", "offset"))
+            x = target.values
+            side = np.sign(n @ [x["nx"], x["ny"], x["nz"]])
+            far.append((side * x["b"] - (b - n @ away)) / target.sigma["offset"])
+    assert 0.5 < np.sqrt(np.mean(np.square(far))) < 1.6
+
+
 @pytest.mark.slow
 def test_what_is_left_out_is_predicted_as_well_as_it_should_be():
     p_values = []

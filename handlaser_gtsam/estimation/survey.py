@@ -47,6 +47,7 @@ from .survey_rows import (
     Entity,
     Item,
     SurveyRows,
+    about_errors,
     blocks_of,
     continued_items,
     relations_of,
@@ -459,7 +460,9 @@ def _blames_relations(state: SurveyState, settled: bool) -> bool:
     for free in _without_relations(state):
         if not _settle(free) or (settled and free.used.sum() <= state.used.sum()):
             continue
-        tied = replace(state, values=dict(free.values), sizes=free.sizes, used=free.used)
+        tied = replace(
+            state, rows=free.rows, values=dict(free.values), sizes=free.sizes, used=free.used
+        )
         if not _some_relation_is_contradicted(tied):
             continue
         # A relation that is grossly false may lead away from all that fits.
@@ -482,7 +485,8 @@ def _image_that_agrees(state: SurveyState) -> bool:
         every = np.ones(len(state.used), dtype=bool)
         image = replace(state, values=values, used=every)
         if _settle_near(image) and not _some_relation_is_contradicted(image):
-            state.values, state.sizes, state.used = image.values, image.sizes, image.used
+            state.rows, state.values = image.rows, image.values
+            state.sizes, state.used = image.sizes, image.used
             return True
     return False
 
@@ -568,7 +572,10 @@ def _settle(state: SurveyState) -> bool:
         before, state.sizes = state.sizes.vector(), learned_sizes(state)
         after = state.sizes.vector()
         learned = (np.abs(after - before) > SAME_OPTIMUM * np.maximum(after, before)).any()
-        if not learned and not worst_changed(state):
+        straightened = about_errors(state.rows, state.values)
+        if straightened is not None:
+            state.rows = straightened
+        elif not learned and not worst_changed(state):
             return True
     return False
 

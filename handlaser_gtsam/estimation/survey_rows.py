@@ -123,6 +123,8 @@ class SurveyRows:
         Of each station, as of an `Item`.
     repeated : tuple of (name of a sensor or beam, station)
         Shots and readings that stand twice: they count once.
+    errors : (S, 4), optional
+        Range errors of the sensors, at which their shots are condensed; none where not given.
     """
 
     survey: Survey
@@ -133,6 +135,7 @@ class SurveyRows:
     length: float
     stops: IntArray
     repeated: tuple[tuple[str, int], ...] = ()
+    errors: FloatArray | None = None
 
     @property
     def bodies(self) -> tuple[Known, ...]:
@@ -311,6 +314,48 @@ def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
         stops,
         tuple(repeated),
     )
+
+
+def about_errors(rows: SurveyRows, values: Values) -> SurveyRows | None:
+    """Return the rows with shots condensed at the range errors of some values; None for no change.
+
+    Errors bend the shape of a target, and rows are of the first order in what is left of them.
+    """
+    if not any(shots.free for shots in rows.survey.shots):
+        return None
+    errors = values[SENSOR.name][0, :, -len(RAY_ERRORS) :]
+    before = np.zeros_like(errors) if rows.errors is None else rows.errors
+    changes = np.abs(errors - before) @ rows.length ** np.array([0.0, 1.0, 2.0, 1.0])
+    if (changes**2 <= ROUNDING * rows.length**2).all():  # what is left is of the second order
+        return None
+    items = list(rows.items)
+    for member, shots in enumerate(rows.survey.shots):
+        kind, scale = KINDS[shots.kind], float(errors[member, -1])
+        ratio = shots.sigma_across / shots.sigma if shots.sigma else 0.0
+        condensed = defaultdict[str, list[int]](list)
+        for i, item in enumerate(items):
+            if item.mount != (SENSOR.name, member) or item.shot is None or item.points is None:
+                continue
+            if not of_single_readings(item.shot):
+                condensed[item.target[0]].append(i)
+                continue
+            own, whole = (
+                (replace(shot, rays=kind.scaled(shots.across[points], scale)), points)
+                for shot, points in (
+                    (item.shot, item.points),
+                    item.whole or (item.shot, item.points),
+                )
+            )
+            items[i] = replace(item, shot=own[0], whole=None if item.whole is None else whole)
+        for target, some_items in condensed.items():
+            seen = [np.asarray(items[i].points) for i in some_items]
+            tables = [(shots.across[points], shots.reading[points]) for points in seen]
+            how = {"sorted_out": True, "errors": errors[member]}
+            again = condensed_shots(kind, target, tables, ratio, **how)
+            for i, shot, points in zip(some_items, again, seen, strict=True):
+                if shot is not None:
+                    items[i] = replace(items[i], shot=shot, points=points[shot.kept])
+    return replace(rows, items=tuple(items), errors=errors)
 
 
 def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list[Condensed | None]:

@@ -28,7 +28,7 @@ from .distributions import gaussian_quantile
 from .range_blocks import Ranges
 from .reduced_information import inverse_stack
 from .sensors.kinds import Kind, Rayset
-from .sensors.mounted import SENSOR
+from .sensors.mounted import LEAST_SLOPE, SENSOR
 
 FAR_FROM_SHAPE = 4.5
 """Points farther than this many standard deviations from the shape of their shot are rejected."""
@@ -186,6 +186,7 @@ def condensed_shots(
     sigma: float | None = None,
     *,
     sorted_out: bool = False,
+    errors: FloatArray | None = None,
 ) -> list[Condensed | None]:
     """Return shots in a few rows each; None where no shape fits the points of one.
 
@@ -204,7 +205,11 @@ def condensed_shots(
         Standard deviation of a reading [m], where it is known.
     sorted_out : bool
         Whether points that do not belong to the target have been rejected already.
+    errors : (4,), optional
+        Range errors near the right ones, none where not given: they bend shapes, and rows are of the
+        first order in what is left of them.
     """
+    errors = np.zeros(len(RAY_ERRORS)) if errors is None else errors
     shape = shape_of(kind, target)
     # A sphere is hardly known from up to four times as many points as it has numbers.
     few = 4 * shape.size if target == "sphere" else shape.size - 1
@@ -216,10 +221,10 @@ def condensed_shots(
         alike, share = np.flatnonzero(lengths == n), max(NUMBERS_AT_ONCE // numbers, 1)
         for first in range(0, len(alike), share):
             some = alike[first : first + share].tolist()
-            rays = kind.rays(np.concatenate([shots[i][0] for i in some]))
+            rays = kind.scaled(np.concatenate([shots[i][0] for i in some]), float(errors[-1]))
             rays = _rows(rays, np.arange(len(some) * n).reshape(len(some), n))
             reading = np.stack([shots[i][1] for i in some])
-            ends = _condensed(shape, rays, reading, few, ratio, sigma, sorted_out)
+            ends = _condensed(shape, rays, reading, few, ratio, sigma, sorted_out, errors)
             for i, end in zip(some, ends, strict=True):
                 found[i] = end
     return found
@@ -233,12 +238,14 @@ def _condensed(
     ratio: float,
     sigma: float | None,
     sorted_out: bool,
+    errors: FloatArray,
 ) -> list[Condensed | None]:
     """Return shots with readings (G, n) in a few rows; those with few points kept as they are."""
     G, n = reading.shape
+    as_read, reading = reading, reading + errors[0] + (errors[1] + errors[2] * reading) * reading
     kept = np.ones(reading.shape, dtype=bool)
     if n <= few:
-        return [_as_they_are(shape, _rows(rays, g), reading[g], kept[g]) for g in range(G)]
+        return [_as_they_are(shape, _rows(rays, g), as_read[g], kept[g]) for g in range(G)]
     if sorted_out or n <= shape.size + 1:
         found, fits, _ = _fitted(shape, shape.through(rays, reading), rays, reading, kept)
     else:
@@ -249,13 +256,13 @@ def _condensed(
     whole = np.flatnonzero(fits & (many > few) & (many >= shape.size))
     ends: list[Condensed | None] = [None] * G
     for i in np.flatnonzero(fits & (many <= few) & (many >= shape.size)).tolist():
-        ends[i] = _as_they_are(shape, _rows(rays, i), reading[i], kept[i])
+        ends[i] = _as_they_are(shape, _rows(rays, i), as_read[i], kept[i])
     if not whole.size:
         return ends
     kept = kept[whole]
     found, _, linear = _fitted(shape, found[whole], _rows(rays, whole), reading[whole], kept, ratio)
-    for i, end in zip(whole.tolist(), _in_rows(shape, found, *linear, kept), strict=True):
-        ends[i] = end
+    for i, end in zip(whole.tolist(), _in_rows(shape, found, *linear, kept, errors), strict=True):
+        ends[i] = end if end is None else _about(end, errors)
     return ends
 
 
@@ -325,6 +332,17 @@ def some_of(shot: Condensed, which: BoolArray) -> Condensed:
     return replace(shot, rays=rays, reading=reading, mix=mix, by_error=by_error, kept=kept)
 
 
+def _about(shot: Condensed, errors: FloatArray) -> Condensed:
+    """Return a shot of true ranges at some range errors as one of readings, in whose unit noise is."""
+    if not errors.any():
+        return shot
+    reading = shot.reading - errors @ shot.by_error
+    slope = 1.0 + errors[1] + 2.0 * errors[2] * float(reading.mean())
+    rest = (shot.rest - shot.rest_by_error @ errors) / slope
+    beside, squares = shot.rest_by_error / slope, shot.squares / slope**2
+    return replace(shot, reading=reading, rest=rest, rest_by_error=beside, squares=squares)
+
+
 def _in_rows(
     shape: Shape,
     found: FloatArray,
@@ -334,6 +352,7 @@ def _in_rows(
     a: FloatArray,
     root: FloatArray,
     kept: BoolArray,
+    errors: FloatArray,
 ) -> list[Condensed | None]:
     """Return as many rays of each shot as its shape has numbers, and what range errors leave."""
     s = shape.ranges(found[:, None], rays)[:, 0]
@@ -347,7 +366,10 @@ def _in_rows(
     sound &= diagonal.min(axis=1) >= NEGLIGIBLE * diagonal.max(axis=1)
     moved = np.einsum("gni,gni->gn", a, rays.origin_by_scale)
     moved += s * np.einsum("gni,gni->gn", a, rays.direction_by_scale)
-    E = np.stack((np.ones_like(s), s, s**2, -moved), axis=2) * root[..., None]
+    known, slope = s - errors[0], 1.0 + errors[1]
+    square = np.maximum(slope**2 + 4.0 * errors[2] * known, LEAST_SLOPE**2)
+    d = 2.0 * known / np.maximum(slope + np.sqrt(square), LEAST_SLOPE)  # readings without noise
+    E = np.stack((np.ones_like(s), d, d**2, -moved), axis=2) * root[..., None]
     along = np.swapaxes(Q, 1, 2) @ E
     largest = np.sqrt(np.einsum("gni,gni->gi", E, E).max(axis=1))
     base, triangle = np.linalg.qr(E - Q @ along)

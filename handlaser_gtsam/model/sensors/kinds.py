@@ -10,7 +10,7 @@ What tells the rays of a sensor apart is called `across`: x, the angle, or the d
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -81,6 +81,15 @@ class Kind:
     rays: Callable[[FloatArray], Rayset]
     axes: tuple[int, ...]
     parallel: bool
+
+    def scaled(self, across: FloatArray, scale: float) -> Rayset:
+        """Return the rays where what tells them apart is larger by a part; derivatives by that part."""
+        larger = np.ones(across.shape[1]) + scale * (np.arange(across.shape[1]) < 2)
+        rays = self.rays(across * larger)
+        moved, turned = rays.origin_by_scale, rays.direction_by_scale
+        return replace(
+            rays, origin_by_scale=moved / (1.0 + scale), direction_by_scale=turned / (1.0 + scale)
+        )
 
     @property
     def flat(self) -> bool:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...quantities import TINY
 from ..block import Values
 from ..families import Family, Motion, Vector, register
 from ..range_blocks import Rays, by_motion, members, turned, turned_back
@@ -31,7 +30,8 @@ class Mounted:
     origin, direction : (3, 1, G, S)
         Of the ray of each reading in the sensor's frame [m], unit vectors.
     by_error : (4, 1, G, S)
-        By how much a range error of size 1 makes each true range longer than its reading.
+        By how much a range error of size 1 makes each true range longer than its reading; of condensed
+        shots the range of their shape.
     """
 
     member: IntArray
@@ -45,21 +45,19 @@ class Mounted:
         x = members(values, self.family, self.member, self.origin.shape[-1])
         R = x[:9].reshape(3, 3, *x.shape[1:])
         origin, direction = turned(R, self.origin) + x[9:12], turned(R, self.direction)
-        k0, k1, k2, scale = x[12:]
-        offset, _, by_k2, by_scale = self.by_error
-        by_square = by_k2 / np.maximum(reading**2, TINY)
+        errors, by_error = x[12:], self.by_error
+        _, k1, k2, _ = errors
 
         def read(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Solve s = h + k0 + k1 h + k2 h^2 + scale for the reading h."""
-            known = s - k0 * offset - scale * by_scale
-            square = (1.0 + k1) ** 2 + 4.0 * k2 * by_square * known
-            root = np.sqrt(np.maximum(square, LEAST_SLOPE**2))
-            h = 2.0 * known / np.maximum(1.0 + k1 + root, LEAST_SLOPE)
-            slope = 1.0 / root
-            by_error = np.empty((len(self.by_error), *h.shape))
-            for i, part in enumerate((offset, h, by_square * h**2, by_scale)):
-                np.multiply(part, -slope, out=by_error[i])
-            return h, slope, by_error
+            """Solve s = h + the error of h for the reading h, from the error of the reading on."""
+            longer = np.einsum("i...,i...->...", errors, by_error)
+            slope = 1.0 / np.maximum(1.0 + k1 + 2.0 * k2 * reading, LEAST_SLOPE)
+            e = (s - reading - longer) * slope
+            columns = -by_error * slope
+            columns = np.broadcast_to(columns, (len(columns), *e.shape)).copy()
+            columns[1] -= e * slope
+            columns[2] -= 2.0 * e * reading * slope
+            return reading + e, slope, columns
 
         return Rays(origin, direction, reading, reading, read=read)
 
