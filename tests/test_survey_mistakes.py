@@ -907,3 +907,18 @@ def test_the_angles_of_right_zones_are_not_suspected():
     words = [words for _, words in _misfits_of_directions(survey, survey.shots[0])]
     assert len(words) == 1
     assert "mirrored" in words[0]
+
+
+@pytest.mark.parametrize("shift", [0, 1])
+def test_zones_that_are_counted_from_one_are_said_to_miss(shift):
+    """The mount turned by the angle of a zone, usable without a word: some zones never fitted."""
+    rig = rigs_by_rays.array(1)
+    table = rig.tables["array"]
+    kept = table["zone"] < table["zone"].max()
+    for name in ("station", "zone", "reading"):
+        table[name] = table[name][kept]
+    table["zone"] = table["zone"] + shift
+    result = hl.calibrate(survey_of(rig))
+    warnings = [one for one in result.warnings if one.code == "zones-miss"]
+    assert len(warnings) == shift
+    assert (result.verdict.code == "usable") == (not shift)

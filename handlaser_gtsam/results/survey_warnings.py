@@ -47,7 +47,7 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE
 from ..observability.wording import open_sentence
-from ..quantities import FAR_SIGMAS, IN_MM
+from ..quantities import FAR_SIGMAS, IN_MM, MAJORITY
 from ..starts.beam_minima import MINIMUM_READINGS, MINIMUM_STARTS
 from ..starts.directions import sphere
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
@@ -101,6 +101,7 @@ def survey_warnings(
     yield from (one for one in heard if one not in causes)
     gone = [one for one in unread if one.code == "no-edge" or "targets" in one.values]
     yield from gone  # a target of which no shot counts is missing in all that follows
+    yield from _zones_that_miss(found)
     yield from _sigmas(found)
     yield from _too_few(found)
     yield from _few(found)
@@ -287,6 +288,31 @@ def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         if numbers < unknowns and learned and mount not in related:
             values: Values = {"beam": name, "numbers": numbers, "unknowns": unknowns}
             yield warned(TOO_FEW, values)
+
+
+def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of zones of arrays that hardly ever see the planes that most other zones see."""
+    rows = found.rows
+    for member, shots in enumerate(rows.survey.shots):
+        before = [
+            (item.station, item.points)
+            for item, used in zip(rows.items, found.used, strict=True)
+            if used and item.mount == (SENSOR.name, member) and item.target[0] == PLANE.name
+        ]
+        if shots.kind != "array" or not before:
+            continue
+        # Directions that come from one row of a file are equal to the last digit.
+        zones, zone = np.unique(shots.across, axis=0, return_inverse=True)
+        seen = np.isin(shots.station, [station for station, _ in before])
+        kept = np.isin(np.arange(len(seen)), np.concatenate([points for _, points in before]))
+        read = np.bincount(zone.ravel(), seen, len(zones))
+        fits = np.bincount(zone.ravel(), seen & kept, len(zones))
+        miss = (read >= FEW_DEGREES) & (fits < (1.0 - MAJORITY) * read)
+        if miss.any() and miss.mean() < 0.5 and fits[~miss].sum() > MAJORITY * read[~miss].sum():
+            at = np.degrees(np.arctan2(zones[miss, :2], zones[miss, 2:]))
+            names = some([f"({x:.3g}, {y:.3g})" for x, y in at.tolist()], 4)
+            values: Values = {"sensor": shots.name, "zones": int(miss.sum())}
+            yield warned("zones-miss", values, names=names, count=count(int(miss.sum()), "zone"))
 
 
 def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
