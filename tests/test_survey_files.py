@@ -886,3 +886,24 @@ def test_limits_hold_for_sensors(folder, handlaser):
         assert code == expected
         assert ("sensor scanner: location sigma" in err) == (expected == 4)
         assert "limit: location sigma" in out or expected == 4
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [("sigma_mm = 0.0", "sigma_mm of"), ('free = ["k3"]', "a range error of")],
+)
+def test_what_is_wrong_in_a_rig_file_is_said_of_the_rig_file(folder, refusal, line, words):
+    """It was said of the table of points, in metres."""
+    rig = folder / "rig.toml"
+    rig.write_text(rig.read_text().replace("[[sensors]]", f"[[sensors]]\n{line}"))
+    err = refusal("calibrate", folder / "poses.csv", "--rig", rig)
+    assert words in err
+    assert "rig.toml" in err
+
+
+def test_an_axis_for_sensors_of_many_rays_is_refused(folder, handlaser, refusal):
+    """It was taken, and changed nothing: a sensor has a frame of its own."""
+    out = folder / "out.json"
+    given = ("calibrate", folder / "poses.csv", "--rig", folder / "rig.toml", "--quiet")
+    assert handlaser(*given, "--out", out)[0] == 0
+    assert "an axis for sensors of many rays" in refusal("export", out, "--to", "kuka", "--axis", "x")

@@ -31,11 +31,11 @@ from ..arrays import FloatArray
 from ..checks import require_number, require_word
 from ..data.screening import shots_code_warning
 from ..data.station_list import StationList
-from ..data.survey import RELATIONS, Convention, Echo, Kind, Known, Shots
+from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
-from ..quantities import DEG, IN_DEG, IN_MM, MAJORITY, MM, WIDEST_CONE
+from ..quantities import DEG, IN_DEG, IN_MM, LARGEST_LENGTH, MAJORITY, MM, WIDEST_CONE
 from ..text import shown
 from .checked_text import FileRecord, in_file
 from .logs.format import LogFormat
@@ -327,6 +327,11 @@ class SurveyRig(FileRecord):
             except InputError as error:
                 raise InputError(f"{error.found} in known.{i}", error.expected) from error
         for table in self.sensors:
+            if table.sigma_mm is not None:
+                name = f"sigma_mm of {table.name}"
+                require_number(name, table.sigma_mm, 0.0, LARGEST_LENGTH, above=True)
+            for free in table.free if table.kind != SINGLE else ():
+                require_word(f"a range error of {table.name}", free, ERRORS[table.kind])
             for stated, kind in ONE_KIND.items():
                 if stated in table.model_fields_set and table.kind != kind:
                     found = f"{stated} of {table.name}, which is of kind = {shown(table.kind)}"

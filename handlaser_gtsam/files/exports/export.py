@@ -204,6 +204,9 @@ def _text(what: Mounts | SurveyFile, to: str, options: ExportOptions) -> str:
         if sensors:
             expected = f"one of {', '.join((*LINKED, *TOOLS))}, which hold frames, or beams alone"
             raise InputError(f"the format {to} for sensors of many rays", expected)
+    if options.axis and isinstance(what, SurveyFile) and not what.beams:
+        found = "an axis for sensors of many rays"
+        raise InputError(found, "beams: a sensor has a frame of its own")
     tool = options.tool or 1
     if to == "fanuc" and tool + len(beams) - 1 > LAST_TOOL:
         found = f"tool {tool} as the first of {len(beams)}"
