@@ -8,7 +8,7 @@ from helpers import codes, simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.results.file_mistakes import HYPOTHESES, better_way
+from handlaser_gtsam.results.file_mistakes import HYPOTHESES, better_way, without_mistake
 from handlaser_gtsam.validation.scenes import Layout
 
 
@@ -206,6 +206,19 @@ def test_ranges_of_another_row_are_named(rows, words):
     recording, _ = simulated("arm", Layout(2, 3, 14), 1e-4, 4)
     spoilt = replace(recording, ranges=np.roll(recording.ranges, rows, axis=0))
     assert f"the ranges look one row {words}" in better_way(spoilt, 0).message
+
+
+@pytest.mark.parametrize(("turns", "left"), [(False, 12), (True, 15)])
+def test_ranges_of_another_row_are_those_of_its_plane(turns, left):
+    """Readings of the next plane, four of 56 rows, hid that ranges were one row late."""
+    recording, _ = simulated("arm", Layout(2, 4, 4), 1e-4, 4)
+    if turns:  # planes in turns: hardly a row has the plane of the next one
+        order = np.arange(16).reshape(4, 4).T.ravel()
+        recording = recording.part(order)
+    changed = without_mistake(recording, "rows", 1)
+    assert len(changed.ranges) == left
+    first = changed.station_names.index(recording.station_names[0])
+    assert (changed.ranges[first] == recording.ranges[1]).all()
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
-from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MM, TINY
+from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MAJORITY, MM, TINY
 from ..starts import Effort
 from .messages import MISTAKES, READ_AS, Values, said, warned
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
@@ -448,6 +448,10 @@ def without_mistake(recording: Recording, what: str, how: str | int | list[int])
     """
     if isinstance(how, int):  # the ranges of another row; stations that then have none are dropped
         kept = np.arange(max(-how, 0), len(recording.ranges) - max(how, 0))
+        labels = np.array(recording.plane_labels)
+        same = labels[kept] == labels[kept + how]
+        if same.mean() > MAJORITY:  # where planes follow one another, not in turns
+            kept = kept[same]
         return replace(recording.part(kept), ranges=recording.ranges[kept + how], samples=None)
     if isinstance(how, str):
         unit = {"mm": MM, "inch": INCH}[how]
