@@ -792,6 +792,18 @@ def test_a_single_mistake_in_the_table_of_poses_is_named(how, words):
         _accused(survey, survey.shots[0], (mistakes,), kuka)
 
 
+def test_shots_of_another_row_are_not_tried_where_labels_take_turns():
+    """Shot and row would have different targets at every station."""
+    survey, _, kuka = written_wrong("sign")
+    of, turns = survey.stations, np.arange(18).reshape(2, 9).T.ravel()
+    R, t, labels = of.world_R_hand[turns], of.world_t_hand[turns], np.array(of.plane_labels)[turns]
+    shots = replace(survey.shots[0], station=np.argsort(turns)[survey.shots[0].station])
+    survey = hl.Survey(hl.StationList(R, t, tuple(labels.tolist())), (shots,))
+    mistakes = [one for one in _single_mistakes(survey.stations) if "one row" in one.words]
+    assert len(mistakes) == 2
+    assert not _accused(survey, shots, (mistakes,), kuka)
+
+
 @pytest.mark.slow
 def test_zones_that_are_mirrored_are_named():
     """An axis of the wrong sign, or two that are exchanged, which no mount undoes."""

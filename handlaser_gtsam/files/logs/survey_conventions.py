@@ -152,7 +152,8 @@ def _accused(
         }
         items = tuple(item for item in rows.items if item.station in kept)
         read_so = replace(rows, survey=replace(rows.survey, stations=poses), items=items)
-        return _misfit(read_so, scale) / variance
+        # Where labels take turns, shots of another row leave none, or too few.
+        return _misfit(read_so, scale) / variance if _variance(read_so) else np.inf
 
     # What carries poses from one convention to another has readings: by what lengths are multiplied,
     # and the same times a number that tells whose shot belongs to a pose.
