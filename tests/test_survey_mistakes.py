@@ -761,6 +761,9 @@ def written_wrong(how):
         return replace(survey, shots=(late,)), numbers, kuka
     if how == "order":
         numbers[:, [3, 4]] = numbers[:, [4, 3]]
+    elif how == "transposed":
+        inverse = np.swapaxes(of.world_R_hand, 1, 2)
+        numbers = numbers_of(inverse, of.world_t_hand, convention_of(kuka))
     else:
         numbers[:, :3] *= {"sign": [1.0, -1.0, 1.0], "unit": [1.0, 0.1, 1.0], "right": 1.0}[how]
     R, t = poses_of(numbers, convention_of(kuka))
@@ -778,6 +781,7 @@ def written_wrong(how):
         ),
         ("sign", "times better if the y coordinates of the positions are negated, "),
         ("unit", "if the y coordinates of the positions are centimetres among millimetres"),
+        ("transposed", r"if the rotations are inverted \(hand_R_world instead of world_R_hand\), "),
         ("order", "are in another order: columns 2, 1, 3 of them, "),
     ],
 )
