@@ -235,7 +235,9 @@ def test_columns_that_hold_something_else_are_refused(tmp_path, kind, rows, word
     rig.write_text(f'[[sensors]]\nname = "a"\nkind = "{kind}"\npoints = "p.csv"\n{zones}\n')
     poses.write_text("station,plane,x,y,z,qx,qy,qz,qw\ns,A,0,0,0,0,0,0,1\nt,A,0,0,0,0,0,1,0\n")
     if words is None:
-        assert len(hl.read_survey(poses, rig).shots[0].reading) == rows.count("\n")
+        survey = hl.read_survey(poses, rig)
+        assert len(survey.shots[0].reading) == rows.count("\n")
+        assert ("all z below zero: its mount is that of" in str(survey.lines)) == ("-" in rows)
         return
     with pytest.raises(InputError, match=words):
         hl.read_survey(poses, rig)

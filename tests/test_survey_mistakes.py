@@ -15,6 +15,7 @@ import handlaser_gtsam as hl
 from benchmarks import rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import survey_of
 from handlaser_gtsam.errors import SolverError
+from handlaser_gtsam.estimation.survey_rows import rows_of
 from handlaser_gtsam.files.logs.format_checks import convention_of
 from handlaser_gtsam.files.logs.motion import Way
 from handlaser_gtsam.files.logs.survey_conventions import (
@@ -26,7 +27,7 @@ from handlaser_gtsam.files.logs.survey_conventions import (
 from handlaser_gtsam.model.conventions import numbers_of, poses_of
 from handlaser_gtsam.model.geometry import normalized
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
-from handlaser_gtsam.results.survey_misfit import _looks_other, better_kinds
+from handlaser_gtsam.results.survey_misfit import _looks_other, better_kinds, misread
 from handlaser_gtsam.results.survey_warnings import rejected_of
 
 FAN = np.linspace(-0.2, 0.2, 400)
@@ -488,6 +489,18 @@ def test_where_half_of_the_shots_are_lost_nothing_is_usable(about):
     else:
         assert (again.shots[0].reading == cell(0).shots[0].reading).all()
         assert calibrated(0).usable
+
+
+def test_a_ball_that_is_turned_inside_out_is_not_called_a_plane():
+    """Few points of it fit a plane within their noise: the label is right, and z has the wrong sign."""
+    survey = turned_round(cell(0), 0.0)
+    shots = survey.shots[0]
+    few = shots.part(np.arange(len(shots.station)) % 3 == 0)
+    (warning,) = misread(rows_of(replace(survey, shots=(few,))), hl.Noise())
+    assert warning.code == "target-kind"
+    words = "fit a plane, and a sphere only with z reversed: if z of profiler grows towards the sensor"
+    assert words in warning.message
+    assert "label" not in warning.values
 
 
 @pytest.mark.slow

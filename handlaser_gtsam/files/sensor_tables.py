@@ -211,6 +211,8 @@ class SurveyTables:
             angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
             shots = self._shots(table, points, LENGTHS[length], ANGLES[angle])
         words += f" and {more}" if turns else ""
+        if table.kind == "profiler" and shots.reading.max() < 0.0:
+            words += ", all z below zero: its mount is that of a frame whose z points backwards"
         return shots, (f"{table.name} in {words}", *lines), _code_warnings(table, codes)
 
     def _shots(self, table: SensorTable, points: "Points", length: float, angle: float) -> Shots:
