@@ -498,7 +498,9 @@ def test_a_ball_that_is_turned_inside_out_is_not_called_a_plane():
     few = shots.part(np.arange(len(shots.station)) % 3 == 0)
     (warning,) = misread(rows_of(replace(survey, shots=(few,))), hl.Noise())
     assert warning.code == "target-kind"
-    words = "fit a plane, and a sphere only with z reversed: if z of profiler grows towards the sensor"
+    words = (
+        "fit a plane, and a sphere only with z reversed: if z of profiler grows towards the sensor"
+    )
     assert words in warning.message
     assert "label" not in warning.values
 

@@ -18,6 +18,7 @@ from ..data.screening import REPEATED, repeated
 from ..data.survey import normal_label
 from ..errors import CalibrationWarning
 from ..estimation.estimate import BlockProblem, descended, search_from
+from ..estimation.scales import ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_state import SurveyState
@@ -66,7 +67,7 @@ from .survey_misfit import (
 )
 from .survey_motion import MORE_STATIONS, counts_of, opening, unconfirmed_mount
 from .survey_verdict import FEW, TOO_FEW, free_of
-from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, WORTH_REFINING
+from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, WORTH_REFINING, large_pose_errors
 
 if TYPE_CHECKING:
     from .survey import BeamMount, Mount, SensorMount
@@ -101,6 +102,14 @@ def survey_warnings(
     gone = [one for one in unread if one.code == "no-edge" or "targets" in one.values]
     yield from gone  # a target of which no shot counts is missing in all that follows
     yield from _sigmas(found)
+    if found.fits:
+        usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
+        of_hand = zip((ROTATION, TRANSLATION), found.noise.pose, usual, stated, strict=True)
+        yield from large_pose_errors(
+            NoiseComponent(name, sigma, np.nan, expected)
+            for name, sigma, expected, known in of_hand
+            if np.isnan(known)
+        )
     yield from _too_few(found)
     yield from _few(found)
     yield from rival_mounts(found)
