@@ -605,6 +605,10 @@ BAD = {
         ),
         "cube:A",
     ),
+    "a sigma of zero": (
+        lambda: hl.Known("radius", ("sphere:S",), 0.02, sigma=0.0),
+        "no sigma above zero of radius of sphere:S; expected how well it is known",
+    ),
     "nothing read": (
         lambda: hl.Survey(hl.StationList(np.eye(3)[None], np.zeros((1, 3)), ("A",))),
         "without readings",
