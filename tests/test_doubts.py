@@ -9,9 +9,13 @@ import pytest
 from helpers import codes, simulated
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.data.recording import sorted_readings
 from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.model.distributions import chi2_cdf
 from handlaser_gtsam.observability.motion import check_motion
+from handlaser_gtsam.observability.wording import BeamAndPlaneNames
+from handlaser_gtsam.results.warnings import implausible_mounts
 from handlaser_gtsam.validation.scenes import SCENES, Layout
 from handlaser_gtsam.validation.simulate import Errors, simulate
 
@@ -77,6 +81,27 @@ def test_a_hand_that_only_turns_leaves_its_mirror_image_open(recording):
     assert "mirror image" in found.undetermined[0]
     assert "move the hand" in found.advice[0]
     assert check_motion(recording).undetermined == ()
+
+
+@pytest.mark.parametrize("sides", ["one beam", "two beams"])
+def test_beams_that_hit_a_plane_from_its_two_sides_are_named(sides):
+    """The plane is z = 1, between two stations, or between two beams of one."""
+    R = np.stack((np.eye(3), np.diag([1.0, -1.0, -1.0])))
+    t, ranges = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]]), np.array([[1.0], [1.0]])
+    if sides == "two beams":
+        t, ranges = np.zeros((2, 3)), np.array([[1.0, np.nan], [np.nan, -1.0]])
+    beams = ranges.shape[1]
+    labels = {"plane_labels": ("A", "A"), "beam_names": ("1", "2")[:beams]}
+    recording = hl.Recording(R, t, ranges, **labels, range_min=-2.0)
+    readings, order = sorted_readings(recording)
+    at, v = np.zeros((beams, 3)), np.tile([0.0, 0.0, 1.0], (beams, 1))
+    plane = np.array([[0.0, 0.0, 1.0]]), np.array([-1.0])
+    parameters = Parameters(at, v, np.zeros((beams, 2)), *plane)
+    names = BeamAndPlaneNames.of(recording, order)
+    warning = implausible_mounts(readings, parameters, names)
+    words = "beam 1 hits plane A" if sides == "one beam" else "beams 1 and 2 hit plane A"
+    assert warning.code == "two-sides"
+    assert f"{words} from its two sides, which no plate allows" in warning.message
 
 
 def of_a_robot(errors, seed=3):

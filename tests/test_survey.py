@@ -299,6 +299,13 @@ def test_many_shots_at_once_are_as_one_by_one(ratio):
         assert np.abs(off).max() < 1e-6
 
 
+def test_a_shot_of_one_ray_shows_no_ball():
+    """These readings led to a circle of no size, at which no derivative was finite."""
+    reading = 0.23 + 0.02 * np.random.default_rng(84).random(30)
+    for kind in ("profiler", "scanner"):
+        assert condensed_shots(KINDS[kind], "sphere", [(np.zeros((30, 1)), reading)]) == [None]
+
+
 @pytest.mark.slow
 def test_noise_across_a_profile_pulls_no_slope():
     """Noise in x as large as in z: the slopes of many shots have no bias, and their stated spread."""
@@ -597,6 +604,10 @@ BAD = {
             (hl.Shots.profiler("a", [0], [0.0], [1.0]),),
         ),
         "cube:A",
+    ),
+    "a sigma of zero": (
+        lambda: hl.Known("radius", ("sphere:S",), 0.02, sigma=0.0),
+        "no sigma above zero of radius of sphere:S; expected how well it is known",
     ),
     "nothing read": (
         lambda: hl.Survey(hl.StationList(np.eye(3)[None], np.zeros((1, 3)), ("A",))),

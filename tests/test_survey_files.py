@@ -194,11 +194,62 @@ def test_angles_of_a_scanner_in_another_unit_are_refused(tmp_path, angles, state
         hl.read_survey(poses, rig)
 
 
+@pytest.mark.parametrize(
+    ("kind", "rows", "words"),
+    [
+        (
+            "profiler",
+            "x,z\ns,0,100\ns,0,101\nt,5,99\nt,5,98",
+            "one x of a in all rows of each station",
+        ),
+        (
+            "scanner",
+            "angle,reading\ns,0,100\ns,0,101",
+            "one angle of a in all rows of each station",
+        ),
+        ("array", "zone,reading\ns,1,100\ns,1,101", "one zone of a in all rows of each station"),
+        ("array", "zone,reading\ns,250.5,0\ns,251,2\ns,252,1", "no zone 251, .* numbers of zones"),
+        (
+            "array",
+            "zone,reading\ns,0,100\ns,250.5,101",
+            r"no zone 250\.5; expected a row for every",
+        ),
+        ("array", "zone,reading\ns,0,-100\ns,1,0", "no reading above zero, and some below it"),
+        (
+            "scanner",
+            "angle,reading\ns,-9,-100\ns,9,-101",
+            "no reading above zero, and some below it",
+        ),
+        ("profiler", "x,z\ns,0,100\nt,5,99", None),
+        ("profiler", "x,z\ns,0,100\ns,0,101\nt,5,99\nt,6,98", None),
+        ("array", "zone,reading\ns,0,100\nt,0,101", None),
+        ("profiler", "x,z\ns,0,-100\ns,1,-101", None),
+    ],
+)
+def test_columns_that_hold_something_else_are_refused(tmp_path, kind, rows, words):
+    """A shot along one ray, zones that are lengths, and distances below zero."""
+    (tmp_path / "p.csv").write_text(f"station,{rows}\n")
+    (tmp_path / "zones.csv").write_text("zone,x_deg,y_deg\n0,-10,0\n1,10,0\n2,0,10\n")
+    zones = 'zones = "zones.csv"' if kind == "array" else ""
+    rig, poses = tmp_path / "rig.toml", tmp_path / "poses.csv"
+    rig.write_text(f'[[sensors]]\nname = "a"\nkind = "{kind}"\npoints = "p.csv"\n{zones}\n')
+    poses.write_text("station,plane,x,y,z,qx,qy,qz,qw\ns,A,0,0,0,0,0,0,1\nt,A,0,0,0,0,0,1,0\n")
+    if words is None:
+        survey = hl.read_survey(poses, rig)
+        assert len(survey.shots[0].reading) == rows.count("\n")
+        assert ("all z below zero: its mount is that of" in str(survey.lines)) == ("-" in rows)
+        return
+    with pytest.raises(InputError, match=words):
+        hl.read_survey(poses, rig)
+
+
 def test_zones_in_radians_are_refused(tmp_path):
     """No array has a field of view of a degree."""
     path = tmp_path / "zones.csv"
     path.write_text("zone,x_deg,y_deg\n0,-0.2,-0.2\n1,0.2,-0.2\n2,-0.2,0.2\n3,0.2,0.2\n")
-    with pytest.raises(InputError, match=r"a field of 0\.4 deg; expected x_deg and y_deg in degrees"):
+    with pytest.raises(
+        InputError, match=r"a field of 0\.4 deg; expected x_deg and y_deg in degrees"
+    ):
         directions_of(path)
 
 

@@ -15,6 +15,7 @@ import handlaser_gtsam as hl
 from benchmarks import rigs_by_distance, rigs_by_rays
 from benchmarks.rigs import survey_of
 from handlaser_gtsam.errors import SolverError
+from handlaser_gtsam.estimation.survey_rows import rows_of
 from handlaser_gtsam.files.logs.format_checks import convention_of
 from handlaser_gtsam.files.logs.motion import Way
 from handlaser_gtsam.files.logs.survey_conventions import (
@@ -26,7 +27,7 @@ from handlaser_gtsam.files.logs.survey_conventions import (
 from handlaser_gtsam.model.conventions import numbers_of, poses_of
 from handlaser_gtsam.model.geometry import normalized
 from handlaser_gtsam.results.survey_check import check_lines, check_survey
-from handlaser_gtsam.results.survey_misfit import _looks_other, better_kinds
+from handlaser_gtsam.results.survey_misfit import _looks_other, better_kinds, misread
 from handlaser_gtsam.results.survey_warnings import rejected_of
 
 FAN = np.linspace(-0.2, 0.2, 400)
@@ -490,6 +491,20 @@ def test_where_half_of_the_shots_are_lost_nothing_is_usable(about):
         assert calibrated(0).usable
 
 
+def test_a_ball_that_is_turned_inside_out_is_not_called_a_plane():
+    """Few points of it fit a plane within their noise: the label is right, and z has the wrong sign."""
+    survey = turned_round(cell(0), 0.0)
+    shots = survey.shots[0]
+    few = shots.part(np.arange(len(shots.station)) % 3 == 0)
+    (warning,) = misread(rows_of(replace(survey, shots=(few,))), hl.Noise())
+    assert warning.code == "target-kind"
+    words = (
+        "fit a plane, and a sphere only with z reversed: if z of profiler grows towards the sensor"
+    )
+    assert words in warning.message
+    assert "label" not in warning.values
+
+
 @pytest.mark.slow
 def test_a_target_of_which_no_shot_counts_is_in_the_headline():
     """Few shots of the only ball cannot be spared; those of a second ball can."""
@@ -761,6 +776,9 @@ def written_wrong(how):
         return replace(survey, shots=(late,)), numbers, kuka
     if how == "order":
         numbers[:, [3, 4]] = numbers[:, [4, 3]]
+    elif how == "transposed":
+        inverse = np.swapaxes(of.world_R_hand, 1, 2)
+        numbers = numbers_of(inverse, of.world_t_hand, convention_of(kuka))
     else:
         numbers[:, :3] *= {"sign": [1.0, -1.0, 1.0], "unit": [1.0, 0.1, 1.0], "right": 1.0}[how]
     R, t = poses_of(numbers, convention_of(kuka))
@@ -778,6 +796,7 @@ def written_wrong(how):
         ),
         ("sign", "times better if the y coordinates of the positions are negated, "),
         ("unit", "if the y coordinates of the positions are centimetres among millimetres"),
+        ("transposed", r"if the rotations are inverted \(hand_R_world instead of world_R_hand\), "),
         ("order", "are in another order: columns 2, 1, 3 of them, "),
     ],
 )
@@ -790,6 +809,18 @@ def test_a_single_mistake_in_the_table_of_poses_is_named(how, words):
     mistakes = list(_single_mistakes(survey.stations))
     with pytest.raises(hl.InputError, match=words):
         _accused(survey, survey.shots[0], (mistakes,), kuka)
+
+
+def test_shots_of_another_row_are_not_tried_where_labels_take_turns():
+    """Shot and row would have different targets at every station."""
+    survey, _, kuka = written_wrong("sign")
+    of, turns = survey.stations, np.arange(18).reshape(2, 9).T.ravel()
+    R, t, labels = of.world_R_hand[turns], of.world_t_hand[turns], np.array(of.plane_labels)[turns]
+    shots = replace(survey.shots[0], station=np.argsort(turns)[survey.shots[0].station])
+    survey = hl.Survey(hl.StationList(R, t, tuple(labels.tolist())), (shots,))
+    mistakes = [one for one in _single_mistakes(survey.stations) if "one row" in one.words]
+    assert len(mistakes) == 2
+    assert not _accused(survey, shots, (mistakes,), kuka)
 
 
 @pytest.mark.slow

@@ -172,3 +172,16 @@ def test_regions_of_beams_with_few_readings_hold_the_truth():
     for squares in (fine, coarse):
         assert len(squares) == 8
         assert np.mean(chi2.cdf(squares, 3) < 0.95) >= 6 / 8
+
+
+def test_errors_of_a_hand_that_no_robot_has_are_asked_about():
+    """The same rig, where 0.05 mm is usual, and where a robot is expected to be fifty times better."""
+    survey = rigs.survey_of(rigs_by_rays.profiler(0, hand_sigma=rigs.HAND))
+    fine = hl.Noise(pose_translation_prior=2e-6)
+    for noise, expected in ((hl.Noise(), []), (fine, ["large-pose-errors"])):
+        found = hl.calibrate(survey, noise)
+        assert [one.code for one in found.warnings] == expected
+    (warning,) = found.warnings
+    assert warning.values["expected"] == 2e-6
+    assert warning.values["sigma"] == found.pose_sigma[1]
+    assert "the hand's position errs by" in found.verdict.sentence

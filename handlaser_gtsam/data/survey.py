@@ -305,7 +305,7 @@ class Known(Value):
         for name in ("sigma", "sigma_angle"):
             require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH)
             if name in fields and not getattr(self, name) > 0.0:
-                raise InputError(f"no {name} of {self.words}", "how well it is known")
+                raise InputError(f"no {name} above zero of {self.words}", "how well it is known")
         shapes = {"direction": (3,), "pose": (4, 4), "faces": (len(self.of), 4)}
         for name, shape in shapes.items():
             given = getattr(self, name)

@@ -141,6 +141,13 @@ def read_points(
     if parts:
         station = np.concatenate([at for at, _ in parts])
         numbers = np.concatenate([points for _, points in parts])
+        reading = numbers[:, -1]
+        if kind in ("scanner", "array") and reading.min(initial=0.0) < 0.0 >= reading.max():
+            found = f"no {COLUMNS[kind][-1]} above zero, and some below it"
+            raise InputError(found, "distances: reverse their sign", next(iter(files.values())))
+        if kind != "profiler":
+            good = (numbers != 0.0).any(axis=1) if kind == "points" else reading > 0.0
+            station, numbers = station[good], numbers[good]
         station, numbers, codes = without_codes(station, numbers)
     if awaited and not parts:
         found = f"points of station {some([shown(one) for one in awaited], 4)} only"
@@ -254,8 +261,6 @@ def _points(
     numbers = np.column_stack([known_numbers(table, one)[0] for one in found])
     # No unit of a reading is smaller than a millimetre; a code may be 3.4e38.
     good = (np.abs(numbers) < IN_MM * LARGEST_LENGTH).all(axis=1)
-    if kind != "profiler":
-        good &= (numbers[:, -1] > 0.0) if kind != "points" else (numbers != 0.0).any(axis=1)
     units = {one: unit_of(column) for one, column in zip(wanted, found, strict=True)}
     return (station[good].astype(np.intp), numbers[good]), units
 

@@ -27,7 +27,7 @@ import numpy as np
 from pydantic import Strict
 from scipy.spatial.transform import Rotation
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..checks import require_number, require_word
 from ..data.screening import shots_code_warning
 from ..data.station_list import StationList
@@ -203,12 +203,16 @@ class SurveyTables:
         turns = {"angle"} & named.keys()
         lengths = named.keys() - turns - {"zone"}
         with in_file(path):
+            if table.kind != "points":
+                _require_several_rays(table, points[0], points[1][:, 0])
             if turns:
                 _require_turns(table, points[1][:, 0], stated=named["angle"] or table.angles or "")
             length, words = _unit("units", table.units or "", {named[one] for one in lengths}, "mm")
             angle, more = _unit("angles", table.angles or "", {named[one] for one in turns}, "deg")
             shots = self._shots(table, points, LENGTHS[length], ANGLES[angle])
         words += f" and {more}" if turns else ""
+        if table.kind == "profiler" and shots.reading.max() < 0.0:
+            words += ", all z below zero: its mount is that of a frame whose z points backwards"
         return shots, (f"{table.name} in {words}", *lines), _code_warnings(table, codes)
 
     def _shots(self, table: SensorTable, points: "Points", length: float, angle: float) -> Shots:
@@ -238,7 +242,7 @@ class SurveyTables:
             shots = Shots.scanner(name, station, first * angle, reading, **noise)
         else:
             zones = self.folder / str(table.zones)
-            u = directions_of(self.copies.get(zones, zones), first)
+            u = directions_of(self.copies.get(zones, zones), *numbers.T)
             noise["before"] = before * length if several else None
             shots = Shots.array(name, station, u, reading, table.convention, **noise)
         _require_lengths(shots)
@@ -389,6 +393,17 @@ def _require_turns(table: SensorTable, numbers: FloatArray, *, stated: str) -> N
         raise InputError(f"{found} rad", 'angles = "deg", as they are')
 
 
+def _require_several_rays(table: SensorTable, station: IntArray, first: FloatArray) -> None:
+    """Refuse a sensor that reads several times along one ray, and along no other, at each station."""
+    from .points_table import COLUMNS
+
+    rays = len(np.unique(np.column_stack((station, first)), axis=0))
+    if rays == len(np.unique(station)) < len(station):
+        column = COLUMNS[table.kind][0]
+        found = f"one {column} of {table.name} in all rows of each station"
+        raise InputError(found, f"a column {column} that tells the rays of a shot apart")
+
+
 def _require_lengths(shots: Shots) -> None:
     """Refuse shots whose lengths no such sensor has: a wrong unit."""
     d = np.abs(shots.reading)
@@ -430,8 +445,12 @@ def _refuse_exchanged(shots: Shots) -> None:
         raise InputError(found, expected)
 
 
-def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
+def directions_of(
+    path: Path, zone: FloatArray | None = None, reading: FloatArray | None = None
+) -> FloatArray:
     """Return the direction (N, 3) of the zone of each reading; without readings, of all zones.
+
+    Readings that are all numbers of zones, beside a zone that is none, are in the wrong column.
 
     Raises
     ------
@@ -460,7 +479,11 @@ def directions_of(path: Path, zone: FloatArray | None = None) -> FloatArray:
     place = {name: i for i, name in enumerate(numbers["zone"].tolist())}
     lacking = sorted(set(zone.tolist()) - place.keys())
     if lacking:
-        raise InputError(f"no zone {lacking[0]:g}", "a row for every zone that reads", path)
+        found = f"no zone {lacking[0]:g}"
+        if reading is not None and place.keys() >= set(reading.tolist()):
+            found += ", and readings that all are numbers of zones"
+            raise InputError(found, "zone and reading in their own columns: exchange them", path)
+        raise InputError(found, "a row for every zone that reads", path)
     return np.asarray(u[[place[one] for one in zone.tolist()]])
 
 

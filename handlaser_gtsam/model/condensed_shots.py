@@ -191,6 +191,7 @@ def condensed_shots(
     """Return shots in a few rows each; None where no shape fits the points of one.
 
     A shot of so few points that its shape is hardly known is not condensed: each reading is a row.
+    Many points on one ray show no shape.
     Shots of equal length are condensed together.
 
     Parameters
@@ -218,9 +219,10 @@ def condensed_shots(
     for n in np.unique(lengths).tolist():
         # Numbers of the trial shapes of a shot, or of the derivatives of its points.
         numbers = max(4 * TRIALS * min(n, VOTING), 16 * n, 1)
-        alike, share = np.flatnonzero(lengths == n), max(NUMBERS_AT_ONCE // numbers, 1)
+        alike, share = np.flatnonzero(lengths == n).tolist(), max(NUMBERS_AT_ONCE // numbers, 1)
+        alike = [i for i in alike if n <= few or np.ptp(shots[i][0], axis=0).any()]
         for first in range(0, len(alike), share):
-            some = alike[first : first + share].tolist()
+            some = alike[first : first + share]
             rays = kind.scaled(np.concatenate([shots[i][0] for i in some]), float(errors[-1]))
             rays = _rows(rays, np.arange(len(some) * n).reshape(len(some), n))
             reading = np.stack([shots[i][1] for i in some])

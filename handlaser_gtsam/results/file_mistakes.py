@@ -485,9 +485,6 @@ def _read_as(written: Convention, read: Convention) -> tuple[str, Change]:
 
 HYPOTHESES: dict[str, Change] = {
     f"the poses look inverted: {INVERTED}": _inverted,
-    "the rotations look inverted (hand_R_world instead of world_R_hand)": lambda recording: replace(
-        recording, world_R_hand=np.swapaxes(recording.world_R_hand, 1, 2)
-    ),
     **{
         words: partial(without_mistake, what=what, how=how)
         for words, mistake in MISTAKES.items()

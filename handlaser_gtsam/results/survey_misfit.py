@@ -87,8 +87,30 @@ def misread(rows: SurveyRows, noise: Noise) -> Iterator[CalibrationWarning]:
             yield warned(CONVENTION, {"sensor": shots.name, "better": better})
     for label, better in better_kinds(rows.survey, noise).items():
         kind, _, name = label.partition(":")
-        values = {"target": label, "kind": kind, "better": better, "label": f"{better}:{name}"}
-        yield warned(KIND, values)
+        values = {"target": label, "kind": kind, "better": better}
+        towards = "; ".join(counted_towards(rows)) if kind == SPHERE.name else ""
+        if towards:
+            yield warned(f"{KIND}:towards", values, towards=towards)
+        else:
+            yield warned(KIND, {**values, "label": f"{better}:{name}"})
+
+
+def counted_towards(rows: SurveyRows) -> Iterator[str]:
+    """Yield what to try of profilers whose shots show balls only where z grows towards the sensor.
+
+    A shape in a profile is the same wherever it is along z, so that z is reversed about its own middle.
+    """
+    labels = rows.survey.stations.plane_labels
+    for member, shots in enumerate(rows.survey.shots):
+        before = [at for i, at in rows.lost if i == member and kind_of(labels[at]) == SPHERE.name]
+        met = sum(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
+        if shots.kind != "profiler" or len(before) <= met:
+            continue
+        turned = float(shots.reading.min() + shots.reading.max()) - shots.reading
+        tables = [(shots.across[shots.station == s], turned[shots.station == s]) for s in before]
+        shown = condensed_shots(KINDS[shots.kind], SPHERE.name, tables, sigma=shots.sigma)
+        if sum(shot is not None for shot in shown) > 0.5 * len(before):
+            yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
 
 
 def misheard(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

@@ -15,14 +15,15 @@ import numpy as np
 
 from ..arrays import FloatArray, evenly
 from ..data.screening import REPEATED, repeated
-from ..data.survey import kind_of, normal_label
+from ..data.survey import normal_label
 from ..errors import CalibrationWarning
 from ..estimation.estimate import BlockProblem, descended, search_from
+from ..estimation.scales import ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_state import SurveyState
 from ..estimation.survey_trials import displacement
-from ..model.condensed_shots import condensed_shots, of_single_readings
+from ..model.condensed_shots import of_single_readings
 from ..model.distributions import (
     FEW_DEGREES,
     SINGLE_LEVEL,
@@ -43,9 +44,7 @@ from ..model.families import (
     bases,
 )
 from ..model.sensor_limits import Rejected
-from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..model.targets.sphere import SPHERE
 from ..observability.wording import open_sentence
 from ..quantities import FAR_SIGMAS, IN_MM, MAJORITY
 from ..starts.beam_minima import MINIMUM_READINGS, MINIMUM_STARTS
@@ -57,6 +56,7 @@ from .messages import Values, warned
 from .survey_misfit import (
     MISREAD,
     contradictions,
+    counted_towards,
     implausible,
     misheard,
     mislabelled,
@@ -67,7 +67,7 @@ from .survey_misfit import (
 )
 from .survey_motion import MORE_STATIONS, counts_of, opening, unconfirmed_mount
 from .survey_verdict import FEW, TOO_FEW, free_of
-from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, WORTH_REFINING
+from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, WORTH_REFINING, large_pose_errors
 
 if TYPE_CHECKING:
     from .survey import BeamMount, Mount, SensorMount
@@ -103,6 +103,14 @@ def survey_warnings(
     yield from gone  # a target of which no shot counts is missing in all that follows
     yield from _zones_that_miss(found)
     yield from _sigmas(found)
+    if found.fits:
+        usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
+        of_hand = zip((ROTATION, TRANSLATION), found.noise.pose, usual, stated, strict=True)
+        yield from large_pose_errors(
+            NoiseComponent(name, sigma, np.nan, expected)
+            for name, sigma, expected, known in of_hand
+            if np.isnan(known)
+        )
     yield from _too_few(found)
     yield from _few(found)
     yield from rival_mounts(found)
@@ -224,27 +232,9 @@ def unread_stations(rows: SurveyRows) -> Iterator[CalibrationWarning]:
         if gone:
             values = {**values, "targets": some(gone, NAMES_IN_LINE)}
         uncounted = f", so that no shot of {values['targets']} counts" if gone else ""
-        more = "".join(f"; {one}" for one in _counted_towards(rows))
+        more = "".join(f"; {one}" for one in counted_towards(rows))
         with_few = count(len(lost), "shot")
         yield warned("too-few-points", values, lost=with_few, uncounted=uncounted, more=more)
-
-
-def _counted_towards(rows: SurveyRows) -> Iterator[str]:
-    """Yield what to try of profilers whose shots show balls only where z grows towards the sensor.
-
-    A shape in a profile is the same wherever it is along z, so that z is reversed about its own middle.
-    """
-    labels = rows.survey.stations.plane_labels
-    for member, shots in enumerate(rows.survey.shots):
-        before = [at for i, at in rows.lost if i == member and kind_of(labels[at]) == SPHERE.name]
-        met = sum(i.member == member and i.target[0] == SPHERE.name for i in rows.items)
-        if shots.kind != "profiler" or len(before) <= met:
-            continue
-        turned = float(shots.reading.min() + shots.reading.max()) - shots.reading
-        tables = [(shots.across[shots.station == s], turned[shots.station == s]) for s in before]
-        shown = condensed_shots(KINDS[shots.kind], SPHERE.name, tables, sigma=shots.sigma)
-        if sum(shot is not None for shot in shown) > 0.5 * len(before):
-            yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
 
 
 def _few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:

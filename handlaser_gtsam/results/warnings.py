@@ -17,7 +17,7 @@ from ..data.recording import Readings, Recording
 from ..data.screening import rounding
 from ..errors import CalibrationWarning
 from ..estimation.joint_solution import NO_FIT
-from ..estimation.scales import RANGE, ROTATION
+from ..estimation.scales import RANGE, ROTATION, NoiseComponent
 from ..estimation.solution import Solution
 from ..model.distributions import (
     CONFIDENCE,
@@ -120,7 +120,7 @@ def implausible_mounts(
     first, second = np.where(hits[:, from_both[0]], distance, -1.0).argmax(axis=1).tolist()
     culprit = labels[max(first, second, key=lambda i: distance[i])]
     values = {"plane": name, "beam": culprit, "first": labels[first], "second": labels[second]}
-    return warned("two-sides", values)
+    return warned("two-sides" if first != second else "two-sides:beam", values)
 
 
 def lost_of_beams(fit: Fit, names: Sequence[str]) -> list[tuple[int, int]]:
@@ -170,12 +170,7 @@ def fit_warnings(
             yield warned("poses-err", {"standard_deviations": sigmas})
         if noise.poses_uncertain:
             yield warned("poses-taken-as-exact")
-    for one in solution.scales:  # errors of poses that no robot of its kind has stand for others
-        at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
-        if one.quantity != RANGE and at_least > TEN_TIMES * one.usual:
-            which = "rotation" if one.quantity == ROTATION else "position"
-            values = {"sigma": one.sigma, "expected": one.usual}
-            yield warned(f"large-pose-errors:{which}", values, times=one.sigma / one.usual)
+    yield from large_pose_errors(solution.scales)
     (station, beam), sigmas = fit.max_standardized_residual_at, fit.max_standardized_residual
     if fit.dof > 0 and sigmas > FAR_SIGMAS:
         yield warned("far-reading", {"station": station, "beam": beam, "sigmas": sigmas})
@@ -184,6 +179,16 @@ def fit_warnings(
         some = f"only {count(redundancy, 'reading')} more than"
         more = some if redundancy > 0 else "no more readings than"
         yield warned("few-readings", {"redundancy": redundancy}, more=more)
+
+
+def large_pose_errors(learned: Iterable[NoiseComponent]) -> Iterator[CalibrationWarning]:
+    """Warn of errors of poses that no robot of its kind has: they stand for others."""
+    for one in learned:
+        at_least = one.sigma - 2.0 * float(np.nan_to_num(one.error))
+        if one.quantity != RANGE and at_least > TEN_TIMES * one.usual:
+            which = "rotation" if one.quantity == ROTATION else "position"
+            values = {"sigma": one.sigma, "expected": one.usual}
+            yield warned(f"large-pose-errors:{which}", values, times=one.sigma / one.usual)
 
 
 def _same_mounts(

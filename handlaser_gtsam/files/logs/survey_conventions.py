@@ -4,8 +4,9 @@ As for logs of beams (`other_conventions`), every other convention with as many 
 where the shots of a sensor do not fit, and every other unit of their lengths: a start is found for the
 shots of that sensor, and the residual below which most readings are is compared. Where none of these
 fits, single mistakes are tried: shots one row late, a coordinate of the positions with another sign, in
-another unit or in place of another one, numbers of the rotations in another order; at last, one column
-of the points in another unit than the others, and zones or points that are mirrored.
+another unit or in place of another one, rotations that are inverted, or whose numbers are in another
+order; at last, one column of the points in another unit than the others, and zones or points that are
+mirrored.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -90,13 +91,14 @@ def refuse_wrong_reading(
 
 
 def _single_mistakes(stations: StationList) -> Iterator[Rereading]:
-    """Yield mistakes that concern one coordinate of the positions, two of them, or the rows."""
+    """Yield mistakes that concern one coordinate of the positions, two, all rotations, or the rows."""
     for words, mistake in MISTAKES.items():
         for what, how in mistake.items():
             order = how if isinstance(how, list) else []
             negated = sum(i < 0 for i in order)
             moved = sum(abs(i) != j for j, i in enumerate(order, 1))
-            if what == "rows" or (what == "positions" and 2 * negated + moved == 2):
+            one_or_two = what == "positions" and 2 * negated + moved == 2
+            if what == "rows" or one_or_two or (what == "quaternions" and negated == 3):
                 said = words.replace("ranges", "shots").replace(" look ", " are ", 1)
                 if what == "rows":
                     other = "before" if how == 1 else "after"
@@ -152,7 +154,8 @@ def _accused(
         }
         items = tuple(item for item in rows.items if item.station in kept)
         read_so = replace(rows, survey=replace(rows.survey, stations=poses), items=items)
-        return _misfit(read_so, scale) / variance
+        # Where labels take turns, shots of another row leave none, or too few.
+        return _misfit(read_so, scale) / variance if _variance(read_so) else np.inf
 
     # What carries poses from one convention to another has readings: by what lengths are multiplied,
     # and the same times a number that tells whose shot belongs to a pose.
