@@ -957,4 +957,6 @@ def test_an_axis_for_sensors_of_many_rays_is_refused(folder, handlaser, refusal)
     out = folder / "out.json"
     given = ("calibrate", folder / "poses.csv", "--rig", folder / "rig.toml", "--quiet")
     assert handlaser(*given, "--out", out)[0] == 0
-    assert "an axis for sensors of many rays" in refusal("export", out, "--to", "kuka", "--axis", "x")
+    assert "an axis for sensors of many rays" in refusal(
+        "export", out, "--to", "kuka", "--axis", "x"
+    )
