@@ -343,7 +343,7 @@ def test_beams_beside_sensors_are_said():
     (noise,) = [line for line in lines if "follow from the noise" in line]
     assert noise.endswith("beams 0.1 mm assumed, hand 0.1 mm and 0.02 deg assumed")
     stated = check_survey(survey, hl.Noise(2e-4, 1e-4, None))
-    assert stated.noise[-2] == "beams 0.2 mm as stated"
+    assert stated.noise[-2] == "single beams 0.2 mm as stated"
     assert stated.noise[-1] == "hand 0.1 mm as stated and 0.02 deg assumed"
 
 

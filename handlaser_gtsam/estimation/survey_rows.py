@@ -339,14 +339,12 @@ def about_errors(rows: SurveyRows, values: Values) -> SurveyRows | None:
             if not of_single_readings(item.shot):
                 condensed[item.target[0]].append(i)
                 continue
-            own, whole = (
-                (replace(shot, rays=kind.scaled(shots.across[points], scale)), points)
-                for shot, points in (
-                    (item.shot, item.points),
-                    item.whole or (item.shot, item.points),
-                )
-            )
-            items[i] = replace(item, shot=own[0], whole=None if item.whole is None else whole)
+            rays = kind.scaled(shots.across[item.points], scale)
+            items[i] = replace(item, shot=replace(item.shot, rays=rays))
+            if item.whole is not None:
+                whole, points = item.whole
+                rays = kind.scaled(shots.across[points], scale)
+                items[i] = replace(items[i], whole=(replace(whole, rays=rays), points))
         for target, some_items in condensed.items():
             seen = [np.asarray(items[i].points) for i in some_items]
             tables = [(shots.across[points], shots.reading[points]) for points in seen]
