@@ -198,7 +198,9 @@ def test_zones_in_radians_are_refused(tmp_path):
     """No array has a field of view of a degree."""
     path = tmp_path / "zones.csv"
     path.write_text("zone,x_deg,y_deg\n0,-0.2,-0.2\n1,0.2,-0.2\n2,-0.2,0.2\n3,0.2,0.2\n")
-    with pytest.raises(InputError, match=r"a field of 0\.4 deg; expected x_deg and y_deg in degrees"):
+    with pytest.raises(
+        InputError, match=r"a field of 0\.4 deg; expected x_deg and y_deg in degrees"
+    ):
         directions_of(path)
 
 
