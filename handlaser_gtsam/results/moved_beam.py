@@ -34,7 +34,7 @@ from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION
 from ..model.joint import beam_lifts
 from ..model.weighting import Variances, whitening
-from ..quantities import NEGLIGIBLE, TINY
+from ..quantities import MOST_ROUNDS, NEGLIGIBLE, TINY
 from ..solvers.beam_problem import beam_problem
 from .calibration_data import Beam, Fit
 from .dependence import dependence
@@ -205,7 +205,8 @@ def _rather_gross(move: Move, every: LinearRows, selection: Selection) -> bool:
     solution, rejected = selection.solution, int(selection.outliers().sum())
     total = move.left / (1.0 - move.share) / every.how.sigma**2
     left = move.left / every.how.sigma**2
-    if move.beam >= 0:
+    # A large move spoils more readings than it has unknowns.
+    if move.beam >= 0 and rejected > move.rank:
         left = min(left, _apart(move, every, solution))
     gross = _criterion(1.0 - solution.chi2 / total, move.dof, rejected)
     return gross < _criterion(1.0 - left / total, move.dof, move.rank)
@@ -214,7 +215,8 @@ def _rather_gross(move: Move, every: LinearRows, selection: Selection) -> bool:
 def _apart(move: Move, every: LinearRows, solution: Solution) -> float:
     """Return the chi2 of all readings where the beam that moved is another one afterwards.
 
-    Both have range errors of their own, with the same prior.
+    Both have range errors of their own, with the same prior. A move is found in a few steps; gross
+    errors would be followed for hundreds.
     """
     readings, beams = every.readings, every.readings.beams
     late = (readings.beam == move.beam) & (every.position >= move.position)
@@ -230,7 +232,8 @@ def _apart(move: Move, every: LinearRows, solution: Solution) -> float:
         prior = RangeErrorPrior(prior.sigma[of], mean)
     how = whitening(at, split, variances)
     problem, block = beam_problem([split], solution.terms, [how], prior=prior)
-    return 2.0 * float(search(problem, block.begun([at]), LevenbergOptions()).cost[0])
+    solver = LevenbergOptions(max_iterations=MOST_ROUNDS)
+    return 2.0 * float(search(problem, block.begun([at]), solver).cost[0])
 
 
 def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
