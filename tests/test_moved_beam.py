@@ -96,6 +96,25 @@ def test_gross_errors_at_the_end_are_no_move():
     assert not any(one.code == DISPLACED for one in found.warnings)
 
 
+@pytest.mark.parametrize(("seed", "station"), [(1, 3), (5, 40)])
+def test_one_gross_reading_near_an_end_is_no_move(seed, station):
+    """The five unknowns of a move follow one gross reading among eight, as one rejection does."""
+    whole = recorded(seed)
+    ranges = whole.ranges.copy()
+    ranges[station, 1] += 0.05
+    found = hl.calibrate(replace(whole, ranges=ranges))
+    assert [one.station for one in found.fit.rejected] == [str(station + 1)]
+    assert not any(one.code == DISPLACED for one in found.warnings)
+
+
+def test_a_large_turn_near_the_end_is_a_move_although_its_readings_are_rejected():
+    """Derivatives leave millimetres of it: the beam before and after it are fitted as two."""
+    found = hl.calibrate(recorded(1, bent(5.0)).part(np.arange(32)))
+    assert len(found.fit.rejected) > 8
+    (warning,) = (one for one in found.warnings if one.code == DISPLACED)
+    assert (warning.values["target"], warning.values["station"]) == ("beam 2", "22")
+
+
 @pytest.mark.slow
 def test_a_plate_or_a_tool_frame_that_was_moved_is_no_beam():
     whole = recorded(5)

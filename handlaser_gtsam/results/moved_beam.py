@@ -8,13 +8,15 @@ without what all other unknowns explain and weighed by the noise, a move makes c
 with q the rank of A'A. A plate that was moved and a tool frame that changed are compared by the same
 test, and so are systematic errors that were found: a beam has moved only if it explains more, by
 Schwarz's criterion (Annals of Statistics 6(2), 1978). Readings that were rejected count again, because
-readings before a large move do not fit the readings after it. Where what a move leaves is correlated in
+readings before a large move do not fit the readings after it; as gross errors, an unknown each, they
+are a rival by the same criterion. Where what a move leaves is correlated in
 time, N readings tell what N / g independent ones do, with g the growth of the variance of a mean: what
 varies slowly looks like a step, too.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -22,14 +24,18 @@ import numpy as np
 
 from .. import model
 from ..arrays import FloatArray, IntArray, evenly
+from ..data.parameters import RangeErrorPrior
 from ..errors import CalibrationWarning, GrazingBeamError
 from ..estimation.selection import Selection
+from ..estimation.solution import Solution
+from ..model.damped_search import LevenbergOptions, search
 from ..model.distributions import SINGLE_LEVEL, chi2_sf, f_sf, p_words
 from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION
 from ..model.joint import beam_lifts
 from ..model.weighting import Variances, whitening
-from ..quantities import KNOWN, NEGLIGIBLE, TINY
+from ..quantities import MOST_ROUNDS, NEGLIGIBLE, TINY
+from ..solvers.beam_problem import beam_problem
 from .calibration_data import Beam, Fit
 from .dependence import dependence
 from .messages import warned
@@ -144,12 +150,8 @@ def moved_beam(
         with suppress(GrazingBeamError):
             every = _with_rejected(rows, problem, selection)
             move = _likely_move(every, fit.dof + int(out.sum()), fit.range_sigma_given)
-        # What remains must be noise, twice the other at most, or little of what there was (of a large
-        # move the derivatives leave some): gross errors, or another cause, are neither.
-        noise = float(rows.residual @ rows.how.weighed(rows.residual[:, None])[:, 0])
-        if move is not None and move.share < 1.0 - KNOWN:
-            counted = fit.dof / (fit.dof + int(out.sum()) - move.rank)
-            move = None if move.left * counted > 4.0 * noise else move
+            if move is not None and _rather_gross(move, every, selection):
+                move = None
     if move is None:
         move = _likely_move(rows, fit.dof, fit.range_sigma_given)
         clearest = max(((one.size / one.sigma) ** 2 for one in found if one.found), default=0.0)
@@ -181,13 +183,57 @@ def moved_beam(
 def _with_rejected(rows: LinearRows, problem: Problem, selection: Selection) -> LinearRows:
     """Return the rows with all readings that were rejected because others contradict them."""
     counts = selection.used | selection.outliers()
-    readings, solution = problem.chosen(counts), selection.solution
-    variances = solution.variances
-    if variances is None:
-        variances = Variances(np.full(readings.beams, rows.how.sigma))
-    how = whitening(rows.at, readings, variances)
+    readings = problem.chosen(counts)
+    how = whitening(rows.at, readings, _variances(selection.solution, readings.beams))
     position = problem.order.stations[readings.station]
     return LinearRows(rows.at, readings, how, rows.prior, position, rows.channel)
+
+
+def _variances(solution: Solution, beams: int) -> Variances:
+    """Return the variances of the readings at a solution, also where all are equal."""
+    return solution.variances or Variances(np.full(beams, solution.at.sigma))
+
+
+def _rather_gross(move: Move, every: LinearRows, selection: Selection) -> bool:
+    """Tell whether gross errors, each an unknown, explain what was rejected better than a move.
+
+    A move in place of rejections has to explain what the other readings leave, and all that were
+    rejected. Derivatives leave some of a large move of a beam: there the beam before and after it are
+    two, which are fitted with all other unknowns (near the end of a recording five unknowns follow a
+    gross reading nearly as well).
+    """
+    solution, rejected = selection.solution, int(selection.outliers().sum())
+    total = move.left / (1.0 - move.share) / every.how.sigma**2
+    left = move.left / every.how.sigma**2
+    # A large move spoils more readings than it has unknowns.
+    if move.beam >= 0 and rejected > move.rank:
+        left = min(left, _apart(move, every, solution))
+    gross = _criterion(1.0 - solution.chi2 / total, move.dof, rejected)
+    return gross < _criterion(1.0 - left / total, move.dof, move.rank)
+
+
+def _apart(move: Move, every: LinearRows, solution: Solution) -> float:
+    """Return the chi2 of all readings where the beam that moved is another one afterwards.
+
+    Both have range errors of their own, with the same prior. A move is found in a few steps; gross
+    errors would be followed for hundreds.
+    """
+    readings, beams = every.readings, every.readings.beams
+    late = (readings.beam == move.beam) & (every.position >= move.position)
+    beam = np.where(late, beams, readings.beam)
+    rows = np.argsort(beam, kind="stable")
+    split = replace(readings.subset(rows), beam=beam[rows], beams=beams + 1)
+    of = np.append(np.arange(beams), move.beam)
+    at = every.at.part(of, np.arange(readings.planes))
+    variances, prior = _variances(solution, beams), solution.prior
+    variances = replace(variances, range_sigma=variances.range_sigma[of])
+    if prior is not None:
+        mean = None if prior.mean is None else prior.mean[of]
+        prior = RangeErrorPrior(prior.sigma[of], mean)
+    how = whitening(at, split, variances)
+    problem, block = beam_problem([split], solution.terms, [how], prior=prior)
+    solver = LevenbergOptions(max_iterations=MOST_ROUNDS)
+    return 2.0 * float(search(problem, block.begun([at]), solver).cost[0])
 
 
 def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
@@ -325,8 +371,9 @@ def _tried(
     columns[one.rows] = one.J * (rows.position[one.rows] >= split)[:, None]
     unit = np.maximum(np.sqrt((columns**2).sum(axis=0)), TINY)
     columns /= unit
-    left, weighed, _, _ = projection.perpendicular(columns)
-    values, axes = np.linalg.eigh(left.T @ weighed)
+    _, weighed, _, _ = projection.perpendicular(columns)
+    # Products with the columns themselves count what the priors bear of them, too.
+    values, axes = np.linalg.eigh(columns.T @ weighed)
     kept = values > NEGLIGIBLE  # columns of length 1: the unknowns explain the rest
     along = (columns.T @ heavy) @ axes
     size = -(axes[:, kept] @ (along[kept] / values[kept])) / unit
