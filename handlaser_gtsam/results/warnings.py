@@ -120,7 +120,9 @@ def implausible_mounts(
     first, second = np.where(hits[:, from_both[0]], distance, -1.0).argmax(axis=1).tolist()
     culprit = labels[max(first, second, key=lambda i: distance[i])]
     values = {"plane": name, "beam": culprit, "first": labels[first], "second": labels[second]}
-    return warned("two-sides" if first != second else "two-sides:beam", values)
+    if first == second:
+        return warned("two-sides:beam", values)
+    return warned("two-sides", values)
 
 
 def lost_of_beams(fit: Fit, names: Sequence[str]) -> list[tuple[int, int]]:
