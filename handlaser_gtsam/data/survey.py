@@ -481,7 +481,7 @@ class Survey(Value):
     def beam_sources(self) -> IntArray:
         """Which noise each beam (B,) has, from 0: cones and stated noise that are alike have one."""
         alike = np.stack((self.cones, np.nan_to_num(self.stated_sigmas)))
-        return frozen_indices(np.unique(alike, axis=1, return_inverse=True)[1])
+        return frozen_indices(np.unique(alike, axis=1, return_inverse=True)[1].ravel())
 
     def _check_labels(self) -> None:
         labels = self.stations.plane_labels
