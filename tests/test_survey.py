@@ -668,3 +668,17 @@ def test_every_kind_of_sensor_and_target_is_known_everywhere():
     # A shift of parallel rays along themselves is a location of the sensor.
     for kind, errors in ERRORS.items():
         assert set(RAY_ERRORS) - set(errors) == ({"k0"} if KINDS[kind].parallel else set())
+
+
+def test_shots_condensed_at_range_errors_have_the_unit_and_the_derivatives_of_readings():
+    """Twice as long ranges do not make noise larger, and a scale of x turns a line by its part."""
+    x, rng = np.linspace(-0.03, 0.03, 40), np.random.default_rng(0)
+    z = 0.2 + 0.4 * x + 1e-4 * rng.normal(size=40)
+    kind, shots = KINDS["profiler"], [(x[:, None], z)]
+    (plain,) = condensed_shots(kind, "plane", shots)
+    (longer,) = condensed_shots(kind, "plane", shots, errors=np.array([0.0, 1.0, 0.0, 0.0]))
+    assert longer.squares == pytest.approx(plain.squares)
+    scale = 0.25
+    (wider,) = condensed_shots(kind, "plane", shots, errors=np.array([0.0, 0.0, 0.0, scale]))
+    at, slope = wider.rays.origin[:, 0], np.polyfit(x, z, 1)[0] / (1.0 + scale)
+    assert wider.by_error[3] == pytest.approx(-slope * at / (1.0 + scale), rel=1e-6)

@@ -368,9 +368,8 @@ def _in_rows(
     sound &= diagonal.min(axis=1) >= NEGLIGIBLE * diagonal.max(axis=1)
     moved = np.einsum("gni,gni->gn", a, rays.origin_by_scale)
     moved += s * np.einsum("gni,gni->gn", a, rays.direction_by_scale)
-    known, slope = s - errors[0], 1.0 + errors[1]
-    square = np.maximum(slope**2 + 4.0 * errors[2] * known, LEAST_SLOPE**2)
-    d = 2.0 * known / np.maximum(slope + np.sqrt(square), LEAST_SLOPE)  # readings without noise
+    # Readings without noise; what this leaves of k2 is of the second order.
+    d = (s - errors[0]) / np.maximum(1.0 + errors[1] + errors[2] * s, LEAST_SLOPE)
     E = np.stack((np.ones_like(s), d, d**2, -moved), axis=2) * root[..., None]
     along = np.swapaxes(Q, 1, 2) @ E
     largest = np.sqrt(np.einsum("gni,gni->gi", E, E).max(axis=1))

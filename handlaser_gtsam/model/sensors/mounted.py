@@ -49,7 +49,7 @@ class Mounted:
         _, k1, k2, _ = errors
 
         def read(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Solve s = h + the error of h for the reading h, from the error of the reading on."""
+            """Return the reading of a true range s: a step from what was read, by the slope there."""
             longer = np.einsum("i...,i...->...", errors, by_error)
             slope = 1.0 / np.maximum(1.0 + k1 + 2.0 * k2 * reading, LEAST_SLOPE)
             e = (s - reading - longer) * slope
