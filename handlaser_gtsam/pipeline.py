@@ -18,7 +18,7 @@ from .progress import LOGGER, Listener, told_to
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.problem import Problem
-from .results.warnings import contradicted_range_sigma
+from .results.warnings import contradicted_sigmas
 
 if TYPE_CHECKING:
     from .estimation.estimate import BlockProblem, Estimate
@@ -155,9 +155,8 @@ def calibrate_from(
             start = start.part(order.beams, order.planes).seen_from(origins)
         selection = select(recording, local, ordered, options, start)
         # 4. Warnings and tests, in the names and the order of the recording.
-        stated = noise.range_sigma
-        if selection.range_sigma != stated:
-            noise, ordered = (replace(one, range_sigma=None) for one in (noise, ordered))
+        stated, gone = noise, selection.contradicted
+        noise, ordered = noise.without(gone), ordered.without(gone)
         problem = Problem(recording, readings, order, origins, noise, options.sensor)
         freed = None
         if options.free:
@@ -166,14 +165,13 @@ def calibrate_from(
 
             problem, selection, freed = with_freed(problem, selection, ordered, options)
         result = assemble(problem, selection, freed)
-    if stated is not None and noise.range_sigma is None:
-        warnings = (*warnings, contradicted_range_sigma(stated, result.fit.range_sigma))
+    of_noise = contradicted_sigmas(stated, gone, result.fit)
     recorded = None if freed is None else recording
     result = replace(
         result,
         recording=problem.recording,
         recorded=recorded,
-        warnings=(*warnings, *result.warnings),
+        warnings=(*warnings, *of_noise, *result.warnings),
     )
     fit = result.fit
     LOGGER.info("start: %s, the best of %d", result.start.method, len(result.start.tried))

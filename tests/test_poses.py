@@ -228,6 +228,50 @@ def test_robot_errors_that_are_not_counted_are_noticed():
         assert "poses-err" not in codes(clean)
 
 
+@pytest.mark.parametrize(("part", "named"), [(1.0, False), (0.2, True), (0.1, True)])
+def test_pose_sigmas_that_the_readings_contradict_are_estimated(part, named):
+    """Beside an unknown range sigma, which took up what the poses err beyond what is stated."""
+    stated = hl.Noise(
+        pose_translation_sigma=TRANSLATION * part, pose_rotation_sigma=ROTATION * part
+    )
+    layout, largest = Layout(beams=3, planes=6, stations=12), []
+    for seed in range(3):
+        recording, truth = robot(seed, layout)
+        found = hl.calibrate(recording, stated)
+        said = {one.code: one for one in found.warnings}
+        assert ("sigmas-too-small" in said) == named
+        assert "systematic-tool-displaced" not in said
+        if named:
+            values = {"translation": part * TRANSLATION, "rotation": part * ROTATION}
+            assert dict(said["sigmas-too-small"].values) == pytest.approx(values)
+            assert "pose rotation" in {one.quantity for one in found.noise_estimate}
+            assert found.verdict.code == "usable-with-care"
+        for beam, location in zip(found.beams.values(), truth.locations, strict=True):
+            largest.append(np.abs((beam.location - location) / beam.location_sigma).max())
+    assert 0.5 < np.median(largest) < 2.5
+
+
+def test_of_a_covariance_of_the_poses_nothing_is_contradicted():
+    recording, _ = robot(0, Layout(beams=3, planes=6, stations=12))
+    covariance = np.diag([(0.1 * ROTATION) ** 2] * 3 + [(0.1 * TRANSLATION) ** 2] * 3)
+    found = hl.calibrate(recording, hl.Noise(pose_covariance=covariance))
+    assert "sigmas-too-small" not in codes(found)
+    assert [one.quantity for one in found.noise_estimate] == ["range"]
+
+
+def test_a_session_says_which_pose_sigmas_are_contradicted():
+    recording, _ = robot(0, Layout(beams=3, planes=6, stations=12))
+    stated = hl.Noise(pose_translation_sigma=0.1 * TRANSLATION, pose_rotation_sigma=0.1 * ROTATION)
+    session, batch = hl.Session(stated), hl.calibrate(recording, stated)
+    for plane in recording.plane_names:
+        session.add(recording.subset([one == plane for one in recording.plane_labels]))
+    session.recalibrate()
+    found = session.calibration()
+    assert codes(found) == codes(batch) == ["sigmas-too-small"]
+    sigmas = [[beam.location_sigma for beam in one.beams.values()] for one in (found, batch)]
+    assert np.allclose(*sigmas, rtol=1e-3)
+
+
 def test_ctrl_c_in_the_first_of_several_solutions_counts():
     recording, _ = robot()
 

@@ -178,6 +178,7 @@ def simulated_survey(
     InputError
         A rig file without sensors, or with relations; or names of files that are not different.
     """
+    from ..data.noise import SIGMAS
     from ..files.rig_toml import read_rig
     from ..files.sensor_tables import directions_of
     from ..files.survey_writing import table_names, write_simulated
@@ -204,8 +205,7 @@ def simulated_survey(
         found = "aiming_sigma_mm"
     if found:
         raise InputError(f"{found}, which is not simulated", "a rig file without it", rig)
-    names = ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma")
-    given = {name: getattr(noise, name) for name in names if getattr(noise, name) is not None}
+    given = {name: getattr(noise, name) for name in SIGMAS if getattr(noise, name) is not None}
     errors = table.errors(replace(SURVEY_ERRORS, **given))
     bounded = math.isfinite(sensor.range_max)
     working = 0.5 * (max(sensor.range_min, 0.0) + sensor.range_max) if bounded else WORKING

@@ -151,6 +151,7 @@ def _tested(
     other: Path | None,
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
+    from ..data.noise import POSE_SIGMAS
     from ..errors import SolverError
     from ..files.calibration_reading import read_mounts
     from ..files.input_reading import read_with
@@ -163,7 +164,7 @@ def _tested(
     from ..validation.other_recording import hold_out
     from .words import hold_out_lines
 
-    noise, exact = rig.noise, {"pose_translation_sigma": 0.0, "pose_rotation_sigma": 0.0}
+    noise, exact = rig.noise, dict.fromkeys(POSE_SIGMAS, 0.0)
     if options.poses == "exact":
         noise = replace(noise, pose_covariance=None, **exact)
     if old is not None:

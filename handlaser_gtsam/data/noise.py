@@ -4,7 +4,9 @@ Sensors of many rays have their own standard deviation (`survey.Shots.sigma`).
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +16,9 @@ from ..checks import number_array, require_covariance, require_number
 from ..errors import InputError
 from ..quantities import LARGEST_LENGTH, ROUNDING
 from .value import Value
+
+POSE_SIGMAS = "pose_translation_sigma", "pose_rotation_sigma"
+SIGMAS = ("range_sigma", *POSE_SIGMAS)
 
 LEAST_SIGMA = 1e-12
 """No sensor is better than this [m]: inverse squares of smaller numbers overflow in products."""
@@ -61,7 +66,7 @@ class Noise(Value):
         if self.range_sigma is not None:
             bounds, remedy = (LEAST_SIGMA, LARGEST_LENGTH), "; leave it out if unknown"
             require_number("range_sigma", self.range_sigma, *bounds, unit="m", remedy=remedy)
-        for name in ("pose_translation_sigma", "pose_rotation_sigma"):
+        for name in POSE_SIGMAS:
             value = getattr(self, name)
             if value is not None:
                 require_number(name, value, 0.0, LARGEST_LENGTH)
@@ -121,6 +126,11 @@ class Noise(Value):
                 raise InputError(given, f"{stations}, one a station")
             return self.pose_covariance
         return np.broadcast_to(covariance, (stations, 6, 6))
+
+    def without(self, sigmas: Iterable[str]) -> "Noise":
+        """Return the same without some of its sigmas, which are estimated then."""
+        unknown: dict[str, Any] = dict.fromkeys(sigmas)
+        return replace(self, **unknown)
 
     def reordered(self, stations: IntArray) -> "Noise":
         """Return the same for a recording whose stations come in another order.

@@ -47,6 +47,9 @@ graph of this size takes twice as long as all steps of the reduction."""
 NO_FIT = 0.1
 """An rms residual above this part of the readings' spread is no fit: the readings tell hardly a
 digit."""
+POSE_RIVALS = 3.0, 10.0
+"""Pose sigmas that are given are compared with sigmas of these times their size: half an order of
+magnitude each."""
 STEPS_IN_VAIN = 100
 """A search that is no fit after this number of steps is ended: it has no minimum to arrive at. Along
 what is undetermined it creeps from there on, by thousandths of a standard deviation."""
@@ -68,7 +71,7 @@ def settle(
 
     The integration over the scales is left to `SolutionTask.finished`: it is not needed before the
     readings are chosen. Of readings that do not fit no scale is learned. A given range sigma that the
-    readings contradict is estimated (`SolutionTask.noise` has none then).
+    readings contradict is estimated, and so are given pose sigmas (`SolutionTask.noise` has none then).
 
     Parameters
     ----------
@@ -96,6 +99,9 @@ def settle(
     if task.learns and task.contradicts_range_sigma(first):
         noise = replace(noise, range_sigma=None)
         return settle(readings, first.parameters, noise, options, scale, prior)
+    if task.learns and task.contradicts_pose_sigmas(first):
+        noise = replace(noise, pose_translation_sigma=None, pose_rotation_sigma=None)
+        return settle(readings, first.parameters, noise, options, scale, prior)
     if task.learns or not alike or unequal(base, task.terms, readings):
         task.solution = task.settled(first)
     return task
@@ -107,7 +113,7 @@ class SolutionTask:
     Attributes
     ----------
     noise : Noise
-        As given; without a range sigma that the readings contradict.
+        As given; without sigmas that the readings contradict.
     solution : Solution
         At the most probable scales.
     """
@@ -196,6 +202,27 @@ class SolutionTask:
         if float(stated.log_posterior(usual[None])[0]) >= enough:
             return False
         return float(stated.log_posterior(stated.mode(usual)[None])[0]) < enough
+
+    def contradicts_pose_sigmas(self, first: Solution) -> bool:
+        """Tell whether the readings contradict given pose sigmas, beside an unknown range sigma.
+
+        Errors of poses move all beams of a station, and their rotations move far spots more than near
+        ones: a range sigma that takes them up says neither. The given sigmas are contradicted as a
+        range sigma is (`contradicts_range_sigma`), by rivals that are `POSE_RIVALS` times as large.
+        """
+        if self.loss != GAUSSIAN or not first.observability.full:
+            return False
+        unknown = {scale.name for scale in self.scales.unknown}
+        if self.noise.pose_covariance is not None or unknown != {RANGE}:
+            return False
+        usual = start_of(self.scales, self.sigma, self.length)
+        self.point = usual, self.point[1]
+        stated = self._scale_problem(first)
+        log_odds = []
+        for factor in (1.0, *POSE_RIVALS):
+            rival = replace(stated, scales=replace(self.scales, pose=factor * self.scales.pose))
+            log_odds.append(float(rival.log_posterior(rival.mode(usual)[None])[0]))
+        return max(log_odds[1:]) - log_odds[0] > 0.5 * UNLIKELY_EXCESS
 
     @property
     def redundancy(self) -> int:

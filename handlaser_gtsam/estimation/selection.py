@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import BoolArray, IntArray
-from ..data.noise import Noise
+from ..data.noise import SIGMAS, Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..model import sensor_limits as limits
@@ -42,8 +42,8 @@ class Selection:
         Every start that was tried, with the rms of its residuals [m].
     solution : Solution
         Solution of the readings `used`, in their order.
-    range_sigma : float or None
-        The range sigma that was given [m], unless the readings contradict it.
+    contradicted : tuple of str
+        Fields of the noise that the readings contradict: they were estimated.
     """
 
     used: BoolArray
@@ -52,7 +52,7 @@ class Selection:
     method: str
     tried: tuple[tuple[str, float], ...]
     solution: Solution
-    range_sigma: float | None
+    contradicted: tuple[str, ...]
 
     def outliers(self) -> BoolArray:
         """Return which readings (N,) were rejected because the others contradict them."""
@@ -102,7 +102,7 @@ def select(
         whole = solved(first.parameters, inside)
         if _needs_what_was_rejected(whole.solution, settled.solution, noise):
             used, settled = inside.copy(), whole
-    noise = settled.noise
+    given, noise = noise, settled.noise
     for _ in range(MOST_ROUNDS):
         before, solution = used.copy(), settled.solution
         if options.outliers == "reject":
@@ -119,8 +119,9 @@ def select(
             used = before
             break
         settled, noise = again, again.noise
-    tried, sigma = first.tried, noise.range_sigma
-    return Selection(used, ~inside, flat, first.method, tried, settled.finished(), sigma)
+    gone = tuple(name for name in SIGMAS if getattr(noise, name) != getattr(given, name))
+    how = first.method, first.tried
+    return Selection(used, ~inside, flat, *how, settled.finished(), gone)
 
 
 def _needs_what_was_rejected(before: Solution, after: Solution, noise: Noise) -> bool:

@@ -35,6 +35,7 @@ from typing import Annotated, Any, Literal
 import polars as pl
 from pydantic import Discriminator, Field, Tag
 
+from ..data.noise import SIGMAS
 from ..errors import InputError
 from ..estimation.options import RANGE_ERROR_TERMS, CalibrationOptions, Outliers, Poses, RangeError
 from ..model.losses import LossName
@@ -67,8 +68,7 @@ class SceneTable(FileRecord):
 
     def errors(self, usual: Errors | None = None) -> Errors:
         """Return the errors of readings and poses: the usual ones where nothing is stated."""
-        names = ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma")
-        given = {name: value for name, value in self.in_si().items() if name in names}
+        given = {name: value for name, value in self.in_si().items() if name in SIGMAS}
         if self.pose_axes is not None:
             given["pose_axes"] = tuple(map("xyz".index, self.pose_axes))
         return replace(usual or ERRORS[self.scene], **given)

@@ -298,6 +298,14 @@ def rival_warnings(
         yield warned(RIVAL, values, more=max(chi2, 0.0))
 
 
-def contradicted_range_sigma(stated: float, sigma: float) -> CalibrationWarning:
-    """Warn that the readings contradict the range sigma [m] that is stated; `sigma` was estimated."""
-    return warned("sigmas-too-small:range", {"stated": stated, "sigma": sigma})
+def contradicted_sigmas(
+    stated: Noise, contradicted: Sequence[str], fit: Fit
+) -> Iterator[CalibrationWarning]:
+    """Warn of sigmas of the noise that the readings contradict: they were estimated."""
+    if "range_sigma" in contradicted and stated.range_sigma is not None:
+        yield warned(
+            "sigmas-too-small:range", {"stated": stated.range_sigma, "sigma": fit.range_sigma}
+        )
+    elif contradicted:
+        shift, turn = stated.standstill
+        yield warned("sigmas-too-small:poses", {"translation": shift, "rotation": turn})

@@ -7,11 +7,12 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..data.noise import Noise
+from ..data.noise import POSE_SIGMAS, Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..estimation.learning_scales import LearnedScales
 from ..estimation.options import CalibrationOptions
+from ..estimation.scales import RANGE
 from ..factors.keys import BeamKeys, beam_keys
 from ..model.families import BEAM, modelled
 from ..model.weighting import Variances
@@ -106,6 +107,14 @@ class SessionConfig:
             return replace(found, pose=None if found.pose is None else found.pose[:1])
         pose = None if self.poses == "exact" else self.noise.pose_covariances(1)
         return Variances(np.full(len(self.names), self.sigma), self.noise.incidence_sigma, pose)
+
+    @property
+    def contradicted(self) -> tuple[str, ...]:
+        """Sigmas of the noise that are given, and estimated because the readings contradict them."""
+        estimated = ["range_sigma"] * bool(np.isfinite(self.sigma_dof))
+        if self.learned is not None and any(s.name != RANGE for s in self.learned.scales.unknown):
+            estimated += POSE_SIGMAS
+        return tuple(name for name in estimated if getattr(self.noise, name) is not None)
 
     def variances(self, stations: int) -> Variances:
         """Return the variances behind the covariance of the readings of that many stations."""

@@ -39,6 +39,7 @@ from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SAME_OPTIMUM
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
 from ..results.problem import Problem
+from ..results.warnings import contradicted_sigmas
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
@@ -158,8 +159,11 @@ class SessionState:
         used, outside, flat = (
             used_of(problem, self.contents, reason) for reason in (None, OUTSIDE, FLAT)
         )
-        sigma = problem.noise.range_sigma
-        return assemble(problem, Selection(used, ~outside, ~flat, METHOD, tried, solution, sigma))
+        gone = self.config.contradicted
+        chosen = Selection(used, ~outside, ~flat, METHOD, tried, solution, gone)
+        found = assemble(problem, chosen)
+        of_noise = contradicted_sigmas(self.config.noise, gone, found.fit)
+        return replace(found, warnings=(*of_noise, *found.warnings))
 
     def estimate(self) -> tuple[Readings, Parameters]:
         """Return the readings that are used, and beams and planes, every plane in its frame."""
@@ -436,9 +440,7 @@ def problem_of(contents: Contents, config: SessionConfig) -> Problem:
     readings, sensor = config.readings(recording), config.options.sensor
     sizes = len(recording.plane_labels), len(recording.beam_names), len(recording.plane_names)
     order = Order(*map(np.arange, sizes))  # readings are numbered as in the recording
-    noise = config.noise
-    if np.isfinite(config.sigma_dof):  # not given, or contradicted
-        noise = replace(noise, range_sigma=None)
+    noise = config.noise.without(config.contradicted)
     return Problem(recording, readings, order, origins, noise, sensor)
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_kind, require_number
-from ..data.noise import Noise
+from ..data.noise import SIGMAS, Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import InputError
@@ -61,7 +61,7 @@ class Errors:
     pose_axes: tuple[int, ...] = (0, 1, 2)
 
     def __post_init__(self) -> None:
-        for name in ("range_sigma", "pose_translation_sigma", "pose_rotation_sigma"):
+        for name in SIGMAS:
             require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH)
 
     def stated(self) -> Noise:
