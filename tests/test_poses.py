@@ -264,7 +264,7 @@ def test_a_session_says_which_pose_sigmas_are_contradicted():
     stated = hl.Noise(pose_translation_sigma=0.1 * TRANSLATION, pose_rotation_sigma=0.1 * ROTATION)
     session, batch = hl.Session(stated), hl.calibrate(recording, stated)
     for plane in recording.plane_names:
-        session.add(recording.subset([one == plane for one in recording.plane_labels]))
+        session.add(recording.plane(plane))
     session.recalibrate()
     found = session.calibration()
     assert codes(found) == codes(batch) == ["sigmas-too-small"]
