@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import kstest
+from scipy.stats import chi2, f, kstest
 
 import handlaser_gtsam as hl
 from handlaser_gtsam.data.parameters import Parameters
@@ -251,6 +251,24 @@ def test_few_stations_give_no_false_alarm_without_a_sigma(undisturbed):
     assert np.nanmin(found) > 1e-3
     first, second = two_days(3, turned=0.2)
     assert hl.hold_out(mounts(first), second.part(np.arange(6))).p_value < 1e-3
+
+
+def test_a_sigma_learned_from_few_readings_counts_as_learned(tmp_path):
+    """With chi2 in place of F, 5 of 388 such calibrations were contradicted; 1 is with F."""
+    recording, later = two_days(3, planes=2)
+    few = hl.calibrate(recording.part(np.arange(0, 36, 3)), hl.Noise(None, 0.0, 0.0))
+    dof = few.fit.dof
+    assert 3 < dof < 20
+    assert hl.Mounts.of(hl.calibrate(recording, NOISE)).dof == np.inf
+    old, path = hl.Mounts.of(few), tmp_path / "few.json"
+    hl.write_calibration(path, few)
+    assert (old.dof, hl.read_mounts(path).dof) == (dof, dof)
+    found = hl.hold_out(old, later, NOISE)
+    known = hl.hold_out(replace(old, dof=np.inf), later, NOISE)
+    assert found.drift == known.drift
+    assert known.p_value == pytest.approx(chi2.sf(known.drift, known.drift_dof))
+    expected = f.sf(found.drift / found.drift_dof, found.drift_dof, dof)
+    assert found.p_value == pytest.approx(expected)
 
 
 def test_covariances_of_other_stations_are_refused(undisturbed):

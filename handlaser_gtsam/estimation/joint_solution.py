@@ -34,7 +34,7 @@ from ..solvers.gtsam_sums import eliminated_sums
 from ..text import count
 from .learning_scales import ScaleProblem
 from .options import CalibrationOptions
-from .scales import RANGE, Scales, start_of, unknown_scales, with_scales
+from .scales import MOST_POSE_ERROR, RANGE, Scales, start_of, unknown_scales, with_scales
 from .solution import Minimum, Solution, covariance_by_gtsam, numbered, posterior
 
 WEIGHTS_SETTLED = 1e-3
@@ -208,7 +208,8 @@ class SolutionTask:
 
         Errors of poses move all beams of a station, and their rotations move far spots more than near
         ones: a range sigma that takes them up says neither. The given sigmas are contradicted as a
-        range sigma is (`contradicts_range_sigma`), by rivals that are `POSE_RIVALS` times as large.
+        range sigma is (`contradicts_range_sigma`), by rivals that are `POSE_RIVALS` times as large; no
+        rival is larger than what pose errors are looked for at all.
         """
         if self.loss != GAUSSIAN or not first.observability.full:
             return False
@@ -218,11 +219,13 @@ class SolutionTask:
         usual = start_of(self.scales, self.sigma, self.length)
         self.point = usual, self.point[1]
         stated = self._scale_problem(first)
+        spots = self.scales.pose * np.repeat([self.length, 1.0], 3)
+        most = MOST_POSE_ERROR * self.sigma / max(float(spots.max()), LEAST_SIGMA)
         log_odds = []
-        for factor in (1.0, *POSE_RIVALS):
+        for factor in (1.0, *(one for one in POSE_RIVALS if one <= most)):
             rival = replace(stated, scales=replace(self.scales, pose=factor * self.scales.pose))
             log_odds.append(float(rival.log_posterior(rival.mode(usual)[None])[0]))
-        return max(log_odds[1:]) - log_odds[0] > 0.5 * UNLIKELY_EXCESS
+        return max(log_odds) - log_odds[0] > 0.5 * UNLIKELY_EXCESS
 
     @property
     def redundancy(self) -> int:

@@ -6,6 +6,7 @@ does not hold is not made up: the residual of every reading, the covariance of p
 intervals were computed from are gone.
 """
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -91,6 +92,8 @@ class FitRecord(ObjectRecord):
     """How well the readings agree, and the noise that they have."""
 
     range_sigma_m: float
+    range_sigma_given: bool
+    dof: int
     pose_covariance: Many[Numbers] | None = None
     max_at: ObjectRecord | None = None
     noise_estimate: Many[ObjectRecord] = ()
@@ -269,4 +272,5 @@ def mounts_of(file: CalibrationFile) -> Mounts:
         square_matrix(rows, BEAM.size * len(beams), "beam_covariance"),
         file.fit.range_sigma_m,
         None if pose is None else square_matrix(pose, 6, "fit.pose_covariance"),
+        math.inf if file.fit.range_sigma_given else float(max(file.fit.dof, 1)),
     )

@@ -1,5 +1,6 @@
 """Calibrated beams without the planes behind them: what a calibration leaves for later use."""
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -43,6 +44,8 @@ class Mounts(Value):
         Standard deviation of a reading behind it [m].
     pose_covariance : (6, 6) or None
         What hand poses err by behind it (rx, ry, rz, x, y, z); None for exact poses.
+    dof : float
+        Degrees of freedom behind the range sigma; infinite where it was given.
 
     Raises
     ------
@@ -59,6 +62,7 @@ class Mounts(Value):
     covariance: FloatArray
     range_sigma: float
     pose_covariance: FloatArray | None = None
+    dof: float = math.inf
 
     def __post_init__(self) -> None:
         for name in ("locations", "directions", "range_errors", "covariance"):
@@ -110,6 +114,7 @@ class Mounts(Value):
             calibration.covariance.matrix(planes=[]),
             calibration.fit.range_sigma,
             calibration.pose_covariance,
+            math.inf if calibration.fit.range_sigma_given else float(max(calibration.fit.dof, 1)),
         )
 
     @property
@@ -139,6 +144,7 @@ class Mounts(Value):
             self.covariance[np.ix_(rows, rows)],
             self.range_sigma,
             self.pose_covariance,
+            self.dof,
         )
 
 

@@ -250,7 +250,16 @@ class Session:
         now = self.state
         state, config = now.integrated, now.config
         terms = (config.terms,) * len(config.names)
-        mounts = Mounts(config.names, *state.beams, terms, state.covariance, config.sigma)
+        pose = config.variances(1).pose
+        mounts = Mounts(
+            config.names,
+            *state.beams,
+            terms,
+            state.covariance,
+            config.sigma,
+            None if pose is None else pose[0],
+            config.sigma_dof,
+        )
         current = tuple(name for name in config.names if name not in now.contents.names)
         return mounts if current == mounts.names else mounts.arranged(current)
 

@@ -34,7 +34,7 @@ from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
 from ..data.value import Value
 from ..errors import CalibrationWarning, GrazingBeamError, HandlaserError, InputError
-from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, chi2_sf, f_sf, squares_sf
+from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, f_sf, squares_sf
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, modelled
 from ..model.geometry import skew
 from ..model.joint import beams_lift
@@ -216,8 +216,8 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
     active = modelled(mounts.terms).ravel()
     every = np.tile(BEAM.natural_units(readings.typical_range()), readings.beams)
     unit, beam = every[active], np.repeat(np.arange(readings.beams), BEAM.dim)[active]
-    known = noise.range_sigma is not None
-    squares = _squares(at, readings, how, active, float(white @ white), known)
+    known, cost = noise.range_sigma is not None, float(white @ white)
+    squares = _squares(at, readings, how, active, cost, known, mounts.dof)
     bases = model.tangent_basis(mounts.directions)
     lift = beams_lift(bases, mounts.terms)
     covariance = lift.T @ mounts.covariance @ lift / np.outer(unit, unit)
@@ -252,7 +252,7 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
         float(np.abs(e[worst])),
         chi2 * squares.scale,
         dof,
-        float(chi2_sf(chi2, dof)) if tested else float("nan"),
+        float(squares_sf(chi2, dof, np.inf if known else mounts.dof)) if tested else float("nan"),
         drift,
         rank,
         squares.p_value(drift, rank),
@@ -281,6 +281,8 @@ class _Squares(NamedTuple):
         Of the information, and degrees of freedom beside it.
     known : bool
         Whether the noise is known; else it is what the readings show.
+    behind : float
+        Degrees of freedom behind the range sigma of the calibration.
     """
 
     information: FloatArray
@@ -291,6 +293,7 @@ class _Squares(NamedTuple):
     rank: int
     dof: int
     known: bool
+    behind: float
 
     def least(self, root: FloatArray, free: FloatArray) -> tuple[float, FloatArray]:
         """Return by how much chi2 falls, and for which x = root z + free y; z' z adds to chi2."""
@@ -305,7 +308,8 @@ class _Squares(NamedTuple):
         """Return the probability of a larger statistic; NaN without degrees of freedom."""
         if degrees == 0:
             return float("nan")
-        return float(squares_sf(statistic, degrees, np.inf if self.known else max(self.dof, 1)))
+        own = np.inf if self.known else max(self.dof, 1)
+        return float(squares_sf(statistic, degrees, min(own, self.behind)))
 
 
 def _squares(
@@ -315,6 +319,7 @@ def _squares(
     active: BoolArray,
     cost: float,
     known: bool,
+    behind: float,
 ) -> _Squares:
     """Return what readings say of the `active` (7 B,) unknowns of beams.
 
@@ -329,6 +334,8 @@ def _squares(
         Sum of squares there, in units of the stated noise.
     known : bool
         Whether the range sigma was given.
+    behind : float
+        Degrees of freedom behind that of the calibration.
     """
     normal, _ = linearized(at, readings, 2, how)
     length = readings.typical_range()
@@ -348,7 +355,7 @@ def _squares(
     axes, values, along = axes[:, keep], values[keep] / scale, along[keep] / scale
     fall, rank = float((along**2 / values).sum()), int(keep.sum())
     chi2, information = cost / scale - fall, (axes * values) @ axes.T
-    return _Squares(information, axes @ along, chi2, fall, scale, rank, free - rank, known)
+    return _Squares(information, axes @ along, chi2, fall, scale, rank, free - rank, known, behind)
 
 
 def _explanations(
