@@ -103,6 +103,7 @@ def calibrate_survey(
     """
     from .estimation.survey import estimate_survey
     from .estimation.survey_rows import rows_of
+    from .estimation.survey_trials import with_pose_errors_learned
     from .results.survey import beside, survey_calibration
     from .results.survey_misfit import misread, with_causes
 
@@ -113,7 +114,8 @@ def calibrate_survey(
         expected = "sigma of each sensor of many rays (sigma_mm in [[sensors]])"
         raise InputError("a range sigma, which is that of single beams, and no beam", expected)
     try:
-        found = estimate_survey(survey, noise, None if earlier is None else earlier._found)
+        before = None if earlier is None else earlier._found
+        found = with_pose_errors_learned(estimate_survey(survey, noise, before))
     except InputError as error:
         raise with_causes(error, misread(rows_of(survey), noise)) from error
     result = survey_calibration(found)
@@ -121,7 +123,8 @@ def calibrate_survey(
     if len(known) == len(result.relations):
         return result
     try:
-        without = survey_calibration(estimate_survey(replace(survey, known=known), noise))
+        part = estimate_survey(replace(survey, known=known), noise)
+        without = survey_calibration(with_pose_errors_learned(part))
     except InputError:  # a mount that was stated was the only start
         return result
     return beside(result, without)
@@ -165,7 +168,7 @@ def calibrate_from(
 
             problem, selection, freed = with_freed(problem, selection, ordered, options)
         result = assemble(problem, selection, freed)
-    of_noise = contradicted_sigmas(stated, gone, result.fit)
+    of_noise = contradicted_sigmas(stated, gone, result.fit.range_sigma, result.noise_estimate)
     recorded = None if freed is None else recording
     result = replace(
         result,

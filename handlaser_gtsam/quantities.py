@@ -25,6 +25,8 @@ WIDEST_CONE = math.pi / 3.0
 """No ultrasonic sensor hears farther from its axis [rad]."""
 MEDIAN_TO_SIGMA = 1.4826
 """Standard deviation of a Gaussian over the median of its absolute values."""
+TEN_TIMES = 10.0
+"""A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""
 MAJORITY = 0.6
 """A clear majority: a bare one may agree by chance."""
 

@@ -190,7 +190,8 @@ def test_a_true_range_sigma_does_not_let_poses_explain_a_beam_that_was_moved(see
     assert [one.values["target"] for one in moved] == ["beam 2"]
     assert not found.fit.range_sigma_given
     (stated,) = (one for one in found.warnings if one.code == "sigmas-too-small")
-    assert stated.values == {"stated": 5e-5, "sigma": found.fit.range_sigma}
+    sigma = found.fit.range_sigma
+    assert stated.values == {"stated": 5e-5, "sigma": sigma, "times": sigma / 5e-5}
     for name in ("1", "3"):
         one, other = found.beams[name], free.beams[name]
         assert (np.abs(one.location - other.location) < 0.1 * other.sigma[:3]).all()

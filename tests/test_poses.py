@@ -242,9 +242,12 @@ def test_pose_sigmas_that_the_readings_contradict_are_estimated(part, named):
         assert ("sigmas-too-small" in said) == named
         assert "systematic-tool-displaced" not in said
         if named:
-            values = {"translation": part * TRANSLATION, "rotation": part * ROTATION}
-            assert dict(said["sigmas-too-small"].values) == pytest.approx(values)
-            assert "pose rotation" in {one.quantity for one in found.noise_estimate}
+            values = said["sigmas-too-small"].values
+            assert values["stated_translation"] == pytest.approx(part * TRANSLATION)
+            assert values["stated_rotation"] == pytest.approx(part * ROTATION)
+            learned = {one.quantity: one.sigma for one in found.noise_estimate}
+            assert values["rotation"] == learned["pose rotation"]
+            assert values["times"] > 1.5
             assert found.verdict.code == "usable-with-care"
         for beam, location in zip(found.beams.values(), truth.locations, strict=True):
             largest.append(np.abs((beam.location - location) / beam.location_sigma).max())

@@ -41,7 +41,7 @@ def rows_of(stations, rows, unknowns, sigma, pose, seed=1):
 def learned(rows, stated):
     now = Components(np.array([NOW, 5e-4]), (0.0 if stated.pose[0] == 0.0 else 1e-4,) * 2)
     source = np.zeros(len(rows.residuals), dtype=int)
-    return components(rows, source, NONE_INSIDE, now, stated, USUAL, FINEST)
+    return components(rows, source, NONE_INSIDE, now, stated, USUAL, FINEST)[0]
 
 
 def by_integral(rows, axes):
@@ -185,3 +185,42 @@ def test_errors_of_a_hand_that_no_robot_has_are_asked_about():
     assert warning.values["expected"] == 2e-6
     assert warning.values["sigma"] == found.pose_sigma[1]
     assert "the hand's position errs by" in found.verdict.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "stated",
+    [
+        hl.Noise(pose_translation_sigma=0.2 * rigs.HAND[0], pose_rotation_sigma=0.2 * rigs.HAND[1]),
+        hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0),
+        hl.Noise(pose_covariance=0.04 * np.diag([rigs.HAND[1] ** 2] * 3 + [rigs.HAND[0] ** 2] * 3)),
+    ],
+    ids=["a-fifth", "exact", "covariance"],
+)
+def test_pose_sigmas_that_shots_contradict_are_learned(stated):
+    """Shots were rejected and a target called moved, or results were usable and far off."""
+    for kind, seed in (("profiler", 0), ("profiler", 4), ("array", 1)):
+        survey = rigs.survey_of(getattr(rigs_by_rays, kind)(seed, hand_sigma=rigs.HAND))
+        found, free = hl.calibrate(survey, stated), hl.calibrate(survey)
+        (warning,) = found.warnings
+        assert warning.code == "sigmas-too-small"
+        assert "as was estimated in their place" in warning.message
+        assert (warning.values["rotation"], warning.values["translation"]) == found.pose_sigma
+        assert warning.values["times"] > 2.0
+        assert (found.verdict.code, found.pose_sigma) == ("usable-with-care", free.pose_sigma)
+        assert found.verdict.best.code == "sigmas"
+        for name, one in found.sensors.items():
+            assert np.allclose(one.covariance, free.sensors[name].covariance)
+        right = hl.calibrate(survey, rigs.STATED)
+        assert (right.warnings, right.verdict.code) == ((), "usable")
+
+
+@pytest.mark.slow
+def test_a_pose_that_is_wrong_contradicts_no_pose_sigmas():
+    rig = rigs_by_rays.profiler(0, hand_sigma=rigs.HAND)
+    t = rig.t.copy()
+    t[5] += [0.004, -0.002, 0.003]
+    found = hl.calibrate(rigs.survey_of(replace(rig, t=t)), rigs.STATED)
+    assert [one.station for one in found.rejected] == [found.survey.stations.station_names[5]]
+    assert found.pose_sigma == (rigs.HAND[1], rigs.HAND[0])
+    assert "sigmas-too-small" not in {one.code for one in found.warnings}

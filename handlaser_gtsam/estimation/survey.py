@@ -137,6 +137,8 @@ class SurveyEstimate:
     first : FirstFit
     spread : (n,)
         By what the standard deviation of each unknown of `estimate` was multiplied (`_spread`).
+    contradicted : Noise, optional
+        What was stated beside it, where the readings contradict its pose sigmas: they were learned.
     """
 
     rows: SurveyRows
@@ -149,6 +151,7 @@ class SurveyEstimate:
     images: Mapping[tuple[str, int], float]
     first: FirstFit
     spread: FloatArray
+    contradicted: Noise | None = None
 
     @property
     def fits(self) -> bool:
@@ -646,6 +649,13 @@ def learned_sizes(state: SurveyState, beside: Columns | None = None) -> Componen
     """
     if not np.isnan(state.stated.vector()).any():
         return state.sizes
+    return sizes_and_likelihood(state, beside)[0]
+
+
+def sizes_and_likelihood(
+    state: SurveyState, beside: Columns | None = None
+) -> tuple[Components, float]:
+    """Return the sizes of the noise, and -2 log of their likelihood (`survey_noise`)."""
     rows, owner = state.dense(pose_errors=False)
     if beside is not None:
         rows = replace(rows, derivatives=np.column_stack((rows.derivatives, beside(state, False))))

@@ -134,8 +134,10 @@ def components(
     finest: FloatArray,
     again: IntArray | None = None,
     own: tuple[float, float] = (0.0, 0.0),
-) -> Components:
-    """Return the sizes of all parts of the noise: roots of mean variances where they are not stated.
+) -> tuple[Components, float]:
+    """Return the sizes of all parts of the noise, and -2 log of the restricted likelihood of them.
+
+    Those that are not stated are roots of mean variances.
 
     Parameters
     ----------
@@ -159,8 +161,12 @@ def components(
     again = np.full(len(source), -1) if again is None else again
     likelihood = _Likelihood(rows, source, (squares / now.sigma**2, dof), again, own)
     learned = np.flatnonzero(np.isnan(stated.vector()))
+
+    def minus_twice(one: Components) -> float:
+        return likelihood((one.sigma / now.sigma) ** 2, *one.pose, one.again)
+
     if not len(learned):
-        return stated
+        return stated, minus_twice(stated)
     names = [*[RANGE] * len(stated.sigma), ROTATION, TRANSLATION, TRANSLATION]
     scales = [Scale(names[i], None, 1.0, float(usual.vector()[i])) for i in learned]
     prior = np.array([math.log(scale.prior) for scale in scales])
@@ -174,11 +180,8 @@ def components(
     def log_posterior(points: FloatArray) -> FloatArray:
         """Return it for logarithms (J, d) of the sizes that are learned."""
         density = [scale.log_prior(u) for scale, u in zip(scales, points.T, strict=True)]
-        sizes = [with_sizes(values) for values in np.exp(points)]
-        minus_twice = [
-            likelihood((one.sigma / now.sigma) ** 2, *one.pose, one.again) for one in sizes
-        ]
-        return np.asarray(np.sum(density, axis=0) - 0.5 * np.array(minus_twice))
+        of_sizes = [minus_twice(with_sizes(values)) for values in np.exp(points)]
+        return np.asarray(np.sum(density, axis=0) - 0.5 * np.array(of_sizes))
 
     start = np.log(now.vector()[learned])
     bounds = np.column_stack((np.log(finest[learned]), prior + LARGEST))
@@ -197,4 +200,5 @@ def components(
     points = beside(points)
     log_weight = log_weight + log_posterior(points)
     weight = np.exp(log_weight - log_weight.max())
-    return with_sizes(np.sqrt(weight @ np.exp(2.0 * points) / weight.sum()))
+    sizes = with_sizes(np.sqrt(weight @ np.exp(2.0 * points) / weight.sum()))
+    return sizes, minus_twice(sizes)

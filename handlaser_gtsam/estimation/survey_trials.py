@@ -18,18 +18,19 @@ from functools import partial
 import numpy as np
 
 from ..arrays import FloatArray, IntArray, evenly
+from ..data.noise import POSE_SIGMAS
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
-from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
+from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
 from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, PLANE, POSE
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from ..quantities import NEGLIGIBLE, NUMBERS_AT_ONCE, TINY
+from ..quantities import MAJORITY, NEGLIGIBLE, NUMBERS_AT_ONCE, TEN_TIMES, TINY
 from .dense import DenseRows
 from .joint_solution import STEPS_IN_VAIN
-from .survey import SurveyEstimate, learned_sizes
+from .survey import SurveyEstimate, estimate_survey, learned_sizes, sizes_and_likelihood
 from .survey_outliers import GROSS
 from .survey_rows import Entity
 from .survey_state import Columns, SurveyState, grazing
@@ -114,12 +115,10 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
     tried : Tried
         Of the coordinates of `PLACES_OF`; its p-value counts all displacements that were looked for.
     """
-    state, looked_for = found.learning(), 0
-    converged = found.estimate.status == "converged"
-    if not converged:
-        state = replace(state, used=~grazing(state.rows), sizes=found.first.noise)
-        if not state.minimize(STEPS_IN_VAIN):
-            return None
+    converged, looked_for = found.estimate.status == "converged", 0
+    state = found.learning() if converged else _with_all_shots(found)
+    if state is None:
+        return None
     rows, owner = state.dense()
     trial, stations = _Trial(rows), _stations(state, owner)
     best: list[tuple[Entity, int, Tried]] = []
@@ -147,6 +146,75 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
     surest = max(tried.chi2 for *_, tried in moves)
     alike = [move for move in moves if move[2].chi2 > surest - UNLIKELY_EXCESS]
     return next((move for move in alike if move[0][0] in (PLANE.name, SPHERE.name)), alike[0])
+
+
+def _with_all_shots(found: SurveyEstimate) -> SurveyState | None:
+    """Return the state of an estimate with all shots that may count; None without a minimum."""
+    state = replace(found.learning(), used=~grazing(found.rows), sizes=found.first.noise)
+    return state if state.minimize(STEPS_IN_VAIN) else None
+
+
+def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
+    """Return an estimate with errors of the hand learned where readings contradict what is stated.
+
+    They are looked for where shots are rejected, misfit by chi2 or do not fit at all, unless range
+    errors, or what was moved, explain most of that. What is stated is contradicted where -2 log of the
+    likelihoods differ by `UNLIKELY_EXCESS`: as much as two more sizes make of it once in a thousand
+    times (Wilks). Where nothing fits what is stated, errors that no robot has explain it neither.
+    """
+    noise, estimate, survey = found.given, found.estimate, found.rows.survey
+    if np.isnan(found.stated.pose).any() or estimate.status == "undetermined":
+        return found
+    unstated = noise.without((*POSE_SIGMAS, "pose_covariance"))
+    if any(one.contradicted for one in found.tests):
+        known = tuple(one.known for one in found.tests if not one.contradicted)
+        part = with_pose_errors_learned(estimate_survey(replace(survey, known=known), noise))
+        if part.contradicted is None:
+            return found
+        return replace(estimate_survey(survey, unstated), contradicted=noise)
+    solved = found.fits and estimate.status == "converged"
+    likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= SINGLE_LEVEL
+    if (solved and found.used.all() and likely) or _explained_otherwise(found):
+        return found
+    free = estimate_survey(survey, unstated)
+    usual = np.array([noise.pose_rotation_prior, noise.pose_translation_prior])
+    plausible = solved or (free.noise.pose <= TEN_TIMES * usual).all()
+    sigma = found.noise.sigma
+    if not (free.fits and plausible):
+        return found
+    if _unlikelihood(found, sigma) - _unlikelihood(free, sigma) <= UNLIKELY_EXCESS:
+        return found
+    return replace(free, contradicted=noise)
+
+
+def _explained_otherwise(found: SurveyEstimate) -> bool:
+    """Tell whether range errors, or what was moved, explain most of the misfit of all shots."""
+    moved, state = displacement(found), _with_all_shots(found)
+    if state is None:
+        return False
+    explained = []
+    if moved is not None:
+        tried = _Trial(state.dense()[0])(_since(*moved[:2], state, True))
+        explained.append((tried.left, tried.chi2))
+    if state.rows.survey.shots:
+        explained.append(_Trial(state.dense(range_errors=True)[0]).explained())
+    unknowns = len(found.estimate.covariance)
+    return any(
+        left @ left - (len(left) - unknowns) < (1.0 - MAJORITY) * chi2 for left, chi2 in explained
+    )
+
+
+def _unlikelihood(found: SurveyEstimate, sigma: FloatArray) -> float:
+    """Return -2 log of the likelihood of all shots, readings in standard deviations `sigma`.
+
+    Each row that was rejected is one unknown more, by Schwarz's criterion.
+    """
+    state = replace(found.learning(), sizes=replace(found.noise, sigma=sigma))
+    rows, owner = replace(state, used=np.ones_like(found.used)).dense(pose_errors=False)
+    out = np.flatnonzero((owner >= 0) & ~found.used[owner])
+    P, C = rows.by_pose[out], state.pose_covariance()[state.stations(owner[out])]
+    variance = 1.0 + np.einsum("ri,rij,rj->r", P, C, P)
+    return sizes_and_likelihood(state)[1] + float(np.log(len(owner) * variance).sum())
 
 
 def _explained(owner: IntArray, before: FloatArray, left: FloatArray) -> bool:
@@ -204,6 +272,11 @@ class _Trial:
         self._rows, self._known = rows, U[:, some]
         self._inverse = (V[some].T / size[some] / scale[:, None]) @ self._known.T
         self.residuals = e
+
+    def explained(self) -> tuple[FloatArray, float]:
+        """Return the residuals that its unknowns leave, and by how much chi2 is less with them."""
+        along = self._known.T @ self.residuals
+        return self.residuals - self._known @ along, float(along @ along)
 
     def gains(self, columns: FloatArray) -> FloatArray:
         """Return by how much chi2 is less with each of T sets of q, by their derivatives (R, T, q)."""

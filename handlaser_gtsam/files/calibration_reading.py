@@ -92,8 +92,8 @@ class FitRecord(ObjectRecord):
     """How well the readings agree, and the noise that they have."""
 
     range_sigma_m: float
-    range_sigma_given: bool
-    dof: int
+    range_sigma_given: bool = True
+    dof: int = 1
     pose_covariance: Many[Numbers] | None = None
     max_at: ObjectRecord | None = None
     noise_estimate: Many[ObjectRecord] = ()

@@ -36,7 +36,7 @@ from ..observability.wording import (
 )
 from ..outliers.reasons import Reasons
 from ..progress import tell
-from ..quantities import FAR_SIGMAS, NEGLIGIBLE
+from ..quantities import FAR_SIGMAS, NEGLIGIBLE, TEN_TIMES
 from ..text import count
 from .calibration import Calibration
 from .calibration_data import (
@@ -60,7 +60,6 @@ from .warnings import (
     COARSE,
     DISPLACED,
     IMPLAUSIBLE,
-    TEN_TIMES,
     fit_warnings,
     implausible_mounts,
     lost_of_beams,

@@ -21,14 +21,14 @@ from ..model.distributions import SINGLE_LEVEL
 from ..model.families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
-from ..quantities import NEGLIGIBLE
+from ..quantities import NEGLIGIBLE, TEN_TIMES
 from ..solvers.graph import parameters_of
 from ..solvers.graph_levenberg import require_values
 from .calibration import Calibration
 from .calibration_data import Determined, Fit, StartReport, Status
 from .messages import warned
 from .problem import fit_of_rows, named_estimates
-from .warnings import NO_MOUNT, TEN_TIMES
+from .warnings import NO_MOUNT
 
 OPTIMAL = 0.1
 """Standard deviations from the optimum that values may be."""

@@ -67,7 +67,14 @@ from .survey_misfit import (
 )
 from .survey_motion import MORE_STATIONS, counts_of, opening, unconfirmed_mount
 from .survey_verdict import FEW, TOO_FEW, free_of
-from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, WORTH_REFINING, large_pose_errors
+from .warnings import (
+    DISPLACED,
+    MANY_OUTLIERS,
+    RIVAL,
+    WORTH_REFINING,
+    contradicted_poses,
+    large_pose_errors,
+)
 
 if TYPE_CHECKING:
     from .survey import BeamMount, Mount, SensorMount
@@ -334,6 +341,8 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             }
             yield warned(f"sigmas-too-{how}:shots", values)
             return
+    if found.contradicted is not None:
+        yield contradicted_poses(found.contradicted, *found.noise.pose)
     chi2, dof = found.estimate.chi2, found.estimate.dof
     learned = np.isnan([*found.stated.sigma, *found.stated.pose]).any()
     if learned or dof < 1 or not math.isfinite(chi2):

@@ -114,8 +114,9 @@ def improvement(
         return improvement_of(RIVAL)
     if fit.outliers > MANY_OUTLIERS * total:
         return improvement_of("outliers", fit.outliers, total=total)
-    if codes & {"sigmas-too-small", "sigmas-too-large"}:
-        return improvement_of("sigmas", fit.sigma0)
+    for one in calibration.warnings:
+        if one.code in ("sigmas-too-small", "sigmas-too-large"):
+            return improvement_of("sigmas", float(one.values.get("times", fit.sigma0)))
     if any(one.quantity == "rms" for one in failed):
         return improvement_of("limit-rms")
     if undetermined is not None:

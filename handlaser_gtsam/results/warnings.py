@@ -17,7 +17,7 @@ from ..data.recording import Readings, Recording
 from ..data.screening import rounding
 from ..errors import CalibrationWarning
 from ..estimation.joint_solution import NO_FIT
-from ..estimation.scales import RANGE, ROTATION, NoiseComponent
+from ..estimation.scales import RANGE, ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.solution import Solution
 from ..model.distributions import (
     CONFIDENCE,
@@ -33,7 +33,7 @@ from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import EXACT, FAR_SIGMAS, MM
+from ..quantities import EXACT, FAR_SIGMAS, MM, TEN_TIMES
 from ..solvers.beam_problem import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.choice import POOR_START
@@ -43,8 +43,6 @@ from .calibration_data import Fit
 from .dependence import Dependence
 from .messages import Values, warned
 
-TEN_TIMES = 10.0
-"""A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""
 MANY_OUTLIERS = 0.1
 """More outliers than this part of the readings are no accident, but have a cause."""
 FAR_BEAM = 3.0
@@ -299,13 +297,26 @@ def rival_warnings(
 
 
 def contradicted_sigmas(
-    stated: Noise, contradicted: Sequence[str], fit: Fit
+    stated: Noise,
+    contradicted: Sequence[str],
+    range_sigma: float,
+    learned: Iterable[NoiseComponent],
 ) -> Iterator[CalibrationWarning]:
-    """Warn of sigmas of the noise that the readings contradict: they were estimated."""
-    if "range_sigma" in contradicted and stated.range_sigma is not None:
-        yield warned(
-            "sigmas-too-small:range", {"stated": stated.range_sigma, "sigma": fit.range_sigma}
-        )
+    """Warn of sigmas of noise that readings contradict; `range_sigma` or others were learned."""
+    if stated.range_sigma is not None and "range_sigma" in contradicted:
+        times = range_sigma / stated.range_sigma
+        values = {"stated": stated.range_sigma, "sigma": range_sigma, "times": times}
+        yield warned("sigmas-too-small:range", values)
     elif contradicted:
-        shift, turn = stated.standstill
-        yield warned("sigmas-too-small:poses", {"translation": shift, "rotation": turn})
+        sizes = {one.quantity: one.sigma for one in learned}
+        yield contradicted_poses(stated, sizes.get(ROTATION, 0.0), sizes.get(TRANSLATION, 0.0))
+
+
+def contradicted_poses(stated: Noise, turn: float, shift: float) -> CalibrationWarning:
+    """Warn that the readings contradict the stated pose sigmas: these [rad], [m] were learned."""
+    before = stated.standstill
+    values = {"translation": shift, "rotation": turn}
+    pairs = zip((shift, turn), before, strict=True)
+    times = max((now / sigma for now, sigma in pairs if sigma > 0.0), default=math.inf)
+    stated_ones = {"stated_translation": before[0], "stated_rotation": before[1]}
+    return warned("sigmas-too-small:poses", {**values, **stated_ones, "times": times})

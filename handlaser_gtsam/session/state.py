@@ -162,7 +162,9 @@ class SessionState:
         gone = self.config.contradicted
         chosen = Selection(used, ~outside, ~flat, METHOD, tried, solution, gone)
         found = assemble(problem, chosen)
-        of_noise = contradicted_sigmas(self.config.noise, gone, found.fit)
+        of_noise = contradicted_sigmas(
+            self.config.noise, gone, found.fit.range_sigma, found.noise_estimate
+        )
         return replace(found, warnings=(*of_noise, *found.warnings))
 
     def estimate(self) -> tuple[Readings, Parameters]:

@@ -40,12 +40,11 @@ from ..model.geometry import skew
 from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, covariance_roots, whitening
 from ..progress import tell
-from ..quantities import IN_DEG, IN_MM, KNOWN, MOST_ROUNDS, SINGULAR
+from ..quantities import IN_DEG, IN_MM, KNOWN, MOST_ROUNDS, SINGULAR, TEN_TIMES
 from ..results.file_mistakes import ALL_LENGTHS, HYPOTHESES
 from ..results.messages import Values, warned
 from ..results.mounts import Mounts
 from ..results.rereading import Change
-from ..results.warnings import TEN_TIMES
 from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
 
