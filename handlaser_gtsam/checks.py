@@ -7,15 +7,20 @@ number belongs, True is a slip.
 import math
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 from numbers import Integral, Real
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, frozen
 from .errors import ArgumentError, InputError, NumberError
-from .quantities import IN_DEG, IN_MM
+from .quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from .text import A_NAME, name_fault, shown
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 def require_number(
@@ -35,6 +40,23 @@ def require_number(
     known = (math.nan if number is None else number,)
     error = NumberError(name, known, least, most, above=above, unit=unit, remedy=remedy)
     raise error if number is not None else ArgumentError(name, shown(value), error.expected)
+
+
+def require_fields(
+    of: "DataclassInstance",
+    *names: str,
+    least: float = 0.0,
+    most: float = LARGEST_LENGTH,
+    above: bool = False,
+    unit: str = "",
+    remedy: str = "",
+) -> None:
+    """Refuse fields as `require_number` does; None passes in a field whose default it is."""
+    default = {field.name: field.default for field in fields(of)}
+    for name in names:
+        value = getattr(of, name)
+        if value is not None or default[name] is not None:
+            require_number(name, value, least, most, above=above, unit=unit, remedy=remedy)
 
 
 def require_count(name: str, value: object, least: int, most: int) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..checks import require_count, require_number
+from ..checks import require_count, require_fields
 from ..progress import Trial
 from ..quantities import LARGEST_NUMBER, TINY
 from .block import Block, OfProblems, Rows, Values, impossible, whitened
@@ -143,10 +143,10 @@ class LevenbergOptions:
 
     def __post_init__(self) -> None:
         require_count("max_iterations", self.max_iterations, 0, 10**9)
-        for name in ("step_tolerance", "least_damping", "first_damping"):
-            require_number(name, getattr(self, name), 0.0, LARGEST_NUMBER)
-        require_number("damping_factor", self.damping_factor, 1.0, LARGEST_NUMBER, above=True)
-        require_number("most_damping", self.most_damping, 0.0, LARGEST_NUMBER, above=True)
+        dampings = ("step_tolerance", "least_damping", "first_damping")
+        require_fields(self, *dampings, most=LARGEST_NUMBER)
+        require_fields(self, "damping_factor", least=1.0, most=LARGEST_NUMBER, above=True)
+        require_fields(self, "most_damping", most=LARGEST_NUMBER, above=True)
 
     def adapted(self, damping: FloatArray, gain: FloatArray) -> FloatArray:
         """Return lambda after steps that saved the shares `gain` of what was promised."""
