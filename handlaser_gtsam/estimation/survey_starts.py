@@ -14,6 +14,7 @@ Each sensor, and each beam, is searched by itself from all its starts together; 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
+from types import MappingProxyType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -162,9 +163,7 @@ def _around_one(
     for reference, (_, misfit, there) in zip(entities, ends, strict=True):
         if not targets <= there.keys():
             continue
-        values, cost = _empty(rows), misfit
-        for (family, member), x in there.items():
-            values[family][0, member] = x
+        values, cost = _empty(rows, there), misfit
         for entity, (_, _, own_end) in zip(entities, ends, strict=True):
             if entity == reference:
                 continue
@@ -202,10 +201,7 @@ def _images_that_agree(
     for i in order:
         redundancy, misfit, there = ends[i]
         if has_image(rows, entities[i]):
-            values = _empty(rows)
-            for (family, member), x in there.items():
-                values[family][0, member] = x
-            image = reflected(rows, values, motion, (entities[i],))
+            image = reflected(rows, _empty(rows, there), motion, (entities[i],))
             there = min(there, {e: image[e[0]][0, e[1]] for e in there}, key=apart)
         found[i] = redundancy, misfit, there
         for entity, x in there.items():
@@ -276,13 +272,18 @@ def search_again(
         values[entity[0]][0, entity[1]] = found[1][entity]
 
 
-def _empty(rows: SurveyRows) -> dict[str, FloatArray]:
+def _empty(
+    rows: SurveyRows, there: Mapping[Entity, FloatArray] = MappingProxyType({})
+) -> dict[str, FloatArray]:
+    """Return values (1, n, size) of which nothing is known but what is `there`."""
     values = {
         name: np.zeros((1, count, FAMILIES[name].size)) for name, count in rows.counts().items()
     }
     for name, place in HARMLESS.items():
         if name in values:
             values[name][..., place] = 1.0
+    for (family, member), x in there.items():
+        values[family][0, member] = x
     values[POSE.name] = rows.poses()
     return values
 

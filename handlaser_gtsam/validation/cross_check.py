@@ -247,10 +247,9 @@ def _problem(found: SurveyEstimate) -> ReferenceProblem:
     state = found.ended()
     sigmas = state.sigmas()
     groups: dict[tuple[str, int, str], list[Item]] = defaultdict(list)
-    for item, used in zip(rows.items, found.used, strict=True):
-        if used:  # all beams of one kind together
-            member = item.member if item.points is not None else -1 - rows.sources[item.mount]
-            groups[item.family, member, item.target[0]].append(item)
+    for item in rows.counted(found.used):  # all beams of one kind together
+        member = item.member if item.points is not None else -1 - rows.sources[item.mount]
+        groups[item.family, member, item.target[0]].append(item)
     observed = []
     for (family, member, kind), items in groups.items():
         points = [np.zeros(1, np.intp) if item.points is None else item.points for item in items]

@@ -192,7 +192,7 @@ def _counts(result: "SurveyCalibration") -> str:
     own = result._found
     if own.estimate.status == "undetermined":
         return ""
-    numbers = sum(i.numbers for i, used in zip(own.rows.items, own.used, strict=True) if used)
+    numbers = sum(item.numbers for item in own.rows.counted(own.used))
     unknowns = len(own.estimate.names)
     more = result.dof + unknowns - numbers
     return said("degrees", numbers=numbers, more=more, unknowns=unknowns)
