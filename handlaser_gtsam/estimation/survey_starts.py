@@ -137,7 +137,9 @@ def _searched_or_drawn(
     # false minimum fits well, too.
     poor = found is None or found[0] > 25.0 or _redundancy(own, found[1]) < FEW_DEGREES
     if last_resort and entity[0] == SENSOR.name and poor:
-        drawn = _random_mounts()
+        rng = np.random.default_rng(RANDOM)
+        turns = Rotation.random(RANDOM, random_state=rng).as_matrix()
+        drawn = list(map(_mount, turns, rng.normal(scale=0.1, size=(RANDOM, 3))))
         more = _searched(rows, entity, own, drawn, sigmas, thorough=True, held=held)
         if more is not None and (found is None or more[0] < found[0]):
             found = more
@@ -569,12 +571,6 @@ def _random_beams() -> list[FloatArray]:
     v /= np.linalg.norm(v, axis=1)[:, None]
     r = rng.normal(scale=0.1, size=(RANDOM, 3))
     return list(np.hstack((r, v, np.zeros((RANDOM, 2)))))
-
-
-def _random_mounts() -> list[FloatArray]:
-    rng = np.random.default_rng(RANDOM)
-    turns = Rotation.random(RANDOM, random_state=rng).as_matrix()
-    return list(map(_mount, turns, rng.normal(scale=0.1, size=(RANDOM, 3))))
 
 
 def _mount(R: FloatArray, t: FloatArray) -> FloatArray:

@@ -253,7 +253,11 @@ def _condensed(
     else:
         found, fits, kept = _robust(shape, rays, reading, sigma)
     fits &= ~_flat(shape, found, rays, reading)
-    kept &= _steep(shape, found, rays)
+    # Readings of rays that graze the target err most, and soon the rays miss it.
+    s = shape.ranges(found[:, None], rays)[:, 0]
+    hit = np.isfinite(s)
+    a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
+    kept &= hit & (np.einsum("gni,gni->gn", a, a) < MOST_SLANTED**2)
     many = kept.sum(axis=1)
     whole = np.flatnonzero(fits & (many > few) & (many >= shape.size))
     ends: list[Condensed | None] = [None] * G
@@ -474,14 +478,6 @@ def _flat(shape: Shape, found: FloatArray, rays: Rayset, reading: FloatArray) ->
 def _misses(reading: FloatArray, s: FloatArray) -> FloatArray:
     """Return by how much readings differ from ranges; infinite where a ray meets nothing."""
     return np.where(np.isfinite(s), np.abs(reading - np.where(np.isfinite(s), s, 0.0)), np.inf)
-
-
-def _steep(shape: Shape, found: FloatArray, rays: Rayset) -> BoolArray:
-    """Tell which rays do not graze the target: their readings err most, and soon they miss it."""
-    s = shape.ranges(found[:, None], rays)[:, 0]
-    hit = np.isfinite(s)
-    a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
-    return np.asarray(hit & (np.einsum("gni,gni->gn", a, a) < MOST_SLANTED**2))
 
 
 def _rows(

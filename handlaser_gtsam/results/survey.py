@@ -544,14 +544,11 @@ def _effects(found: SurveyEstimate) -> dict[int, dict[str, TestedEffect]]:
         turn = follows[own.place[SENSOR.name][member] + np.arange(6)]
         shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
         if code == BOTH_AXES:
-            tested = _tried(found, tested, member, len(columns))
+            # The size of a profiler is tested with noise that is learned beside it.
+            tried = too_small_alike(found, member)
+            size, sigma = float(tried.size[0]), math.sqrt(tried.covariance[0, 0])
+            detectable = tested.detectable / tested.sigma * sigma
+            shown = tried.p_value < FAMILY_LEVEL / len(columns)
+            tested = TestedEffect(size, sigma, detectable, shown)
         effects.setdefault(member, {})[code] = replace(tested, spot_shift=shift)
     return effects
-
-
-def _tried(found: SurveyEstimate, tested: TestedEffect, member: int, of: int) -> TestedEffect:
-    """Return the test of the size of a profiler, one of some, with noise that is learned beside it."""
-    tried = too_small_alike(found, member)
-    size, sigma = float(tried.size[0]), math.sqrt(tried.covariance[0, 0])
-    detectable = tested.detectable / tested.sigma * sigma
-    return TestedEffect(size, sigma, detectable, tried.p_value < FAMILY_LEVEL / of)
