@@ -98,11 +98,7 @@ def _beam_covariances(
         normal.matrix, normal.border, normal.local, normal.gradient, normal.local_gradient
     ).matrix
     unit = 1.0 / np.sqrt(np.einsum("kii->ki", S))
-    S = S * unit[:, :, None] * unit[:, None, :]
-    inverse = np.full_like(S, np.nan)
-    for own, matrix in zip(inverse, S, strict=True):
-        with contextlib.suppress(np.linalg.LinAlgError):
-            own[:] = np.linalg.inv(matrix)
+    inverse = _inverses(S * unit[:, :, None] * unit[:, None, :])
     inverse *= unit[:, :, None] * unit[:, None, :] * (problem.unit**2)[:, None, None]
     copies, beams = len(S), block.beams
     width, each = S.shape[1] // beams, np.arange(beams)
@@ -111,6 +107,15 @@ def _beam_covariances(
     lifts = beam_lifts(bases)[:, :, :width]
     lifts = lifts.reshape(copies, beams, 8, width).swapaxes(0, 1)
     return np.asarray((lifts @ blocks @ lifts.swapaxes(-1, -2)).swapaxes(0, 1))
+
+
+def _inverses(matrices: FloatArray) -> FloatArray:
+    """Return the inverses of a stack (K, n, n), NaN of those that are singular."""
+    inverses = np.full_like(matrices, np.nan)
+    for inverse, matrix in zip(inverses, matrices, strict=True):
+        with contextlib.suppress(np.linalg.LinAlgError):
+            inverse[:] = np.linalg.inv(matrix)
+    return inverses
 
 
 def _of_one_shape(recordings: Sequence[Recording]) -> list[Readings]:

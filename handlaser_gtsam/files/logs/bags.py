@@ -26,6 +26,7 @@ from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...model.conventions import LENGTHS
 from ...progress import tell
 from ...quantities import IN_DEG, LARGEST_LENGTH, ROWS_AT_ONCE
+from ...results.messages import warned
 from ...text import A_NAME, name_fault, shown, some
 from ..recording_csv import off_unit
 from ..table import FileTable
@@ -142,12 +143,8 @@ def _of_cones(cones: Mapping[str, float]) -> Iterator[CalibrationWarning]:
     """Warn of topics whose messages say that they are of ultrasonic sensors."""
     if cones:
         topics, widest = some(list(cones), 8), max(cones.values()) * IN_DEG
-        words = (
-            f"messages of ULTRASOUND with a field of view of {widest:.3g} deg on {topics}; expected "
-            f"half_angle_deg = {widest / 2.0:.3g} in [sensor] of a rig file, half of it, because such "
-            'a sensor reads what is nearest in a cone; or kind = "time-of-flight" there for beams'
-        )
-        yield CalibrationWarning(NO_HALF_ANGLE, words, {"beams": len(cones)})
+        words = {"topics": topics, "widest": f"{widest:.3g}", "half": f"{widest / 2.0:.3g}"}
+        yield warned(f"{NO_HALF_ANGLE}:messages", {"beams": len(cones)}, **words)
 
 
 def read_messages(
@@ -195,12 +192,7 @@ def read_messages(
     for topic in wanted:
         count = publishers[topic]
         if count > 1 and topics[topic] not in TRANSFORMS:  # of which several are usual
-            words = (
-                f"{count} publishers on topic {topic}, all of whose messages were read; if they are "
-                "not one node that was started again, record each on a topic of its own"
-            )
-            values: dict[str, float | str] = {"topic": topic, "publishers": count}
-            warnings.append(CalibrationWarning("several-publishers", words, values))
+            warnings.append(warned("several-publishers", {"topic": topic, "publishers": count}))
     return LogRows(
         lines_of(path, len(x)),
         (),

@@ -25,6 +25,7 @@ import numpy as np
 import polars as pl
 
 from ...errors import CalibrationWarning, InputError
+from ...results.messages import Values, warned
 from ...text import count, shown, some
 from ..checked_text import in_file, json_value
 from ..table import (
@@ -403,13 +404,14 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
         raise InputError(found, "one table: delete the cells that stand far from it", path)
     warnings = []
     for what, places in failed.items():
-        words = (
-            f"{path.name}: {count(len(places), 'cell')} of {shown(what)} ({some(places, 4)}) taken as "
-            "empty; calculate the workbook again and save it, or mend them"
-        )
-        values: dict[str, float | str] = {"file": path.name, "cells": len(places), "value": what}
-        values["places"] = some(places, 4)
-        warnings.append(CalibrationWarning("cells-without-value", words, values))
+        values: Values = {
+            "file": path.name,
+            "cells": len(places),
+            "value": what,
+            "places": some(places, 4),
+        }
+        words = {"count": count(len(places), "cell"), "shown": shown(what)}
+        warnings.append(warned("cells-without-value", values, **words))
     return min(rows), tuple(warnings)
 
 
