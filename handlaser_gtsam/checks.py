@@ -8,8 +8,10 @@ import math
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
+from importlib import import_module
 from numbers import Integral, Real
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -88,6 +90,32 @@ def require_kind(name: str, value: object, kind: type, expected: str = "") -> No
         home = package if at_top or not folder else f"{package}.{folder}"
         given = f"{shown(value)} of type {type(value).__name__} as {name}"
         raise InputError(given, expected or f"{home}.{kind.__name__}(...)")
+
+
+def imported(name: str, extra: str, found: str, path: Path | None = None, more: str = "") -> Any:
+    """Return a module that an extra of this package brings.
+
+    Parameters
+    ----------
+    name, extra : str
+        Of the module and of the extra.
+    found : str
+        What is said where the module is missing.
+    path : Path, optional
+        The file that needs it.
+    more : str
+        What else would do, behind how to install the extra.
+
+    Raises
+    ------
+    InputError
+        The module is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        expected = f"pip install 'handlaser-gtsam[{extra}]'{more}"
+        raise InputError(found, expected, path) from error
 
 
 def require_names(kind: str, names: object) -> None:

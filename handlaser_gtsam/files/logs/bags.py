@@ -22,6 +22,7 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ...checks import imported
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...model.conventions import LENGTHS
 from ...progress import tell
@@ -69,16 +70,14 @@ def _opened(path: Path) -> Iterator[Any]:
     if path.is_dir() and not (path / METADATA).is_file():
         found = f"no bag that can be read (a folder without {METADATA})"
         raise InputError(found, "a log, or the folder of a bag", path)
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[ros]'"
-        raise InputError("a bag, but no package that reads it", expected, path) from error
+    missing = "a bag, but no package that reads it"
+    readers = imported("rosbags.highlevel", "ros", missing, path)
+    types = imported("rosbags.typesys", "ros", missing, path)
     try:
         if path.suffix.lower() != ROS1:
             refuse_bag_bomb(path)
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        usual = types.get_typestore(types.Stores.ROS2_HUMBLE)
+        with readers.AnyReader([path], default_typestore=usual) as reader:
             limit_chunks(reader, path)
             yield reader
     except (HandlaserError, MemoryError):

@@ -24,6 +24,7 @@ from typing import IO
 import numpy as np
 import polars as pl
 
+from ...checks import imported
 from ...errors import CalibrationWarning, InputError
 from ...results.messages import Values, warned
 from ...text import count, shown, some
@@ -311,11 +312,8 @@ def read_sheet(
         No package that reads workbooks, no such sheet, several of which none is stated, an empty one, a
         cell far from all others, a name twice, or an archive that unpacks to too much.
     """
-    try:
-        import fastexcel
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[excel]', or the sheet saved as CSV"
-        raise InputError("a workbook, but no package that reads it", expected, path) from error
+    missing = "a workbook, but no package that reads it"
+    fastexcel = imported("fastexcel", "excel", missing, path, ", or the sheet saved as CSV")
     refuse_zip_bomb(path)
     with zipfile.ZipFile(path) as archive:
         sheets = _sheets(archive)
