@@ -154,17 +154,17 @@ def number_array(name: str, values: ArrayLike, expected: str = "numbers") -> Flo
         raise InputError(f"{name}: no array of numbers ({error})", expected) from error
 
 
-def require_covariance(name: str, matrix: FloatArray, most: float, tolerance: float) -> None:
+def require_covariance(name: str, matrix: FloatArray, tolerance: float) -> None:
     """Refuse matrices (..., n, n) that are not finite, symmetric and positive semidefinite.
 
     Symmetry and eigenvalues are judged on correlations, so that units do not matter, to `tolerance`.
-    Standard deviations above `most` are refused as well: products of larger numbers overflow.
+    Standard deviations above `LARGEST_LENGTH` are refused as well: products of larger numbers overflow.
     """
     if not np.isfinite(matrix).all():
         raise InputError(f"{name} with numbers that are not finite", "finite numbers")
-    if (np.abs(matrix) > most**2).any():
+    if (np.abs(matrix) > LARGEST_LENGTH**2).any():
         found = f"{name} with the entry {float(np.abs(matrix).max()):g}"
-        raise InputError(found, f"variances in SI units, at most {most**2:g}")
+        raise InputError(found, f"variances in SI units, at most {LARGEST_LENGTH**2:g}")
     variance = np.einsum("...ii->...i", matrix)
     if (variance < 0.0).any():
         found = f"{name} with the variance {float(variance.min()):g}"

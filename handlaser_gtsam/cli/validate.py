@@ -116,7 +116,7 @@ def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
     from ..model.distributions import p_words
     from ..quantities import IN_DEG, IN_MM
     from ..validation.other_survey import hold_out_survey
-    from .words import survey_hold_out_lines
+    from .words import hold_out_lines
 
     if old is None:  # the tables of points are those of the rig file
         expected = "`validate OTHER --rig ITS_RIG --calibration RESULT`, the result of `calibrate`"
@@ -138,9 +138,8 @@ def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
             f"the calibration does not hold ({p_words(found.p_value)}): {words}: look for a sensor "
             "that was knocked or moved, and calibrate again",
         )
-    return Answer(
-        survey_hold_out_text(found), survey_hold_out_lines(found), survey.warnings, failure
-    )
+    lines = hold_out_lines(found, "survey_hold_out")
+    return Answer(survey_hold_out_text(found), lines, survey.warnings, failure)
 
 
 def _tested(

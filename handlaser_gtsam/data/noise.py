@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ..arrays import FloatArray, IntArray
 from ..checks import number_array, require_covariance, require_fields
 from ..errors import InputError
-from ..quantities import LARGEST_LENGTH, ROUNDING
+from ..quantities import ROUNDING
 from .value import Value
 
 LEAST_SIGMA = 1e-12
@@ -138,5 +138,5 @@ def _checked(covariance: ArrayLike) -> FloatArray:
     if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not matrix.size:
         shape = f"a pose covariance of shape {matrix.shape}"
         raise InputError(shape, "shape (6, 6) or (stations, 6, 6)")
-    require_covariance("a pose covariance", matrix, LARGEST_LENGTH, ROUNDING)
+    require_covariance("a pose covariance", matrix, ROUNDING)
     return matrix

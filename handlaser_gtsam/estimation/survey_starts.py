@@ -320,8 +320,7 @@ def _from_planes(rows: SurveyRows, *, among_outliers: bool) -> dict[Entity, Floa
         count += len(origin)
     if not entries:
         return {}
-    readings = rows.readings(entries, count)
-    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    readings = rows.readings(entries, count).about_planes()
     try:
         if among_outliers:
             found = find_consensus(readings, None, 0, certain=False).parameters

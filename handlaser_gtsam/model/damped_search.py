@@ -18,7 +18,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..checks import require_count, require_fields
 from ..progress import Trial
-from ..quantities import LARGEST_NUMBER, TINY
+from ..quantities import LARGEST_NUMBER, RESOLUTION, TINY
 from .block import Block, OfProblems, Rows, Values, impossible, whitened
 from .losses import Loss
 from .reduction import Normal, Reduction, damped_step
@@ -26,8 +26,6 @@ from .reduction import Normal, Reduction, damped_step
 POOR_GAIN = 0.25
 """A step that saves less than this part of what the linear model promised raises lambda, and one that
 saves all but less than this part lowers it."""
-COST_RESOLUTION = 1e-10
-"""Changes of the cost below this part of it are rounding, not evidence."""
 LEVEL_STEPS = 6
 """Steps in a row below the resolution of the cost that end a search: fewer occur before a minimum."""
 CREEPING_STEP, CREEPING_AFTER = 1e-6, 100
@@ -78,7 +76,7 @@ class StoppingRule:
 
     def resolution(self, cost: FloatArray) -> FloatArray:
         """Return the smallest change that shows in `cost`."""
-        return np.asarray(COST_RESOLUTION * cost + self.rounding_cost)
+        return np.asarray(RESOLUTION * cost + self.rounding_cost)
 
     def gain(self, decrement: FloatArray, cost: FloatArray, trial: FloatArray) -> FloatArray:
         """Return what part of the promised saving a step from `cost` to `trial` achieved.

@@ -185,8 +185,7 @@ def _at_a_glance(recording: Recording, effort: Effort, reach: float = np.inf) ->
 
 def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian."""
-    readings, _ = sorted_readings(recording)
-    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    readings = sorted_readings(recording)[0].about_planes()
     terms = RANGE_ERROR_TERMS["auto"]
     whole = [one.parameters for one in find_start(readings, None, 0, effort=effort).candidates]
     latest = next(rounds(readings, whole, terms, np.random.default_rng(0)))
