@@ -158,9 +158,8 @@ class LevenbergOptions:
         lower = np.where(lower >= last, lower, 0.0)
         lower = np.maximum(lower, self.least_damping)
         rest = np.where(gain > 1.0 - POOR_GAIN, lower, damping)
-        return np.where(
-            gain >= POOR_GAIN, rest, higher
-        )  # higher also where the gain is not a number
+        # Higher also where the gain is not a number.
+        return np.where(gain >= POOR_GAIN, rest, higher)
 
 
 @dataclass(frozen=True, slots=True)

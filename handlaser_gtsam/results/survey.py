@@ -490,9 +490,8 @@ def _target(found: SurveyEstimate, family: str, member: int, label: str) -> Surv
         return SurveyTarget(label, family, values, dict(zip(names, sigma.tolist(), strict=True)))
     n, c = x[:3], x[4:]
     values = {"nx": float(n[0]), "ny": float(n[1]), "nz": float(n[2]), "b": float(x[3] - n @ c)}
-    by_plane = np.append(
-        -c @ bases(n), 1.0
-    )  # of the offset from the origin, far from which n counts
+    # Of the offset from the origin, far from which n counts.
+    by_plane = np.append(-c @ bases(n), 1.0)
     offset = float(np.sqrt(by_plane @ C @ by_plane))
     return SurveyTarget(label, family, values, {"tilt": float(sigma[:2].max()), "offset": offset})
 

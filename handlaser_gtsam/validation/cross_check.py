@@ -326,9 +326,8 @@ def _variables(
         shown = len(family.numbers)
         for i, (name, own) in enumerate(zip(rows.names(kind), members, strict=True)):
             numbers, lift = own[:shown], family.tangents_at(own)[:shown]
-            if (
-                kind == SENSOR.name
-            ):  # SciPy's numbers are turn and shift from here, and range errors
+            if kind == SENSOR.name:
+                # SciPy's numbers are turn and shift from here, and range errors.
                 numbers = np.append(np.zeros(POSE.dim), own[POSE.size :][free[i]])
                 sought = np.append(np.ones(POSE.dim, dtype=bool), free[i])
                 lift = np.eye(SENSOR.dim)[np.ix_(sought, np.asarray(unknown[kind]))]

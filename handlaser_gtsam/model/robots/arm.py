@@ -106,10 +106,8 @@ class Arm:
         home = pin.updateFramePlacement(model, data, hand)
         self._home = np.array(home.homogeneous)
         aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        columns = pin.getFrameJacobian(model, data, hand, aligned).reshape(
-            6, -1
-        )  # (6,) of one joint
-        velocity, self._axes = np.split(columns.T, 2, axis=1)
+        columns = pin.getFrameJacobian(model, data, hand, aligned)
+        velocity, self._axes = np.split(columns.reshape(6, -1).T, 2, axis=1)  # (6,) of one joint
         self._screws = np.zeros((model.nv, 4, 4))
         self._screws[:, :3, :3] = skew(self._axes)
         # Of the point that is at the origin of the world.

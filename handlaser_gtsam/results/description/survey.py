@@ -66,10 +66,8 @@ class SurveyDescription(Description):
     @property
     def main_tables(self) -> tuple[Table, ...]:
         """Where sensors of many rays sit, and where single beams do; no table of none."""
-        sensors, beams = (
-            list(self.calibration.sensors.values()),
-            list(self.calibration.beams.values()),
-        )
+        sensors = list(self.calibration.sensors.values())
+        beams = list(self.calibration.beams.values())
         tables = [listed("sensors", sensors, _sensor_row, "sensor")] if sensors else []
         tables += [listed("beams:survey", beams, _beam_row, "beam")] if beams else []
         return tuple(tables)
