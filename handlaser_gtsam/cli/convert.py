@@ -7,6 +7,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 import typer
 
+from ..errors import InputError
 from ..files.logs.format import LogFormat
 from .answer import Answer, Working, wrote
 from .options import RANGE, OutOption, QuietOption, described, option_of
@@ -34,7 +35,6 @@ class Log:
 
 def _parts(name: str, text: str, *, numbers: bool) -> tuple[object, ...]:
     """Return the names of a list, between commas, or its numbers, between commas or blanks."""
-    from ..errors import InputError
     from ..text import shown
 
     parts = [part.strip() for part in text.split(",")]

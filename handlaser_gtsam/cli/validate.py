@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..errors import InputError, SolverError
 from .answer import Answer, Working
 from .options import Given, JsonOption, Model, RecordingArgument, Seed
 from .stopping import Exit
@@ -57,7 +58,6 @@ def validate(
         --calibration calibration.json
     """
     from ..data.survey import Survey
-    from ..errors import InputError
     from .survey import read_stated
 
     with Working():
@@ -110,7 +110,6 @@ def validated(
 
 def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
     """Test an old calibration on a survey."""
-    from ..errors import InputError
     from ..files.calibration_reading import SurveyFile, read_calibration
     from ..files.validation_json import survey_hold_out_text
     from ..model.distributions import p_words
@@ -150,7 +149,6 @@ def _tested(
     other: Path | None,
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
-    from ..errors import SolverError
     from ..files.calibration_reading import read_mounts
     from ..files.input_reading import read_with
     from ..files.validation_json import hold_out_text
