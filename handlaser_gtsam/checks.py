@@ -7,15 +7,22 @@ number belongs, True is a slip.
 import math
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from importlib import import_module
 from numbers import Integral, Real
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .arrays import FloatArray, frozen
 from .errors import ArgumentError, InputError, NumberError
-from .quantities import IN_DEG, IN_MM
+from .quantities import IN_DEG, IN_MM, LARGEST_LENGTH
 from .text import A_NAME, name_fault, shown
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 def require_number(
@@ -35,6 +42,23 @@ def require_number(
     known = (math.nan if number is None else number,)
     error = NumberError(name, known, least, most, above=above, unit=unit, remedy=remedy)
     raise error if number is not None else ArgumentError(name, shown(value), error.expected)
+
+
+def require_fields(
+    of: "DataclassInstance",
+    *names: str,
+    least: float = 0.0,
+    most: float = LARGEST_LENGTH,
+    above: bool = False,
+    unit: str = "",
+    remedy: str = "",
+) -> None:
+    """Refuse fields as `require_number` does; None passes in a field whose default it is."""
+    default = {field.name: field.default for field in fields(of)}
+    for name in names:
+        value = getattr(of, name)
+        if value is not None or default[name] is not None:
+            require_number(name, value, least, most, above=above, unit=unit, remedy=remedy)
 
 
 def require_count(name: str, value: object, least: int, most: int) -> None:
@@ -66,6 +90,32 @@ def require_kind(name: str, value: object, kind: type, expected: str = "") -> No
         home = package if at_top or not folder else f"{package}.{folder}"
         given = f"{shown(value)} of type {type(value).__name__} as {name}"
         raise InputError(given, expected or f"{home}.{kind.__name__}(...)")
+
+
+def imported(name: str, extra: str, found: str, path: Path | None = None, more: str = "") -> Any:
+    """Return a module that an extra of this package brings.
+
+    Parameters
+    ----------
+    name, extra : str
+        Of the module and of the extra.
+    found : str
+        What is said where the module is missing.
+    path : Path, optional
+        The file that needs it.
+    more : str
+        What else would do, behind how to install the extra.
+
+    Raises
+    ------
+    InputError
+        The module is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        expected = f"pip install 'handlaser-gtsam[{extra}]'{more}"
+        raise InputError(found, expected, path) from error
 
 
 def require_names(kind: str, names: object) -> None:
@@ -104,17 +154,17 @@ def number_array(name: str, values: ArrayLike, expected: str = "numbers") -> Flo
         raise InputError(f"{name}: no array of numbers ({error})", expected) from error
 
 
-def require_covariance(name: str, matrix: FloatArray, most: float, tolerance: float) -> None:
+def require_covariance(name: str, matrix: FloatArray, tolerance: float) -> None:
     """Refuse matrices (..., n, n) that are not finite, symmetric and positive semidefinite.
 
     Symmetry and eigenvalues are judged on correlations, so that units do not matter, to `tolerance`.
-    Standard deviations above `most` are refused as well: products of larger numbers overflow.
+    Standard deviations above `LARGEST_LENGTH` are refused as well: products of larger numbers overflow.
     """
     if not np.isfinite(matrix).all():
         raise InputError(f"{name} with numbers that are not finite", "finite numbers")
-    if (np.abs(matrix) > most**2).any():
+    if (np.abs(matrix) > LARGEST_LENGTH**2).any():
         found = f"{name} with the entry {float(np.abs(matrix).max()):g}"
-        raise InputError(found, f"variances in SI units, at most {most**2:g}")
+        raise InputError(found, f"variances in SI units, at most {LARGEST_LENGTH**2:g}")
     variance = np.einsum("...ii->...i", matrix)
     if (variance < 0.0).any():
         found = f"{name} with the variance {float(variance.min()):g}"

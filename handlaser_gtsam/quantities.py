@@ -38,6 +38,8 @@ ROUNDING = 1e-9
 """A part below this is the rounding that long sums and solved systems leave of double precision."""
 NEGLIGIBLE = 1e-6
 """A part below this counts for nothing: it is above rounding, and no estimate is known so well."""
+RESOLUTION = 1e-10
+"""Changes of a cost, or of a shape, below this part of it are rounding, not evidence."""
 EXACT = 1e-11
 """Residuals below this part of the readings are taken as rounding: the noise cannot be learned then."""
 UNIT_SIGMA = 1e-3
@@ -56,6 +58,9 @@ MOST_ROUNDS = 20
 """Rounds at most of an iteration that ends by itself, mostly within a few, when nothing changes."""
 SAME_OPTIMUM = 0.01
 """Two solutions within this many standard deviations, and their sigmas within this part, are one."""
+ROUGH_CUT = 4.5
+"""A new reading, or a point of a shot, further off by more standard deviations is an outlier: of good
+ones, if Gaussian, one in 150,000 is."""
 FAR_SIGMAS = 4.0
 """A deviation by more standard deviations is no accident: good recordings have one in 16,000."""
 POWER = 0.8

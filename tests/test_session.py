@@ -422,7 +422,7 @@ def test_many_blocks_evaluate_together_as_each_does_alone():
     ranges.flat[::7] = np.nan
     session = filled(replace(recording, ranges=ranges), ROBOT, replace(NONE, poses="estimated"))
     blocks = session.state.graph.blocks
-    values = session.state.graph.linearization_point()
+    values = session.state.graph._isam.getLinearizationPoint()
 
     def rows():
         found = []

@@ -11,9 +11,9 @@ from handlaser_gtsam.errors import GrazingBeamError
 from handlaser_gtsam.estimation.solution import covariance
 from handlaser_gtsam.factors import SharedEvaluation
 from handlaser_gtsam.files.recording_csv import read_recording
-from handlaser_gtsam.model.damped_search import COST_RESOLUTION
 from handlaser_gtsam.model.losses import GAUSSIAN, Loss
 from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.quantities import RESOLUTION
 from handlaser_gtsam.solvers.beam_problem import linearized, refine
 from handlaser_gtsam.solvers.graph import build_graph, read_parameters, start_values
 from handlaser_gtsam.solvers.graph_levenberg import (
@@ -174,7 +174,7 @@ def test_every_trial_is_told_and_kept(problem):
     assert [trial.number for trial in told] == list(range(1, len(told) + 1))
     assert sum(trial.accepted for trial in told) == result.iterations
     costs = [trial.cost for trial in told if trial.accepted]
-    assert costs[-1] <= costs[0] * (1.0 + COST_RESOLUTION)
+    assert costs[-1] <= costs[0] * (1.0 + RESOLUTION)
 
 
 def test_ctrl_c_keeps_the_best_values(problem):

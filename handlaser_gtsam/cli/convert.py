@@ -7,6 +7,7 @@ from typing import Annotated, Any, get_args, get_origin
 
 import typer
 
+from ..errors import InputError
 from ..files.logs.format import LogFormat
 from .answer import Answer, Working, wrote
 from .options import RANGE, OutOption, QuietOption, described, option_of
@@ -34,7 +35,6 @@ class Log:
 
 def _parts(name: str, text: str, *, numbers: bool) -> tuple[object, ...]:
     """Return the names of a list, between commas, or its numbers, between commas or blanks."""
-    from ..errors import InputError
     from ..text import shown
 
     parts = [part.strip() for part in text.split(",")]
@@ -57,17 +57,14 @@ def _parameters() -> list[inspect.Parameter]:
         metavar = "|".join(LogFormat.words_of(one.name)) or None
         if get_origin(kind) is tuple:
             metavar = "NUMBERS" if get_args(kind)[0] is float else "NAMES"
-        plain: Any = next((other for other in (float, Path) if _may_be(kind, other)), str)
+        alike = () if get_origin(kind) is tuple else (kind, *get_args(kind))
+        plain: Any = next((other for other in (float, Path) if other in alike), str)
         default, plain = (False, bool) if kind is bool else (None, plain | None)
         given = Annotated[plain, typer.Option(metavar=metavar, rich_help_panel=PANEL)]
         where = inspect.Parameter.KEYWORD_ONLY
         option = inspect.Parameter(one.name, where, default=default, annotation=given)
         found.append(option_of(option, texts.get(one.name, "")))
     return found
-
-
-def _may_be(kind: Any, wanted: type) -> bool:
-    return kind is wanted or (wanted in get_args(kind) and get_origin(kind) is not tuple)
 
 
 Log.__signature__ = inspect.Signature(_parameters())  # type: ignore[attr-defined]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from ..errors import InputError
 from ..files.exports.formats import BEAMS, FORMATS, STATIONS, TAKEN
 from ..quantities import MM
 from .answer import Answer, Working, wrote
@@ -79,7 +80,6 @@ def export(
     handlaser export calibration.json --to c \
         --out beams.h
     """
-    from ..errors import InputError
     from ..files.exports.export import ExportOptions, export_text
     from ..files.writing import require_outputs, write_text
 
@@ -107,7 +107,6 @@ def export(
 
 def _read(file: Path, to: str) -> "StationList | CalibrationFile | SurveyFile":
     """Return what a format takes of a file: stations, a calibration or the result of a survey."""
-    from ..errors import InputError
     from ..files.calibration_reading import read_calibration
     from ..files.checked_text import read_text
     from ..files.recording_csv import read_stations

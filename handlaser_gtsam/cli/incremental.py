@@ -19,6 +19,7 @@ from ..progress import tell
 from ..quantities import IN_MM, IN_PERCENT, SAME_OPTIMUM
 from ..results.calibration import Calibration
 from ..results.description.tables import Cell, Column, Table, number, text
+from ..results.messages import warned
 from ..results.survey import SurveyCalibration
 from ..session.reports import Comparison, Update
 from ..session.session import Session
@@ -142,13 +143,9 @@ def _table(rows: Sequence[tuple[Cell, ...]], what: str = "plane") -> Table:
 def _warning(moved: BeamDrift) -> CalibrationWarning:
     shift, far = float(np.linalg.norm(moved.shift)), bool(np.isnan(moved.turn))
     by = f"by {np.degrees(moved.turn):.2g} deg and {IN_MM * shift:.2g} mm"
-    words = (
-        f"beam {moved.name} seems to have moved before plane {moved.since}, {'far' if far else by}: "
-        "calibrate the planes before and after it by themselves, or split the beam in a Session"
-    )
     values: dict[str, float | str] = {"beam": moved.name, "since": moved.since}
     values |= {} if far else {"shift_m": shift, "turn_rad": moved.turn}
-    return CalibrationWarning("beam-moved", words, values)
+    return warned("beam-moved", values, how="far" if far else by)
 
 
 def _row(

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args, get_origin
 
 import typer
 
+from ..errors import ArgumentError, InputError
 from ..progress import LOGGER
 from .stopping import CLEAR
 
@@ -136,7 +137,6 @@ class Model:
 
     def options(self, rig: "Rig") -> "CalibrationOptions":
         """Return the options of a calibration with the sensor of `rig`."""
-        from ..errors import InputError
         from ..estimation.options import CalibrationOptions
         from ..text import shown
 
@@ -164,7 +164,6 @@ def metres(at_range_mm: float | None) -> float | None:
 def _in_options(names: Mapping[str, str], values: Mapping[str, object]) -> Iterator[None]:
     """Let what is wrong with the value of an option name the option as it is typed."""
     from ..checks import as_called
-    from ..errors import ArgumentError, InputError
 
     try:
         yield

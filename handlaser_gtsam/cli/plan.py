@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..errors import InputError, SolverError
 from ..text import count
 from .answer import Answer, Working, wrote
 from .options import Given, JsonOption, Model, OneOrMore, OutOption, QuietOption, Seed
@@ -121,7 +122,6 @@ def _planned(
     import numpy as np
 
     from ..data.survey import Survey
-    from ..errors import InputError, SolverError
     from ..pipeline import calibrate
     from ..planning import plan as planning
     from ..planning.blind import blind_motion
@@ -215,7 +215,6 @@ def _uncounted(path: Path) -> list[str]:
 
 def _result(path: Path, rig: "Rig") -> "tuple[Mounts, Mapping[str, Plate]]":
     """Return the mounts of a result, and its planes as plates that are known as well as it says."""
-    from ..errors import InputError
     from ..files.calibration_reading import read_mounts, read_of_beams
     from ..planning.bounds import plate_of
 

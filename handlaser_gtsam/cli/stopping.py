@@ -64,14 +64,10 @@ class CtrlC:
 
     def _stop(self, _number: int, frame: FrameType | None) -> None:
         CtrlC.asked = True
-        if not _importing(frame):
+        while frame is not None and frame.f_code.co_filename != IMPORTING:
+            frame = frame.f_back
+        if frame is None:  # no import is under way
             raise KeyboardInterrupt
         clear = CLEAR if os.isatty(2) else ""
         os.write(2, f"{clear}handlaser: {WORDS}\n".encode())
         os._exit(Exit.INTERRUPTED)
-
-
-def _importing(frame: FrameType | None) -> bool:
-    while frame is not None and frame.f_code.co_filename != IMPORTING:
-        frame = frame.f_back
-    return frame is not None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..errors import InputError, SolverError
 from .answer import Answer, Working
 from .options import Given, JsonOption, Model, RecordingArgument, Seed
 from .stopping import Exit
@@ -57,7 +58,6 @@ def validate(
         --calibration calibration.json
     """
     from ..data.survey import Survey
-    from ..errors import InputError
     from .survey import read_stated
 
     with Working():
@@ -110,13 +110,12 @@ def validated(
 
 def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
     """Test an old calibration on a survey."""
-    from ..errors import InputError
     from ..files.calibration_reading import SurveyFile, read_calibration
     from ..files.validation_json import survey_hold_out_text
     from ..model.distributions import p_words
     from ..quantities import IN_DEG, IN_MM
     from ..validation.other_survey import hold_out_survey
-    from .words import survey_hold_out_lines
+    from .words import hold_out_lines
 
     if old is None:  # the tables of points are those of the rig file
         expected = "`validate OTHER --rig ITS_RIG --calibration RESULT`, the result of `calibrate`"
@@ -138,9 +137,8 @@ def _tested_survey(survey: "Survey", rig: "Rig", old: Path | None) -> Answer:
             f"the calibration does not hold ({p_words(found.p_value)}): {words}: look for a sensor "
             "that was knocked or moved, and calibrate again",
         )
-    return Answer(
-        survey_hold_out_text(found), survey_hold_out_lines(found), survey.warnings, failure
-    )
+    lines = hold_out_lines(found, "survey_hold_out")
+    return Answer(survey_hold_out_text(found), lines, survey.warnings, failure)
 
 
 def _tested(
@@ -152,7 +150,6 @@ def _tested(
 ) -> Answer:
     """Test an old calibration on `recording`, or its own calibration on another one."""
     from ..data.noise import POSE_SIGMAS
-    from ..errors import SolverError
     from ..files.calibration_reading import read_mounts
     from ..files.input_reading import read_with
     from ..files.validation_json import hold_out_text

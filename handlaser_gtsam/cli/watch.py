@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -12,8 +11,6 @@ from .answer import Working
 from .options import AtRangeOption, Given, Model, metres
 
 LOOPBACK = "127.0.0.1"
-EXTRA = ("starlette", "uvicorn")
-"""What the extra `watch` brings."""
 
 
 def watch(
@@ -52,17 +49,13 @@ def watch(
     handlaser watch recording.csv --rig rig.toml \
         --port 9000 --open
     """
-    from ..errors import InputError
+    from ..checks import imported
     from ..files.rig_toml import known_rig
     from ..text import printable
 
     with Working():
-        for name in EXTRA:
-            try:
-                import_module(name)
-            except ImportError as error:
-                expected = "pip install 'handlaser-gtsam[watch]'"
-                raise InputError(f"no {name}, which the page needs", expected) from error
+        for name in ("starlette", "uvicorn"):
+            imported(name, "watch", f"no {name}, which the page needs")
         from ..files.watch.follower import Follower
         from ..files.watch.server import PageServer, listening
         from ..files.watch.watched import Watched, watched_files

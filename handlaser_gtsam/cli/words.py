@@ -110,11 +110,6 @@ def validation_lines(result: "Validation", verdict: "Verdict", width: int) -> li
     return lines + [f"WARNING: {warning}" for warning in calibration.warnings]
 
 
-def survey_hold_out_lines(found: "SurveyHoldOut") -> list[str]:
-    """Return the lines of a hold-out test of a survey: whether the calibration holds first."""
-    return lines_of("survey_hold_out", found=found, level=SINGLE_LEVEL, family_level=FAMILY_LEVEL)
-
-
-def hold_out_lines(found: "HoldOut") -> list[str]:
+def hold_out_lines(found: "HoldOut | SurveyHoldOut", words: str = "hold_out") -> list[str]:
     """Return the lines of a hold-out test: whether the calibration holds, and what p means, first."""
-    return lines_of("hold_out", found=found, level=SINGLE_LEVEL, family_level=FAMILY_LEVEL)
+    return lines_of(words, found=found, level=SINGLE_LEVEL, family_level=FAMILY_LEVEL)

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray, IntArray
-from ..checks import number_array, require_covariance, require_number
+from ..checks import number_array, require_covariance, require_fields
 from ..errors import InputError
-from ..quantities import LARGEST_LENGTH, ROUNDING
+from ..quantities import ROUNDING
 from .value import Value
 
 POSE_SIGMAS = "pose_translation_sigma", "pose_rotation_sigma"
@@ -63,16 +63,10 @@ class Noise(Value):
     pose_rotation_prior: float = math.radians(0.02)
 
     def __post_init__(self) -> None:
-        if self.range_sigma is not None:
-            bounds, remedy = (LEAST_SIGMA, LARGEST_LENGTH), "; leave it out if unknown"
-            require_number("range_sigma", self.range_sigma, *bounds, unit="m", remedy=remedy)
-        for name in POSE_SIGMAS:
-            value = getattr(self, name)
-            if value is not None:
-                require_number(name, value, 0.0, LARGEST_LENGTH)
-        require_number("incidence_sigma", self.incidence_sigma, 0.0, LARGEST_LENGTH)
-        for name in ("pose_translation_prior", "pose_rotation_prior"):
-            require_number(name, getattr(self, name), LEAST_SIGMA, LARGEST_LENGTH)
+        remedy = "; leave it out if unknown"
+        require_fields(self, "range_sigma", least=LEAST_SIGMA, unit="m", remedy=remedy)
+        require_fields(self, *POSE_SIGMAS, "incidence_sigma")
+        require_fields(self, "pose_translation_prior", "pose_rotation_prior", least=LEAST_SIGMA)
         if self.pose_covariance is not None:
             if self.pose_translation_sigma is not None or self.pose_rotation_sigma is not None:
                 raise InputError("a pose covariance and pose sigmas", "one of the two")
@@ -154,5 +148,5 @@ def _checked(covariance: ArrayLike) -> FloatArray:
     if matrix.shape[-2:] != (6, 6) or matrix.ndim not in (2, 3) or not matrix.size:
         shape = f"a pose covariance of shape {matrix.shape}"
         raise InputError(shape, "shape (6, 6) or (stations, 6, 6)")
-    require_covariance("a pose covariance", matrix, LARGEST_LENGTH, ROUNDING)
+    require_covariance("a pose covariance", matrix, ROUNDING)
     return matrix

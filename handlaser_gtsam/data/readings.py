@@ -113,6 +113,10 @@ class Readings(Value):
         """
         return replace(self, world_t_hand=self.world_t_hand - gathered(origins, self.plane))
 
+    def about_planes(self) -> "Readings":
+        """Return the readings as seen from the mean position of the hand before their planes."""
+        return self.seen_from(self.plane_means(self.world_t_hand))
+
     def typical_range(self) -> float:
         """Return the natural unit of lengths [m]: the median reading; see `typical_range`."""
         return self._typical_range

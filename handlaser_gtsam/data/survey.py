@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray, IntArray, frozen, frozen_indices
-from ..checks import number_array, require_kind, require_number, require_word
+from ..checks import number_array, require_fields, require_kind, require_number, require_word
 from ..errors import CalibrationWarning, InputError
 from ..quantities import LARGEST_LENGTH, WIDEST_CONE
 from ..text import shown, some
@@ -128,9 +128,8 @@ class Shots(Value):
         store(self, "station", frozen_indices(station))
         store(self, "across", frozen(across))
         store(self, "reading", frozen(reading))
-        if self.sigma is not None:
-            require_number("sigma", self.sigma, 0.0, LARGEST_LENGTH, above=True)
-        require_number("sigma_across", self.sigma_across, 0.0, LARGEST_LENGTH)
+        require_fields(self, "sigma", above=True)
+        require_fields(self, "sigma_across")
         if self.sigma_across and (self.kind != "profiler" or self.sigma is None):
             found = f"sigma_across of {self.name}"
             raise InputError(found, "it for a profiler only, and its sigma beside it")
@@ -404,9 +403,7 @@ class Survey(Value):
     warnings: tuple[CalibrationWarning, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.aiming_sigma is not None:
-            require_number("aiming_sigma", self.aiming_sigma, 0.0, LARGEST_LENGTH, above=True)
-        require_number("linearity", self.linearity, 0.0, LARGEST_LENGTH, above=True)
+        require_fields(self, "aiming_sigma", "linearity", above=True)
         require_kind("stations", self.stations, StationList)
         for name in ("lines", "warnings"):
             require_kind(name, getattr(self, name), tuple)

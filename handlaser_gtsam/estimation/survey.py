@@ -471,8 +471,7 @@ def _blames_relations(state: SurveyState, settled: bool) -> bool:
         # A relation that is grossly false may lead away from all that fits.
         there = replace(tied)
         found = there if there.minimize() and _some_relation_is_contradicted(there) else tied
-        state.rows, state.values = found.rows, found.values
-        state.sizes, state.used = found.sizes, found.used
+        state.take(found)
         return True
     return False
 
@@ -488,8 +487,7 @@ def _image_that_agrees(state: SurveyState) -> bool:
         every = np.ones(len(state.used), dtype=bool)
         image = replace(state, values=values, used=every)
         if _settle_near(image) and not _some_relation_is_contradicted(image):
-            state.rows, state.values = image.rows, image.values
-            state.sizes, state.used = image.sizes, image.used
+            state.take(image)
             return True
     return False
 
@@ -625,8 +623,7 @@ def _settle_grazing(state: SurveyState) -> bool:
         trial = replace(state, rows=rows, used=state.used | back, values=dict(state.values))
         if not _settle(trial):
             break
-        state.rows, state.used = trial.rows, trial.used
-        state.values, state.sizes = trial.values, trial.sizes
+        state.take(trial)
     return not (state.used & continued_items(state.rows, state.values)).any()
 
 

@@ -85,10 +85,10 @@ def best_image(
     if motion is None:
         return settled, others
     for _ in range(MOST_ROUNDS):
-        here, least, best, others = _chi2(state), -(FAR_SIGMAS**2), None, []
+        here, least, best, others = state.chi2(), -(FAR_SIGMAS**2), None, []
         for values in images_of(state.rows, state.values, motion):
             trial = replace(state, values=values)
-            more = _chi2(trial) - here
+            more = trial.chi2() - here
             # Where all that counts is symmetric, an image is a minimum itself. A relation that tells
             # images apart makes chi2 differ by the square of standard deviations.
             if abs(more) > 0.01:
@@ -97,7 +97,7 @@ def best_image(
                 # undetermined height of walls that noise makes lean perhaps never is.
                 lower = descended(problem, problem.blocks, values, 100)
                 trial = trial if lower is None else replace(state, values=lower)
-                more = _chi2(trial) - here
+                more = trial.chi2() - here
             if more < least:
                 least, best = more, trial.values
             elif abs(more) <= FAR_SIGMAS**2:
@@ -140,11 +140,6 @@ def with_images(
         return found, turned
     message = "the mirror image of a mount in the plane of the motion fits as well"
     return replace(found, status="undetermined", message=message), turned
-
-
-def _chi2(state: "SurveyState") -> float:
-    _, e = state.dense()[0].whitened()
-    return float(e @ e)
 
 
 def images_of(

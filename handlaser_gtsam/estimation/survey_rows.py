@@ -156,6 +156,10 @@ class SurveyRows:
         read = np.isin(np.arange(len(self.stops)), [item.station for item in self.items])
         return np.asarray(read & (np.bincount(self.stops, read)[self.stops] > 1.0))
 
+    def counted(self, used: BoolArray) -> list[Item]:
+        """Return the items that are `used`, by a mask (N,)."""
+        return [item for item, counts in zip(self.items, used, strict=True) if counts]
+
     def counts(self) -> dict[str, int]:
         """Return the members of each family."""
         counts = {name: len(labels) for name, labels in self.targets.items()}

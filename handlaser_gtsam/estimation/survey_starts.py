@@ -14,6 +14,7 @@ Each sensor, and each beam, is searched by itself from all its starts together; 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
+from types import MappingProxyType
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -136,7 +137,9 @@ def _searched_or_drawn(
     # false minimum fits well, too.
     poor = found is None or found[0] > 25.0 or _redundancy(own, found[1]) < FEW_DEGREES
     if last_resort and entity[0] == SENSOR.name and poor:
-        drawn = _random_mounts()
+        rng = np.random.default_rng(RANDOM)
+        turns = Rotation.random(RANDOM, random_state=rng).as_matrix()
+        drawn = list(map(_mount, turns, rng.normal(scale=0.1, size=(RANDOM, 3))))
         more = _searched(rows, entity, own, drawn, sigmas, thorough=True, held=held)
         if more is not None and (found is None or more[0] < found[0]):
             found = more
@@ -162,9 +165,7 @@ def _around_one(
     for reference, (_, misfit, there) in zip(entities, ends, strict=True):
         if not targets <= there.keys():
             continue
-        values, cost = _empty(rows), misfit
-        for (family, member), x in there.items():
-            values[family][0, member] = x
+        values, cost = _empty(rows, there), misfit
         for entity, (_, _, own_end) in zip(entities, ends, strict=True):
             if entity == reference:
                 continue
@@ -202,10 +203,7 @@ def _images_that_agree(
     for i in order:
         redundancy, misfit, there = ends[i]
         if has_image(rows, entities[i]):
-            values = _empty(rows)
-            for (family, member), x in there.items():
-                values[family][0, member] = x
-            image = reflected(rows, values, motion, (entities[i],))
+            image = reflected(rows, _empty(rows, there), motion, (entities[i],))
             there = min(there, {e: image[e[0]][0, e[1]] for e in there}, key=apart)
         found[i] = redundancy, misfit, there
         for entity, x in there.items():
@@ -276,13 +274,18 @@ def search_again(
         values[entity[0]][0, entity[1]] = found[1][entity]
 
 
-def _empty(rows: SurveyRows) -> dict[str, FloatArray]:
+def _empty(
+    rows: SurveyRows, there: Mapping[Entity, FloatArray] = MappingProxyType({})
+) -> dict[str, FloatArray]:
+    """Return values (1, n, size) of which nothing is known but what is `there`."""
     values = {
         name: np.zeros((1, count, FAMILIES[name].size)) for name, count in rows.counts().items()
     }
     for name, place in HARMLESS.items():
         if name in values:
             values[name][..., place] = 1.0
+    for (family, member), x in there.items():
+        values[family][0, member] = x
     values[POSE.name] = rows.poses()
     return values
 
@@ -317,8 +320,7 @@ def _from_planes(rows: SurveyRows, *, among_outliers: bool) -> dict[Entity, Floa
         count += len(origin)
     if not entries:
         return {}
-    readings = rows.readings(entries, count)
-    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    readings = rows.readings(entries, count).about_planes()
     try:
         if among_outliers:
             found = find_consensus(readings, None, 0, certain=False).parameters
@@ -568,12 +570,6 @@ def _random_beams() -> list[FloatArray]:
     v /= np.linalg.norm(v, axis=1)[:, None]
     r = rng.normal(scale=0.1, size=(RANDOM, 3))
     return list(np.hstack((r, v, np.zeros((RANDOM, 2)))))
-
-
-def _random_mounts() -> list[FloatArray]:
-    rng = np.random.default_rng(RANDOM)
-    turns = Rotation.random(RANDOM, random_state=rng).as_matrix()
-    return list(map(_mount, turns, rng.normal(scale=0.1, size=(RANDOM, 3))))
 
 
 def _mount(R: FloatArray, t: FloatArray) -> FloatArray:

@@ -65,6 +65,16 @@ class SurveyState:
         unknown, length = self.rows.unknown(), self.rows.length
         return BlockProblem([*blocks, *self.beside()], self.values, unknown, length), used[owner]
 
+    def chi2(self) -> float:
+        """Return the sum of squares of all that counts, in standard deviations."""
+        _, e = self.dense()[0].whitened()
+        return float(e @ e)
+
+    def take(self, other: "SurveyState") -> None:
+        """Go to where another state of the same survey stands."""
+        self.rows, self.values = other.rows, other.values
+        self.sizes, self.used = other.sizes, other.used
+
     def beside(self) -> list[Block]:
         """Return the blocks that are of no item: priors and relations."""
         relations = (relation for _, relation in self.relations)
@@ -136,8 +146,8 @@ class SurveyState:
         return np.broadcast_to(C * np.outer(size, size), (count, 6, 6))
 
     def stations(self, owner: IntArray) -> IntArray:
-        """Return the stations of rows of items; any of rows that have none."""
-        return np.array([item.station for item in self.rows.items])[owner]
+        """Return the stations of rows of items; -1 of rows that have none."""
+        return np.append([item.station for item in self.rows.items], -1)[owner]
 
     def stops(self, owner: IntArray) -> IntArray:
         """Return the stops of rows of items, as of an `Item`; -1 of rows that have none."""

@@ -120,7 +120,7 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
     if state is None:
         return None
     rows, owner = state.dense()
-    trial, stations = _Trial(rows), _stations(state, owner)
+    trial, stations = _Trial(rows), state.stations(owner)
     best: list[tuple[Entity, int, Tried]] = []
     for entity, splits in _splits(state):
         looked_for += len(splits)
@@ -233,19 +233,14 @@ def _splits(state: SurveyState) -> Iterator[tuple[Entity, list[int]]]:
     Beams that are aimed at points do not count: each station is aimed by itself.
     """
     seen: dict[Entity, set[int]] = {}
-    for item, used in zip(state.rows.items, state.used, strict=True):
-        if used and item.target[0] != POINT.name:
+    for item in state.rows.counted(state.used):
+        if item.target[0] != POINT.name:
             for entity in (item.target, item.mount):
                 seen.setdefault(entity, set()).add(item.station)
     for entity, stations in seen.items():
         splits = sorted(stations)[LEAST_STATIONS : len(stations) - LEAST_STATIONS + 1]
         if entity[0] in PLACES_OF and splits:
             yield entity, [splits[i] for i in evenly(len(splits), MOST_SPLITS)]
-
-
-def _stations(state: SurveyState, owner: IntArray) -> IntArray:
-    """Return the stations of rows of items; -1 of rows that have none."""
-    return np.where(owner < 0, -1, state.stations(owner))
 
 
 def _place(state: SurveyState, entity: Entity) -> IntArray:
@@ -257,7 +252,7 @@ def _place(state: SurveyState, entity: Entity) -> IntArray:
 def _since(entity: Entity, station: int, state: SurveyState, pose_errors: bool) -> FloatArray:
     """Return the derivatives (R, 3) by the place of an entity from a station on."""
     rows, owner = state.dense(pose_errors=pose_errors)
-    late = _stations(state, owner) >= station
+    late = state.stations(owner) >= station
     return np.asarray(rows.derivatives[:, _place(state, entity)] * late[:, None])
 
 

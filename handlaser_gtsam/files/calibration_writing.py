@@ -18,6 +18,7 @@ from ..quantities import LARGEST_LENGTH
 from ..results.calibration import Calibration
 from ..results.calibration_data import Beam
 from ..results.limits import Limits
+from ..results.result import Result
 from ..results.spots import spot
 from ..results.verdict import Verdict
 from .checked_text import WARNING, Record, json_text, record, records
@@ -200,25 +201,11 @@ def write_calibration(
     InputError
         What is no calibration, a reading beside a survey, or a file that cannot be written.
     """
-    require_result(calibration)
+    require_kind("calibration", calibration, Result, "handlaser_gtsam.Calibration(...)")
     if reading is not None:
         require_number("a reading of", reading, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
     judged = calibration.judged(limits, reading)
     write_text(path_of(path), calibration_text(calibration, judged))
-
-
-def require_result(calibration: object) -> None:
-    """Refuse what is a calibration neither of beams before planes nor of a survey.
-
-    Raises
-    ------
-    InputError
-    """
-    if not isinstance(calibration, Calibration):
-        from ..results.survey import SurveyCalibration
-
-        expected = "handlaser_gtsam.Calibration(...)"
-        require_kind("calibration", calibration, SurveyCalibration, expected)
 
 
 def check_text(check: "MotionCheck | SurveyCheck", read: Sequence[str] = ()) -> str:

@@ -10,6 +10,7 @@ from ..data.recording import beyond_planes
 from ..data.survey import Survey, kind_of
 from ..errors import CalibrationWarning, InputError
 from ..model.sensor_limits import Sensor
+from ..results.messages import warned
 from ..text import shown
 from .logs.format import NO_HALF_ANGLE, LogFormat, LogReport
 from .recording_csv import read_recording
@@ -99,12 +100,7 @@ def _warnings(
     warnings = tuple(one for one in warnings if one.code != NO_HALF_ANGLE)
     if kind != "ultrasonic" or cones or not beams:
         return warnings
-    words = (
-        'kind = "ultrasonic" in [sensor] without half_angle_deg: readings are taken for those along a '
-        "beam, where an ultrasonic sensor reads what is nearest in a cone; state half_angle_deg, half "
-        "the opening angle of the data sheet"
-    )
-    return (*warnings, CalibrationWarning(NO_HALF_ANGLE, words, {"beams": len(beams)}))
+    return (*warnings, warned(NO_HALF_ANGLE, {"beams": len(beams)}))
 
 
 def read_any(

@@ -119,7 +119,11 @@ def read_points(
             _require_station(table, name, station_of)
             station = np.full(len(table.frame), place[name], dtype=np.intp)
         else:
-            column, names = _stations(table, station_column)
+            column = station_column
+            if not column or column not in table.frame.columns:
+                column = _column(table, "station")
+            table.refuse(table.frame[column].is_null().to_numpy(), column, "the name of a station")
+            names = label_texts(table, column)
             called = {one: station_of(one) for one in names.unique().to_list()}
             names = names.replace_strict(called, return_dtype=pl.String)
             foreign = [one for one in names.unique(maintain_order=True) if one not in place]
@@ -241,15 +245,6 @@ def _require_station(table: FileTable, name: str, station_of: Callable[[str], st
         others = [one for one in cells.unique() if one is not None and station_of(one) != name]
         expected = f"rows of {name} only, as the name of the file has it, or no column {column}"
         table.refuse(cells.is_in(others).fill_null(value=False).to_numpy(), column, expected)
-
-
-def _stations(table: FileTable, station_column: str) -> tuple[str, pl.Series]:
-    """Return the column of the stations, and their names."""
-    column = station_column
-    if not column or column not in table.frame.columns:
-        column = _column(table, "station")
-    table.refuse(table.frame[column].is_null().to_numpy(), column, "the name of a station")
-    return column, label_texts(table, column)
 
 
 def _points(

@@ -35,6 +35,7 @@ from typing import Annotated, Any, Literal
 import polars as pl
 from pydantic import Discriminator, Field, Tag
 
+from ..checks import imported
 from ..data.noise import SIGMAS
 from ..errors import InputError
 from ..estimation.options import RANGE_ERROR_TERMS, CalibrationOptions, Outliers, Poses, RangeError
@@ -224,13 +225,9 @@ def write_study_picture(path: Path | str, summary: pl.DataFrame) -> None:
     """
     path = path_of(path)
     require_writable(path)
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[plots]'"
-        raise InputError("no matplotlib, which draws pictures", expected) from error
+    drawing = imported("matplotlib.figure", "plots", "no matplotlib, which draws pictures")
     names = [f"{row['scene']}, {row['treatment']}" for row in summary.iter_rows(named=True)]
-    figure = Figure(figsize=(11.0, 1.6 + 0.35 * len(names)), layout="constrained")
+    figure = drawing.Figure(figsize=(11.0, 1.6 + 0.35 * len(names)), layout="constrained")
     axes = figure.subplots(1, len(PANELS), sharey=True)
     for axis, (column, title) in zip(axes, PANELS.items(), strict=True):
         errors = summary["standard_error"].fill_null(0.0) if column == "nees" else None

@@ -17,6 +17,7 @@ import polars as pl
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.recording import first_repeated
 from ..errors import CalibrationWarning, InputError
+from ..results.messages import Values, warned
 from ..text import A_NAME, LONGEST_NAME, count, name_fault, shown, some
 from .checked_text import read_text
 
@@ -199,12 +200,9 @@ def titles_above(rows: Sequence[Sequence[str]]) -> int:
 def titles_warning(titles: Sequence[str], path: Path) -> tuple[CalibrationWarning, ...]:
     """Return the warning that lines above the header were passed over."""
     there = [title for title in titles if title]
-    words = (
-        f"{path.name}: passed over {count(len(there), 'line')} above the header: {shown(there[0])}"
-    )
-    words += ", ..." if len(there) > 1 else ""
-    values: dict[str, float | str] = {"file": path.name, "lines": len(there), "first": there[0]}
-    return (CalibrationWarning("title-lines", words, values),)
+    values: Values = {"file": path.name, "lines": len(there), "first": there[0]}
+    words = {"shown": shown(there[0]), "more": ", ..." if len(there) > 1 else ""}
+    return (warned("title-lines", values, count=count(len(there), "line"), **words),)
 
 
 def table_of(

@@ -22,7 +22,15 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import RAY_ERRORS
-from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, NEGLIGIBLE, NUMBERS_AT_ONCE, TINY
+from ..quantities import (
+    MEDIAN_TO_SIGMA,
+    MOST_ROUNDS,
+    NEGLIGIBLE,
+    NUMBERS_AT_ONCE,
+    RESOLUTION,
+    ROUGH_CUT,
+    TINY,
+)
 from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
 from .range_blocks import Ranges
@@ -30,8 +38,6 @@ from .reduced_information import inverse_stack
 from .sensors.kinds import Kind, Rayset
 from .sensors.mounted import LEAST_SLOPE, SENSOR
 
-FAR_FROM_SHAPE = 4.5
-"""Points farther than this many standard deviations from the shape of their shot are rejected."""
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
 MANY, OF_MANY = 100, 0.35
@@ -43,8 +49,6 @@ VOTING = 128
 """Points that vote on trial shapes."""
 MOST_SLANTED = 3.0
 """Rays that count meet the target with a cosine of at least one over this."""
-SHAPE_SETTLED = 1e-10
-"""A relative step of a shape below this is rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +257,11 @@ def _condensed(
     else:
         found, fits, kept = _robust(shape, rays, reading, sigma)
     fits &= ~_flat(shape, found, rays, reading)
-    kept &= _steep(shape, found, rays)
+    # Readings of rays that graze the target err most, and soon the rays miss it.
+    s = shape.ranges(found[:, None], rays)[:, 0]
+    hit = np.isfinite(s)
+    a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
+    kept &= hit & (np.einsum("gni,gni->gn", a, a) < MOST_SLANTED**2)
     many = kept.sum(axis=1)
     whole = np.flatnonzero(fits & (many > few) & (many >= shape.size))
     ends: list[Condensed | None] = [None] * G
@@ -294,7 +302,7 @@ def _fitted(
         root = hit / np.sqrt(1.0 + (ratio * slope) ** 2)
         further = _solved(J * root[..., None], e * root)
         left = e - (J @ further[..., None])[..., 0]
-        small = np.abs(further).max(axis=1) <= SHAPE_SETTLED * np.abs(found).max(axis=1)
+        small = np.abs(further).max(axis=1) <= RESOLUTION * np.abs(found).max(axis=1)
         # The start is a minimum with the points where they were read: they have to move first.
         if small[fits].all() and (step or not ratio):
             break
@@ -433,7 +441,7 @@ def _robust(
     # A median of n distances from a shape of p numbers, which was chosen for it, is too small by this
     # (Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987, page 202).
     larger = 1.0 + 5.0 / (n - shape.size)
-    least = np.maximum(SHAPE_SETTLED * np.median(reading, axis=1), sigma or 0.0)
+    least = np.maximum(RESOLUTION * np.median(reading, axis=1), sigma or 0.0)
     for sifting in range(4):  # two settle most shots
         e = _misses(reading, shape.ranges(found[:, None], rays)[:, 0])
         order = np.sort(np.where(kept, e, np.inf), axis=1)
@@ -443,7 +451,7 @@ def _robust(
             scale = 0.5 * MEDIAN_TO_SIGMA * median
         else:
             scale = to_sigma * order[:, int(share * (n - 1))]
-        before, kept = kept, e <= FAR_FROM_SHAPE * np.maximum(larger * scale, least)[:, None]
+        before, kept = kept, e <= ROUGH_CUT * np.maximum(larger * scale, least)[:, None]
         if sifting and (kept == before)[fits].all():
             break
         again, good, _ = _fitted(shape, found, rays, reading, kept)
@@ -474,14 +482,6 @@ def _flat(shape: Shape, found: FloatArray, rays: Rayset, reading: FloatArray) ->
 def _misses(reading: FloatArray, s: FloatArray) -> FloatArray:
     """Return by how much readings differ from ranges; infinite where a ray meets nothing."""
     return np.where(np.isfinite(s), np.abs(reading - np.where(np.isfinite(s), s, 0.0)), np.inf)
-
-
-def _steep(shape: Shape, found: FloatArray, rays: Rayset) -> BoolArray:
-    """Tell which rays do not graze the target: their readings err most, and soon they miss it."""
-    s = shape.ranges(found[:, None], rays)[:, 0]
-    hit = np.isfinite(s)
-    a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
-    return np.asarray(hit & (np.einsum("gni,gni->gn", a, a) < MOST_SLANTED**2))
 
 
 def _rows(

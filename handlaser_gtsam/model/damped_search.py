@@ -16,9 +16,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..checks import require_count, require_number
+from ..checks import require_count, require_fields
 from ..progress import Trial
-from ..quantities import LARGEST_NUMBER, TINY
+from ..quantities import LARGEST_NUMBER, RESOLUTION, TINY
 from .block import Block, OfProblems, Rows, Values, impossible, whitened
 from .losses import Loss
 from .reduction import Normal, Reduction, damped_step
@@ -26,8 +26,6 @@ from .reduction import Normal, Reduction, damped_step
 POOR_GAIN = 0.25
 """A step that saves less than this part of what the linear model promised raises lambda, and one that
 saves all but less than this part lowers it."""
-COST_RESOLUTION = 1e-10
-"""Changes of the cost below this part of it are rounding, not evidence."""
 LEVEL_STEPS = 6
 """Steps in a row below the resolution of the cost that end a search: fewer occur before a minimum."""
 CREEPING_STEP, CREEPING_AFTER = 1e-6, 100
@@ -78,7 +76,7 @@ class StoppingRule:
 
     def resolution(self, cost: FloatArray) -> FloatArray:
         """Return the smallest change that shows in `cost`."""
-        return np.asarray(COST_RESOLUTION * cost + self.rounding_cost)
+        return np.asarray(RESOLUTION * cost + self.rounding_cost)
 
     def gain(self, decrement: FloatArray, cost: FloatArray, trial: FloatArray) -> FloatArray:
         """Return what part of the promised saving a step from `cost` to `trial` achieved.
@@ -143,10 +141,10 @@ class LevenbergOptions:
 
     def __post_init__(self) -> None:
         require_count("max_iterations", self.max_iterations, 0, 10**9)
-        for name in ("step_tolerance", "least_damping", "first_damping"):
-            require_number(name, getattr(self, name), 0.0, LARGEST_NUMBER)
-        require_number("damping_factor", self.damping_factor, 1.0, LARGEST_NUMBER, above=True)
-        require_number("most_damping", self.most_damping, 0.0, LARGEST_NUMBER, above=True)
+        dampings = ("step_tolerance", "least_damping", "first_damping")
+        require_fields(self, *dampings, most=LARGEST_NUMBER)
+        require_fields(self, "damping_factor", least=1.0, most=LARGEST_NUMBER, above=True)
+        require_fields(self, "most_damping", most=LARGEST_NUMBER, above=True)
 
     def adapted(self, damping: FloatArray, gain: FloatArray) -> FloatArray:
         """Return lambda after steps that saved the shares `gain` of what was promised."""
@@ -160,9 +158,8 @@ class LevenbergOptions:
         lower = np.where(lower >= last, lower, 0.0)
         lower = np.maximum(lower, self.least_damping)
         rest = np.where(gain > 1.0 - POOR_GAIN, lower, damping)
-        return np.where(
-            gain >= POOR_GAIN, rest, higher
-        )  # higher also where the gain is not a number
+        # Higher also where the gain is not a number.
+        return np.where(gain >= POOR_GAIN, rest, higher)
 
 
 @dataclass(frozen=True, slots=True)

@@ -320,7 +320,9 @@ class Structure:
             seen_by_station = np.full(int(station.max()) + 1, -1)
             if member is not None:
                 seen_by_station[station[groups]] = member[:, None]
-        order, begins = _runs(pattern if member is None else pattern * self.members + member)
+        key = pattern if member is None else pattern * self.members + member
+        order = np.argsort(key, kind="stable")
+        begins = np.flatnonzero(np.diff(key[order], prepend=-1))
         runs: tuple[slice, ...] = ()
         if len(groups) >= FEWER * len(begins):
             runs = tuple(slice(a, b) for a, b in pairwise((*begins.tolist(), len(groups))))
@@ -592,12 +594,6 @@ def _lift(damping: FloatArray, diagonal: FloatArray) -> FloatArray:
     least = (SINGULAR * largest).reshape(shape)
     lift: FloatArray = damping.reshape(shape) * np.maximum(diagonal, least)
     return lift
-
-
-def _runs(key: IntArray) -> tuple[IntArray, IntArray]:
-    """Return an order in which equal keys follow each other, and where each of their runs begins."""
-    order = np.argsort(key, kind="stable")
-    return order, np.flatnonzero(np.diff(key[order], prepend=-1))
 
 
 def _before(which: BoolArray) -> IntArray:

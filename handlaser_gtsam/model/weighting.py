@@ -210,9 +210,8 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     moved = _moved(linear.pose, variances.pose, readings.station)
     variance = sensor + (moved**2).sum(axis=1)
     typical = float(np.median(variance))
-    if int(station.max()) + 1 == len(
-        station
-    ):  # errors of the pose are then noise of the only reading
+    if int(station.max()) + 1 == len(station):
+        # Errors of the pose are noise of the only reading then.
         return Whitening(np.sqrt(typical / variance), float(np.sqrt(typical)), station)
     root = np.sqrt(typical / np.maximum(sensor, LEAST_OWN * variance))
     common = _common_columns(moved * (root / np.sqrt(typical))[:, None], station)

@@ -328,7 +328,7 @@ def check_motion(recording: Recording) -> MotionCheck:
         planes.append(motion_before(name, R, t, stations, read))
     readings, order = sorted_readings(recording)
     names = BeamAndPlaneNames.of(recording, order)
-    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    readings = readings.about_planes()
     parts, leans, unknowns = _open_in_general(readings, names), True, count_unknowns(readings, 0)
     motion = poor_motion(readings)
     if motion is not None:

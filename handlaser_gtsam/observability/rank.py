@@ -179,12 +179,8 @@ def observability(
     GrazingBeamError
     """
     options = options or ObservabilityOptions()
-    counts, planes, length = (
-        per_beam(terms, readings.beams),
-        readings.planes,
-        readings.typical_range(),
-    )
-    most = max(counts)
+    counts, length = per_beam(terms, readings.beams), readings.typical_range()
+    planes, most = readings.planes, max(counts)
     width = MOUNT_DIM + most
     normal, centres = linearized(parameters, readings, most, whitening)
     of_beam, plane_unit = BEAM.natural_units(length)[:width], PLANE.natural_units(length)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import FloatArray
-from ..checks import number_array, require_count, require_number
+from ..checks import number_array, require_count, require_fields
 from ..data.parameters import Parameters
 from ..data.value import Value
 from ..errors import ArgumentError, InputError
@@ -60,10 +60,9 @@ class Plate(Value):
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", vectors("point", self.point, 1)[0])
         object.__setattr__(self, "normal", directions("normal", self.normal, 1)[0])
-        require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
-        require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
-        if self.across is not None:
-            require_number("across", self.across, 0.0, LARGEST_LENGTH, above=True, unit="m")
+        require_fields(self, "within", unit="m")
+        require_fields(self, "tilt", most=STEEPEST_TILT, unit="rad")
+        require_fields(self, "across", above=True, unit="m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,9 +91,8 @@ class Placement:
 
     def __post_init__(self) -> None:
         require_count("planes", self.count, 1, MOST_PLANNED)
-        require_number("largest_tilt", self.largest_tilt, 0.0, STEEPEST_TILT, unit="rad")
-        require_number("within", self.within, 0.0, LARGEST_LENGTH, unit="m")
-        require_number("tilt", self.tilt, 0.0, STEEPEST_TILT, unit="rad")
+        require_fields(self, "within", unit="m")
+        require_fields(self, "largest_tilt", "tilt", most=STEEPEST_TILT, unit="rad")
 
     def orientations(self, plate: Plate) -> list[Plate]:
         """Return the plates that are compared: as it stands, and turned about its point."""
@@ -149,8 +147,8 @@ class Bounds(Value):
             raise InputError(found, "one of each for every beam")
         object.__setattr__(self, "locations", locations)
         object.__setattr__(self, "directions", axes)
-        require_number("location_within", self.location_within, 0.0, LARGEST_LENGTH, unit="m")
-        require_number("cone", self.cone, 0.0, STEEPEST_TILT, unit="rad")
+        require_fields(self, "location_within", unit="m")
+        require_fields(self, "cone", most=STEEPEST_TILT, unit="rad")
 
     def middle(self) -> Parameters:
         """Return the beams and the plate in the middle of the bounds, without range errors."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..checks import require_number, require_word
+from ..checks import require_fields, require_word
 from ..data.value import Value
 from ..model.families import (
     BEAM,
@@ -99,13 +99,8 @@ class Goal:
 
     def __post_init__(self) -> None:
         require_word("criterion", self.criterion, CRITERIA)
-        for name in ("location_sigma", "direction_sigma", "spot"):
-            if getattr(self, name) is not None:
-                require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH, above=True)
-        if self.working_distance is not None:
-            require_number(
-                "working_distance", self.working_distance, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m"
-            )
+        require_fields(self, "location_sigma", "direction_sigma", "spot", above=True)
+        require_fields(self, "working_distance", least=-LARGEST_LENGTH, unit="m")
 
     @property
     def stated(self) -> bool:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..checks import number_array, require_number
+from ..checks import number_array, require_fields
 from ..data.recording import check_poses, numbered, rotation_matrix
 from ..data.value import Value
 from ..errors import InputError
@@ -77,11 +77,9 @@ class Robot(Value):
             raise InputError(f"start joints of shape {start.shape}", "one finite number a joint")
         object.__setattr__(self, "start", start)
         object.__setattr__(self, "urdf", str(self.urdf))
-        require_number("clearance", self.clearance, 0.0, LARGEST_LENGTH, unit="m")
-        for name in ("plate_across", "plate_thickness"):
-            require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH, above=True, unit="m")
-        if self.table is not None:
-            require_number("table", self.table, -LARGEST_LENGTH, LARGEST_LENGTH, unit="m")
+        require_fields(self, "clearance", unit="m")
+        require_fields(self, "plate_across", "plate_thickness", above=True, unit="m")
+        require_fields(self, "table", least=-LARGEST_LENGTH, unit="m")
 
     @property
     def joint_names(self) -> tuple[str, ...]:

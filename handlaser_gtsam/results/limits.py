@@ -7,8 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ..checks import require_number
-from ..quantities import IN_DEG, IN_MM, LARGEST_LENGTH
+from ..checks import require_fields
+from ..quantities import IN_DEG, IN_MM
 from .calibration_data import CalibrationData
 from .systematic import SystematicError
 
@@ -34,10 +34,7 @@ class Limits:
     direction_sigma: float | None = None
 
     def __post_init__(self) -> None:
-        for name in get_args(Quantity):
-            value = getattr(self, name)
-            if value is not None:
-                require_number(name, value, 0.0, LARGEST_LENGTH, above=True)
+        require_fields(self, *get_args(Quantity), above=True)
 
 
 @dataclass(frozen=True, slots=True)

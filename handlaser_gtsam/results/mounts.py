@@ -89,7 +89,7 @@ class Mounts(Value):
         wrong = ~(np.abs(length - 1.0) <= NEGLIGIBLE)
         if wrong.any():
             raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
-        require_covariance("a covariance of the beams", self.covariance, LARGEST_LENGTH, NEGLIGIBLE)
+        require_covariance("a covariance of the beams", self.covariance, NEGLIGIBLE)
         require_number("range_sigma", self.range_sigma, LEAST_SIGMA, LARGEST_LENGTH, unit="m")
         if self.pose_covariance is not None:
             checked = Noise(pose_covariance=self.pose_covariance).pose_covariance

@@ -84,14 +84,10 @@ def glances(recording: Recording, changes: Sequence[Change]) -> FloatArray:
             shapes.setdefault(shape, []).append((i, readings))
     found = np.full(len(changes), np.inf)
     for alike in shapes.values():
-        which, each = [i for i, _ in alike], [_about_planes(readings) for _, readings in alike]
+        which, each = [i for i, _ in alike], [readings.about_planes() for _, readings in alike]
         variance = [max(float(readings.distance.var()), TINY) for readings in each]
         found[which] = mean_squares_at_a_glance(each) / variance
     return found
-
-
-def _about_planes(readings: Readings) -> Readings:
-    return readings.seen_from(readings.plane_means(readings.world_t_hand))
 
 
 def misfit(recording: Recording, terms: int, effort: Effort, reach: float = np.inf) -> float:
@@ -100,7 +96,7 @@ def misfit(recording: Recording, terms: int, effort: Effort, reach: float = np.i
     It is infinite where a beam lies farther from the hand's origin than `reach` [m]: readings in a
     wrong unit can fit a beam that is metres away.
     """
-    readings = _about_planes(sorted_readings(recording)[0])
+    readings = sorted_readings(recording)[0].about_planes()
     start = find_start(readings, None, terms, effort=effort)
     if not np.linalg.norm(start.parameters.locations, axis=1).max() <= reach:
         return np.inf

@@ -80,7 +80,7 @@ def spot_at(
         expected = "a positive range" if least == 0.0 else f"a range of {least:g} m or more"
         raise InputError(f"a reading of {reading:g} m", expected)
     k1, k2 = beam.range_error
-    x, J = spot_of(np.concatenate((beam.location, beam.direction, beam.range_error)), reading)
+    x, J = spot_of(beam.coordinates, reading)
     return x, J, float(1.0 + k1 + 2.0 * k2 * reading)
 
 

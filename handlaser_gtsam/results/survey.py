@@ -490,9 +490,8 @@ def _target(found: SurveyEstimate, family: str, member: int, label: str) -> Surv
         return SurveyTarget(label, family, values, dict(zip(names, sigma.tolist(), strict=True)))
     n, c = x[:3], x[4:]
     values = {"nx": float(n[0]), "ny": float(n[1]), "nz": float(n[2]), "b": float(x[3] - n @ c)}
-    by_plane = np.append(
-        -c @ bases(n), 1.0
-    )  # of the offset from the origin, far from which n counts
+    # Of the offset from the origin, far from which n counts.
+    by_plane = np.append(-c @ bases(n), 1.0)
     offset = float(np.sqrt(by_plane @ C @ by_plane))
     return SurveyTarget(label, family, values, {"tilt": float(sigma[:2].max()), "offset": offset})
 
@@ -544,14 +543,11 @@ def _effects(found: SurveyEstimate) -> dict[int, dict[str, TestedEffect]]:
         turn = follows[own.place[SENSOR.name][member] + np.arange(6)]
         shift = float(np.linalg.norm(-skew(spot) @ turn[:3] + turn[3:]))
         if code == BOTH_AXES:
-            tested = _tried(found, tested, member, len(columns))
+            # The size of a profiler is tested with noise that is learned beside it.
+            tried = too_small_alike(found, member)
+            size, sigma = float(tried.size[0]), math.sqrt(tried.covariance[0, 0])
+            detectable = tested.detectable / tested.sigma * sigma
+            shown = tried.p_value < FAMILY_LEVEL / len(columns)
+            tested = TestedEffect(size, sigma, detectable, shown)
         effects.setdefault(member, {})[code] = replace(tested, spot_shift=shift)
     return effects
-
-
-def _tried(found: SurveyEstimate, tested: TestedEffect, member: int, of: int) -> TestedEffect:
-    """Return the test of the size of a profiler, one of some, with noise that is learned beside it."""
-    tried = too_small_alike(found, member)
-    size, sigma = float(tried.size[0]), math.sqrt(tried.covariance[0, 0])
-    detectable = tested.detectable / tested.sigma * sigma
-    return TestedEffect(size, sigma, detectable, tried.p_value < FAMILY_LEVEL / of)

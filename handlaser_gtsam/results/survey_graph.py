@@ -20,7 +20,7 @@ from ..quantities import NEGLIGIBLE
 def survey_graph(found: SurveyEstimate) -> BlockGraph:
     """Return the graph of what counts of a survey, with the noise that was found, and its solution."""
     state = found.ended()
-    used = [item for item, counts in zip(found.rows.items, found.used, strict=True) if counts]
+    used = found.rows.counted(found.used)
     unknown, sigmas, covariance = found.rows.unknown(), state.sigmas(), state.pose_covariance()
     if not covariance.any():
         blocks, _ = blocks_of(used, sigmas, state.values)

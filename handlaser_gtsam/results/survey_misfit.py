@@ -33,13 +33,13 @@ from ..estimation.survey import (
 from ..estimation.survey_outliers import GROSS, MOST_LEFT_OUT, OF_OTHERS, misfits, misses_of
 from ..estimation.survey_rows import Entity, SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
-from ..model.condensed_shots import FAR_FROM_SHAPE, LARGEST_BALL, condensed_shots
+from ..model.condensed_shots import LARGEST_BALL, condensed_shots
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
 from ..model.equation import plausible_factors
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE
 from ..model.sensors.kinds import KINDS
 from ..model.targets.sphere import SPHERE
-from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, WIDEST_CONE
+from ..quantities import FAR_SIGMAS, IN_DEG, IN_MM, ROUGH_CUT, WIDEST_CONE
 from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
@@ -487,7 +487,7 @@ def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Cost) -> bo
     if not dof or total == 0.0:
         return None
     squares, own, lost = as_plane
-    return squares * dof / total + FAR_FROM_SHAPE**2 * lost > MUCH_DEARER * (own + lost)
+    return squares * dof / total + ROUGH_CUT**2 * lost > MUCH_DEARER * (own + lost)
 
 
 def _much_better(sensors: Iterable[tuple[Cost, Cost, float]]) -> bool:
@@ -500,8 +500,8 @@ def _much_better(sensors: Iterable[tuple[Cost, Cost, float]]) -> bool:
     many = gone = 0
     for stated, other, variance in sensors:
         if variance > 0.0:
-            now += stated[0] / variance + FAR_FROM_SHAPE**2 * stated[2]
-            changed += other[0] / variance + FAR_FROM_SHAPE**2 * other[2]
+            now += stated[0] / variance + ROUGH_CUT**2 * stated[2]
+            changed += other[0] / variance + ROUGH_CUT**2 * other[2]
             many, gone = many + other[1], gone + other[2]
     return many > 0 and gone <= OF_OTHERS * (many + gone) and now > MUCH_DEARER * changed
 

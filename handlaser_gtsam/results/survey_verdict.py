@@ -30,6 +30,7 @@ from .verdict import (
     failures_of,
     improvement_of,
     more_stations,
+    moved_beam_of,
 )
 from .warnings import DISPLACED, RIVAL, ambiguous
 
@@ -68,7 +69,7 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(result)
     contradicted = [one.message for one in result.warnings if one.code == FALSE_RELATION]
-    moved = next((one for one in result.warnings if one.code == DISPLACED), None)
+    moved = moved_beam_of(result.warnings)
     unsure = [one.message for one in result.warnings if one.code == TOO_FEW]
     unsure += ambiguous(result.warnings)
     code, first = "usable", ""

@@ -36,7 +36,6 @@ from ..model.distributions import (
 from ..model.families import (
     BEAM,
     DIRECTION,
-    FAMILIES,
     OF_DIRECTION,
     OF_LOCATION,
     OF_RANGE_ERROR,
@@ -261,9 +260,11 @@ def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
 
     Noise that is stated shows by chi2 that a mount does not fit.
     """
-    rows, unknowns = found.rows, FAMILIES[BEAM.name].dim
+    if found.estimate.status != "converged":
+        return
+    rows, unknowns, used = found.rows, BEAM.dim, found.rows.counted(found.used)
     another = unconfirmed_mount(rows)
-    if another and found.estimate.status == "converged":
+    if another:
         numbers, every = counts_of(rows)
         sentence = open_sentence(
             (another,), (MORE_STATIONS,), opening(numbers, every, (MORE_STATIONS,))
@@ -271,16 +272,10 @@ def _too_few(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         yield warned(
             f"{TOO_FEW}:survey", {"numbers": numbers, "unknowns": every}, sentence=sentence
         )
-    if found.estimate.status != "converged":
-        return
     related = {entity for known in rows.known for entity in rows.entities(known)}
     for member, name in enumerate(rows.survey.beam_names):
         mount = BEAM.name, member
-        numbers = sum(
-            item.numbers
-            for item, used in zip(rows.items, found.used, strict=True)
-            if used and item.mount == mount
-        )
+        numbers = sum(item.numbers for item in used if item.mount == mount)
         learned = np.isnan(found.stated.sigma[rows.sources[mount]])
         if numbers < unknowns and learned and mount not in related:
             values: Values = {"beam": name, "numbers": numbers, "unknowns": unknowns}
@@ -293,8 +288,8 @@ def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     for member, shots in enumerate(rows.survey.shots):
         before = [
             (item.station, item.points)
-            for item, used in zip(rows.items, found.used, strict=True)
-            if used and item.mount == (SENSOR.name, member) and item.target[0] == PLANE.name
+            for item in rows.counted(found.used)
+            if item.mount == (SENSOR.name, member) and item.target[0] == PLANE.name
         ]
         if shots.kind != "array" or not before:
             continue
@@ -317,8 +312,8 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     for member, shots in enumerate(found.rows.survey.shots):
         own = [
             one.shot
-            for one, used in zip(found.rows.items, found.used, strict=True)
-            if used and one.shot is not None and one.member == member and one.shot.dof
+            for one in found.rows.counted(found.used)
+            if one.shot is not None and one.member == member and one.shot.dof
         ]
         many = sum(shot.dof for shot in own)
         if not shots.sigma or not many:
@@ -375,7 +370,7 @@ def rival_mounts(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             there = descended(problem, problem.blocks, problem.start, LAST_STEPS)
             if there is None:
                 continue
-            excess = _squares(replace(state, values=there)) - _squares(state)
+            excess = replace(state, values=there).chi2() - state.chi2()
             angle = float(np.linalg.norm(there[BEAM.name][0, member, OF_DIRECTION] - v))
             if excess <= UNLIKELY_EXCESS and angle >= far:
                 words: Values = {"beam": name, "turn_deg": float(np.degrees(angle)), "chi2": excess}
@@ -410,9 +405,3 @@ def _minima(state: SurveyState, member: int) -> Iterator[FloatArray]:
         if min(float(np.linalg.norm(w - one)) for one in seen) > SAME_DIRECTION:
             seen.append(w)
             yield mounts[k]
-
-
-def _squares(state: SurveyState) -> float:
-    """Return chi2 of all that counts."""
-    _, e = state.dense()[0].whitened()
-    return float(e @ e)

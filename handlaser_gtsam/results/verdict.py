@@ -104,7 +104,7 @@ def improvement(
     mistake = _undone(calibration)
     if mistake is not None:
         return mistake
-    moved = moved_beam_of(calibration)
+    moved = moved_beam_of(calibration.warnings)
     if moved is not None:
         target, station = moved.values["target"], moved.values["station"]
         return improvement_of(f"{DISPLACED}:beam", target=target, station=station)
@@ -142,9 +142,9 @@ def improvement(
     return more_stations(failed)
 
 
-def moved_beam_of(calibration: CalibrationData) -> CalibrationWarning | None:
+def moved_beam_of(warnings: tuple[CalibrationWarning, ...]) -> CalibrationWarning | None:
     """Return the warning of a beam that was moved amid the recording; None where none was."""
-    return next((one for one in calibration.warnings if one.code == DISPLACED), None)
+    return next((one for one in warnings if one.code == DISPLACED), None)
 
 
 def _undone(calibration: CalibrationData) -> Improvement | None:
@@ -293,7 +293,7 @@ def verdict(
     checks = checked(calibration, limits or Limits())
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(calibration, radii, reading)
-    moved = moved_beam_of(calibration)
+    moved = moved_beam_of(calibration.warnings)
     shares = variance_shares(calibration, beam, reading) if beam else None
     hiding = hidden_errors(calibration)  # where a plausible size is known
     hidden = max(hiding, key=lambda one: one.moved(reading, unnoticed=True), default=None)
@@ -377,7 +377,7 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     warnings = len(calibration.warnings) - len(_mistakes(calibration))
     if found.code == "outside-limits":
         yield failures(found.limits)
-    moved = moved_beam_of(calibration)
+    moved = moved_beam_of(calibration.warnings)
     if found.code == "systematic-error" and moved is not None:
         yield clause(moved.message)
     elif found.code == "systematic-error" and found.harmful is not None:

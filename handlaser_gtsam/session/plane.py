@@ -26,15 +26,12 @@ from ..model.distributions import chi2_sf, gaussian_sf, student_quantile
 from ..model.families import BEAM, PLANE
 from ..model.joint import beams_lift
 from ..model.weighting import Whitening, weighed, whitening
-from ..quantities import KNOWN, NEGLIGIBLE
+from ..quantities import KNOWN, NEGLIGIBLE, ROUGH_CUT
 from ..solvers.beam_problem import jacobian_columns, moved
 from ..solvers.graph import grouped_blocks, pose_priors
 from ..solvers.isam import BeamState, GraphPart
 from ..starts.growing import PartialStart, grow
 from .config import SessionConfig
-
-SESSION_CUT = 4.5
-"""A new reading further off than this, in its standard deviations, is an outlier, if Gaussian."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +110,9 @@ class FittedPlane:
         end soon: then it is not the readings that are at fault.
         """
         dof, at = self.config.sigma_dof, self.parameters.beams
-        cut = SESSION_CUT
+        cut = ROUGH_CUT
         if np.isfinite(dof):
-            cut = -float(student_quantile(gaussian_sf(SESSION_CUT), dof))
+            cut = -float(student_quantile(gaussian_sf(ROUGH_CUT), dof))
         bad, now = np.zeros(recording.ranges.shape, dtype=bool), self
         most = MOST_REJECTED * (~np.isnan(recording.ranges)).sum()
         while True:

@@ -23,6 +23,7 @@ from ..model.sensor_limits import Rejected
 from ..pipeline import calibrate
 from ..results.calibration import Calibration
 from ..results.freed import prior_sizes
+from ..results.messages import warned
 from ..results.mounts import Mounts
 from ..validation.other_recording import BeamDrift
 from .config import SessionConfig
@@ -274,12 +275,8 @@ class Session:
         planes = len(now.contents.inside)
         learns = now.config.learned is not None or self.noise.range_sigma is None
         if learns and now.learned_with != planes:
-            words = (
-                f"the scales of noise and range errors were learned from {now.learned_with} of "
-                f"{planes} planes: recalibrate() learns them again"
-            )
             values = {"learned": now.learned_with, "planes": planes}
-            warnings = (*warnings, CalibrationWarning("scales-of-fewer-planes", words, values))
+            warnings = (*warnings, warned("scales-of-fewer-planes", values))
         return replace(calibration, warnings=warnings)
 
     def estimate(self) -> tuple[Readings, Parameters]:

@@ -73,7 +73,7 @@ def pose_priors(
     if np.shape(covariance)[1:] != (6, 6) or len(covariance) < count:
         found = f"covariances of shape {np.shape(covariance)}"
         raise InputError(found, f"({count}, 6, 6), one of each station")
-    require_covariance("a pose covariance", covariance, LARGEST_LENGTH, NEGLIGIBLE)
+    require_covariance("a pose covariance", covariance, NEGLIGIBLE)
     stations, first = np.unique(readings.station, return_index=True)
     whole = without_exact_axes(covariance[stations], readings.typical_range())
     return PosePriors(

@@ -229,11 +229,6 @@ class IncrementalGraph:
         """The blocks of all planes."""
         return [block for part in self._parts.values() for block in part.blocks]
 
-    def linearization_point(self) -> gtsam.Values:
-        """Return where all variables are linearised."""
-        with self._lock:
-            return gtsam.Values(self._view)
-
     def _copy(self) -> "IncrementalGraph":
         new = object.__new__(IncrementalGraph)
         new.__dict__.update(self.__dict__)

@@ -247,10 +247,9 @@ def _problem(found: SurveyEstimate) -> ReferenceProblem:
     state = found.ended()
     sigmas = state.sigmas()
     groups: dict[tuple[str, int, str], list[Item]] = defaultdict(list)
-    for item, used in zip(rows.items, found.used, strict=True):
-        if used:  # all beams of one kind together
-            member = item.member if item.points is not None else -1 - rows.sources[item.mount]
-            groups[item.family, member, item.target[0]].append(item)
+    for item in rows.counted(found.used):  # all beams of one kind together
+        member = item.member if item.points is not None else -1 - rows.sources[item.mount]
+        groups[item.family, member, item.target[0]].append(item)
     observed = []
     for (family, member, kind), items in groups.items():
         points = [np.zeros(1, np.intp) if item.points is None else item.points for item in items]
@@ -327,9 +326,8 @@ def _variables(
         shown = len(family.numbers)
         for i, (name, own) in enumerate(zip(rows.names(kind), members, strict=True)):
             numbers, lift = own[:shown], family.tangents_at(own)[:shown]
-            if (
-                kind == SENSOR.name
-            ):  # SciPy's numbers are turn and shift from here, and range errors
+            if kind == SENSOR.name:
+                # SciPy's numbers are turn and shift from here, and range errors.
                 numbers = np.append(np.zeros(POSE.dim), own[POSE.size :][free[i]])
                 sought = np.append(np.ones(POSE.dim, dtype=bool), free[i])
                 lift = np.eye(SENSOR.dim)[np.ix_(sought, np.asarray(unknown[kind]))]

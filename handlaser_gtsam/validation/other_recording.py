@@ -199,8 +199,7 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
     """Compare calibrated beams with a recording."""
     noise = noise.reordered(np.arange(len(recording.plane_labels)))
     mounts = mounts.arranged(recording.beam_names)
-    readings = recording.readings()
-    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    readings = recording.readings().about_planes()
     sigma = noise.range_sigma or mounts.range_sigma
     stations, pose = len(recording.plane_labels), None
     if noise.poses_uncertain:

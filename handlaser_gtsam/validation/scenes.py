@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import FloatArray
-from ..checks import require_count, require_number, require_word
+from ..checks import require_count, require_fields, require_word
 from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import InputError
@@ -49,8 +49,7 @@ class Layout:
         readings = self.beams * self.planes * self.stations
         if readings > MOST_READINGS:
             raise InputError(f"a scene of {readings} readings", f"at most {MOST_READINGS}")
-        for name in ("k1", "k2"):
-            require_number(name, getattr(self, name), -LARGEST_LENGTH, LARGEST_LENGTH)
+        require_fields(self, "k1", "k2", least=-LARGEST_LENGTH)
 
 
 Scene = Callable[[Layout, np.random.Generator], tuple[Parameters, Stations]]

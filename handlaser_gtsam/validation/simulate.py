@@ -11,13 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from .. import model
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..checks import require_kind, require_number
+from ..checks import require_fields, require_kind
 from ..data.noise import SIGMAS, Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..errors import InputError
 from ..model.sensor_limits import Sensor
-from ..quantities import LARGEST_LENGTH
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +60,7 @@ class Errors:
     pose_axes: tuple[int, ...] = (0, 1, 2)
 
     def __post_init__(self) -> None:
-        for name in SIGMAS:
-            require_number(name, getattr(self, name), 0.0, LARGEST_LENGTH)
+        require_fields(self, *SIGMAS)
 
     def stated(self) -> Noise:
         """Return the noise that a rig file states of these errors: a covariance if not all axes err."""

@@ -17,14 +17,13 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_complet
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import polars as pl
 
-from ..checks import require_count
+from ..checks import imported, require_count
 from ..data.parameters import Parameters
 from ..data.recording import Recording
 from ..errors import HandlaserError, InputError, SolverError
@@ -269,11 +268,8 @@ def workers(jobs: int | None, scheduler: str | None) -> Iterator[Callable[[], Ex
         return
     if jobs is not None:
         raise InputError("--jobs beside --scheduler", "one of the two")
-    try:
-        distributed: Any = import_module("distributed")
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[dask]'"
-        raise InputError("no dask.distributed, which --scheduler needs", expected) from error
+    missing = "no dask.distributed, which --scheduler needs"
+    distributed = imported("distributed", "dask", missing)
     try:
         client = distributed.Client(scheduler, timeout=CONNECTS_WITHIN)
     except (OSError, ValueError, TypeError) as error:

@@ -170,8 +170,7 @@ def _predicted(calibration: SurveyCalibration, out: BoolArray) -> SurveyPredicti
         The rest has no calibration, or says nothing about these shots.
     """
     whole = calibration._found
-    test = [item for item, used in zip(whole.rows.items, whole.used, strict=True) if used]
-    test = [item for item in test if out[item.station]]
+    test = [item for item in whole.rows.counted(whole.used) if out[item.station]]
     survey = whole.rows.survey
     rest = survey.part(~out) if (survey.stations_read() & ~out).any() else None
     if not test or rest is None or len(rest.shots) + len(rest.beam_names) < len(calibration.mounts):

@@ -39,17 +39,22 @@ def fixed(value: float, digits: int = 9) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-def environment(package: str, **filters: Callable[..., object]) -> "Environment":
-    """Return the templates in the folder of a package, which may use some filters."""
+def environment(
+    package: str, folder: str = "templates", *, html: bool = False, **filters: Callable[..., object]
+) -> "Environment":
+    """Return the templates in a folder of a package, which may use some filters; no name is missing.
+
+    Of HTML all text is escaped, and the end of the last line is no part of a template.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     found = Environment(
-        loader=PackageLoader(package),
+        loader=PackageLoader(package, folder),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        keep_trailing_newline=True,
-        autoescape=False,
+        keep_trailing_newline=not html,
+        autoescape=html,
     )
     found.filters |= filters
     return found

@@ -23,6 +23,7 @@ from ...data.screening import FAR_SAMPLE, FINEST_STEP, worth_of_mean
 from ...errors import CalibrationWarning, InputError
 from ...model.sensor_limits import Sensor
 from ...quantities import FAR_SIGMAS, MEDIAN_TO_SIGMA
+from ...results.messages import warned
 from ...text import count, some
 from ..exports.rendering import environment
 from .format import Average, LogFormat, LogReport
@@ -67,7 +68,7 @@ def assembled(
         if not chosen.any():
             raise InputError("no reading at any station", "readings at the time of poses", path)
         if unread.any():
-            warnings = (*warnings, _left_out(int(unread.sum()), len(unread), "have no reading"))
+            warnings = (*warnings, _left_out(unread, "have no reading"))
     R, t = hand_poses(poses.posed, log.way, given)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
@@ -124,8 +125,7 @@ def targets_of(
         if not chosen.any():
             path = log.poses.table.path
             raise InputError("no station in any range of planes", "ranges with stations", path)
-        out = int((~chosen).sum())
-        warnings = (_left_out(out, len(which), "are in no range of a plane"),) if out else ()
+        warnings = (_left_out(~chosen, "are in no range of a plane"),) if not chosen.all() else ()
         return [stated[i][0] if i >= 0 else "" for i in which.tolist()], chosen, warnings
     if given.plane:
         return [given.plane] * len(log.names), every, ()
@@ -139,9 +139,9 @@ def targets_of(
     return log.planes, every, ()
 
 
-def _left_out(count: int, total: int, what: str) -> CalibrationWarning:
-    words = f"{count} of {total} stations {what}, and were left out"
-    return CalibrationWarning("stations-left-out", words, {"stations": count, "total": total})
+def _left_out(stations: BoolArray, what: str) -> CalibrationWarning:
+    values = {"stations": int(stations.sum()), "total": len(stations)}
+    return warned("stations-left-out:log", values, what=what)
 
 
 def _gross_readings(
@@ -180,14 +180,12 @@ def _gross_readings(
                 shifted.add(int(station[part[0]]))
     if not shifted:
         return ()
-    some_names = some([names[i] for i in sorted(shifted)], 5)
-    words = (
-        f"{gross} single readings are far from the median of their station and shift its mean, at "
-        f'{count(len(shifted), "station")} ({some_names}): average = "median" in [log] '
-        "(--average median) withstands them"
-    )
+    words = {
+        "names": some([names[i] for i in sorted(shifted)], 5),
+        "count": count(len(shifted), "station"),
+    }
     values = {"readings": gross, "stations": len(shifted)}
-    return (CalibrationWarning("gross-readings", words, values),)
+    return (warned("gross-readings", values, **words),)
 
 
 def averaged(

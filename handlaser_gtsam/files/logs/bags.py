@@ -22,10 +22,12 @@ import polars as pl
 from scipy.spatial.transform import Rotation
 
 from ...arrays import FloatArray
+from ...checks import imported
 from ...errors import CalibrationWarning, HandlaserError, InputError
 from ...model.conventions import LENGTHS
 from ...progress import tell
 from ...quantities import IN_DEG, LARGEST_LENGTH, ROWS_AT_ONCE
+from ...results.messages import warned
 from ...text import A_NAME, name_fault, shown, some
 from ..recording_csv import off_unit
 from ..table import FileTable
@@ -68,16 +70,14 @@ def _opened(path: Path) -> Iterator[Any]:
     if path.is_dir() and not (path / METADATA).is_file():
         found = f"no bag that can be read (a folder without {METADATA})"
         raise InputError(found, "a log, or the folder of a bag", path)
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[ros]'"
-        raise InputError("a bag, but no package that reads it", expected, path) from error
+    missing = "a bag, but no package that reads it"
+    readers = imported("rosbags.highlevel", "ros", missing, path)
+    types = imported("rosbags.typesys", "ros", missing, path)
     try:
         if path.suffix.lower() != ROS1:
             refuse_bag_bomb(path)
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        usual = types.get_typestore(types.Stores.ROS2_HUMBLE)
+        with readers.AnyReader([path], default_typestore=usual) as reader:
             limit_chunks(reader, path)
             yield reader
     except (HandlaserError, MemoryError):
@@ -142,12 +142,8 @@ def _of_cones(cones: Mapping[str, float]) -> Iterator[CalibrationWarning]:
     """Warn of topics whose messages say that they are of ultrasonic sensors."""
     if cones:
         topics, widest = some(list(cones), 8), max(cones.values()) * IN_DEG
-        words = (
-            f"messages of ULTRASOUND with a field of view of {widest:.3g} deg on {topics}; expected "
-            f"half_angle_deg = {widest / 2.0:.3g} in [sensor] of a rig file, half of it, because such "
-            'a sensor reads what is nearest in a cone; or kind = "time-of-flight" there for beams'
-        )
-        yield CalibrationWarning(NO_HALF_ANGLE, words, {"beams": len(cones)})
+        words = {"topics": topics, "widest": f"{widest:.3g}", "half": f"{widest / 2.0:.3g}"}
+        yield warned(f"{NO_HALF_ANGLE}:messages", {"beams": len(cones)}, **words)
 
 
 def read_messages(
@@ -195,12 +191,7 @@ def read_messages(
     for topic in wanted:
         count = publishers[topic]
         if count > 1 and topics[topic] not in TRANSFORMS:  # of which several are usual
-            words = (
-                f"{count} publishers on topic {topic}, all of whose messages were read; if they are "
-                "not one node that was started again, record each on a topic of its own"
-            )
-            values: dict[str, float | str] = {"topic": topic, "publishers": count}
-            warnings.append(CalibrationWarning("several-publishers", words, values))
+            warnings.append(warned("several-publishers", {"topic": topic, "publishers": count}))
     return LogRows(
         lines_of(path, len(x)),
         (),

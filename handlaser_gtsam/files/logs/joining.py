@@ -16,6 +16,7 @@ from ...data.recording import first_repeated, numbered
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import FORMATS, TIME_UNITS, poses_of
 from ...quantities import IN_MM
+from ...results.messages import warned
 from ...text import A_NAME, name_fault, shown
 from ..table import labels, read_table
 from .format import LogFormat
@@ -172,11 +173,10 @@ def by_station(poses: LogRows, readings: LogRows) -> JoinedStations:
 
 def _unmatched(near: BoolArray, what: str) -> tuple[CalibrationWarning, ...]:
     """Return a warning of rows of readings without a station, if there are any."""
-    count, total = int((~near).sum()), len(near)
-    if not count:
+    rows = int((~near).sum())
+    if not rows:
         return ()
-    words = f"{count} of {total} rows of readings {what}, and do not count"
-    return (CalibrationWarning("unmatched-rows", words, {"rows": count, "total": total}),)
+    return (warned("unmatched-rows", {"rows": rows, "total": len(near)}, what=what),)
 
 
 def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStations:

@@ -34,6 +34,7 @@ from ...model.distributions import gaussian_quantile
 from ...model.equation import plausible_range_errors, residuals_or_infinite
 from ...quantities import IN_PERCENT, TINY
 from ...results.file_mistakes import scaled
+from ...results.messages import Values, warned
 from ...results.rereading import MUCH_BETTER, Rereading, misfit, misfits, one_beam, tells
 from ...results.warnings import FAR_BEAM
 from ...starts import Effort, find_start
@@ -89,14 +90,8 @@ def held_poses(recording: Recording) -> tuple[CalibrationWarning, ...]:
     if len(first) == 1:
         expected = "the pose of each station; are the right columns stated (--pose-columns)?"
         raise InputError(f"one pose at all {count} stations, with readings that differ", expected)
-    words = (
-        f"{same} of {count} stations repeat the pose of another although their readings differ by "
-        f"more than {IN_PERCENT * MOVED:.0f} % (the first: {name}): poses that were not logged anew, "
-        "or that are stamped late"
-    )
-    return (
-        CalibrationWarning("held-poses", words, {"stations": same, "total": count, "first": name}),
-    )
+    values: Values = {"stations": same, "total": count, "first": name}
+    return (warned("held-poses", values, percent=f"{IN_PERCENT * MOVED:.0f}"),)
 
 
 def refuse_wrong_convention(
@@ -161,13 +156,11 @@ def accused(
     convention = convention_of(given)
     times = float(min(np.sqrt(ratio), 1e6))
     stated = f"{convention.words}{', inverted' if given.inverted else ''}{more}"
-    better = f"fit {times:.3g} times better if {other}"
     if ratio >= MUCH_BETTER and not given.as_stated:
-        found_so = f"readings that {better}, than as stated: {stated}"
-        raise InputError(found_so, cure)
-    words = f"the readings {better}; stated: {stated}"
-    values: dict[str, float | str] = {"times": times, "better": other, "stated": stated}
-    return (CalibrationWarning("pose-convention", words, values),)
+        better = f"readings that fit {times:.3g} times better if {other}"
+        raise InputError(f"{better}, than as stated: {stated}", cure)
+    values: Values = {"times": times, "better": other, "stated": stated}
+    return (warned("pose-convention", values),)
 
 
 def _better(part: Recording, others: Sequence[Rereading]) -> tuple[float, str] | None:
@@ -192,8 +185,7 @@ def _at_a_glance(recording: Recording, effort: Effort, reach: float = np.inf) ->
 
 def _robustly(recording: Recording, effort: Effort, reach: float = np.inf) -> float:
     """Return the squared residual below which `GOOD` of the readings are, as if it were Gaussian."""
-    readings, _ = sorted_readings(recording)
-    readings = readings.seen_from(readings.plane_means(readings.world_t_hand))
+    readings = sorted_readings(recording)[0].about_planes()
     terms = RANGE_ERROR_TERMS["auto"]
     whole = [one.parameters for one in find_start(readings, None, 0, effort=effort).candidates]
     latest = next(rounds(readings, whole, terms, np.random.default_rng(0)))

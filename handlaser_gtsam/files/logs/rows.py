@@ -12,6 +12,7 @@ from ...errors import CalibrationWarning, InputError
 from ...model.conventions import LENGTHS, TIME_UNITS
 from ...model.sensor_limits import Sensor
 from ...quantities import IN_MM, LARGEST_LENGTH
+from ...results.messages import Values, warned
 from ...text import some
 from ..recording_csv import code_warnings, range_numbers
 from ..table import NUMBER, FileTable, column_numbers, labels
@@ -118,14 +119,9 @@ def rows_of(
             raise InputError("no column of times", expected, table.path)
         back = np.flatnonzero(np.diff(clock) < 0.0) + 1
         if back.size:
-            words = (
-                f"{table.path.name}: {back.size} of {len(clock)} rows are stamped earlier than the row "
-                f"before (the first: line {table.lines[back[0]]}), and all were sorted by time; if the "
-                "clock was set back, poses and readings are mixed up"
-            )
-            values: dict[str, float | str] = {"rows": int(back.size), "total": len(clock)}
-            values |= {"file": table.path.name, "line": int(table.lines[back[0]])}
-            warnings += (CalibrationWarning("times-back", words, values),)
+            values: Values = {"rows": int(back.size), "total": len(clock)}
+            values = {**values, "file": table.path.name, "line": int(table.lines[back[0]])}
+            warnings += (warned("times-back", values),)
             order = np.argsort(clock, kind="stable")
             table = replace(table, frame=table.frame[order], lines=table.lines[order])
             clock = clock[order]
@@ -200,9 +196,8 @@ def _pose_numbers(
             where = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]}"
             insist = "; or --as-stated if it is right" if fault.doubt else ""
             table.refuse(fault.wrong, where, fault.expected + insist, fault.found)
-        words = f"{fault.found}, as stated; expected {fault.expected}"
         values = {"columns": ", ".join(columns[fault.numbers]), "found": fault.found}
-        found.append(CalibrationWarning("pose-convention", words, values))
+        found.append(warned("pose-convention:numbers", values, expected=fault.expected))
     return x, tuple(found)
 
 

@@ -190,11 +190,14 @@ def _misfits_of_columns(survey: Survey, shots: Shots) -> list[tuple[float, str]]
     if not profiler and shots.kind != "points":
         return found
     columns = np.hstack((shots.across, d)) if profiler else shots.across * d
+    spread = np.maximum(columns.std(axis=0), TINY)
+    ratio = [np.delete(spread, at).mean() / own for at, own in enumerate(spread)]
     for (at, name), (unit, among) in product(
         enumerate("xz" if profiler else "xyz"), permutations(LENGTHS, 2)
     ):
         numbers, times = columns.copy(), LENGTHS[unit] / LENGTHS[among]
-        if not _likelier(columns, at, times):  # points that hardly spread fit nearly anything
+        # Points that hardly spread fit nearly anything: the column has to spread more as the others do.
+        if not abs(np.log(ratio[at] / times)) < abs(np.log(ratio[at])):
             continue
         numbers[:, at] *= times
         if profiler:
@@ -242,13 +245,6 @@ def _misfits_of_directions(survey: Survey, shots: Shots) -> Iterator[tuple[float
         times = float(np.exp(found.x))
         if abs(found.x) > SAME_VIEW:  # else another start leads to where they fit as they are read
             yield float(found.fun), f"the angles of {what} are about {times:.3g} times as large"
-
-
-def _likelier(columns: FloatArray, at: int, times: float) -> bool:
-    """Return whether a column of (n, c), `times` as large, spreads more as the others do."""
-    spread = np.maximum(columns.std(axis=0), TINY)
-    ratio = float(np.delete(spread, at).mean() / spread[at])
-    return bool(abs(np.log(ratio / times)) < abs(np.log(ratio)))
 
 
 def _variance(rows: SurveyRows) -> float:

@@ -24,7 +24,9 @@ from typing import IO
 import numpy as np
 import polars as pl
 
+from ...checks import imported
 from ...errors import CalibrationWarning, InputError
+from ...results.messages import Values, warned
 from ...text import count, shown, some
 from ..checked_text import in_file, json_value
 from ..table import (
@@ -310,11 +312,8 @@ def read_sheet(
         No package that reads workbooks, no such sheet, several of which none is stated, an empty one, a
         cell far from all others, a name twice, or an archive that unpacks to too much.
     """
-    try:
-        import fastexcel
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[excel]', or the sheet saved as CSV"
-        raise InputError("a workbook, but no package that reads it", expected, path) from error
+    missing = "a workbook, but no package that reads it"
+    fastexcel = imported("fastexcel", "excel", missing, path, ", or the sheet saved as CSV")
     refuse_zip_bomb(path)
     with zipfile.ZipFile(path) as archive:
         sheets = _sheets(archive)
@@ -403,13 +402,14 @@ def _scanned(file: IO[bytes], path: Path) -> tuple[int, tuple[CalibrationWarning
         raise InputError(found, "one table: delete the cells that stand far from it", path)
     warnings = []
     for what, places in failed.items():
-        words = (
-            f"{path.name}: {count(len(places), 'cell')} of {shown(what)} ({some(places, 4)}) taken as "
-            "empty; calculate the workbook again and save it, or mend them"
-        )
-        values: dict[str, float | str] = {"file": path.name, "cells": len(places), "value": what}
-        values["places"] = some(places, 4)
-        warnings.append(CalibrationWarning("cells-without-value", words, values))
+        values: Values = {
+            "file": path.name,
+            "cells": len(places),
+            "value": what,
+            "places": some(places, 4),
+        }
+        words = {"count": count(len(places), "cell"), "shown": shown(what)}
+        warnings.append(warned("cells-without-value", values, **words))
     return min(rows), tuple(warnings)
 
 

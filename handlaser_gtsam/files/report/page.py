@@ -52,6 +52,7 @@ from ...validation.other_recording import HoldOut
 from ...validation.prediction import pooled
 from ...validation.validation import LeftOut
 from ..calibration_writing import calibration_text
+from ..exports.rendering import environment
 from .figure import STYLE, Figure
 from .figures import flat_figures
 from .options import ReportOptions, changed_on, sha256
@@ -170,29 +171,22 @@ def page_of(
 
 def script_of(*names: str) -> str:
     """Return the scripts of a page as one."""
-    environment = templates()
-    return "".join(environment.get_template(name).render() for name in ("library.js", *names))
+    return "".join(templates().get_template(name).render() for name in ("library.js", *names))
 
 
 @lru_cache(maxsize=1)
 def templates() -> "Environment":
-    """Return the templates, compiled once: all text is escaped, and no name is missing."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    made = Environment(
-        loader=PackageLoader("handlaser_gtsam.files.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+    """Return the templates, compiled once."""
+    made = environment(
+        __package__,
+        ".",
+        html=True,
+        mm=lambda length: concise(length * IN_MM),
+        concise=concise,
+        named=lambda names: some(list(names), NAMES_ON_PAGE),
+        printable=printable,
+        file_name=lambda path: printable(Path(path).name),
     )
-    made.filters |= {
-        "mm": lambda length: concise(length * IN_MM),
-        "concise": concise,
-        "named": lambda names: some(list(names), NAMES_ON_PAGE),
-        "printable": printable,
-        "file_name": lambda path: printable(Path(path).name),
-    }
     made.globals |= {"count": count, "rejected_words": rejected_words}
     return made
 

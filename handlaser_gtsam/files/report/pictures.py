@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...checks import require_kind
+from ...checks import imported, require_kind
 from ...errors import InputError
 from ...results.calibration import Calibration
 from ..writing import path_of, write_bytes
@@ -84,11 +84,7 @@ def _subject(calibration: Calibration, options: ReportOptions | None) -> Subject
 
 
 def _drawn(subject: Subject) -> "dict[str, Drawing]":
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[plots]'"
-        raise InputError("no matplotlib, which draws pictures", expected) from error
+    imported("matplotlib", "plots", "no matplotlib, which draws pictures")
     return {figure.name: _flat(figure) for figure in flat_figures(subject)}
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from ...checks import require_kind
 from ...results.calibration import Calibration
-from ..calibration_writing import require_result
+from ...results.result import Result
 from ..writing import path_of, require_writable, write_text
 from .options import ReportOptions
 from .page import content_of, page_of, script_of, title_of
@@ -36,7 +36,7 @@ def write_report(
         What is no calibration, a file that cannot be written or read, or a working distance that the
         sensor cannot read, or any beside a survey.
     """
-    require_result(calibration)
+    require_kind("calibration", calibration, Result, "handlaser_gtsam.Calibration(...)")
     target = path_of(path)
     require_writable(target)
     write_text(target, report_text(calibration, options or ReportOptions()))

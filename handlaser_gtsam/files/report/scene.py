@@ -213,9 +213,8 @@ def hands_at(R: FloatArray, t: FloatArray, length: float) -> FloatArray:
 
 def plate(n: FloatArray, on: FloatArray) -> FloatArray:
     """Return the corners (4, 3) [mm] of a rectangle around points (N, 3) [m] of a plane."""
-    middle = on.mean(axis=0)
-    axes = np.linalg.svd(on - middle, full_matrices=len(on) < 3)[2][:2] if len(on) > 2 else None
-    basis = model.tangent_basis(n[None])[0].T if axes is None else axes
+    axes, middle, _ = model.plane_through(on)
+    basis = axes[:2] if len(on) > 2 else model.tangent_basis(n[None])[0].T
     basis = basis - (basis @ n)[:, None] * n
     flat = (on - middle) @ basis.T
     low, high = CLEAR * flat.min(axis=0), CLEAR * flat.max(axis=0)

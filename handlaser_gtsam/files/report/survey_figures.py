@@ -47,7 +47,7 @@ SHOWN_OF_POINTS = 0.99
 def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
     """Yield what each sensor and each beam saw; of very many points some."""
     found, of, labels = result._found, survey.stations, labels_of(survey.stations)
-    used = [item for item, counts in zip(found.rows.items, found.used, strict=True) if counts]
+    used = found.rows.counted(found.used)
 
     def seen(
         called: str,
@@ -72,7 +72,7 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
 
     for member, shots in enumerate(survey.shots):
         mount, some = result.sensors[shots.name], evenly(len(shots.reading), 20 * MOST_POINTS)
-        own = [item for item in used if (item.family, item.member) == (SENSOR.name, member)]
+        own = [item for item in used if item.mount == (SENSOR.name, member)]
         good = np.zeros(len(shots.reading), dtype=bool)
         for points in (item.points for item in own if item.points is not None):
             good[points] = True
@@ -95,7 +95,7 @@ def seen_by_all(result: SurveyCalibration, survey: Survey) -> Iterator[Seen]:
         d = survey.ranges[station, i]
         d = d * (1.0 + beam.range_error[0] + beam.range_error[1] * d)
         rays = beam.location + 0.0 * d[:, None], beam.location + d[:, None] * beam.direction
-        kept = [item.station for item in used if (item.family, item.member) == (BEAM.name, i)]
+        kept = [item.station for item in used if item.mount == (BEAM.name, i)]
         good, along = np.isin(station, kept), np.zeros(len(station))
         yield seen(f"beam {short(name)}", beam.reading_sigma, station, rays, along, good)
 

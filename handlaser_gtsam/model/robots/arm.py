@@ -17,14 +17,13 @@ loop reaches 35 %, so that several starts cost less than one of pink, which also
 and a solver of quadratic programs.
 """
 
-from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray
+from ...checks import imported
 from ...errors import InputError
 from ...quantities import ROUNDING, SINGULAR
 from ..geometry import skew
@@ -33,21 +32,6 @@ ENDLESS_LIMIT = 2.0 * np.pi
 """Limit of joints that have none [rad]: a turn to either side, so that no pose lies at its end."""
 LARGEST_STEP = 0.5
 """Of any joint [rad], [m]: the Jacobian holds no farther."""
-
-
-def pinocchio() -> Any:
-    """Return the library.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
-    try:
-        return import_module("pinocchio")
-    except ImportError as error:
-        expected = "pip install 'handlaser-gtsam[robot]'"
-        raise InputError("no pinocchio, which the table [robot] needs", expected) from error
 
 
 class Arm:
@@ -84,7 +68,8 @@ class Arm:
         base_R: FloatArray | None = None,
         base_t: FloatArray | None = None,
     ) -> None:
-        pin = self.pin = pinocchio()
+        self.pin = imported("pinocchio", "robot", "no pinocchio, which the table [robot] needs")
+        pin = self.pin
         if not Path(urdf).is_file():
             raise InputError(f"no file {urdf}", "the path of a URDF in robot.urdf")
         try:
@@ -121,10 +106,8 @@ class Arm:
         home = pin.updateFramePlacement(model, data, hand)
         self._home = np.array(home.homogeneous)
         aligned = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        columns = pin.getFrameJacobian(model, data, hand, aligned).reshape(
-            6, -1
-        )  # (6,) of one joint
-        velocity, self._axes = np.split(columns.T, 2, axis=1)
+        columns = pin.getFrameJacobian(model, data, hand, aligned)
+        velocity, self._axes = np.split(columns.reshape(6, -1).T, 2, axis=1)  # (6,) of one joint
         self._screws = np.zeros((model.nv, 4, 4))
         self._screws[:, :3, :3] = skew(self._axes)
         # Of the point that is at the origin of the world.

@@ -3,7 +3,6 @@
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from ..lines import WIDTH
 from . import evidence, parameters
 from .description import Description
 from .tables import Table, sentence
@@ -42,14 +41,6 @@ class CalibrationDescription(Description):
         """Where the beams sit in the hand; nothing where that is not known."""
         return () if self.beams is None else (self.beams,)
 
-    def screen(self, *, closing: int = 0, width: int = WIDTH) -> list[str]:
-        """Return the default screen: 30 lines, `closing` of them for what follows it."""
-        return screen_lines(self, closing=closing, width=width)
-
-    def full(self, width: int = WIDTH) -> list[str]:
-        """Return everything that there is to say, in reading order."""
-        return full_lines(self, width)
-
     @property
     def observability(self) -> tuple[str, ...]:
         """What the recording determines, in sentences."""
@@ -60,6 +51,7 @@ class CalibrationDescription(Description):
         """What would improve the calibration, in sentences, the best first."""
         return tuple(evidence.advice_sentences(self))
 
+    screen, full = screen_lines, full_lines
     beams = cached_property(parameters.beams_table)
     mounts = cached_property(parameters.mounts_table)
     spots = cached_property(parameters.spots_table)

@@ -66,10 +66,8 @@ class SurveyDescription(Description):
     @property
     def main_tables(self) -> tuple[Table, ...]:
         """Where sensors of many rays sit, and where single beams do; no table of none."""
-        sensors, beams = (
-            list(self.calibration.sensors.values()),
-            list(self.calibration.beams.values()),
-        )
+        sensors = list(self.calibration.sensors.values())
+        beams = list(self.calibration.beams.values())
         tables = [listed("sensors", sensors, _sensor_row, "sensor")] if sensors else []
         tables += [listed("beams:survey", beams, _beam_row, "beam")] if beams else []
         return tuple(tables)
@@ -192,7 +190,7 @@ def _counts(result: "SurveyCalibration") -> str:
     own = result._found
     if own.estimate.status == "undetermined":
         return ""
-    numbers = sum(i.numbers for i, used in zip(own.rows.items, own.used, strict=True) if used)
+    numbers = sum(item.numbers for item in own.rows.counted(own.used))
     unknowns = len(own.estimate.names)
     more = result.dof + unknowns - numbers
     return said("degrees", numbers=numbers, more=more, unknowns=unknowns)
