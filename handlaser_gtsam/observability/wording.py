@@ -36,6 +36,7 @@ ALONG_AND_ACROSS = {
 
 MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
+IMAGE = "which way up the beams are: their mirror image in the plane of the motion fits as well"
 
 
 class BeamAndPlaneNames(NamedTuple):
