@@ -135,15 +135,13 @@ class Contents:
         Later planes with few readings of it say nothing. Empty where there is none, or where the beam
         has lost them from the beginning.
         """
-        for beam in self.recording().beam_names:
+        for beam in dict.fromkeys(one.sensor for one in self.rejected):
             since, before = "", False
             for name, plane in self.inside.items():
                 reasons = [one.reason for one in plane.rejected if one.sensor == beam]
                 out = sum(reason not in BY_LIMITS for reason in reasons)
-                names = plane.recording.beam_names
-                column = names.index(beam) if beam in names else None
-                d = plane.recording.ranges[:, column] if column is not None else np.empty(0)
-                read = int((~np.isnan(d)).sum()) - len(reasons) + out
+                own = [column == beam for column in plane.recording.beam_names]
+                read = int((~np.isnan(plane.recording.ranges[:, own])).sum()) - len(reasons) + out
                 if out > max(MOUNT_DIM, MOST_LOST * read):
                     since = since or name
                 elif read > MOUNT_DIM:
