@@ -426,6 +426,16 @@ def test_no_elevation_is_stated_that_a_mirror_image_contradicts(motion, walls):
     assert "against the mirror image" in check.advice[-2]
 
 
+def test_where_an_elevation_is_undetermined_no_coordinate_of_the_direction_is_stated():
+    """Level beams show none to first order: one was known to 0.004 degrees, and 6 degrees off."""
+    at = scene("planar", "vertical", 2)
+    found = calibrated(at, SIGMA, "k1")
+    assert found.status == "unobservable"
+    for i, beam in enumerate(found.beams.values()):
+        assert np.isinf(beam.sigma[3:6]).all()
+        assert (np.abs(beam.location - at.r[i])[:2] < 4.0 * beam.sigma[:2]).all()
+
+
 IMAGE = "its mirror image in the plane of the motion fits as well"
 MOUNT = np.eye(4)
 MOUNT[:3, :3] = Rotation.from_euler("ZYX", [0.2, np.pi / 2 - 0.1, 0.25]).as_matrix()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
@@ -18,7 +19,7 @@ from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution, covariance_of_determined
 from ..model.equation import residuals_or_infinite
-from ..model.families import PLANE
+from ..model.families import OF_DIRECTION, PLANE
 from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS
@@ -88,7 +89,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     used = problem.chosen(selection.used)
     more = 0 if freed is None else freed.rank
     fit, why = fit_of(problem, selection, more)
-    determined, image = _determined_by(names, used, solution, fit, more)
+    determined, image, up = _determined_by(names, used, solution, fit, more)
     wrong = misfit(problem.recording, used, solution.best, fit)
     if wrong is not None and wrong.code == IMPLAUSIBLE:
         # Where the motion is poor and leaves free range errors undetermined, k1 = -1 fits, too.
@@ -136,7 +137,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         misspelt = _misspelt_labels(problem, solution, fit)
         signs = (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit)
     whole = joint if determined.rank == determined.unknowns else None
-    beams_and_planes = _estimates(problem, solution, joint, image)
+    beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
     if rows is not None and not mistaken:
         moved = moved_beam(rows, problem, selection, fit, systematic, beams_and_planes[0])
@@ -180,23 +181,28 @@ def _estimates(
     solution: Solution,
     joint: JointCovariance | None,
     image: Parameters | None,
+    up: FloatArray,
 ) -> tuple[Mapping[str, Beam], Mapping[str, Plane]]:
     """Return beams and planes by name, in the order of the recording.
 
-    What the readings leave undetermined has no standard deviation, nor has what is far from where it is
-    in a mirror image that fits as well.
+    What the readings leave undetermined has no standard deviation, nor has what a mirror image that
+    fits as well has elsewhere, by more than it, nor have elevations along `up` (3,).
     """
     names, recording, at = problem.names, problem.recording, solution.parameters
     beams, planes = [i for _, i in names.beams], [p for _, p in names.planes]
     opened = open_coordinates(solution.observability, at)
     open_beams, open_planes = opened[0][beams] > NEGLIGIBLE, opened[1][planes] > NEGLIGIBLE
+    elevated = np.abs(up) > NEGLIGIBLE
+    if elevated.any() and solution.terms:
+        elevated[:] = True  # k1 compensates an elevation, which shortens the rest of a direction
+    open_beams[:, OF_DIRECTION] |= elevated
     if image is not None and joint is not None:
         off = np.abs(np.hstack(image.beams) - np.hstack(at.beams))[beams]
         variances = np.diagonal(joint.all_beams(), axis1=1, axis2=2)
-        open_beams |= off > FAR_SIGMAS * np.sqrt(np.maximum(variances, 0.0)) + NEGLIGIBLE
+        open_beams |= off > np.sqrt(np.maximum(variances, 0.0)) + NEGLIGIBLE
         off = np.abs(image.normals - at.normals)[planes]
         variances = np.diagonal(joint.all_planes(), axis1=1, axis2=2)[:, :3]
-        turned = off > FAR_SIGMAS * np.sqrt(np.maximum(variances, 0.0)) + NEGLIGIBLE
+        turned = off > np.sqrt(np.maximum(variances, 0.0)) + NEGLIGIBLE
         open_planes |= np.column_stack((turned, turned.any(axis=1)))
     return named_estimates(
         recording.beam_names,
@@ -316,11 +322,13 @@ def _way(
 
 def _determined_by(
     names: BeamAndPlaneNames, used: Readings, solution: Solution, fit: Fit, more: int
-) -> tuple[Determined, Parameters | None]:
+) -> tuple[Determined, Parameters | None, FloatArray]:
     """Return what the readings that were used, each plane in its own frame, determine.
 
     They determine `more` unknowns beside beams and planes. The second result is the mirror image in the
-    plane of the motion, where that fits as well.
+    plane of the motion, where that fits as well. The third is the axis (3,) of the turns, hand frame,
+    where elevations along it are undetermined whatever the rank is at the solution: level beams, and
+    what a free k1 compensates, show theirs to second order only. It is zero elsewhere.
     """
     found, parameters = solution.observability, solution.parameters
     parts = open_parts(found, parameters, names)
@@ -333,11 +341,15 @@ def _determined_by(
         leans = some_plane_leans(motion, parameters, used, sigma, how)
         if motion.axis.any():
             image = image_in_plane(motion, parameters, used, sigma, how)
+    k1_free, up = solution.terms > 0 and solution.prior is None, np.zeros(3)
+    second_order = motion is not None and (not leans or (k1_free and motion.kind == "planar"))
+    if motion is not None and second_order and not found.full:
+        up = motion.axis
     words, help_ = named(
         motion,
         parts,
         leans=leans,
-        k1_free=solution.terms > 0 and solution.prior is None,
+        k1_free=k1_free,
         enough=len(used) >= found.unknowns,
         image=image is not None,
     )
@@ -357,7 +369,7 @@ def _determined_by(
         found.indices(),
         weakest(found, parameters, names),
     )
-    return determined, image
+    return determined, image, up
 
 
 def _motion_determines(used: Readings, solution: Solution) -> bool:
