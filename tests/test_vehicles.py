@@ -426,10 +426,16 @@ def test_no_elevation_is_stated_that_a_mirror_image_contradicts(motion, walls):
     assert "against the mirror image" in check.advice[-2]
 
 
-def test_where_an_elevation_is_undetermined_no_coordinate_of_the_direction_is_stated():
-    """Level beams show none to first order: one was known to 0.004 degrees, and 6 degrees off."""
-    at = scene("planar", "vertical", 2)
-    found = calibrated(at, SIGMA, "k1")
+@pytest.mark.parametrize(("beams", "range_error"), [(2, "k1"), (1, "k1k2")])
+def test_where_an_elevation_is_undetermined_no_coordinate_of_the_direction_is_stated(
+    beams, range_error
+):
+    """Level beams show none to first order: one was known to 0.004 degrees, and 6 degrees off.
+
+    With k2, a step along what is undetermined led to k1 = -1, where any beam fits: that was a no-fit.
+    """
+    at = scene("planar", "vertical", beams)
+    found = calibrated(at, SIGMA, range_error)
     assert found.status == "unobservable"
     for i, beam in enumerate(found.beams.values()):
         assert np.isinf(beam.sigma[3:6]).all()
