@@ -442,6 +442,18 @@ def test_where_an_elevation_is_undetermined_no_coordinate_of_the_direction_is_st
         assert (np.abs(beam.location - at.r[i])[:2] < 4.0 * beam.sigma[:2]).all()
 
 
+@pytest.mark.parametrize("motion", ["plane without turns", "never turning"])
+def test_no_direction_of_a_hand_that_never_turns_is_stated_that_an_image_contradicts(motion):
+    """The image in the plane of the moves, or of two normals, was up to 85 degrees off."""
+    at = scene(motion, "two lean", 2)
+    if motion == "never turning":
+        keep = at.plane < 2
+        at = replace(at, R=at.R[keep], t=at.t[keep], plane=at.plane[keep], n=at.n[:2], b=at.b[:2])
+    found = calibrated(at, SIGMA)
+    assert found.status == "unobservable"
+    assert all(np.isinf(beam.sigma[3:6]).all() for beam in found.beams.values())
+
+
 IMAGE = "its mirror image in the plane of the motion fits as well"
 MOUNT = np.eye(4)
 MOUNT[:3, :3] = Rotation.from_euler("ZYX", [0.2, np.pi / 2 - 0.1, 0.25]).as_matrix()

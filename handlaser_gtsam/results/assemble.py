@@ -19,7 +19,7 @@ from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution, covariance_of_determined
 from ..model.equation import residuals_or_infinite
-from ..model.families import OF_DIRECTION, PLANE
+from ..model.families import OF_DIRECTION, PLANE, count_unknowns
 from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS
@@ -37,7 +37,7 @@ from ..observability.wording import (
 )
 from ..outliers.reasons import Reasons
 from ..progress import tell
-from ..quantities import FAR_SIGMAS, NEGLIGIBLE
+from ..quantities import FAR_SIGMAS, KNOWN, NEGLIGIBLE
 from ..text import count
 from .calibration import Calibration
 from .calibration_data import (
@@ -78,6 +78,8 @@ OF_NOISE = ("sigmas-too-small", "sigmas-too-large", "poses-err")
 """Codes of warnings that judge the noise by the residuals."""
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
+EXACT_FIT = "whether another mount fits as well: there are no more readings than unknowns"
+EXACT_FIT_ADVICE = "add stations"
 
 
 def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = None) -> Calibration:
@@ -328,7 +330,9 @@ def _determined_by(
     They determine `more` unknowns beside beams and planes. The second result is the mirror image in the
     plane of the motion, where that fits as well. The third is the axis (3,) of the turns, hand frame,
     where elevations along it are undetermined whatever the rank is at the solution: level beams, and
-    what a free k1 compensates, show theirs to second order only. It is zero elsewhere.
+    what a free k1 compensates, show theirs to second order only. Of a hand that never turns it is ones,
+    where whole directions are: they have images in the plane of the moves, or of two normals. It is
+    zero elsewhere.
     """
     found, parameters = solution.observability, solution.parameters
     parts = open_parts(found, parameters, names)
@@ -345,6 +349,9 @@ def _determined_by(
     second_order = motion is not None and (not leans or (k1_free and motion.kind == "planar"))
     if motion is not None and second_order and not found.full:
         up = motion.axis
+        flat = np.linalg.svd(parameters.normals, compute_uv=False)[2:] < KNOWN
+        if not up.any() and (motion.kind != "in space" or flat.all()):
+            up = np.ones(3)
     words, help_ = named(
         motion,
         parts,
@@ -353,7 +360,9 @@ def _determined_by(
         enough=len(used) >= found.unknowns,
         image=image is not None,
     )
-    if found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
+    if found.full and len(used) <= count_unknowns(used, 0):  # as many equations have other roots
+        words, help_ = (EXACT_FIT,), (EXACT_FIT_ADVICE,)
+    elif found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
     elif found.full and mirror_image_fits(parameters, used, squares, sigma):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
