@@ -175,7 +175,7 @@ def hold_out(
         A beam grazes the plane that its readings would have.
     """
     noise = Noise() if noise is None else noise
-    require_kind("mounts", mounts, Mounts, "Mounts: hl.Mounts.of(calibration), or hl.read_mounts(...)")
+    require_kind("mounts", mounts, Mounts, "Mounts: hl.Mounts.of(calibration)")
     require_kind("recording", recording, Recording)
     require_kind("noise", noise, Noise)
     tell("hold-out")
