@@ -310,14 +310,29 @@ def test_a_plane_measured_on_a_line_is_named():
     assert "three or more spots that are not on a line" in calibration.message
 
 
-def test_no_redundancy_and_no_sigma_is_said():
-    """Eight readings, eight unknowns: the fit is perfect, and says nothing about the noise."""
-    recording = recording_of(bench(1, 1), *motion("free", 8), [0] * 8, 1e-6)
+def test_no_redundancy_is_said():
+    """Eight readings, eight unknowns: other mounts fit perfectly, too, whatever the noise is.
+
+    With the range sigma given one in eight of such results was usable and wrong.
+    """
+    recording = recording_of(bench(1, 1), *motion("free", 9), [0] * 9, 1e-6)
     options = hl.CalibrationOptions(range_error="none")
+    for noise in (None, hl.Noise(1e-6)):
+        calibration = hl.calibrate(recording.part(np.arange(8)), noise, options)
+        assert calibration.status == "unobservable"
+        assert "no more readings than unknowns" in calibration.message
+        assert calibration.observability.advice == ("add stations",)
+    assert hl.calibrate(recording, hl.Noise(1e-6), options).status == "converged"
+
+
+def test_no_redundancy_beside_range_errors_and_no_sigma_is_said():
+    """Ten readings, ten unknowns: they say nothing about the noise beside k1 and k2."""
+    recording = recording_of(bench(1, 1), *motion("free", 10), [0] * 10, 1e-6)
+    options = hl.CalibrationOptions(range_error="k1k2")
     calibration = hl.calibrate(recording, options=options)
     assert calibration.status == "unobservable"
     assert "no more readings than unknowns" in calibration.message
-    assert hl.calibrate(recording, hl.Noise(1e-6), options).status == "converged"
+    assert "give the range sigma" in calibration.message
 
 
 def test_uncertain_poses_are_warned_of(gripper):

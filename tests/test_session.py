@@ -606,3 +606,54 @@ def test_readings_of_early_planes_are_judged_again_once_the_beams_are_known():
     ]
     assert out[0] == out[1]
     assert chosen
+
+
+def test_a_beam_that_loses_nearly_all_readings_of_a_plane_has_moved():
+    """Its readings were rejected at a comparison with the batch, and nothing was said of a move."""
+    rng = np.random.default_rng(3)
+    truth, where = SCENES["unplanned"](Layout(4, 5, 11), rng)
+    knocked = truth.locations.copy()
+    knocked[3] += [0.006, -0.008, 0.009]
+    errors = Errors(SIGMA, 5e-5, math.radians(0.03))
+    before = simulate(truth, where, errors, rng)
+    after = simulate(replace(truth, locations=knocked), where, errors, rng)
+    session = hl.Session()
+    for index in range(4):
+        session.add(plane(before, index))
+    assert session.moved() is None
+    update = session.add(plane(after, 4))
+    assert sum(one.sensor == "4" for one in update.rejected) == 8
+    for moved in (update.moved, session.moved()):
+        assert (moved.name, moved.since) == ("4", before.plane_names[4])
+
+
+def test_a_step_that_leads_to_a_grazing_beam_is_taken_with_damping(monkeypatch):
+    """A plane was refused then, by an error that is no InputError."""
+    recording = recorded(4, noise=ROBOT)
+    session = hl.Session(ROBOT, NONE)
+    for index in range(3):
+        session.add(plane(recording, index))
+    grazed, settle = [], isam.IncrementalGraph._settle
+
+    def grazing(self, part):
+        if not grazed:
+            grazed.append(part)
+            raise hl.GrazingBeamError(1e-4, 1e-3)
+        settle(self, part)
+
+    monkeypatch.setattr(isam.IncrementalGraph, "_settle", grazing)
+    session.add(plane(recording, 3))
+    assert grazed
+    assert session.planes == recording.plane_names
+    assert_batch(session)
+
+
+def test_the_estimate_never_grazes_a_plane():
+    """Where nothing fits, the mean over the scales may: `calibrate` ended in an error."""
+    found = filled(recorded(3, noise=ROBOT), hl.Noise(SIGMA)).state.solution
+    mean = found.posterior.parameters
+    assert found.best is mean
+    along = np.cross(found.at.readings.world_R_hand[0].T @ mean.normals[0], [0.6, 0.0, 0.8])
+    directions = np.tile(along / np.linalg.norm(along), (len(mean.directions), 1))
+    grazing = replace(found.posterior, parameters=replace(mean, directions=directions))
+    assert replace(found, posterior=grazing).best is found.parameters

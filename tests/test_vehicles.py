@@ -240,6 +240,7 @@ def test_level_beams_before_vertical_walls_tell_their_elevation_in_second_order_
 HEIGHTS = "the height of every beam (location along (0.00, 0.00, 1.00))"
 COMMON = "one common height of all beams and planes (location along (0.00, 0.00, 1.00))"
 SHIFT = "a common shift of all beams and planes"
+UP = "which way up the beams are: their mirror image in the plane of the motion fits as well"
 SIGMA = 1e-3
 NOISE_AND_BEAMS = first_and_slow((SIGMA, 2), (SIGMA, 1), (0.0, 1), (0.0, 4))
 
@@ -273,19 +274,22 @@ def test_check_and_result_name_the_row_of_the_table(motion, walls, words, cure, 
     seen = found.observability
     assert found.status == "unobservable"
     assert seen.unknowns - seen.rank == undetermined(motion, walls, beams, "none")
+    imaged = motion == "planar" or (motion, walls) == ("SCARA", "vertical")
     for said in (check, seen):
-        (named,) = said.undetermined
+        named, *image = said.undetermined
         assert words in named
+        assert image == [UP] * imaged
         assert said.advice[0].startswith(cure)
+        assert ("against the mirror image" in said.advice[-2:][0]) == imaged
     assert words in found.message
     for i, beam in enumerate(found.beams.values()):
         assert np.linalg.norm(beam.location) < 0.4  # the true ones are within 0.26 m of the hand
         assert np.isinf(beam.sigma[2])
         if motion != "never turning":
             assert (np.abs(beam.location - at.r[i])[:2] < 4.0 * beam.sigma[:2] + 1e-6).all()
-            assert (
-                np.abs(np.abs(beam.direction) - np.abs(at.v[i])) < 4 * beam.sigma[3:6] + 1e-6
-            ).all()
+            # What is stated holds for the beam itself, and not only for it or its image.
+            assert (np.abs(beam.direction - at.v[i]) < 4 * beam.sigma[3:6] + 1e-6).all()
+            assert np.isinf(beam.direction_sigma) == imaged
 
 
 @pytest.mark.slow
@@ -297,8 +301,9 @@ def test_check_and_result_name_the_row_of_the_table(motion, walls, words, cure, 
 def test_with_a_free_k1_elevations_are_named(walls, words, beams):
     at = scene("planar", walls, beams)
     found = calibrated(at, 0.0, "k1")
-    (named,) = found.observability.undetermined
+    named, *image = found.observability.undetermined
     assert words in named
+    assert set(image) <= {UP}
     left = found.observability.unknowns - found.observability.rank
     # Level beams are solutions, too, before upright walls: there the walls may lean, each by itself.
     leans = len(at.n) if walls == "vertical" else 0
@@ -359,8 +364,9 @@ def test_a_floor_that_is_not_flat_changes_no_word(motion, walls, words, beams):
     found = calibrated(at, SIGMA, pose_covariance=np.diag(np.concatenate(variances)))
     check = check_motion(at.recording(SIGMA))
     for said in (check, found.observability):
-        assert len(said.undetermined) == 1
-        assert words in said.undetermined[0]
+        named, *image = said.undetermined
+        assert words in named
+        assert set(image) <= {UP}
 
 
 def test_motions_that_suffice_have_no_name():
@@ -397,10 +403,55 @@ def test_python_of_the_page_cures_what_a_vehicle_lacks(tmp_path, monkeypatch):
     assert names["calibration"].status == "unobservable"
     cured = names["result"]
     assert cured.status == "converged"
-    shift = at.r[0, 2] - names["height"]
     for i, beam in enumerate(cured.beams.values()):
-        error = np.abs(beam.location - at.r[i] + np.array([0.0, 0.0, shift]))
-        assert (error < 4.0 * beam.location_sigma).all()
+        assert (np.abs(beam.location - at.r[i]) < 4.0 * beam.location_sigma).all()
+        assert np.arccos(beam.direction @ at.v[i]) < 4.0 * np.sqrt(2.0) * beam.direction_sigma
+
+
+@pytest.mark.parametrize(("motion", "walls"), [("planar", "one leans"), ("SCARA", "vertical")])
+def test_no_elevation_is_stated_that_a_mirror_image_contradicts(motion, walls):
+    """Upside down beams read the same: their elevations were up to 70 standard deviations off."""
+    at = scene(motion, walls, 2)
+    found = calibrated(at, SIGMA)
+    assert UP in found.observability.undetermined
+    for i, beam in enumerate(found.beams.values()):
+        assert (np.abs(beam.direction - at.v[i]) < 4.0 * beam.sigma[3:6]).all()
+        assert np.isinf(beam.sigma[5])
+        assert np.isfinite(beam.sigma[[0, 1, 3, 4]]).all()
+    if walls == "one leans":
+        assert np.isinf(found.planes["C"].normal_sigma)
+        assert np.isfinite(found.planes["A"].normal_sigma)
+    check = check_motion(at.recording(SIGMA))
+    assert UP in check.undetermined
+    assert "against the mirror image" in check.advice[-2]
+
+
+@pytest.mark.parametrize(("beams", "range_error"), [(2, "k1"), (1, "k1k2")])
+def test_where_an_elevation_is_undetermined_no_coordinate_of_the_direction_is_stated(
+    beams, range_error
+):
+    """Level beams show none to first order: one was known to 0.004 degrees, and 6 degrees off.
+
+    With k2, a step along what is undetermined led to k1 = -1, where any beam fits: that was a no-fit.
+    """
+    at = scene("planar", "vertical", beams)
+    found = calibrated(at, SIGMA, range_error)
+    assert found.status == "unobservable"
+    for i, beam in enumerate(found.beams.values()):
+        assert np.isinf(beam.sigma[3:6]).all()
+        assert (np.abs(beam.location - at.r[i])[:2] < 4.0 * beam.sigma[:2]).all()
+
+
+@pytest.mark.parametrize("motion", ["plane without turns", "never turning"])
+def test_no_direction_of_a_hand_that_never_turns_is_stated_that_an_image_contradicts(motion):
+    """The image in the plane of the moves, or of two normals, was up to 85 degrees off."""
+    at = scene(motion, "two lean", 2)
+    if motion == "never turning":
+        keep = at.plane < 2
+        at = replace(at, R=at.R[keep], t=at.t[keep], plane=at.plane[keep], n=at.n[:2], b=at.b[:2])
+    found = calibrated(at, SIGMA)
+    assert found.status == "unobservable"
+    assert all(np.isinf(beam.sigma[3:6]).all() for beam in found.beams.values())
 
 
 IMAGE = "its mirror image in the plane of the motion fits as well"

@@ -21,6 +21,7 @@ from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.readings import Readings
+from ..model.equation import residuals_or_infinite
 from ..model.families import BEAM, MOUNT_DIM, PLANE
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN, Loss
@@ -208,8 +209,14 @@ class Solution:
 
     @property
     def best(self) -> Parameters:
-        """The estimate: the mean over the scales where these are integrated over."""
-        return self.parameters if self.posterior is None else self.posterior.parameters
+        """The estimate: the mean over the scales where these are integrated over.
+
+        Where nothing fits, that mean may lead to a beam that grazes its plane: it counts for nothing.
+        """
+        mean = None if self.posterior is None else self.posterior.parameters
+        if mean is None or np.isinf(residuals_or_infinite(mean, self.at.readings)).any():
+            return self.parameters
+        return mean
 
 
 def covariance(

@@ -16,6 +16,8 @@ vehicle on a floor, and for any number of planes and beams:
   with a free k1 all heights may be stretched as well: elevations and leans change together with k1.
   Moves along h remove that stretch.
 - A hand that never turns leaves one common shift of all beams and planes undetermined.
+- The reflection in the plane across h changes no reading of a planar motion, nor of any turns about h
+  where no plane leans: which way up the beams are is undetermined then, whatever is known of heights.
 
 A floor is never flat to the last digit, so that such a motion may determine everything formally, with
 standard deviations of metres. Turns and moves that are too small to count are therefore none here.
@@ -36,12 +38,14 @@ from ..data.recording import Readings, Recording, sorted_readings
 from ..errors import GrazingBeamError
 from ..model.families import count_unknowns
 from ..model.weighting import Whitening
-from ..quantities import FAR_SIGMAS, SINGULAR
+from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SINGULAR
+from ..solvers.beam_problem import refine
 from ..starts.choice import find_start
 from ..starts.translations import SPANNING
 from ..text import some
 from .rank import observability
 from .wording import (
+    IMAGE,
     MIRROR,
     MIRROR_ADVICE,
     WORTH_A_WORD,
@@ -157,6 +161,47 @@ def some_plane_leans(
     return bool((leans & known).any())
 
 
+def image_in_plane(
+    motion: PoorMotion,
+    parameters: Parameters,
+    readings: Readings,
+    range_sigma: float,
+    how: Whitening | None = None,
+) -> Parameters | None:
+    """Return the mirror image in the plane of a motion; None where it fits less well, or is the same.
+
+    Every beam (r, v) becomes (H r, H v) with H = I - 2 h h', and every plane is reflected about the
+    height of the hand. An image fits less well where chi2 is larger by more than the square of
+    `FAR_SIGMAS`, and it is the same where no beam leans by more than `COUNTED_TURN`. Arguments as in
+    `some_plane_leans`.
+    """
+    h, up = motion.axis, motion.upright
+    if (np.abs(parameters.directions @ h) < np.sin(COUNTED_TURN)).all():
+        return None
+    H = np.eye(3) - 2.0 * np.outer(h, h)
+    lean = (parameters.normals * up).sum(axis=1)
+    height = (readings.plane_means(readings.world_t_hand) * up).sum(axis=1)
+    image = Parameters(
+        parameters.locations @ H,
+        parameters.directions @ H,
+        parameters.range_errors,
+        parameters.normals - 2.0 * lean[:, None] * up,
+        parameters.offsets + 2.0 * height * lean,
+    )
+
+    def squares(at: Parameters) -> float:
+        e = model.residuals_or_infinite(at, readings)
+        e = e if how is None or not np.isfinite(e).all() else how.apply(e)
+        return float(e @ e)
+
+    most = squares(parameters) + (FAR_SIGMAS * range_sigma) ** 2
+    if squares(image) <= most:
+        return image
+    # Moves and turns that are too small to count change it a little.
+    found = refine(image, readings, terms=0, iterations=MOST_ROUNDS)
+    return found.parameters if found is not None and squares(found.parameters) <= most else None
+
+
 def named(
     motion: PoorMotion | None,
     parts: Sequence[OpenPart],
@@ -165,6 +210,7 @@ def named(
     k1_free: bool | None,
     mount: str = "beam",
     enough: bool = True,
+    image: bool = False,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Say what is undetermined, and what would determine it.
 
@@ -181,12 +227,19 @@ def named(
         What sits in the hand: beams see planes, sensors of a survey any targets.
     enough : bool
         Whether there are as many readings as unknowns: with fewer, not the motion alone is to blame.
+    image : bool
+        Whether the mirror image of all beams in the plane of the motion fits as well.
 
     Returns
     -------
     undetermined, advice : tuples of str
         What the motion does not explain follows by beam and plane.
     """
+    if image:
+        what, cures = named(motion, parts, leans=leans, k1_free=k1_free, mount=mount, enough=enough)
+        stated = "the mount of one beam" if leans else "the mount of every beam"
+        cure = f'against the mirror image, state {stated} in [[known]] (relation = "mount")'
+        return (*what, IMAGE), (*cures[:-1], cure, *cures[-1:])
     if motion is None or not parts:
         return undetermined(parts), advice(parts)
     rest = [part for part in parts if not _explained(part, motion)]
@@ -198,10 +251,10 @@ def named(
         # Where walls are found to lean with an undetermined height, everything moves with the heights.
         rest = []
     if turning:
-        what, cures = _of_turns(motion, leans, k1_free, mount)
+        first, cures = _of_turns(motion, leans, k1_free, mount)
     else:
-        what, cures = _of_moves(motion, mount)
-    return (what, *undetermined(rest)), (*cures, *advice(rest))
+        first, cures = _of_moves(motion, mount)
+    return (first, *undetermined(rest)), (*cures, *advice(rest))
 
 
 def _of_turns(
@@ -330,7 +383,7 @@ def check_motion(recording: Recording) -> MotionCheck:
     names = BeamAndPlaneNames.of(recording, order)
     readings = readings.about_planes()
     parts, leans, unknowns = _open_in_general(readings, names), True, count_unknowns(readings, 0)
-    motion = poor_motion(readings)
+    motion, image = poor_motion(readings), None
     if motion is not None:
         # Of a motion that is poor but for a floor that is not flat, nothing is undetermined in general,
         # for readings without noise; the noise of the readings decides, before the planes there are.
@@ -343,7 +396,9 @@ def check_motion(recording: Recording) -> MotionCheck:
             observed = observability(at, readings, 0, sigma)
             leans = some_plane_leans(motion, at, readings, sigma)
             parts = parts if leans and parts else open_parts(observed, at, names)
-    words, help_ = named(motion, parts, leans=leans, k1_free=None)
+            if motion.axis.any():
+                image = image_in_plane(motion, at, readings, sigma)
+    words, help_ = named(motion, parts, leans=leans, k1_free=None, image=image is not None)
     moved = float(np.abs(readings.world_t_hand).max())
     if not parts and moved < LEAST_MOVE * readings.typical_range():
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)

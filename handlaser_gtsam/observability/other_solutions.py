@@ -85,8 +85,13 @@ class Judge(NamedTuple):
         return float(e @ e)
 
     def seen(self, parameters: Parameters) -> Observability | None:
-        """Return what is determined at parameters that fit; None where they do not."""
+        """Return what is determined at parameters that fit; None where they do not.
+
+        Near k1 = -1, to which a step along what is undetermined may lead, any beam would fit.
+        """
         if not self.squares(parameters) <= self.most_squares:
+            return None
+        if self.free_terms and not plausible_range_errors(parameters, self.readings):
             return None
         how = self.options, self.whitening, self.prior
         try:

@@ -13,7 +13,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Order, Recording
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
-from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, RANGE_ERROR
+from ..model.families import BEAM, DIRECTION, LOCATION, OF_DIRECTION, PLANE, RANGE_ERROR
 from ..model.joint import beam_lifts
 from ..text import some
 from .rank import NullSpace, Observability
@@ -36,6 +36,7 @@ ALONG_AND_ACROSS = {
 
 MIRROR = "on which side of the hand the beams lie: their mirror image fits as well"
 MIRROR_ADVICE = "move the hand between the stations of a plane instead of only turning it"
+IMAGE = "which way up the beams are: their mirror image in the plane of the motion fits as well"
 
 
 class BeamAndPlaneNames(NamedTuple):
@@ -197,7 +198,10 @@ def weakest(observed: Observability, parameters: Parameters, names: BeamAndPlane
 def open_coordinates(
     observed: Observability, parameters: Parameters
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far the null space reaches into each coordinate: beams (B, 8), planes (P, 4)."""
+    """Return how far the null space reaches into each coordinate: beams (B, 8), planes (P, 4).
+
+    Turns that are undetermined change all coordinates of a direction or a normal, some to second order.
+    """
     if observed.full:
         return np.zeros((len(parameters.locations), BEAM.size)), np.zeros(
             (len(parameters.offsets), len(PLANE.numbers))
@@ -207,7 +211,10 @@ def open_coordinates(
     flat = np.zeros((len(planes), 4, beams.shape[2]))
     flat[:, :3] = model.tangent_basis(parameters.normals) @ planes[:, :2]
     flat[:, 3] = np.linalg.norm(planes, axis=1)  # the offset at the origin follows the normal
-    return np.linalg.norm(lifted, axis=2), np.linalg.norm(flat, axis=2)
+    of_beams, of_planes = np.linalg.norm(lifted, axis=2), np.linalg.norm(flat, axis=2)
+    for turned in (of_beams[:, OF_DIRECTION], of_planes[:, :3]):
+        turned[:] = turned.max(axis=1, keepdims=True)
+    return of_beams, of_planes
 
 
 def _rows(space: NullSpace, parameters: Parameters) -> dict[str, FloatArray]:

@@ -11,19 +11,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..data.parameters import RangeErrorPrior
+from ..arrays import FloatArray
+from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..estimation.scales import RANGE, NoiseComponent
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution, covariance_of_determined
 from ..model.equation import residuals_or_infinite
-from ..model.families import PLANE
+from ..model.families import OF_DIRECTION, PLANE, count_unknowns
 from ..model.joint import JointCovariance, strong_correlations
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS
 from ..model.weighting import Variances
-from ..observability.motion import named, poor_motion, some_plane_leans
+from ..observability.motion import image_in_plane, named, poor_motion, some_plane_leans
 from ..observability.other_solutions import mirror_image_fits
 from ..observability.rank import observability
 from ..observability.wording import (
@@ -36,7 +37,7 @@ from ..observability.wording import (
 )
 from ..outliers.reasons import Reasons
 from ..progress import tell
-from ..quantities import FAR_SIGMAS, NEGLIGIBLE, TEN_TIMES
+from ..quantities import FAR_SIGMAS, KNOWN, NEGLIGIBLE, TEN_TIMES
 from ..text import count
 from .calibration import Calibration
 from .calibration_data import (
@@ -76,6 +77,8 @@ OF_NOISE = ("sigmas-too-small", "sigmas-too-large", "poses-err")
 """Codes of warnings that judge the noise by the residuals."""
 NO_REDUNDANCY = "the noise of the readings: there are no more readings than unknowns"
 NO_REDUNDANCY_ADVICE = "add stations, or give the range sigma"
+EXACT_FIT = "whether another mount fits as well: there are no more readings than unknowns"
+EXACT_FIT_ADVICE = "add stations"
 
 
 def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = None) -> Calibration:
@@ -87,7 +90,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     used = problem.chosen(selection.used)
     more = 0 if freed is None else freed.rank
     fit, why = fit_of(problem, selection, more)
-    determined = _determined_by(names, used, solution, fit, more)
+    determined, image, up = _determined_by(names, used, solution, fit, more)
     wrong = misfit(problem.recording, used, solution.best, fit)
     if wrong is not None and wrong.code == IMPLAUSIBLE:
         # Where the motion is poor and leaves free range errors undetermined, k1 = -1 fits, too.
@@ -135,7 +138,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         misspelt = _misspelt_labels(problem, solution, fit)
         signs = (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit)
     whole = joint if determined.rank == determined.unknowns else None
-    beams_and_planes = _estimates(problem, solution, joint)
+    beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
     if rows is not None and not mistaken:
         moved = moved_beam(rows, problem, selection, fit, systematic, beams_and_planes[0])
@@ -175,19 +178,40 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
 
 
 def _estimates(
-    problem: Problem, solution: Solution, joint: JointCovariance | None
+    problem: Problem,
+    solution: Solution,
+    joint: JointCovariance | None,
+    image: Parameters | None,
+    up: FloatArray,
 ) -> tuple[Mapping[str, Beam], Mapping[str, Plane]]:
-    """Return beams and planes by name, in the order of the recording."""
-    names, recording = problem.names, problem.recording
-    open_beams, open_planes = open_coordinates(solution.observability, solution.parameters)
+    """Return beams and planes by name, in the order of the recording.
+
+    What the readings leave undetermined has no standard deviation, nor has what a mirror image that
+    fits as well has elsewhere, by more than it, nor have elevations along `up` (3,).
+    """
+    names, recording, at = problem.names, problem.recording, solution.parameters
     beams, planes = [i for _, i in names.beams], [p for _, p in names.planes]
+    opened = open_coordinates(solution.observability, at)
+    open_beams, open_planes = opened[0][beams] > NEGLIGIBLE, opened[1][planes] > NEGLIGIBLE
+    elevated = np.abs(up) > NEGLIGIBLE
+    if elevated.any() and solution.terms:
+        elevated[:] = True  # k1 compensates an elevation, which shortens the rest of a direction
+    open_beams[:, OF_DIRECTION] |= elevated
+    if image is not None and joint is not None:
+        off = np.abs(np.hstack(image.beams) - np.hstack(at.beams))[beams]
+        variances = np.diagonal(joint.all_beams(), axis1=1, axis2=2)
+        open_beams |= off > np.sqrt(np.maximum(variances, 0.0)) + NEGLIGIBLE
+        off = np.abs(image.normals - at.normals)[planes]
+        variances = np.diagonal(joint.all_planes(), axis1=1, axis2=2)[:, :3]
+        turned = off > np.sqrt(np.maximum(variances, 0.0)) + NEGLIGIBLE
+        open_planes |= np.column_stack((turned, turned.any(axis=1)))
     return named_estimates(
         recording.beam_names,
         recording.plane_names,
         problem.in_world(solution.best),
         tuple(solution.at.terms[i] for i in beams),
         joint,
-        (open_beams[beams] > NEGLIGIBLE, open_planes[planes] > NEGLIGIBLE),
+        (open_beams, open_planes),
     )
 
 
@@ -299,34 +323,51 @@ def _way(
 
 def _determined_by(
     names: BeamAndPlaneNames, used: Readings, solution: Solution, fit: Fit, more: int
-) -> Determined:
+) -> tuple[Determined, Parameters | None, FloatArray]:
     """Return what the readings that were used, each plane in its own frame, determine.
 
-    They determine `more` unknowns beside beams and planes.
+    They determine `more` unknowns beside beams and planes. The second result is the mirror image in the
+    plane of the motion, where that fits as well. The third is the axis (3,) of the turns, hand frame,
+    where elevations along it are undetermined whatever the rank is at the solution: level beams, and
+    what a free k1 compensates, show theirs to second order only. Of a hand that never turns it is ones,
+    where whole directions are: they have images in the plane of the moves, or of two normals. It is
+    zero elsewhere.
     """
     found, parameters = solution.observability, solution.parameters
     parts = open_parts(found, parameters, names)
     if solution.prior is not None:  # what is known of range errors without any reading
         parts = tuple(part for part in parts if part.quantity != "range error")
-    motion, leans, how = None if found.full else poor_motion(used), False, solution.whitening
+    motion, leans, how, image = poor_motion(used), False, solution.whitening, None
     sigma = fit.range_sigma if how is None else how.sigma
     squares = float(solution.at.residual @ solution.at.residual)
     if motion is not None:
         leans = some_plane_leans(motion, parameters, used, sigma, how)
+        if motion.axis.any():
+            image = image_in_plane(motion, parameters, used, sigma, how)
+    k1_free, up = solution.terms > 0 and solution.prior is None, np.zeros(3)
+    second_order = motion is not None and (not leans or (k1_free and motion.kind == "planar"))
+    if motion is not None and second_order and not found.full:
+        up = motion.axis
+        flat = np.linalg.svd(parameters.normals, compute_uv=False)[2:] < KNOWN
+        if not up.any() and (motion.kind != "in space" or flat.all()):
+            up = np.ones(3)
     words, help_ = named(
         motion,
         parts,
         leans=leans,
-        k1_free=solution.terms > 0 and solution.prior is None,
+        k1_free=k1_free,
         enough=len(used) >= found.unknowns,
+        image=image is not None,
     )
-    if found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
+    if found.full and len(used) <= count_unknowns(used, 0):  # as many equations have other roots
+        words, help_ = (EXACT_FIT,), (EXACT_FIT_ADVICE,)
+    elif found.full and solution.redundancy <= 0 and not fit.range_sigma_given:
         words, help_ = (NO_REDUNDANCY,), (NO_REDUNDANCY_ADVICE,)
     elif found.full and mirror_image_fits(parameters, used, squares, sigma):
         words, help_ = (MIRROR,), (MIRROR_ADVICE,)
     elif not found.full and motion is None and _motion_determines(used, solution):
         help_ = (said("noise-advice", rms=fit.rms),)
-    return Determined(
+    determined = Determined(
         found.rank + more,
         found.unknowns + more,
         found.condition if found.full else None,
@@ -336,6 +377,7 @@ def _determined_by(
         found.indices(),
         weakest(found, parameters, names),
     )
+    return determined, image, up
 
 
 def _motion_determines(used: Readings, solution: Solution) -> bool:

@@ -276,7 +276,8 @@ def rival_warnings(
     first = np.cumsum([0, *(MOUNT_DIM + terms for terms in joint.terms[:-1])])
     rows = first[:, None] + np.array([3, 4])
     blocks = joint.beams[rows[:, :, None], rows[:, None, :]]
-    sigma = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
+    sigma = np.empty(used.beams)  # in the order of the readings, as all else here
+    sigma[[i for _, i in names.beams]] = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
     # Each takes a solution of all unknowns.
     for beam in np.argsort(least)[:4].tolist():
         if least[beam] > WORTH_REFINING:
@@ -288,7 +289,10 @@ def rival_warnings(
         other = refine(replace(at, locations=r, directions=v), used, solution.terms, LAST_STEPS)
         if best is None or other is None:
             continue
-        turn = float(np.linalg.norm(other.parameters.directions[beam] - at.directions[beam]))
+        # Of the mount where the same steps lead from the solution: they count neither priors nor the
+        # errors of poses, and may lead from there to the very mount that is compared.
+        here, there = (found.parameters.directions[beam] for found in (best, other))
+        turn = float(np.linalg.norm(there - here))
         chi2 = (other.criterion - best.criterion) / size**2
         if chi2 > UNLIKELY_EXCESS or turn < FAR_SIGMAS * sigma[beam]:
             continue

@@ -9,8 +9,13 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording, join
 from ..errors import InputError
-from ..model.sensor_limits import OUTSIDE, Rejected, Sensor
+from ..model.families import MOUNT_DIM
+from ..model.sensor_limits import BY_LIMITS, OUTSIDE, Rejected, Sensor
 from .plane import FittedPlane
+
+MOST_LOST = 0.75
+"""A beam has moved, and no gross errors are at fault, where it loses more than this part of its
+readings in every plane from one on: where a third are gross, one plane of ten stations in 300 does."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +127,28 @@ class Contents:
         """Planes that fit no beams as they are, with the beam without which they would, if any."""
         planes = self.planes.items()
         return {name: p.culprit for name, p in planes if p.culprit is not None}
+
+    @property
+    def lost(self) -> tuple[str, str]:
+        """The first plane of those before which a beam loses nearly all readings, and that beam.
+
+        Later planes with few readings of it say nothing. Empty where there is none, or where the beam
+        has lost them from the beginning.
+        """
+        for beam in dict.fromkeys(one.sensor for one in self.rejected):
+            since, before = "", False
+            for name, plane in self.inside.items():
+                reasons = [one.reason for one in plane.rejected if one.sensor == beam]
+                out = sum(reason not in BY_LIMITS for reason in reasons)
+                own = [column == beam for column in plane.recording.beam_names]
+                read = int((~np.isnan(plane.recording.ranges[:, own])).sum()) - len(reasons) + out
+                if out > max(MOUNT_DIM, MOST_LOST * read):
+                    since = since or name
+                elif read > MOUNT_DIM:
+                    since, before = "", True
+            if since and before:
+                return since, beam
+        return "", ""
 
     def recording(self) -> Recording:
         """Return everything under the names that beams have now, stations as they came.

@@ -272,9 +272,10 @@ class SessionState:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
         planes = self.contents.consistent
         moved = search(self.config, planes, recent(len(planes)) if recently else None)
-        # A beam without which planes that were excluded would fit has moved far.
+        # A beam without which planes that were excluded would fit has moved far, and so has one that
+        # lost nearly all its readings.
         excluded = self.contents.excluded.items()
-        plane, beam = next((far for far in excluded if far[1]), ("", ""))
+        plane, beam = next((far for far in excluded if far[1]), self.contents.lost)
         if beam and moved is None:
             return BeamDrift(beam, np.nan, 0.0, np.full(3, np.nan), np.nan, plane)
         if moved is None or moved.name != beam:

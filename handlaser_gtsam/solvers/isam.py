@@ -22,6 +22,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..data.parameters import Beams, Parameters
+from ..errors import GrazingBeamError
 from ..factors import RangeBlock, evaluated_together, range_factor
 from ..factors.keys import BeamKeys, plane_key
 from ..model.families import BEAM
@@ -177,18 +178,25 @@ class IncrementalGraph:
         Raises
         ------
         RuntimeError
-            GTSAM calls the system indeterminate, the estimate does not settle, or it is not accepted.
+            GTSAM calls the system indeterminate, the estimate does not settle, a step leads to a beam
+            that grazes its plane, or it is not accepted.
         """
         with self._lock:
             new = self._copy()
             gone = {*without, *(number for number in added if number in self._factors)}
-            new._exchange(added, gone, beams)
-            new._settle(FINE_PART if fine else 1.0)
-            state = new.state()
-            # A beam is hardly known to a hundredth of its natural units.
-            if not fine and (state.sigmas() > 0.01 * new._unit).any():
-                new._settle(FINE_PART)
+            try:
+                new._exchange(added, gone, beams)
+                new._settle(FINE_PART if fine else 1.0)
                 state = new.state()
+                # A beam is hardly known to a hundredth of its natural units.
+                if not fine and (state.sigmas() > 0.01 * new._unit).any():
+                    new._settle(FINE_PART)
+                    state = new.state()
+            except (GrazingBeamError, RuntimeError) as error:  # steps of iSAM2 are undamped
+                # GTSAM's own words are a page on linear systems.
+                singular = "Indeterminate" in str(error)
+                words = "GTSAM calls the system indeterminate" if singular else str(error)
+                raise RuntimeError(words) from error
             if accept is not None and not accept(state):
                 raise RuntimeError("too few planes are left")
         return new, state
