@@ -325,6 +325,9 @@ def test_unknown_scales_are_integrated_over_as_in_the_batch(noise, poses):
         if update.comparison is not None:
             messages.append(update.comparison.message)
     assert any("scales learned again" in words for words in messages)
+    # Tests of moves know that the scales were learned from all that came.
+    if noise.range_sigma is None:
+        assert session.state.config.sigma_dof > 60
     found = session.recalibrate()
     assert found.largest < 0.01
     assert found.largest_sigma < 0.01

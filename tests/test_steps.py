@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from helpers import bench, motion, recording_of
 
+import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.model.beams_on_planes import CENTRE, values_of
+from handlaser_gtsam.model.block import impossible
 from handlaser_gtsam.model.families import BEAM, PLANE
 from handlaser_gtsam.model.reduced_information import (
     MANY_MATRICES,
@@ -161,3 +163,18 @@ def test_patterns_that_tile_what_stays_are_added_at_once():
     problem.reduction.structure = each
     for one, other in zip(at_once.arrays(), problem.reduction.normal(rows).arrays(), strict=True):
         assert np.array_equal(one, other)
+
+
+def test_no_search_ends_where_rounding_makes_a_beam_graze():
+    """Of eight stations with wrong labels, one ended at a cosine of 0.00099999999999997."""
+    n, across = np.array([[0.0, 0.0, 1.0]]), np.array([[1.0, 0.0, 0.0]])
+    truth = bench(1, 1)
+    for part, expected in ((1.0 + 1e-13, True), (1.001, False)):
+        cosine = model.GRAZING_LIMIT * part
+        v = cosine * n + np.sqrt(1.0 - cosine**2) * across
+        at = replace(truth, directions=v, normals=n)
+        still = [np.eye(3)] * 4, np.zeros((4, 3))
+        ranges = np.full((4, 1), 0.1)
+        readings = hl.Recording(*still, ranges, ("A",) * 4, ("1",)).readings()
+        _, block = beam_problem([readings], 0, 1e-4)
+        assert impossible(block.evaluate(block.begun([at])), block).all() == expected

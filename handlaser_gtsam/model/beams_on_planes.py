@@ -19,6 +19,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.readings import Readings, Regressors
+from ..quantities import ROUNDING
 from .block import Rows, Slot, Values, Weights
 from .equation import GRAZING_LIMIT, corrected, range_error_derivatives
 from .families import BEAM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR, PLANE, POSE, bases
@@ -251,8 +252,10 @@ class BeamsOnPlanes:
         along = along.reshape(len(along), 3, -1, self.beams, self.cells)
         cosine = along[:, 0, 1] if self.read is None else np.where(self.read, along[:, 0, 1], 1.0)
         steep, grazing = np.abs(cosine), None
-        if not steep.min() >= GRAZING_LIMIT:
-            grazing = ~(steep >= GRAZING_LIMIT)
+        # A search may creep to the limit: where it ends must not be beyond by rounding.
+        least = GRAZING_LIMIT * (1.0 + ROUNDING)
+        if not steep.min() >= least:
+            grazing = ~(steep >= least)
             cosine = np.where(grazing, GRAZING_LIMIT, cosine)
         c = -1.0 / cosine
         heights = planes[..., HEIGHT].take(self.plane, axis=1)[:, None]

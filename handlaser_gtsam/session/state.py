@@ -29,7 +29,14 @@ from ..estimation.learning_scales import (
 )
 from ..estimation.selection import Selection
 from ..estimation.solution import Solution, covariance_of_determined, posterior
-from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION, OF_LOCATION, OF_RANGE_ERROR
+from ..model.families import (
+    BEAM,
+    MOUNT_DIM,
+    OF_DIRECTION,
+    OF_LOCATION,
+    OF_RANGE_ERROR,
+    count_unknowns,
+)
 from ..model.joint import beams_lift
 from ..model.sensor_limits import FLAT, OUTSIDE, within_incidence
 from ..model.weighting import weighed
@@ -186,9 +193,14 @@ class SessionState:
         """Return the config that everything so far calls for: scales, and a range sigma not given."""
         config, learned = self.config, self.config.learned
         if learned is not None:
-            problem = scale_problem(config, learned, *self.estimate())
+            readings, parameters = self.estimate()
+            problem = scale_problem(config, learned, readings, parameters)
             learned = problem.learned(problem.mode(learned.mode))
-            return replace(config, learned=learned, sigma=float(learned.variances().range_sigma[0]))
+            sigma, dof = float(learned.variances().range_sigma[0]), config.sigma_dof
+            if np.isfinite(dof):  # priors of range errors say as much as these are unknowns
+                terms = config.terms if config.prior is None else 0
+                dof = float(max(len(readings) - count_unknowns(readings, terms), 1))
+            return replace(config, learned=learned, sigma=sigma, sigma_dof=dof)
         if config.noise.range_sigma is not None:
             return config
         found = self.solution
