@@ -262,6 +262,39 @@ def test_of_a_covariance_of_the_poses_nothing_is_contradicted():
     assert [one.quantity for one in found.noise_estimate] == ["range"]
 
 
+@pytest.mark.parametrize("seed", [7, 10])
+def test_a_beam_that_moved_contradicts_no_pose_sigmas(seed):
+    """Larger errors of poses explain a move of one of three beams better than noise of its ranges."""
+    layout, rng = Layout(beams=3, planes=6, stations=12), np.random.default_rng(seed)
+    truth, stations = SCENES["paper"](layout, rng)
+    knocked = truth.locations.copy()
+    knocked[1] += [3e-4, -2e-4, 4e-4]
+    first, last = (
+        simulate(replace(truth, locations=r), stations, Errors(RANGE, TRANSLATION, ROTATION), rng)
+        for r in (truth.locations, knocked)
+    )
+    half = len(first.plane_labels) // 2
+    names = ("world_R_hand", "world_t_hand", "ranges")
+    parts = ((getattr(first, name)[:half], getattr(last, name)[half:]) for name in names)
+    recording = replace(first, **dict(zip(names, map(np.concatenate, parts), strict=True)))
+    found = hl.calibrate(recording, hl.Noise(None, TRANSLATION, ROTATION))
+    assert "displaced" in codes(found)
+    assert "sigmas-too-small" not in codes(found)
+    assert [one.quantity for one in found.noise_estimate] == ["range"]
+
+
+def test_a_session_contradicts_no_pose_sigma_where_it_learns_the_other():
+    """The translation sigma, which holds, was called contradicted: the rotation was learned."""
+    recording, _ = robot(0, Layout(beams=3, planes=6, stations=12))
+    session = hl.Session(hl.Noise(pose_translation_sigma=TRANSLATION))
+    for plane in recording.plane_names:
+        session.add(recording.plane(plane))
+    session.recalibrate()
+    found = session.calibration()
+    assert codes(found) == []
+    assert session.state.problem.noise.pose_translation_sigma == TRANSLATION
+
+
 def test_a_session_says_which_pose_sigmas_are_contradicted():
     recording, _ = robot(0, Layout(beams=3, planes=6, stations=12))
     stated = hl.Noise(pose_translation_sigma=0.1 * TRANSLATION, pose_rotation_sigma=0.1 * ROTATION)

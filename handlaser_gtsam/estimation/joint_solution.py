@@ -50,6 +50,8 @@ digit."""
 POSE_RIVALS = 3.0, 10.0
 """Pose sigmas that are given are compared with sigmas of these times their size: half an order of
 magnitude each."""
+MANY_BEAMS = 10
+"""Among more beams one that moved does not look like errors of the poses, which move them all."""
 STEPS_IN_VAIN = 100
 """A search that is no fit after this number of steps is ended: it has no minimum to arrive at. Along
 what is undetermined it creeps from there on, by thousandths of a standard deviation."""
@@ -208,24 +210,40 @@ class SolutionTask:
 
         Errors of poses move all beams of a station, and their rotations move far spots more than near
         ones: a range sigma that takes them up says neither. The given sigmas are contradicted as a
-        range sigma is (`contradicts_range_sigma`), by rivals that are `POSE_RIVALS` times as large; no
-        rival is larger than what pose errors are looked for at all.
+        range sigma is (`contradicts_range_sigma`), by rivals of `POSE_RIVALS` times their size. None is
+        larger than what pose errors are looked for at all, and none is tried after one that is less
+        probable than a smaller one. No pose errs where it is one beam that does, as one that moved amid
+        the recording: the others would contradict the rival without it.
         """
-        if self.loss != GAUSSIAN or not first.observability.full:
-            return False
         unknown = {scale.name for scale in self.scales.unknown}
-        if self.noise.pose_covariance is not None or unknown != {RANGE}:
+        if self.loss != GAUSSIAN or unknown != {RANGE} or not first.observability.full:
             return False
-        usual = start_of(self.scales, self.sigma, self.length)
-        self.point = usual, self.point[1]
-        stated = self._scale_problem(first)
+        given = self.base.pose is not None and self.noise.pose_covariance is None
+        if not given or self.readings.beams < 2:
+            return False
+        self.point = start_of(self.scales, self.sigma, self.length), self.point[1]
+
+        def probability(problem: ScaleProblem, factor: float) -> float:
+            scales = replace(problem.scales, pose=factor * problem.scales.pose)
+            rival = replace(problem, scales=scales)
+            mode = rival.mode(start_of(scales, self.sigma, self.length))
+            return float(rival.log_posterior(mode[None])[0])
+
+        stated, enough = self._scale_problem(first), 0.5 * UNLIKELY_EXCESS
         spots = self.scales.pose * np.repeat([self.length, 1.0], 3)
-        most = MOST_POSE_ERROR * self.sigma / max(float(spots.max()), LEAST_SIGMA)
-        log_odds = []
-        for factor in (1.0, *(one for one in POSE_RIVALS if one <= most)):
-            rival = replace(stated, scales=replace(self.scales, pose=factor * self.scales.pose))
-            log_odds.append(float(rival.log_posterior(rival.mode(usual)[None])[0]))
-        return max(log_odds) - log_odds[0] > 0.5 * UNLIKELY_EXCESS
+        most = MOST_POSE_ERROR * self.sigma / float(spots.max())
+        found = {1.0: probability(stated, 1.0)}
+        for factor in POSE_RIVALS:
+            if factor > most:
+                break
+            found[factor] = probability(stated, factor)
+            if found[factor] < max(found.values()):
+                break
+        best = max(found, key=lambda factor: found[factor])
+        if found[best] - found[1.0] <= enough or self.readings.beams > MANY_BEAMS:
+            return found[best] - found[1.0] > enough
+        others = stated.without_each_beam()
+        return all(probability(one, 1.0) - probability(one, best) <= enough for one in others)
 
     @property
     def redundancy(self) -> int:

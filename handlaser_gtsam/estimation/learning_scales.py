@@ -11,7 +11,7 @@ c including the determinants of C and of the planes' information: the restricted
 scales. All unknowns are in natural units of the typical range.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from ..arrays import BoolArray, FloatArray, evenly
+from ..arrays import BoolArray, FloatArray, IntArray, evenly
 from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Readings
 from ..data.value import Value
@@ -347,8 +347,24 @@ class ScaleProblem:
         if self.scales.common:  # the beams are alike
             beams = evenly(readings.beams, REPRESENTATIVE_BEAMS)
         few = part_of(readings.subset(np.flatnonzero(np.isin(readings.beam, beams))))
-        if len(few) == len(readings):
-            return self
+        return self if len(few) == len(readings) else self._of(beams, few, self.scales)
+
+    def without_each_beam(self) -> Iterator["ScaleProblem"]:
+        """Yield the problems of all beams but one, of those in which scales are searched for."""
+        part = self._part
+        for beam in range(part.readings.beams):
+            others = np.delete(np.arange(part.readings.beams), beam)
+            few = part.readings.subset(np.flatnonzero(part.readings.beam != beam))
+            unknown = tuple(
+                one if one.beam is None else replace(one, beam=one.beam - (one.beam > beam))
+                for one in part.scales.unknown
+                if one.beam != beam
+            )
+            sigma = part.scales.range_sigma[others]
+            yield part._of(others, few, replace(part.scales, unknown=unknown, range_sigma=sigma))
+
+    def _of(self, beams: IntArray, few: Readings, scales: Scales) -> "ScaleProblem":
+        """Return the problem of some readings, which are of some beams."""
         planes = np.unique(few.plane)
         few = replace(
             few,
@@ -357,7 +373,8 @@ class ScaleProblem:
             beams=len(beams),
             planes=len(planes),
         )
-        return replace(self, parameters=self.parameters.part(beams, planes), readings=few)
+        parameters = self.parameters.part(beams, planes)
+        return replace(self, parameters=parameters, readings=few, scales=scales)
 
     @cached_property
     def _wide(self) -> RangeErrorGrid:

@@ -7,12 +7,12 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..data.noise import POSE_SIGMAS, Noise
+from ..data.noise import SIGMAS, Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..estimation.learning_scales import LearnedScales
 from ..estimation.options import CalibrationOptions
-from ..estimation.scales import RANGE
+from ..estimation.scales import ROTATION, TRANSLATION
 from ..factors.keys import BeamKeys, beam_keys
 from ..model.families import BEAM, modelled
 from ..model.weighting import Variances
@@ -111,10 +111,15 @@ class SessionConfig:
     @property
     def contradicted(self) -> tuple[str, ...]:
         """Sigmas of the noise that are given, and estimated because the readings contradict them."""
-        estimated = ["range_sigma"] * bool(np.isfinite(self.sigma_dof))
-        if self.learned is not None and any(s.name != RANGE for s in self.learned.scales.unknown):
-            estimated += POSE_SIGMAS
-        return tuple(name for name in estimated if getattr(self.noise, name) is not None)
+        learned = [] if self.learned is None else self.learned.scales.unknown
+        estimated = {
+            "range_sigma": np.isfinite(self.sigma_dof),
+            "pose_translation_sigma": any(scale.name == TRANSLATION for scale in learned),
+            "pose_rotation_sigma": any(scale.name == ROTATION for scale in learned),
+        }
+        return tuple(
+            name for name in SIGMAS if estimated[name] and getattr(self.noise, name) is not None
+        )
 
     def variances(self, stations: int) -> Variances:
         """Return the variances behind the covariance of the readings of that many stations."""
