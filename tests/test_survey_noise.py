@@ -1,6 +1,7 @@
 """Sizes of noise that is not stated, against integrals over fine grids with formulas of their own."""
 
 import itertools
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -213,6 +214,21 @@ def test_pose_sigmas_that_shots_contradict_are_learned(stated):
             assert np.allclose(one.covariance, free.sensors[name].covariance)
         right = hl.calibrate(survey, rigs.STATED)
         assert (right.warnings, right.verdict.code) == ((), "usable")
+
+
+def test_a_hand_that_is_not_exact_is_said_without_a_ratio(tmp_path):
+    """Errors were "inf times as large as given"."""
+    survey = rigs.survey_of(rigs_by_rays.profiler(0, hand_sigma=rigs.HAND))
+    for translation in (0.0, 1e-6):
+        found = hl.calibrate(survey, hl.Noise(None, translation, 0.0))
+        (warning,) = found.warnings
+        assert warning.values["times"] == np.inf
+        best = found.verdict.best
+        assert (best.code, best.number) == ("sigmas", None)
+        assert best.words == "sigmas that fit, or none (a pose sigma was given as zero)"
+        hl.write_calibration(tmp_path / "result.json", found)
+        (written,) = json.loads((tmp_path / "result.json").read_text())["warnings"]
+        assert written["values"]["times"] is None
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from .survey_motion import MORE_STATIONS
 from .verdict import (
     Improvement,
     Verdict,
+    better_sigmas,
     clause,
     failures,
     failures_of,
@@ -185,7 +186,7 @@ def _improvement(
         return improvement_of("outliers:shots", float(out), total=total)
     for how in ("small", "large"):
         if f"sigmas-too-{how}" in warnings:
-            return improvement_of("sigmas", float(warnings[f"sigmas-too-{how}"].values["times"]))
+            return better_sigmas(float(warnings[f"sigmas-too-{how}"].values["times"]))
     if FEW in warnings:
         return improvement_of("more-stations:few", dof=f"{warnings[FEW].values['spare']:.1f}")
     share = _pose_share(result)

@@ -116,7 +116,7 @@ def improvement(
         return improvement_of("outliers", fit.outliers, total=total)
     for one in calibration.warnings:
         if one.code in ("sigmas-too-small", "sigmas-too-large"):
-            return improvement_of("sigmas", float(one.values.get("times", fit.sigma0)))
+            return better_sigmas(float(one.values.get("times", fit.sigma0)))
     if any(one.quantity == "rms" for one in failed):
         return improvement_of("limit-rms")
     if undetermined is not None:
@@ -173,6 +173,13 @@ def improvement_of(message: str, number: float | None = None, **words: float | s
     if number is not None:
         words = {"number": number, **words}
     return Improvement(message.partition(":")[0], said(f"best:{message}", **words), number)
+
+
+def better_sigmas(times: float) -> Improvement:
+    """Return sigmas that fit, where errors are `times` as large: infinitely beside a given zero."""
+    return (
+        improvement_of("sigmas", times) if math.isfinite(times) else improvement_of("sigmas:zero")
+    )
 
 
 @dataclass(frozen=True, slots=True)

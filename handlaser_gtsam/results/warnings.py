@@ -321,6 +321,6 @@ def contradicted_poses(stated: Noise, turn: float, shift: float) -> CalibrationW
     before = stated.standstill
     values = {"translation": shift, "rotation": turn}
     pairs = zip((shift, turn), before, strict=True)
-    times = max((now / sigma for now, sigma in pairs if sigma > 0.0), default=math.inf)
+    times = max(now / sigma if sigma > 0.0 else math.inf for now, sigma in pairs)
     stated_ones = {"stated_translation": before[0], "stated_rotation": before[1]}
     return warned("sigmas-too-small:poses", {**values, **stated_ones, "times": times})
