@@ -34,6 +34,7 @@ HAND = 5e-5, 1.7e-4
 """Errors of the hand in the rows that have some: 0.05 mm and 0.01 degrees."""
 EXACT = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
 STATED = hl.Noise(pose_translation_sigma=HAND[0], pose_rotation_sigma=HAND[1])
+A_FIFTH = hl.Noise(pose_translation_sigma=0.2 * HAND[0], pose_rotation_sigma=0.2 * HAND[1])
 ROWS: dict[str, tuple[str, dict[str, Any], hl.Noise]] = {
     "profiler": ("profiler", {}, EXACT),
     "scanner": ("scanner", {}, EXACT),
@@ -55,6 +56,10 @@ ROWS: dict[str, tuple[str, dict[str, Any], hl.Noise]] = {
         {"targets": "sphere", "hand_sigma": HAND},
         STATED,
     ),
+    "profiler, a fifth stated": ("profiler", {"hand_sigma": HAND}, A_FIFTH),
+    "array, a fifth stated": ("array", {"hand_sigma": HAND}, A_FIFTH),
+    "mixed, a fifth stated": ("mixed", {"hand_sigma": HAND}, A_FIFTH),
+    "profiler, hand called exact": ("profiler", {"hand_sigma": HAND}, EXACT),
     "mixed, hand stated": ("mixed", {"hand_sigma": HAND}, STATED),
     "mixed, hand not stated": ("mixed", {"hand_sigma": HAND}, hl.Noise()),
     "profiler, 10 % wrong": ("profiler", {"wrong_shots": 0.1, "wrong_by": "station"}, EXACT),

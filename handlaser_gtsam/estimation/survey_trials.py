@@ -11,6 +11,7 @@ is tested against an F distribution of q over S - q - 1 degrees of freedom at S 
 one number of the noise; with noise that is stated by chi2. What no row tells of x is held.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,13 +22,13 @@ from ..arrays import FloatArray, IntArray, evenly
 from ..data.noise import POSE_SIGMAS
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
-from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
+from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
 from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, PLANE, POSE
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from ..quantities import MAJORITY, NEGLIGIBLE, NUMBERS_AT_ONCE, TEN_TIMES, TINY
+from ..quantities import MAJORITY, MANY_OUTLIERS, NEGLIGIBLE, NUMBERS_AT_ONCE, TEN_TIMES, TINY
 from .dense import DenseRows
 from .joint_solution import STEPS_IN_VAIN
 from .survey import SurveyEstimate, estimate_survey, learned_sizes, sizes_and_likelihood
@@ -158,9 +159,9 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
     """Return an estimate with errors of the hand learned where readings contradict what is stated.
 
     They are looked for where shots are rejected, misfit by chi2 or do not fit at all, unless range
-    errors, or what was moved, explain most of that. What is stated is contradicted where -2 log of the
-    likelihoods differ by `UNLIKELY_EXCESS`: as much as two more sizes make of it once in a thousand
-    times (Wilks). Where nothing fits what is stated, errors that no robot has explain it neither.
+    errors, or what was moved, explain most of that. What is stated is contradicted where likelihoods
+    differ by more than two more sizes make of them by chance (`FAMILY_LEVEL`; Wilks). Where nothing fits
+    what is stated, errors that no robot has explain it neither.
     """
     noise, estimate, survey = found.given, found.estimate, found.rows.survey
     if np.isnan(found.stated.pose).any() or estimate.status == "undetermined":
@@ -173,7 +174,7 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
             return found
         return replace(estimate_survey(survey, unstated), contradicted=noise)
     solved = found.fits and estimate.status == "converged"
-    likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= SINGLE_LEVEL
+    likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= FAMILY_LEVEL
     if (solved and found.used.all() and likely) or _explained_otherwise(found):
         return found
     free = estimate_survey(survey, unstated)
@@ -182,7 +183,7 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
     sigma = found.noise.sigma
     if not (free.fits and plausible):
         return found
-    if _unlikelihood(found, sigma) - _unlikelihood(free, sigma) <= UNLIKELY_EXCESS:
+    if _unlikelihood(found, sigma) - _unlikelihood(free, sigma) <= -2.0 * math.log(FAMILY_LEVEL):
         return found
     return replace(free, contradicted=noise)
 
@@ -207,14 +208,17 @@ def _explained_otherwise(found: SurveyEstimate) -> bool:
 def _unlikelihood(found: SurveyEstimate, sigma: FloatArray) -> float:
     """Return -2 log of the likelihood of all shots, readings in standard deviations `sigma`.
 
-    Each row that was rejected is one unknown more, by Schwarz's criterion.
+    Each row that was rejected is one unknown more, by Schwarz's criterion, and each shot that was is one
+    of those `MANY_OUTLIERS` that are no more than accidents.
     """
     state = replace(found.learning(), sizes=replace(found.noise, sigma=sigma))
     rows, owner = replace(state, used=np.ones_like(found.used)).dense(pose_errors=False)
     out = np.flatnonzero((owner >= 0) & ~found.used[owner])
     P, C = rows.by_pose[out], state.pose_covariance()[state.stations(owner[out])]
     variance = 1.0 + np.einsum("ri,rij,rj->r", P, C, P)
-    return sizes_and_likelihood(state)[1] + float(np.log(len(owner) * variance).sum())
+    rejected = float(np.log(len(owner) * variance).sum())
+    rejected -= 2.0 * math.log(MANY_OUTLIERS) * len(np.unique(owner[out]))
+    return sizes_and_likelihood(state)[1] + rejected
 
 
 def _explained(owner: IntArray, before: FloatArray, left: FloatArray) -> bool:

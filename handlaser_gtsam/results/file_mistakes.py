@@ -18,11 +18,10 @@ from ..arrays import BoolArray, FloatArray
 from ..data.recording import Recording
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import FORMATS, INVERTED, Convention, inverted, numbers_of, poses_of
-from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MAJORITY, MM, TINY
+from ..quantities import IN_PERCENT, INCH, LARGEST_LENGTH, MAJORITY, MANY_OUTLIERS, MM, TINY
 from ..starts import Effort
 from .messages import MISTAKES, READ_AS, Values, said, warned
 from .rereading import MUCH_BETTER, Change, Rereading, glances, misfit, misfits, one_beam, tells
-from .warnings import MANY_OUTLIERS
 
 PROMISING = 9.0
 """Another reading of the file is solved in full where a quick look makes residuals smaller by this."""

@@ -45,7 +45,7 @@ from ..model.families import (
 from ..model.sensor_limits import Rejected
 from ..model.sensors.mounted import SENSOR
 from ..observability.wording import open_sentence
-from ..quantities import FAR_SIGMAS, IN_MM, MAJORITY
+from ..quantities import FAR_SIGMAS, IN_MM, MAJORITY, MANY_OUTLIERS
 from ..starts.beam_minima import MINIMUM_READINGS, MINIMUM_STARTS
 from ..starts.directions import sphere
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
@@ -68,7 +68,6 @@ from .survey_motion import MORE_STATIONS, counts_of, opening, unconfirmed_mount
 from .survey_verdict import FEW, TOO_FEW, free_of
 from .warnings import (
     DISPLACED,
-    MANY_OUTLIERS,
     RIVAL,
     WORTH_REFINING,
     contradicted_poses,

@@ -23,7 +23,7 @@ import numpy as np
 from ..errors import CalibrationWarning
 from ..model.distributions import FEW_DEGREES
 from ..model.effects import EFFECTS, may_also_be
-from ..quantities import IN_MM, IN_PERCENT
+from ..quantities import IN_MM, IN_PERCENT, MANY_OUTLIERS
 from ..text import count, some
 from .calibration_data import CalibrationData
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
@@ -31,7 +31,7 @@ from .lines import NAMES_IN_LINE
 from .messages import MESSAGES, said
 from .spots import VarianceShares, freedom, spot_radii, variance_shares
 from .systematic import SystematicError
-from .warnings import DISPLACED, MANY_OUTLIERS, RIVAL, ambiguous
+from .warnings import DISPLACED, RIVAL, ambiguous
 
 OPENING = MESSAGES["openings"]
 """How a sentence begins, by the code of its verdict."""

@@ -33,7 +33,7 @@ from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
-from ..quantities import EXACT, FAR_SIGMAS, MM, TEN_TIMES
+from ..quantities import EXACT, FAR_SIGMAS, MANY_OUTLIERS, MM, TEN_TIMES
 from ..solvers.beam_problem import refine
 from ..starts.beam_minima import beam_minima
 from ..starts.choice import POOR_START
@@ -43,8 +43,6 @@ from .calibration_data import Fit
 from .dependence import Dependence
 from .messages import Values, warned
 
-MANY_OUTLIERS = 0.1
-"""More outliers than this part of the readings are no accident, but have a cause."""
 FAR_BEAM = 3.0
 """A beam further from the hand's origin than this [m] is no robot's."""
 NO_MOUNT = 10.0
