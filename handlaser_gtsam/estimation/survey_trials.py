@@ -22,7 +22,7 @@ from ..arrays import FloatArray, IntArray, evenly
 from ..data.noise import POSE_SIGMAS
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
-from ..model.distributions import FAMILY_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
+from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
 from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, PLANE, POSE
 from ..model.sensors.mounted import SENSOR
@@ -160,8 +160,8 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
 
     They are looked for where shots are rejected, misfit by chi2 or do not fit at all, unless range
     errors, or what was moved, explain most of that. What is stated is contradicted where likelihoods
-    differ by more than two more sizes make of them by chance (`FAMILY_LEVEL`; Wilks). Where nothing fits
-    what is stated, errors that no robot has explain it neither.
+    differ by more than two more sizes make of them by chance (`FAMILY_LEVEL`; Wilks). Where nothing
+    fits what is stated, errors that no robot has explain it neither.
     """
     noise, estimate, survey = found.given, found.estimate, found.rows.survey
     if np.isnan(found.stated.pose).any() or estimate.status == "undetermined":
@@ -174,7 +174,7 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
             return found
         return replace(estimate_survey(survey, unstated), contradicted=noise)
     solved = found.fits and estimate.status == "converged"
-    likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= FAMILY_LEVEL
+    likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= SINGLE_LEVEL
     if (solved and found.used.all() and likely) or _explained_otherwise(found):
         return found
     free = estimate_survey(survey, unstated)
@@ -208,8 +208,8 @@ def _explained_otherwise(found: SurveyEstimate) -> bool:
 def _unlikelihood(found: SurveyEstimate, sigma: FloatArray) -> float:
     """Return -2 log of the likelihood of all shots, readings in standard deviations `sigma`.
 
-    Each row that was rejected is one unknown more, by Schwarz's criterion, and each shot that was is one
-    of those `MANY_OUTLIERS` that are no more than accidents.
+    Each row that was rejected is one unknown more, by Schwarz's criterion, and at most the part
+    `MANY_OUTLIERS` of all shots are rejected by accident.
     """
     state = replace(found.learning(), sizes=replace(found.noise, sigma=sigma))
     rows, owner = replace(state, used=np.ones_like(found.used)).dense(pose_errors=False)
