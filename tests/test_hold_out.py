@@ -263,6 +263,9 @@ def test_a_sigma_learned_from_few_readings_counts_as_learned(tmp_path):
     old, path = hl.Mounts.of(few), tmp_path / "few.json"
     hl.write_calibration(path, few)
     assert (old.dof, hl.read_mounts(path).dof) == (dof, dof)
+    for none in (0.0, np.nan):
+        with pytest.raises(hl.InputError, match="found dof"):
+            replace(old, dof=none)
     found = hl.hold_out(old, later, NOISE)
     known = hl.hold_out(replace(old, dof=np.inf), later, NOISE)
     assert found.drift == known.drift

@@ -22,6 +22,7 @@ from ..arrays import FloatArray, IntArray, evenly
 from ..data.noise import POSE_SIGMAS
 from ..data.survey import RAY_ERRORS
 from ..data.value import Value
+from ..errors import InputError
 from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
 from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, PLANE, POSE
@@ -169,7 +170,10 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
     unstated = noise.without((*POSE_SIGMAS, "pose_covariance"))
     if any(one.contradicted for one in found.tests):
         known = tuple(one.known for one in found.tests if not one.contradicted)
-        part = with_pose_errors_learned(estimate_survey(replace(survey, known=known), noise))
+        try:
+            part = with_pose_errors_learned(estimate_survey(replace(survey, known=known), noise))
+        except InputError:  # a mount that was stated was the only start
+            return found
         if part.contradicted is None:
             return found
         return replace(estimate_survey(survey, unstated), contradicted=noise)
@@ -177,11 +181,11 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
     likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= SINGLE_LEVEL
     if (solved and found.used.all() and likely) or _explained_otherwise(found):
         return found
-    free = estimate_survey(survey, unstated)
+    free = estimate_survey(survey, unstated, found if solved else None)
     usual = np.array([noise.pose_rotation_prior, noise.pose_translation_prior])
     plausible = solved or (free.noise.pose <= TEN_TIMES * usual).all()
     sigma = found.noise.sigma
-    if not (free.fits and plausible):
+    if not (free.estimate.status == "converged" and plausible):
         return found
     if _unlikelihood(found, sigma) - _unlikelihood(free, sigma) <= -2.0 * math.log(FAMILY_LEVEL):
         return found

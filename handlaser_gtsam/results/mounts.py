@@ -91,6 +91,10 @@ class Mounts(Value):
             raise InputError(f"a direction of length {length[wrong][0]:g}", "a unit vector")
         require_covariance("a covariance of the beams", self.covariance, NEGLIGIBLE)
         require_number("range_sigma", self.range_sigma, LEAST_SIGMA, LARGEST_LENGTH, unit="m")
+        if not self.dof > 0.0:
+            raise InputError(
+                f"dof {self.dof:g}", "degrees of freedom above 0; inf for a given sigma"
+            )
         if self.pose_covariance is not None:
             checked = Noise(pose_covariance=self.pose_covariance).pose_covariance
             object.__setattr__(self, "pose_covariance", checked)

@@ -204,8 +204,9 @@ class SessionState:
         if config.noise.range_sigma is not None:
             return config
         found = self.solution
-        scale = np.sqrt(found.chi2 / max(found.dof, 1))
-        return replace(config, sigma=config.sigma * float(scale), sigma_dof=float(found.dof))
+        dof = float(max(found.dof, 1))
+        sigma = config.sigma * float(np.sqrt(found.chi2 / dof))
+        return replace(config, sigma=sigma, sigma_dof=dof)
 
     def compared_if_due(self) -> tuple["SessionState", Comparison | None]:
         """Compare with the batch solution where that is due; return what follows from it."""
