@@ -19,7 +19,7 @@ from .value import Value
 
 POSE_SIGMAS = "pose_translation_sigma", "pose_rotation_sigma"
 SIGMAS = ("range_sigma", *POSE_SIGMAS)
-
+"""Fields of `Noise` that are estimated where they are not given, or where readings contradict them."""
 LEAST_SIGMA = 1e-12
 """No sensor is better than this [m]: inverse squares of smaller numbers overflow in products."""
 

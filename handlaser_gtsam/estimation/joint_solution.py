@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import FloatArray
-from ..data.noise import LEAST_SIGMA, Noise
+from ..data.noise import LEAST_SIGMA, POSE_SIGMAS, Noise
 from ..data.parameters import Parameters, RangeErrorPrior, per_beam
 from ..data.recording import Readings
 from ..model.beams_on_planes import CENTRE, parameters_of, values_of
@@ -98,12 +98,9 @@ def settle(
     alike = base.pose is None and base.incidence_sigma == 0.0 and given
     # A common sigma is found by sigma0 without any effort.
     task.learns = task.prior_is_learned or bool(task.scales.unknown and not alike)
-    if task.learns and task.contradicts_range_sigma(first):
-        noise = replace(noise, range_sigma=None)
-        return settle(readings, first.parameters, noise, options, scale, prior)
-    if task.learns and task.contradicts_pose_sigmas(first):
-        noise = replace(noise, pose_translation_sigma=None, pose_rotation_sigma=None)
-        return settle(readings, first.parameters, noise, options, scale, prior)
+    gone = task.contradicted(first) if task.learns else ()
+    if gone:
+        return settle(readings, first.parameters, noise.without(gone), options, scale, prior)
     if task.learns or not alike or unequal(base, task.terms, readings):
         task.solution = task.settled(first)
     return task
@@ -177,6 +174,12 @@ class SolutionTask:
         """Tell whether residuals (N,) [m] are no fit; outliers that a loss bounds are none."""
         rms = float(np.sqrt(residual @ residual / len(residual)))
         return self.loss == GAUSSIAN and rms > NO_FIT * self.readings.spread()
+
+    def contradicted(self, first: Solution) -> tuple[str, ...]:
+        """Return the given sigmas of the noise that the readings contradict."""
+        if self.contradicts_range_sigma(first):
+            return ("range_sigma",)
+        return POSE_SIGMAS if self.contradicts_pose_sigmas(first) else ()
 
     def contradicts_range_sigma(self, first: Solution) -> bool:
         """Tell whether the readings contradict a given range sigma, beside unknown pose sigmas.

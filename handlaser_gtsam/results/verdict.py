@@ -177,9 +177,9 @@ def improvement_of(message: str, number: float | None = None, **words: float | s
 
 def better_sigmas(times: float) -> Improvement:
     """Return sigmas that fit, where errors are `times` as large: infinitely beside a given zero."""
-    return (
-        improvement_of("sigmas", times) if math.isfinite(times) else improvement_of("sigmas:zero")
-    )
+    if math.isinf(times):
+        return improvement_of("sigmas:zero")
+    return improvement_of("sigmas", times)
 
 
 @dataclass(frozen=True, slots=True)

@@ -316,9 +316,13 @@ def contradicted_sigmas(
 
 def contradicted_poses(stated: Noise, turn: float, shift: float) -> CalibrationWarning:
     """Warn that the readings contradict the stated pose sigmas: these [rad], [m] were learned."""
-    before = stated.standstill
-    values = {"translation": shift, "rotation": turn}
-    pairs = zip((shift, turn), before, strict=True)
-    times = max(now / sigma if sigma > 0.0 else math.inf for now, sigma in pairs)
-    stated_ones = {"stated_translation": before[0], "stated_rotation": before[1]}
-    return warned("sigmas-too-small:poses", {**values, **stated_ones, "times": times})
+    stated_shift, stated_turn = stated.standstill
+    pairs = (shift, stated_shift), (turn, stated_turn)
+    values = {
+        "translation": shift,
+        "rotation": turn,
+        "stated_translation": stated_shift,
+        "stated_rotation": stated_turn,
+        "times": max(now / before if before > 0.0 else math.inf for now, before in pairs),
+    }
+    return warned("sigmas-too-small:poses", values)
