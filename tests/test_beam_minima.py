@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from handlaser_gtsam import model
+from handlaser_gtsam.results import warnings
 from handlaser_gtsam.starts.beam_minima import beam_minima, with_better_beams
 from handlaser_gtsam.validation.scenes import Layout
 
@@ -56,6 +57,18 @@ def test_two_mounts_that_fit_alike_are_named():
     cosine = float(found.beams["2"].direction @ truth.directions[1])
     assert named["2"]["turn_deg"] == pytest.approx(np.degrees(np.arccos(cosine)), abs=3.0)
     assert 0.0 < named["2"]["chi2"] < 12.0
+
+
+def test_a_rival_is_far_in_the_sigmas_of_its_own_beam(monkeypatch):
+    """Beam 2 is 16 of its standard deviations off, beam 13 is 7, however the columns are ordered."""
+    monkeypatch.setattr(warnings, "FAR_SIGMAS", 15.0)
+    recording, _ = simulated(layout=Layout(16, 1, 16), seed=2)
+    for order in (range(16), range(15, -1, -1)):
+        names = tuple(recording.beam_names[i] for i in order)
+        turned = replace(recording, ranges=recording.ranges[:, list(order)], beam_names=names)
+        found = hl.calibrate(turned, NOISE, hl.CalibrationOptions("none"))
+        rivals = [one for one in found.warnings if one.code == "another-mount"]
+        assert [one.values["beam"] for one in rivals] == ["2"]
 
 
 def test_a_beam_with_one_minimum_has_no_rival():

@@ -40,6 +40,7 @@ def test_a_target_that_was_moved_is_named(kind, size, noise):
     survey, first = moved(rig, label, np.full(3, size / 3**0.5))
     found = hl.calibrate(survey, noise)
     assert found.verdict.code != "usable"
+    assert "sigmas-too-small" not in {one.code for one in found.warnings}
     if found.status == "converged":
         (warning,) = [one for one in found.warnings if one.code == "displaced"]
         assert warning.values["target"] == label

@@ -199,8 +199,12 @@ def _explained_otherwise(found: SurveyEstimate) -> bool:
         return False
     explained = []
     if moved is not None:
-        tried = _Trial(state.dense()[0])(_since(*moved[:2], state, True))
-        explained.append((tried.left, tried.chi2))
+        entity, station, _ = moved
+        trial, items = _Trial(state.dense()[0]), found.rows.items
+        # The first shot after the move may be among those that are rejected.
+        for since in {station, *(items[i].station for i in np.flatnonzero(~found.used))}:
+            tried = trial(_since(entity, since, state, True))
+            explained.append((tried.left, tried.chi2))
     if state.rows.survey.shots:
         explained.append(_Trial(state.dense(range_errors=True)[0]).explained())
     unknowns = len(found.estimate.covariance)
