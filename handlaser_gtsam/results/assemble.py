@@ -152,7 +152,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         (
             *filter(None, (wrong, way)),
             *signs,
-            *rival_warnings(used, solution, joint, names),
+            *rival_warnings(used, solution, fit, joint, names),
             *filter(None, (moved,)),
             *together.warnings,
             *(() if freed is None else freed.warnings(effects)),

@@ -19,6 +19,7 @@ from ..errors import CalibrationWarning
 from ..estimation.joint_solution import NO_FIT
 from ..estimation.scales import RANGE, ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.solution import Solution
+from ..model.damped_search import LevenbergOptions
 from ..model.distributions import (
     CONFIDENCE,
     FEW_DEGREES,
@@ -27,16 +28,18 @@ from ..model.distributions import (
     chi2_cdf,
     chi2_sf,
 )
-from ..model.equation import cosines, plausible_range_errors, residuals, scene
+from ..model.equation import cosines, plausible_range_errors, scene
 from ..model.families import MOUNT_DIM
 from ..model.joint import JointCovariance
 from ..model.losses import GAUSSIAN
 from ..model.sensor_limits import BY_LIMITS, LONG_RANGE
 from ..observability.wording import BeamAndPlaneNames
 from ..quantities import EXACT, FAR_SIGMAS, MANY_OUTLIERS, MM, TEN_TIMES
-from ..solvers.beam_problem import refine
-from ..starts.beam_minima import beam_minima
+from ..solvers.beam_problem import LEAST_DAMPING, solve_together
+from ..starts.beam_minima import MINIMUM_STARTS, beam_minima
 from ..starts.choice import POOR_START
+from ..starts.directions import direction_starts
+from ..starts.growing import grow
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .calibration_data import Fit
@@ -249,53 +252,76 @@ def _going_together(fit: Fit) -> float:
 
 
 def rival_warnings(
-    used: Readings, solution: Solution, joint: JointCovariance | None, names: BeamAndPlaneNames
+    used: Readings,
+    solution: Solution,
+    fit: Fit,
+    joint: JointCovariance | None,
+    names: BeamAndPlaneNames,
 ) -> Iterator[CalibrationWarning]:
     """Yield warnings of mounts that are nearly as probable, and not within what is stated.
 
-    At most one of each beam, and only of those beams for which they are most probable.
+    At most one of each beam, the most probable.
     """
     if joint is None or solution.at.loss != GAUSSIAN:
         return
-    if not solution.observability.full or solution.redundancy <= 0:
+    if not solution.observability.full or fit.dof <= 0:
+        return
+    if fit.rms <= EXACT * used.largest_range():
         return
     at = solution.parameters
-    e = residuals(scene(at, used), used.distance)
-    size = float(np.sqrt(e @ e / solution.redundancy))
-    if size <= EXACT * used.largest_range():
+    starts = [at, *_other_mounts(at, used, fit.range_sigma), *_around(used, solution)]
+    if len(starts) == 1:
         return
-    locations, directions, squares, now = beam_minima(at, used)
-    turned = np.linalg.norm(directions - at.directions[:, None], axis=2)
-    each = np.bincount(used.beam, minlength=used.beams)
-    worse = each[:, None] * (squares - now[:, None]) / size**2
-    worse = np.where(turned > SAME_DIRECTION, worse, np.inf)
-    least, listed = worse.min(axis=1), {i: name for name, i in names.beams}
+    how = fit.range_sigma if solution.whitening is None else [solution.whitening] * len(starts)
+    options = LevenbergOptions(LAST_STEPS, least_damping=LEAST_DAMPING)
+    each = [used] * len(starts)
+    ends = solve_together(each, starts, solution.terms, how, solution.prior, options)
+    here, worse = ends.parameters[0], 2.0 * (ends.cost - ends.cost[0])
     # Standard deviations of each direction, along its least certain axis.
     first = np.cumsum([0, *(MOUNT_DIM + terms for terms in joint.terms[:-1])])
     rows = first[:, None] + np.array([3, 4])
     blocks = joint.beams[rows[:, :, None], rows[:, None, :]]
-    sigma = np.empty(used.beams)  # in the order of the readings, as all else here
-    sigma[[i for _, i in names.beams]] = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
+    sigma = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1])
+    named = set[str]()
+    for k in np.argsort(worse, kind="stable").tolist():
+        there, chi2 = ends.parameters[k], float(worse[k])
+        if chi2 > UNLIKELY_EXCESS:
+            return
+        turn = np.linalg.norm(there.directions - here.directions, axis=1)
+        near = np.linalg.norm(there.locations, axis=1) < FAR_BEAM
+        for (name, beam), one in zip(names.beams, sigma.tolist(), strict=True):
+            if name not in named and near[beam] and turn[beam] >= FAR_SIGMAS * one:
+                named.add(name)
+                values: Values = {
+                    "beam": name,
+                    "turn_deg": float(np.degrees(turn[beam])),
+                    "chi2": chi2,
+                }
+                yield warned(RIVAL, values, more=max(chi2, 0.0))
+
+
+def _other_mounts(at: Parameters, used: Readings, sigma: float) -> Iterator[Parameters]:
+    """Yield parameters with one beam in another minimum for the planes as they are."""
+    locations, directions, squares, now = beam_minima(at, used)
+    turned = np.linalg.norm(directions - at.directions[:, None], axis=2)
+    each = np.bincount(used.beam, minlength=used.beams)
+    worse = each[:, None] * (squares - now[:, None]) / sigma**2
+    worse = np.where(turned > SAME_DIRECTION, worse, np.inf)
     # Each takes a solution of all unknowns.
-    for beam in np.argsort(least)[:4].tolist():
-        if least[beam] > WORTH_REFINING:
-            break
+    for beam in np.argsort(worse.min(axis=1))[:4].tolist():
         one = int(np.argmin(worse[beam]))
+        if worse[beam, one] > WORTH_REFINING:
+            return
         r, v = at.locations.copy(), at.directions.copy()
         r[beam], v[beam] = locations[beam, one], directions[beam, one]
-        best = refine(at, used, solution.terms, LAST_STEPS)
-        other = refine(replace(at, locations=r, directions=v), used, solution.terms, LAST_STEPS)
-        if best is None or other is None:
-            continue
-        # Of the mount where the same steps lead from the solution: they count neither priors nor the
-        # errors of poses, and may lead from there to the very mount that is compared.
-        here, there = (found.parameters.directions[beam] for found in (best, other))
-        turn = float(np.linalg.norm(there - here))
-        chi2 = (other.criterion - best.criterion) / size**2
-        if chi2 > UNLIKELY_EXCESS or turn < FAR_SIGMAS * sigma[beam]:
-            continue
-        values: Values = {"beam": listed[beam], "turn_deg": float(np.degrees(turn)), "chi2": chi2}
-        yield warned(RIVAL, values, more=max(chi2, 0.0))
+        yield replace(at, locations=r, directions=v)
+
+
+def _around(used: Readings, solution: Solution) -> Iterator[Parameters]:
+    """Yield mounts all around where planes rest on few readings of one beam, and go with its mount."""
+    if used.beams == 1 and solution.redundancy < solution.observability.unknowns:
+        for start in direction_starts(used, 2 * MINIMUM_STARTS):
+            yield grow(start, used)
 
 
 def contradicted_sigmas(
