@@ -10,7 +10,7 @@ from scipy.linalg import null_space
 from scipy.stats import chi2
 
 import handlaser_gtsam as hl
-from benchmarks import rigs, rigs_by_rays
+from benchmarks import rigs, rigs_by_distance, rigs_by_rays
 from benchmarks.few_readings import SIGMAS, few_readings
 from handlaser_gtsam.estimation import survey as survey_estimates
 from handlaser_gtsam.estimation import survey_trials
@@ -262,6 +262,16 @@ def test_a_pose_that_is_wrong_contradicts_no_pose_sigmas():
     found = hl.calibrate(rigs.survey_of(replace(rig, t=t)), rigs.STATED)
     assert [one.station for one in found.rejected] == [found.survey.stations.station_names[5]]
     assert found.pose_sigma == (rigs.HAND[1], rigs.HAND[0])
+    assert "sigmas-too-small" not in {one.code for one in found.warnings}
+
+
+@pytest.mark.parametrize(("generator", "seed"), [(rigs_by_rays, 75), (rigs_by_distance, 67)])
+def test_readings_of_shots_that_were_sorted_contradict_no_pose_sigmas(generator, seed):
+    """A rejected shot raises the question, and the same readings of all others must answer it."""
+    wrong = {"wrong_shots": 0.1, "wrong_by": "station"}
+    rig = generator.array(seed, hand_sigma=rigs.HAND, **wrong)
+    found = hl.calibrate(rigs.survey_of(rig), rigs.STATED)
+    assert len(found.rejected) == 1
     assert "sigmas-too-small" not in {one.code for one in found.warnings}
 
 

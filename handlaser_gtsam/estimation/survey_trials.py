@@ -32,8 +32,8 @@ from ..model.targets.sphere import SPHERE
 from ..quantities import MAJORITY, MANY_OUTLIERS, NEGLIGIBLE, NUMBERS_AT_ONCE, TEN_TIMES, TINY
 from .dense import DenseRows
 from .joint_solution import STEPS_IN_VAIN
-from .survey import SurveyEstimate, estimate_survey, learned_sizes, sizes_and_likelihood
-from .survey_outliers import GROSS
+from .survey import SurveyEstimate, estimate_survey, learned_sizes, sizes_and_likelihood, state_of
+from .survey_outliers import GROSS, leave_out_gross
 from .survey_rows import Entity
 from .survey_state import Columns, SurveyState, grazing
 
@@ -181,7 +181,11 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
     likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= SINGLE_LEVEL
     if (solved and found.used.all() and likely) or _explained_otherwise(found):
         return found
-    free = estimate_survey(survey, unstated, found if solved else None)
+    begun = None
+    if solved:  # from the same readings of each shot: likelihoods of others do not compare
+        begun = replace(state_of(found.rows, unstated), values=found.values)
+        leave_out_gross(begun)
+    free = estimate_survey(survey, unstated, begun=begun)
     usual = np.array([noise.pose_rotation_prior, noise.pose_translation_prior])
     plausible = solved or (free.noise.pose <= TEN_TIMES * usual).all()
     sigma = found.noise.sigma
