@@ -297,10 +297,12 @@ def state_of(rows: SurveyRows, noise: Noise) -> SurveyState:
             found = f"no profile of {rows.edgeless[0]} with an edge between two straight sides"
             raise InputError(found, "profiles of both sides at once, or the label of a plane")
         raise InputError("no shot with enough points on its target", "a few points a shot")
-    stated, (squares, dof) = _stated(rows, noise), _inside(rows)
-    within = np.maximum(np.sqrt(squares / np.maximum(dof, 1.0)), FINEST)
-    usual = usual_noise(rows, noise)
-    own = np.where(dof > 0.0, within, usual.sigma)
+    stated, usual = _stated(rows, noise), usual_noise(rows, noise)
+    own = usual.sigma
+    for single in (True, False):
+        squares, dof = _inside(rows, single=single)
+        within = np.maximum(np.sqrt(squares / np.maximum(dof, 1.0)), FINEST)
+        own = np.where(dof > 0.0, within, own)
     sigma = np.where(np.isnan(stated.sigma), own, stated.sigma)
     again = usual.again if np.isnan(stated.again) else 0.0
     sizes = Components(sigma, _pose_sizes(stated, usual), again)
@@ -496,12 +498,16 @@ def _name(rows: SurveyRows, mount: Entity) -> str:
     return f"{mount[0]} {rows.names(mount[0])[mount[1]]}"
 
 
-def _inside(rows: SurveyRows) -> Inside:
-    """Return what shots tell of the noise inside them; beams and the aiming tell nothing."""
+def _inside(rows: SurveyRows, *, single: bool = False) -> Inside:
+    """Return what shots tell of the noise inside them; beams and the aiming tell nothing.
+
+    Shots whose readings are rows of their own say it there; or what such shots say, each by itself.
+    """
     squares, dof = np.zeros((2, len(set(rows.sources.values())) + 1))
     for member in range(len(rows.survey.shots)):
         shots = [i.shot for i in rows.items if i.family == SENSOR.name and i.member == member]
-        each = np.array([(s.squares, s.dof) for s in shots if s is not None and s.dof > 0])
+        some = [s for s in shots if s is not None and s.dof > 0 and s.single == single]
+        each = np.array([(s.squares, s.dof) for s in some])
         if len(each):
             # A shot of something rough must not speak for the others: by the median of the shots.
             level = np.median(each[:, 0] / each[:, 1])

@@ -1,7 +1,7 @@
 """A survey as rows: shots condensed, targets and sensors numbered, blocks put together."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from ..model.condensed_shots import (
     Mixed,
     Unexplained,
     condensed_shots,
-    of_single_readings,
     some_of,
 )
 from ..model.families import BEAM, PLANE, POSE, pose_of
@@ -340,15 +339,16 @@ def about_errors(rows: SurveyRows, values: Values) -> SurveyRows | None:
         for i, item in enumerate(items):
             if item.mount != (SENSOR.name, member) or item.shot is None or item.points is None:
                 continue
-            if not of_single_readings(item.shot):
+            if not item.shot.single:
                 condensed[item.target[0]].append(i)
                 continue
             rays = kind.scaled(shots.across[item.points], scale)
-            items[i] = replace(item, shot=replace(item.shot, rays=rays))
+            items[i] = replace(item, shot=replace(item.shot, rays=rays, scale=scale))
             if item.whole is not None:
                 whole, points = item.whole
                 rays = kind.scaled(shots.across[points], scale)
-                items[i] = replace(items[i], whole=(replace(whole, rays=rays), points))
+                whole = replace(whole, rays=rays, scale=scale)
+                items[i] = replace(items[i], whole=(whole, points))
         for target, some_items in condensed.items():
             seen = [np.asarray(items[i].points) for i in some_items]
             tables = [(shots.across[points], shots.reading[points]) for points in seen]
@@ -412,7 +412,7 @@ def without_grazing(rows: SurveyRows, values: Values) -> SurveyRows | None:
     derivatives = _derivatives(list(judged.values()), values)
     for i, derivative in zip(judged, derivatives, strict=True):
         item, shot, points = items[i], judged[i].shot, judged[i].points
-        if item.half_angle or (shot is not None and not of_single_readings(shot)):
+        if item.half_angle or (shot is not None and not shot.single):
             if item.grazing != bool(continued(derivative).any()):
                 items[i] = replace(item, grazing=not item.grazing)
             continue
@@ -485,7 +485,7 @@ def blocks_of(
     alike: dict[tuple[str, str, int, float], list[int]] = defaultdict(list)
     for number, item in enumerate(items):
         size = 1
-        if item.shot is not None and not of_single_readings(item.shot):
+        if item.shot is not None and not item.shot.single:
             size = len(item.shot.reading)
         alike[item.family, item.target[0], size, item.half_angle].append(number)
     blocks: list[Block] = []
@@ -517,14 +517,20 @@ def blocks_of(
             sensor = BeamSensor(member, half_angle)
             blocks.append(Ranges(sensor, TARGETS[target](seen), robot, reading, weights(root)))
         else:
-            parts = zip(
-                *((s.rays.origin, s.rays.direction, s.by_error.T) for s in shots), strict=True
-            )
-            origin, direction, by_error = (
-                np.moveaxis(np.concatenate(part).reshape(len(member), size, -1), 2, 0)[:, None]
-                for part in parts
-            )
+            parts = [(s.rays.origin, s.rays.direction, s.by_error.T) for s in shots]
+            origin, direction, by_error = _columns(parts, size)
             mounted = Mounted(member, origin, direction, by_error)
+            if shots[0].single:  # the shape of others moves with the scale
+                moving = [
+                    (
+                        s.rays.origin_by_scale,
+                        s.rays.direction_by_scale,
+                        np.full((len(s.mix), 1), s.scale),
+                    )
+                    for s in shots
+                ]
+                shift, turn, scale = _columns(moving, size)
+                mounted = replace(mounted, by_scale=(shift, turn, scale))
             reading = np.concatenate([s.reading for s in shots]).reshape(1, -1, size)
             ranges = Ranges(mounted, TARGETS[target](seen), robot, reading)
             mix = np.stack([s.mix for s in shots]) if size > 1 else np.ones((len(member), 1, 1))
@@ -542,6 +548,13 @@ def blocks_of(
             blocks.append(Unexplained(member[few], residual, beside, alone))
             owners.append(np.repeat(np.array(numbers)[few], many.max()))
     return blocks, np.concatenate(owners) if owners else np.zeros(0, dtype=np.intp)
+
+
+def _columns(shots: Sequence[tuple[FloatArray, ...]], size: int) -> Iterator[FloatArray]:
+    """Yield each of the tables (r, c) of some shots as columns (c, 1, G, size)."""
+    for part in zip(*shots, strict=True):
+        table = np.concatenate(part)
+        yield np.moveaxis(table.reshape(-1, size, table.shape[1]), 2, 0)[:, None]
 
 
 def rays_before(

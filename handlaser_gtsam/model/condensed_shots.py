@@ -43,6 +43,10 @@ TRIALS = 32
 MANY, OF_MANY = 100, 0.35
 """From that number of points on, this part has to be on the target, the rest on anything; of fewer
 points the better half, because a shape passes through a third of them by chance."""
+ROUGH_RADIUS = 0.003
+"""A ball is roughly known from a shot that tells its radius with a standard deviation above this part:
+rows of the first order in its errors say too much of k0 and the scale then. With noise of 1 mm on balls
+of 50 mm, 2 % of the radius, k0 was up to two standard deviations off."""
 LARGEST_BALL = 5.0
 """The radius of a sphere is below this multiple of the largest length of a shot, or it looks flat."""
 VOTING = 128
@@ -168,6 +172,11 @@ class Condensed:
     dof : int
     kept : (n,) of bool
         Points that belong to the shape.
+    single : bool
+        Whether readings are rows of their own, of a shape that is hardly known; they say then what
+        `squares` say, too.
+    scale : float
+        At which the rays of single readings are, which move with it.
     """
 
     shape: FloatArray
@@ -180,6 +189,8 @@ class Condensed:
     squares: float
     dof: int
     kept: BoolArray
+    single: bool = False
+    scale: float = 0.0
 
 
 def condensed_shots(
@@ -247,11 +258,12 @@ def _condensed(
     errors: FloatArray,
 ) -> list[Condensed | None]:
     """Return shots with readings (G, n) in a few rows; those with few points kept as they are."""
-    G, n = reading.shape
+    (G, n), scale = reading.shape, float(errors[-1])
     as_read, reading = reading, reading + errors[0] + (errors[1] + errors[2] * reading) * reading
     kept = np.ones(reading.shape, dtype=bool)
     if n <= few:
-        return [_as_they_are(shape, _rows(rays, g), as_read[g], kept[g]) for g in range(G)]
+        every = range(G)
+        return [_as_they_are(shape, _rows(rays, g), as_read[g], kept[g], scale) for g in every]
     if sorted_out or n <= shape.size + 1:
         found, fits, _ = _fitted(shape, shape.through(rays, reading), rays, reading, kept)
     else:
@@ -263,10 +275,15 @@ def _condensed(
     a = shape.columns(found, rays, np.where(hit, s, 0.0))[1]
     kept &= hit & (np.einsum("gni,gni->gn", a, a) < MOST_SLANTED**2)
     many = kept.sum(axis=1)
-    whole = np.flatnonzero(fits & (many > few) & (many >= shape.size))
+    single = many <= few
+    if isinstance(shape, _Sphere) and not ratio:  # single rows know of no noise across the rays
+        some = np.flatnonzero(fits & (many > few) & (many <= 4 * few))
+        of = found[some], _rows(rays, some), reading[some], kept[some]
+        single[some] = _roughly_known(shape, *of)
+    whole = np.flatnonzero(fits & ~single & (many >= shape.size))
     ends: list[Condensed | None] = [None] * G
-    for i in np.flatnonzero(fits & (many <= few) & (many >= shape.size)).tolist():
-        ends[i] = _as_they_are(shape, _rows(rays, i), as_read[i], kept[i])
+    for i in np.flatnonzero(fits & single & (many >= shape.size)).tolist():
+        ends[i] = _as_they_are(shape, _rows(rays, i), as_read[i], kept[i], scale)
     if not whole.size:
         return ends
     kept = kept[whole]
@@ -274,6 +291,17 @@ def _condensed(
     for i, end in zip(whole.tolist(), _in_rows(shape, found, *linear, kept, errors), strict=True):
         ends[i] = end if end is None else _about(end, errors)
     return ends
+
+
+def _roughly_known(
+    shape: _Sphere, found: FloatArray, rays: Rayset, reading: FloatArray, kept: BoolArray
+) -> BoolArray:
+    """Tell which balls (G, size) nearby are known too roughly by the points that are kept."""
+    found, fits, (_, left, J, _, root) = _fitted(shape, found, rays, reading, kept)
+    J = J * root[..., None]
+    variance = ((left * root) ** 2).sum(axis=1) / np.maximum(kept.sum(axis=1) - shape.size, 1)
+    radius = inverse_stack(np.swapaxes(J, 1, 2) @ J)[:, -1, -1]
+    return np.asarray(fits & (radius * variance > (ROUGH_RADIUS * found[:, -1]) ** 2))
 
 
 def _fitted(
@@ -314,23 +342,24 @@ def _fitted(
     return found, fits, (at, left, J, a, root)
 
 
-def _as_they_are(shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArray) -> Condensed:
+def _as_they_are(
+    shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArray, scale: float
+) -> Condensed:
     """Return readings as rows of their own; the shape only serves as a start, where there is one."""
     rays, d = _rows(rays, kept), reading[kept]
-    n, found = len(d), np.full(shape.size, np.nan)
+    n, found, squares, dof = len(d), np.full(shape.size, np.nan), 0.0, 0
     if n >= shape.size:
         every = _rows(rays, None)
         all_points = np.ones((1, n), dtype=bool)
         refined, fits, _ = _fitted(shape, shape.through(every, d[None]), every, d[None], all_points)
-        found = refined[0] if fits[0] else found
+        if fits[0]:
+            found = refined[0]
+            e = d - shape.ranges(refined[:, None], every)[0, 0]
+            hit = np.isfinite(e)
+            squares, dof = float(e[hit] @ e[hit]), max(int(hit.sum()) - shape.size, 0)
     by_error = np.stack((np.ones(n), d, d**2, np.zeros(n)))
     nothing = np.zeros(0), np.zeros((0, len(by_error)))
-    return Condensed(found, rays, d, np.eye(n), by_error, *nothing, 0.0, 0, kept)
-
-
-def of_single_readings(shot: Condensed) -> bool:
-    """Tell whether the readings of a shot are rows of their own, of a shape that is hardly known."""
-    return not shot.dof and not shot.rest.size and np.array_equal(shot.mix, np.eye(len(shot.mix)))
+    return Condensed(found, rays, d, np.eye(n), by_error, *nothing, squares, dof, kept, True, scale)
 
 
 def some_of(shot: Condensed, which: BoolArray) -> Condensed:

@@ -51,6 +51,8 @@ class Rays:
         Takes ranges s and returns readings h(s), dh/ds, and dh by the range-error coordinates: the
         residual is h(s) - d then. With s - g(d) a range error multiplies the noise of d, and noise
         alone makes k1 tend to -1.
+    by_scale : ((3, K, G, S), (3, K, G, S)), optional
+        Derivatives of origin and direction by the last range-error coordinate, where it moves rays.
     towards : callable, optional
         Of sensors that choose their ray within a cone: takes their axes and the directions in which a
         target is nearest, in the hand, and returns the directions of the rays. `direction` is the
@@ -63,6 +65,7 @@ class Rays:
     true: FloatArray
     by_error: FloatArray | None = None
     read: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]] | None = None
+    by_scale: tuple[FloatArray, FloatArray] | None = None
     towards: Callable[[FloatArray, FloatArray], FloatArray] | None = None
 
 
@@ -175,6 +178,9 @@ class Ranges:
         else:
             reading, slope, by_error = rays.read(s)
             e = reading - d
+            if rays.by_scale is not None:
+                origin_by_scale, direction_by_scale = rays.by_scale
+                by_error[-1] += slope * dot(a, origin_by_scale + s * direction_by_scale)
         shape = np.broadcast_shapes(e.shape, d.shape)
         columns = [self.sensor.pull(values, a, rays, s)]
         if by_error is not None:

@@ -23,7 +23,6 @@ from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_state import SurveyState
 from ..estimation.survey_trials import displacement
-from ..model.condensed_shots import of_single_readings
 from ..model.distributions import (
     FEW_DEGREES,
     SINGLE_LEVEL,
@@ -145,7 +144,7 @@ def rejected_of(found: SurveyEstimate | SurveyState) -> Iterator[Rejected]:
     for item, used in zip(rows.items, found.used, strict=True):
         if not used:
             # A shot with a shape of its own that misses its ball does not show it.
-            alone = item.shot is None or of_single_readings(item.shot)
+            alone = item.shot is None or item.shot.single
             reason = "grazing" if item.grazing and alone else "contradicted"
             label = rows.label(item.target)
             yield Rejected(names[item.station], mounts[item.mount], label, reason)
@@ -312,7 +311,7 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         own = [
             one.shot
             for one in found.rows.counted(found.used)
-            if one.shot is not None and one.member == member and one.shot.dof
+            if one.shot is not None and one.member == member and not one.shot.single
         ]
         many = sum(shot.dof for shot in own)
         if not shots.sigma or not many:

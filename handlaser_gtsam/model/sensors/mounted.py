@@ -13,7 +13,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ..block import Values
 from ..families import Family, Motion, Vector, register
-from ..range_blocks import Rays, by_motion, members, turned, turned_back
+from ..range_blocks import Rays, by_motion, dot, members, turned, turned_back
 
 LEAST_SLOPE = 0.05
 """A true range grows with its reading by at least this part; below it a search has gone astray."""
@@ -32,19 +32,34 @@ class Mounted:
     by_error : (4, 1, G, S)
         By how much a range error of size 1 makes each true range longer than its reading; of condensed
         shots the range of their shape.
+    by_scale : ((3, 1, G, S), (3, 1, G, S), (1, 1, G, S)), optional
+        Of rays that move with the scale: derivatives of origin and direction, and the scale at which
+        these are as given.
     """
 
     member: IntArray
     origin: FloatArray
     direction: FloatArray
     by_error: FloatArray
+    by_scale: tuple[FloatArray, FloatArray, FloatArray] | None = None
     family: str = SENSOR.name
 
     def rays(self, values: Values, reading: FloatArray) -> Rays:
         """Return the rays of readings (K, G, S)."""
         x = members(values, self.family, self.member, self.origin.shape[-1])
         R = x[:9].reshape(3, 3, *x.shape[1:])
-        origin, direction = turned(R, self.origin) + x[9:12], turned(R, self.direction)
+        origin, direction, by_scale = self.origin, self.direction, None
+        if self.by_scale is not None:
+            shift, turn, scale = self.by_scale
+            origin, direction = (
+                origin + (x[15:] - scale) * shift,
+                direction + (x[15:] - scale) * turn,
+            )
+            length = np.sqrt(dot(direction, direction))
+            direction = direction / length
+            turn = (turn - direction * dot(direction, turn)) / length
+            by_scale = turned(R, shift), turned(R, turn)
+        origin, direction = turned(R, origin) + x[9:12], turned(R, direction)
         errors, by_error = x[12:], self.by_error
         _, k1, k2, _ = errors
 
@@ -59,11 +74,11 @@ class Mounted:
             columns[2] -= 2.0 * e * reading * slope
             return reading + e, slope, columns
 
-        return Rays(origin, direction, reading, reading, read=read)
+        return Rays(origin, direction, reading, reading, read=read, by_scale=by_scale)
 
     def pull(self, values: Values, a: FloatArray, rays: Rays, s: FloatArray) -> FloatArray:
         """Return ds by the mount, moved on the right by a turn and a shift."""
-        del rays
         x = members(values, self.family, self.member, self.origin.shape[-1])
-        a = turned_back(x[:9].reshape(3, 3, *x.shape[1:]), a)
-        return by_motion(self.origin + s * self.direction, a)
+        R = x[:9].reshape(3, 3, *x.shape[1:])
+        spot = turned_back(R, rays.origin + s * rays.direction - x[9:12])
+        return by_motion(spot, turned_back(R, a))

@@ -76,6 +76,8 @@ class ReferenceUnknowns:
             table = self._start[kind][:, :width]
             if kind in MOTIONS:
                 table = np.zeros((len(table), width))
+                if len(table):
+                    table[:, 6:] = self._start[kind][:, 12 : 6 + width]
             known = np.broadcast_to(sigma.get(kind, np.inf), table.shape)
             kept = known > 0.0
             if kind in UNIT:
