@@ -8,7 +8,7 @@ import pytest
 
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_rays
-from benchmarks.rigs import survey_of
+from benchmarks.rigs import HAND, survey_of
 from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.survey_verdict import survey_verdict
@@ -98,3 +98,34 @@ def test_the_radius_around_the_spot_of_a_beam_holds_95_of_100():
     assert across.shape == (2, 3)
     away = np.linalg.norm(drawn @ beam.spot_by().T, axis=1)
     assert (away < beam.spot_error).mean() == pytest.approx(0.95, abs=0.01)
+
+
+def test_a_range_error_that_may_go_unnoticed_stands_beside_the_radius():
+    """Balls alone hardly tell a k0 from another place of the sensor."""
+    noise = hl.Noise(pose_translation_sigma=HAND[0], pose_rotation_sigma=HAND[1])
+    result = hl.calibrate(
+        survey_of(rigs_by_rays.array(0, targets="sphere", hand_sigma=HAND)), noise
+    )
+    (sensor,) = result.sensors.values()
+    tested = sensor.errors["k0"]
+    assert sensor.hidden == ("k0", tested.detectable * tested.spot_shift)
+    words = "; random errors only: k0 may go unnoticed and move it by 0.67 mm); best"
+    assert words in result.verdict.sentence
+    planes = hl.calibrate(survey_of(rigs_by_rays.scanner(4, hand_sigma=HAND)), noise)
+    (sensor,) = planes.sensors.values()
+    assert 0.0 < sensor.hidden[1] < sensor.spot_error
+    assert "random errors only" not in planes.verdict.sentence
+
+
+def test_a_range_error_that_was_found_is_the_first_word_and_the_improvement():
+    """The warning named k2 to be freed, and the improvement k1."""
+    survey = survey_of(rigs_by_rays.profiler(2, hand_sigma=HAND))
+    (shots,) = survey.shots
+    survey = replace(survey, shots=(replace(shots, reading=0.9988 * shots.reading),))
+    noise = hl.Noise(pose_translation_sigma=HAND[0], pose_rotation_sigma=HAND[1])
+    result = hl.calibrate(survey, noise)
+    (warning,) = result.warnings
+    free = warning.values["free"]
+    assert result.verdict.code == "usable-with-care"
+    assert f"profiler reads with an error {free} of" in result.verdict.findings[1]
+    assert f'free = ["{free}"] of profiler' in result.verdict.best.words

@@ -192,6 +192,11 @@ class Condensed:
     single: bool = False
     scale: float = 0.0
 
+    @property
+    def hardly_known(self) -> bool:
+        """Whether it has so few points that its shape may be anything near them."""
+        return self.single and len(self.reading) <= 4 * len(self.shape)
+
 
 def condensed_shots(
     kind: Kind,

@@ -156,6 +156,13 @@ class SensorMount(Mount):
     noun = SENSOR.name
 
     @property
+    def hidden(self) -> tuple[str, float]:
+        """Which range error may move its spot most without being found, and by how much [m]."""
+        hidden = {code: one for code, one in self.errors.items() if not one.found}
+        moved = {code: one.detectable * one.spot_shift for code, one in hidden.items()}
+        return max(moved.items(), key=lambda item: item[1], default=("", 0.0))
+
+    @property
     def rotation_sigma(self) -> FloatArray:
         """About the axes of the sensor (3,) [rad]."""
         return np.sqrt(np.diagonal(self.covariance)[:3])

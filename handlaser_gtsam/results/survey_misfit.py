@@ -541,7 +541,8 @@ def _squares(
             if shot is None:
                 lost += len(d)
                 continue
-            total += shot.squares + float(shot.rest @ shot.rest)
-            dof += shot.dof + len(shot.rest)
+            if not shot.hardly_known:
+                total += shot.squares + float(shot.rest @ shot.rest)
+                dof += shot.dof + len(shot.rest)
             lost += int(len(d) - shot.kept.sum())
     return total, dof, lost

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..errors import CalibrationWarning
 from ..estimation.estimate import covariance_along, information_axes
 from ..estimation.survey_trials import ALIKE, BOTH_AXES
 from ..quantities import IN_PERCENT
@@ -73,15 +74,14 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     moved = moved_beam_of(result.warnings)
     unsure = [one.message for one in result.warnings if one.code == TOO_FEW]
     unsure += ambiguous(result.warnings)
+    named = [one.message for one in _range_errors(result, harmful)]
     code, first = "usable", ""
     if contradicted:
         code, first = "contradicted", contradicted[0]
     elif moved is not None and float(moved.values["times"]) > 1.0:
         code, first = "systematic-error", moved.message
     elif harmful is not None and excess > 1.0:
-        named = (one for one in result.warnings if one.code == "range-error")
-        code = "systematic-error"
-        first = next(one.message for one in named if one.values["sensor"] == harmful[0])
+        code, first = "systematic-error", named[0]
     elif unsure:
         code, first = "undetermined", unsure[0]
     elif failed:
@@ -91,7 +91,7 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     findings = [clause(first)] if first else []
     findings += [some(list(_located(result)), NAMES_IN_LINE)]
     if code == "usable-with-care":
-        findings.append(clause(result.warnings[0].message))
+        findings.append(clause([*named, *(one.message for one in result.warnings)][0]))
     best = _improvement(result, harmful, failed)
     if code in ("usable", "usable-with-care", "outside-limits"):
         findings.append(best.clause)
@@ -133,10 +133,18 @@ def _of_no_calibration(result: "SurveyCalibration") -> Verdict:
 
 
 def _located(result: "SurveyCalibration") -> Iterator[str]:
-    """Say how well each sensor and beam is known: its spot, or where it is if its spot is open."""
+    """Say how well each sensor and beam is known: its spot, or where it is if its spot is open.
+
+    With the range error that may move the spot of a sensor most unnoticed, by more than what is stated.
+    """
+    hidden = {sensor.subject: sensor.hidden for sensor in result.sensors.values()}
     for one in result.mounts:
         if math.isfinite(one.spot_error):
-            yield said("verdict:mount", name=one.subject, spot=one.spot_error, at=one.reading)
+            code, moved = hidden.get(one.subject, ("", 0.0))
+            larger = moved > one.spot_error
+            only = said("verdict:random-only", code=code, moved=moved) if larger else ""
+            spot, at = one.spot_error, one.reading
+            yield said("verdict:mount", name=one.subject, spot=spot, at=at, only=only)
         else:
             yield said("verdict:located", name=one.subject, sigma=one.largest_sigmas[0])
 
@@ -161,6 +169,15 @@ def _most_harmful(result: "SurveyCalibration") -> tuple[tuple[str, str] | None, 
     return worst, 0.0 if worst is None else moved[worst]
 
 
+def _range_errors(
+    result: "SurveyCalibration", harmful: tuple[str, str] | None
+) -> Iterator[CalibrationWarning]:
+    """Yield the warning of the range errors of the sensor whose spot one moves most."""
+    for one in result.warnings:
+        if one.code == "range-error" and harmful and one.values["sensor"] == harmful[0]:
+            yield one
+
+
 def free_of(code: str) -> str:
     """Return what stands between the quotes of `free` to estimate a range error of a sensor."""
     return '", "'.join(ALIKE) if code == BOTH_AXES else code
@@ -176,8 +193,8 @@ def _improvement(
     if DISPLACED in warnings:
         moved = warnings[DISPLACED].values
         return improvement_of(DISPLACED, target=moved["target"], station=moved["station"])
-    if harmful is not None:
-        return improvement_of("range-error", sensor=harmful[0], free=free_of(harmful[1]))
+    for one in _range_errors(result, harmful):
+        return improvement_of("range-error", sensor=one.values["sensor"], free=one.values["free"])
     if any(ambiguous(result.warnings)):
         return improvement_of(RIVAL)
     if "many-rejected" in warnings:

@@ -52,8 +52,8 @@ class Mounted:
         if self.by_scale is not None:
             shift, turn, scale = self.by_scale
             origin, direction = (
-                origin + (x[15:] - scale) * shift,
-                direction + (x[15:] - scale) * turn,
+                origin + (x[-1:] - scale) * shift,
+                direction + (x[-1:] - scale) * turn,
             )
             length = np.sqrt(dot(direction, direction))
             direction = direction / length
