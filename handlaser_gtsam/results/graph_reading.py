@@ -16,6 +16,7 @@ from ..arrays import FloatArray, IntArray
 from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import NAMED_SHARE
+from ..factors.amid_readings import amid_readings
 from ..factors.keys import BeamKeys, integer_key, require_beam
 from ..model.distributions import SINGLE_LEVEL
 from ..model.families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
@@ -36,6 +37,7 @@ ANCHOR = (
     "anchor at least one pose, tie every pose to others by a prior, odometry or a fix, and check that "
     "all lengths are metres"
 )
+FURTHER = "optimise further, with hl.optimize"
 MOVE_MORE = "add stations in other orientations, and check that all lengths are metres"
 
 
@@ -302,7 +304,7 @@ def read_graph(
     require_names("the name of a plane", planes)
     own = OwnGraph(graph, values, beams, planes)
     wanted = _variables(own)
-    linear = graph.linearize(values)
+    linear, points = amid_readings(graph.linearize(values), values)
     fit, times, against = _fit_of_graph(own, linear.gradientAtZero().vector().size)
     status, message, determined, covariance = _judged(own, linear, wanted, fit)
     at = parameters_of(values, list(beams.values()), list(planes.values()))
@@ -321,7 +323,7 @@ def read_graph(
         warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)
     keys = [beam.range_error for beam in beams.values()]
     terms = tuple(0 if key is None else len(wanted[key][1]) for key in keys)
-    joint = None if covariance is None else _joint(covariance, wanted, own, terms, signs)
+    joint = None if covariance is None else _joint(covariance, wanted, own, terms, signs, points)
     return Calibration(
         status,
         message,
@@ -369,8 +371,6 @@ def _judged(
         found = Determined(0, len(block), None, (words,), (ANCHOR,))
         return "unobservable", f"{words}: {ANCHOR}", found, None
     matrix, vector = information
-    centred = _centring(matrix, wanted)
-    matrix, vector = centred.T @ matrix @ centred, centred.T @ vector
     length = fit.typical_range if fit.typical_range > 0.0 else 1.0
     unit = length ** np.concatenate([powers for _, powers in wanted.values()]).astype(float)
     values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * np.outer(unit, unit))
@@ -388,40 +388,30 @@ def _judged(
     found = Determined(len(block), len(block), float(np.sqrt(values[-1] / values[0])))
     away = float((np.abs(S @ vector) / np.sqrt(np.diagonal(S))).max())
     if not away <= OPTIMAL:
-        words = f"the values are {away:.2g} standard deviations from the optimum: optimise further"
+        words = f"the values are {away:.2g} standard deviations from the optimum: {FURTHER}"
         return "not_converged", words, found, None
     try:  # the squared length of the step to the optimum of all variables, in standard deviations
         decrement = -linear.gradientAtZero().dot(linear.optimize())
     except RuntimeError:
         decrement = np.inf
     if not decrement <= OPTIMAL**2:
-        words = "the values are not at the optimum of the graph: optimise further"
+        words = f"the values are not at the optimum of the graph: {FURTHER}"
         return "not_converged", words, found, None
-    return "converged", "the values are the optimum of the graph", found, centred @ S @ centred.T
-
-
-def _centring(matrix: FloatArray, wanted: Variables) -> FloatArray:
-    """Return what offsets follow from if they are taken amid the readings of their planes.
-
-    An offset is at the origin of the world, from where the normal moves the plane by a long lever. Amid
-    the readings normal and offset have no information in common.
-    """
-    steps, first = np.eye(len(matrix)), 0
-    for _, powers in wanted.values():
-        offset = first + PLANE.dim - 1
-        if powers == KINDS[-1][-1] and matrix[offset, offset] > 0.0:
-            normal = slice(first, offset)
-            steps[offset, normal] = -matrix[offset, normal] / matrix[offset, offset]
-        first += len(powers)
-    return steps
+    return "converged", "the values are the optimum of the graph", found, S
 
 
 def _joint(
-    S: FloatArray, wanted: Variables, own: OwnGraph, terms: tuple[int, ...], signs: FloatArray
+    S: FloatArray,
+    wanted: Variables,
+    own: OwnGraph,
+    terms: tuple[int, ...],
+    signs: FloatArray,
+    points: Mapping[int, FloatArray],
 ) -> JointCovariance:
     """Return the covariance in the order of the names; shared variables stand once for every beam.
 
-    `signs` (P,) turn the planes: offsets change theirs, and the bases of the normals.
+    `signs` (P,) turn the planes: offsets change theirs, and the bases of the normals. Offsets are taken
+    at `points`.
     """
     ends = np.cumsum([len(powers) for _, powers in wanted.values()])
     columns = dict(zip(wanted, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
@@ -447,6 +437,6 @@ def _joint(
         alone,
         np.array([own.values.atUnit3(beam.direction).basis() for beam in own.beams.values()]),
         signs[:, None, None] * np.array([normal.basis() for normal in normals]).reshape(-1, 3, 2),
-        np.zeros((count, 3)),
+        np.array([points[key] for key in own.planes.values()]).reshape(-1, 3),
         coupling,
     )
