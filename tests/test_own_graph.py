@@ -282,6 +282,10 @@ def test_beams_of_one_make_share_their_range_error():
     assert S[6:8, 6:8] == pytest.approx(S[6:8, 14:16])
     marginals = gtsam.Marginals(graph, hl.optimize(graph, start).values)
     dense = marginals.jointMarginalCovariance([shared, WALL]).fullMatrix()
+    wall = found.planes["wall"]
+    steps = np.eye(5)
+    steps[4, 2:4] = found.covariance.origins[0] @ gtsam.Unit3(wall.normal).basis()
+    dense = steps @ dense @ steps.T
     both = found.covariance.matrix(["right"], ["wall"], ambient=False)
     assert both[5:, 5:] == pytest.approx(dense, rel=1e-6, abs=1e-12)
 
@@ -386,10 +390,14 @@ def test_wrong_keys_are_refused(walk):
 def test_the_driver_of_own_graphs_meets_grazing_beams_and_interrupts(walk):
     graph, start = walk
     far = gtsam.Values(start)
-    far.update(BEAM.direction, gtsam.Unit3(np.array([0.5, -0.4, 1.0])))
+    far.update(BEAM.direction, gtsam.Unit3(np.array([1.0, -0.4, 0.6])))
     solved = hl.optimize(graph, far)
     assert_near_truth(hl.read_graph(graph, solved.values, {"laser": BEAM}, PLANES))
     assert any(not trial.accepted for trial in solved.history)
+    far.update(BEAM.direction, gtsam.Unit3(np.array([0.5, -0.4, 1.0])))
+    stuck = hl.optimize(graph, far)
+    assert stuck.cost > 100.0 * solved.cost
+    assert stuck.status == "stalled"
 
     def stop(_trial):
         raise KeyboardInterrupt

@@ -24,20 +24,18 @@ from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE, TEN_TIMES
 from ..solvers.graph import parameters_of
-from ..solvers.graph_levenberg import require_values
+from ..solvers.graph_levenberg import OPTIMAL, require_values
 from .calibration import Calibration
 from .calibration_data import Determined, Fit, StartReport, Status
 from .messages import warned
 from .problem import fit_of_rows, named_estimates
 from .warnings import NO_MOUNT
 
-OPTIMAL = 0.1
-"""Standard deviations from the optimum that values may be."""
 ANCHOR = (
     "anchor at least one pose, tie every pose to others by a prior, odometry or a fix, and check that "
     "all lengths are metres"
 )
-FURTHER = "optimise further, with hl.optimize"
+FURTHER = "optimise further, with hl.optimize, or start closer"
 MOVE_MORE = "add stations in other orientations, and check that all lengths are metres"
 
 

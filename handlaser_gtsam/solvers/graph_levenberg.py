@@ -29,6 +29,8 @@ from ..text import count
 from .graph import CalibrationGraph
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
+OPTIMAL = 0.1
+"""Standard deviations from the optimum that values may be: less is lost in any use of them."""
 Squares = dict[int, FloatArray]
 """For every key, the squared lengths of its Jacobian columns [standard deviations]."""
 Linear = tuple[gtsam.GaussianFactorGraph, Callable[[gtsam.VectorValues], gtsam.Values]]
@@ -341,7 +343,16 @@ def _minimised(
             if better and trial is not None:
                 point = trial
                 accepted += 1
-            if arrived or stopping.is_level():
+            level = not arrived and bool(stopping.is_level())
+            if level and damping > options.least_damping:
+                # Damped steps may be short far from any minimum, as where beams nearly graze planes.
+                here, least = point.linear()[0], options.least_damping
+                left = damped_step(here, objective.ordering, point.squares, least)
+                if left is None or left[1] > OPTIMAL**2:
+                    status = "stalled"
+                    message = f"steps no longer lower the cost after {count(accepted, 'step')}"
+                    break
+            if arrived or level:
                 reason = "converged" if arrived else "the cost is level"
                 status, message = "converged", f"{reason} after {count(accepted, 'step')}"
                 break
