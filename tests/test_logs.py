@@ -806,6 +806,25 @@ def test_single_gross_readings_that_shift_a_mean_are_warned_of(tmp_path):
     assert not hl.read_log(path, hl.LogFormat(plane="A", as_stated=True)).warnings
 
 
+@pytest.mark.parametrize("average", ["mean", "median"])
+@pytest.mark.parametrize("pairs", [1, 2, 12])
+def test_two_readings_of_a_station_that_differ_far_are_warned_of(tmp_path, average, pairs):
+    """With or without other stations of several readings to compare with."""
+    noise = 5e-5 * np.random.default_rng(3).standard_normal((12, 2))
+    given = hl.LogFormat(plane="A", average=average, as_stated=True)
+    path = repeated_log(tmp_path / "log.csv", noise)
+    header, *rows = path.read_text().splitlines()
+    alone = [row for i, row in enumerate(rows) if i % 2 == 0 or i // 2 < pairs]
+    path.write_text("\n".join([header, *alone]))
+    assert not hl.read_log(path, given).warnings
+    wrong = repeated_log(tmp_path / "far.csv", noise + np.outer(np.arange(12) == 0, [0.0, 0.079]))
+    first = wrong.read_text().splitlines()[1:3]
+    path.write_text("\n".join([header, *first, *alone[2:]]))
+    (found,) = hl.read_log(path, given).warnings
+    assert (found.code, found.values) == ("gross-readings", {"readings": 2, "stations": 1})
+    assert "(S0)" in found.message
+
+
 def clean(kind, rng):
     """Return noise [m] (12, 60) of stations without a gross reading."""
     k, gauss = np.arange(60.0), rng.standard_normal((12, 60))
