@@ -283,6 +283,19 @@ def test_a_file_without_header_and_with_comments(tmp_path):
     assert_poses(hl.read_log(path, given), R, t)
 
 
+@pytest.mark.parametrize("separator", [",", " ", ";"])
+@pytest.mark.parametrize("header", [True, False])
+def test_a_tum_file_may_have_a_header_and_other_separators(tmp_path, separator, header):
+    rows, R, t = written("ros", np.random.default_rng(4), 9)
+    lines = [[f"{0.5 * i}", *(repr(float(x)) for x in row)] for i, row in enumerate(rows)]
+    names = [["time", "x", "y", "z", "qx", "qy", "qz", "qw"]] if header else []
+    path, readings = tmp_path / "poses.txt", tmp_path / "readings.csv"
+    path.write_text("\n".join(separator.join(line) for line in [*names, *lines]))
+    readings.write_text("time,range_1\n" + "".join(f"{0.5 * i + 0.01},0.2\n" for i in range(9)))
+    given = hl.LogFormat(pose_format="tum", readings=readings, tolerance_s=0.05, plane="A")
+    assert_poses(hl.read_log(path, given), R, t)
+
+
 def test_planes_by_stations_by_column_and_by_file(tmp_path, kuka):
     path = tmp_path / "log.csv"
     path.write_text(kuka_text(kuka))
