@@ -382,6 +382,8 @@ def test_wrong_keys_are_refused(walk):
     swapped = hl.factors.BeamKeys(BEAM.direction, BEAM.location)
     with pytest.raises(hl.InputError, match=r"another type under u0.*a Point3"):
         hl.read_graph(graph, values, {"laser": swapped}, PLANES)
+    with pytest.raises(hl.InputError, match="another type under l0, plane x; expected an Oriented"):
+        hl.read_graph(graph, values, {"laser": BEAM}, {"x": BEAM.location})
     with pytest.raises(hl.InputError, match="no range factor of beam laser"):
         hl.read_graph(graph, values, {"laser": BEAM}, {})
 

@@ -40,10 +40,10 @@ MOVE_MORE = "add stations in other orientations, and check that all lengths are 
 
 
 KINDS = (
-    ("location of beam {}", gtsam.Values.atPoint3, "Point3", (1, 1, 1)),
-    ("direction of beam {}", gtsam.Values.atUnit3, "Unit3", (0, 0)),
-    ("range error of beam {}", gtsam.Values.atVector, "vector (k1,) or (k1, k2)", (0, -1)),
-    ("plane {}", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1)),
+    ("location of beam {}", gtsam.Values.atPoint3, "a Point3", (1, 1, 1)),
+    ("direction of beam {}", gtsam.Values.atUnit3, "a Unit3", (0, 0)),
+    ("range error of beam {}", gtsam.Values.atVector, "a vector (k1,) or (k1, k2)", (0, -1)),
+    ("plane {}", gtsam.Values.atOrientedPlane3, "an OrientedPlane3", (0, 0, 1)),
 )
 """Kinds of variables: what each is of, how it is read, its type, and the natural units of its columns
 as powers of the typical range. A beam has three lengths, two angles, and a number k1 with k2 per
@@ -95,10 +95,10 @@ def _variables(own: OwnGraph) -> Variables:
             value = read(own.values, key)
         except RuntimeError as error:
             other = f"another type under {key_name(key)}, {words}"
-            raise InputError(other, f"a {expected}") from error
+            raise InputError(other, expected) from error
         dim = np.asarray(value).size if read is gtsam.Values.atVector else len(powers)
         if not 1 <= dim <= len(powers):
-            raise InputError(f"{dim} numbers as {words}", f"a {expected}")
+            raise InputError(f"{dim} numbers as {words}", expected)
         found.setdefault(key, (words, powers[:dim]))
     return found
 

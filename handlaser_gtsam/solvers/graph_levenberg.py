@@ -23,7 +23,7 @@ from ..checks import require_kind
 from ..errors import GrazingBeamError, InputError, MissedTargetError
 from ..factors.amid_readings import amid_readings, turned_amid_readings
 from ..model.damped_search import LevenbergOptions, StoppingRule
-from ..progress import Trial
+from ..progress import Trial, require_progress
 from ..quantities import LARGEST_NUMBER, ROUNDING, SINGULAR
 from ..text import count
 from .graph import CalibrationGraph
@@ -313,6 +313,7 @@ def _minimised(
     progress: Callable[[Trial], None] | None,
 ) -> LevenbergResult:
     """Take steps to the end; Ctrl-C ends it with the best values so far."""
+    require_progress(progress)
     point = objective.evaluate(gtsam.Values(objective.start))
     stopping = StoppingRule(
         options.step_tolerance, options.least_damping, objective.rounding, objective.dof
