@@ -12,6 +12,9 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Literal
 
+from .errors import InputError
+from .text import shown
+
 Phase = Literal[
     "search",
     "solve",
@@ -71,9 +74,17 @@ _listener: ContextVar[Listener | None] = ContextVar("handlaser_progress", defaul
 _stage: ContextVar[str] = ContextVar("handlaser_stage", default="")
 
 
+def require_progress(listener: object) -> None:
+    """Refuse what is neither None nor can be called."""
+    if listener is not None and not callable(listener):
+        given = f"{shown(listener)} of type {type(listener).__name__} as progress"
+        raise InputError(given, "a function of one argument")
+
+
 @contextmanager
 def told_to(listener: Listener | None) -> Iterator[None]:
     """Let `tell` call `listener` meanwhile; without one, whoever listens already goes on."""
+    require_progress(listener)
     if listener is None:
         yield
         return

@@ -37,7 +37,10 @@ def test_the_page_runs_in_its_order(handlaser, folder):
             assert "laser_1" in out
     assert {path.name for path in folder.iterdir()} == written
     (block,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
-    exec(compile(block, "exports.md", "exec"), {"__name__": "exports"})
+    names = {"__name__": "exports"}
+    exec(compile(block, "exports.md", "exec"), names)
+    mounts, beam = names["mounts"], names["file"].beams[0]
+    assert mounts.locations[0].tolist() == list(beam.location_m)  # arrays, and what the file has
 
 
 def test_every_format_is_on_the_page():

@@ -98,6 +98,23 @@ def test_a_systematic_error_is_found_where_there_is_one_only(page):
     assert size.size == pytest.approx(2.0 * effect.detectable, abs=4.0 * size.sigma)
 
 
+def test_a_column_counts_where_there_is_a_reading_only(page):
+    problem, found = page["problem"], page["found"]
+    blocks, columns = list(problem.blocks), [column.copy() for column in page["longer"]]
+    reading = blocks[0].reading.copy()
+    reading[0, 0, 5] = np.nan
+    blocks[0] = replace(blocks[0], reading=reading)
+    start = {name: x[None] for name, x in found.values.items()}
+    without = hl.estimation.BlockProblem(blocks, start, problem.unknown, problem.length)
+    again = hl.calibrate(without)
+    there = hl.estimation.score_test(without, again, {"longer": columns})
+    columns[0][0, 5] = np.nan
+    assert hl.estimation.score_test(without, again, {"longer": columns}) == there
+    columns[0][0, 6] = np.nan
+    with pytest.raises(hl.InputError, match="a column of longer that is not finite at a reading"):
+        hl.estimation.score_test(without, again, {"longer": columns})
+
+
 def test_what_is_not_determined_is_named_and_the_rest_keeps_its_sigma(page):
     """Nothing reads the second plane; the first one determines the head all the same."""
     problem = page["problem"]

@@ -283,6 +283,19 @@ def test_a_file_without_header_and_with_comments(tmp_path):
     assert_poses(hl.read_log(path, given), R, t)
 
 
+@pytest.mark.parametrize("separator", [",", " ", ";"])
+@pytest.mark.parametrize("header", [True, False])
+def test_a_tum_file_may_have_a_header_and_other_separators(tmp_path, separator, header):
+    rows, R, t = written("ros", np.random.default_rng(4), 9)
+    lines = [[f"{0.5 * i}", *(repr(float(x)) for x in row)] for i, row in enumerate(rows)]
+    names = [["time", "x", "y", "z", "qx", "qy", "qz", "qw"]] if header else []
+    path, readings = tmp_path / "poses.txt", tmp_path / "readings.csv"
+    path.write_text("\n".join(separator.join(line) for line in [*names, *lines]))
+    readings.write_text("time,range_1\n" + "".join(f"{0.5 * i + 0.01},0.2\n" for i in range(9)))
+    given = hl.LogFormat(pose_format="tum", readings=readings, tolerance_s=0.05, plane="A")
+    assert_poses(hl.read_log(path, given), R, t)
+
+
 def test_planes_by_stations_by_column_and_by_file(tmp_path, kuka):
     path = tmp_path / "log.csv"
     path.write_text(kuka_text(kuka))
@@ -804,6 +817,25 @@ def test_single_gross_readings_that_shift_a_mean_are_warned_of(tmp_path):
     noise[4, 20] += 1e-3  # twenty sigmas move the mean of sixty by less than three of its own
     path = repeated_log(tmp_path / "little.csv", noise)
     assert not hl.read_log(path, hl.LogFormat(plane="A", as_stated=True)).warnings
+
+
+@pytest.mark.parametrize("average", ["mean", "median"])
+@pytest.mark.parametrize("pairs", [1, 2, 12])
+def test_two_readings_of_a_station_that_differ_far_are_warned_of(tmp_path, average, pairs):
+    """With or without other stations of several readings to compare with."""
+    noise = 5e-5 * np.random.default_rng(3).standard_normal((12, 2))
+    given = hl.LogFormat(plane="A", average=average, as_stated=True)
+    path = repeated_log(tmp_path / "log.csv", noise)
+    header, *rows = path.read_text().splitlines()
+    alone = [row for i, row in enumerate(rows) if i % 2 == 0 or i // 2 < pairs]
+    path.write_text("\n".join([header, *alone]))
+    assert not hl.read_log(path, given).warnings
+    wrong = repeated_log(tmp_path / "far.csv", noise + np.outer(np.arange(12) == 0, [0.0, 0.079]))
+    first = wrong.read_text().splitlines()[1:3]
+    path.write_text("\n".join([header, *first, *alone[2:]]))
+    (found,) = hl.read_log(path, given).warnings
+    assert (found.code, found.values) == ("gross-readings", {"readings": 2, "stations": 1})
+    assert "(S0)" in found.message
 
 
 def clean(kind, rng):

@@ -41,11 +41,11 @@ class Robot:
         return gtsam.symbol(self.letter, station)
 
 
-def robot(letter="x", stations=40, seed=1):
+def robot(letter="x", stations=40, seed=1, away=0.0):
     rng = np.random.default_rng(seed)
     graph, values, poses = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
     for j in range(stations):
-        turn, shift = rng.uniform(-0.6, 0.6, 3), rng.uniform(-0.4, 0.4, 3)
+        turn, shift = rng.uniform(-0.6, 0.6, 3), rng.uniform(-0.4, 0.4, 3) + away
         pose = gtsam.Pose3(gtsam.Rot3.Expmap(turn), shift)
         key = gtsam.symbol(letter, j)
         if j:
@@ -179,6 +179,10 @@ def test_the_covariance_is_that_of_gtsam(walk):
     keys = [BEAM.location, BEAM.direction, WALL, FLOOR]
     marginals = gtsam.Marginals(graph, values)
     dense = marginals.jointMarginalCovariance(keys).fullMatrix()
+    steps = np.eye(len(dense))  # offsets are not at the origin of the world, but amid the readings
+    for key, c, first in zip((WALL, FLOOR), found.covariance.origins, (5, 8), strict=True):
+        steps[first + 2, first : first + 2] = c @ values.atOrientedPlane3(key).normal().basis()
+    dense = steps @ dense @ steps.T
     own = found.covariance.matrix(ambient=False)
     scale = np.sqrt(np.diagonal(dense))
     assert np.abs((own - dense) / np.outer(scale, scale)).max() < 1e-8
@@ -193,6 +197,30 @@ def test_the_covariance_is_that_of_gtsam(walk):
     turned = found.covariance.arranged([("laser", 0)], [("floor", 1), ("wall", 0)])
     assert turned.matrix(planes=["wall", "floor"]) == pytest.approx(found.covariance.matrix())
     assert hl.Mounts.of(found).covariance == pytest.approx(found.beams["laser"].covariance)
+
+
+@pytest.mark.parametrize("away", [(60.0, 80.0, 0.0), (600.0, 800.0, 5.0), (4e5, 5e6, 100.0)])
+def test_the_origin_of_the_world_may_be_far_away(walk, away):
+    graph, start = walk
+    near = hl.optimize(graph, start)
+    walker = robot(away=np.array(away))
+    add_beam(walker.graph, robot())
+    moved = started(walker.values)
+    for key in (WALL, FLOOR):
+        plane = moved.atOrientedPlane3(key)
+        n = plane.normal()
+        moved.update(key, gtsam.OrientedPlane3(n, plane.distance() - n.point3() @ np.array(away)))
+    far = hl.optimize(walker.graph, moved)
+    assert (far.status, far.iterations) == ("converged", near.iterations)
+    assert far.cost == pytest.approx(near.cost, rel=1e-6)
+    here = hl.read_graph(graph, near.values, {"laser": BEAM}, PLANES)
+    there = hl.read_graph(walker.graph, far.values, {"laser": BEAM}, PLANES)
+    assert there.status == "converged", there.message
+    a, b = here.beams["laser"], there.beams["laser"]
+    assert np.abs((b.location - a.location) / a.location_sigma).max() < 1e-2
+    assert b.location_sigma == pytest.approx(a.location_sigma, rel=1e-3)
+    ours, theirs = (found.planes["wall"].covariance[:3, :3] for found in (here, there))
+    assert np.abs(ours - theirs).max() < 1e-3 * np.abs(ours).max()
 
 
 @pytest.mark.slow
@@ -254,6 +282,10 @@ def test_beams_of_one_make_share_their_range_error():
     assert S[6:8, 6:8] == pytest.approx(S[6:8, 14:16])
     marginals = gtsam.Marginals(graph, hl.optimize(graph, start).values)
     dense = marginals.jointMarginalCovariance([shared, WALL]).fullMatrix()
+    wall = found.planes["wall"]
+    steps = np.eye(5)
+    steps[4, 2:4] = found.covariance.origins[0] @ gtsam.Unit3(wall.normal).basis()
+    dense = steps @ dense @ steps.T
     both = found.covariance.matrix(["right"], ["wall"], ambient=False)
     assert both[5:, 5:] == pytest.approx(dense, rel=1e-6, abs=1e-12)
 
@@ -350,6 +382,8 @@ def test_wrong_keys_are_refused(walk):
     swapped = hl.factors.BeamKeys(BEAM.direction, BEAM.location)
     with pytest.raises(hl.InputError, match=r"another type under u0.*a Point3"):
         hl.read_graph(graph, values, {"laser": swapped}, PLANES)
+    with pytest.raises(hl.InputError, match="another type under l0, plane x; expected an Oriented"):
+        hl.read_graph(graph, values, {"laser": BEAM}, {"x": BEAM.location})
     with pytest.raises(hl.InputError, match="no range factor of beam laser"):
         hl.read_graph(graph, values, {"laser": BEAM}, {})
 
@@ -358,10 +392,14 @@ def test_wrong_keys_are_refused(walk):
 def test_the_driver_of_own_graphs_meets_grazing_beams_and_interrupts(walk):
     graph, start = walk
     far = gtsam.Values(start)
-    far.update(BEAM.direction, gtsam.Unit3(np.array([0.5, -0.4, 1.0])))
+    far.update(BEAM.direction, gtsam.Unit3(np.array([1.0, -0.4, 0.6])))
     solved = hl.optimize(graph, far)
     assert_near_truth(hl.read_graph(graph, solved.values, {"laser": BEAM}, PLANES))
     assert any(not trial.accepted for trial in solved.history)
+    far.update(BEAM.direction, gtsam.Unit3(np.array([0.5, -0.4, 1.0])))
+    stuck = hl.optimize(graph, far)
+    assert stuck.cost > 100.0 * solved.cost
+    assert stuck.status == "stalled"
 
     def stop(_trial):
         raise KeyboardInterrupt

@@ -62,3 +62,14 @@ def test_a_stop_within_the_solver_ends_all_that_follows(gripper):
     with pytest.raises(KeyboardInterrupt):
         hl.validate(gripper, hl.Noise(3e-5), EXACT, splits=1, progress=stop)
     assert len(parts) == 2
+
+
+def test_what_cannot_be_called_is_refused(gripper):
+    problem = hl.calibrate(gripper, hl.Noise(3e-5), EXACT).problem()
+    for compute in (
+        lambda: hl.calibrate(gripper, progress=3),
+        lambda: hl.validate(gripper, progress=3),
+        lambda: hl.optimize(problem.graph, problem.values, progress=3),
+    ):
+        with pytest.raises(hl.InputError, match="3 of type int as progress; expected a function"):
+            compute()

@@ -261,7 +261,7 @@ def test_the_step_is_that_of_gtsams_elimination_of_all_factors(case):
     )
     point = of_calibration(problem).evaluate(problem.values)
     assert problem.graph.error(problem.values) == pytest.approx(point.cost, rel=1e-12)
-    delta, decrement = damped_step(point.linear(), problem.ordering, point.squares, 0.0)
+    delta, decrement = damped_step(point.linear()[0], problem.ordering, point.squares, 0.0)
     linear = problem.graph.linearize(problem.values)
     theirs = linear.optimize(problem.ordering)
     assert decrement == pytest.approx(-linear.gradientAtZero().dot(theirs), rel=1e-9)

@@ -340,6 +340,25 @@ def test_a_clock_that_is_set_in_between_has_no_lag(tmp_path, jump):
         hl.read_log(tmp_path / "poses.csv", given)
 
 
+@pytest.mark.parametrize("fast", [5e-4, -1e-3])
+def test_a_clock_that_runs_away_has_no_lag_and_by_how_much_is_said(tmp_path, fast):
+    one = drive(SEED, stops=24, rest_s=1.0)
+    at, d = one.late(0.0, 80.0)
+    write_poses(tmp_path / "poses.csv", one)
+    write_readings(tmp_path / "readings.csv", at * (1.0 + fast) + 0.04, d)
+    half = 0.5 * (one.rest[11, 1] + one.rest[12, 0])
+    given = hl.LogFormat(
+        readings=tmp_path / "readings.csv",
+        stands=True,
+        estimate_lag=True,
+        plane_ranges=(f"A=0s..{half}s", f"B={half}s..{one.time[-1]}s"),
+    )
+    with pytest.raises(hl.InputError, match="a lag that varies by some") as refused:
+        hl.read_log(tmp_path / "poses.csv", given)
+    said = float(str(refused.value).split("by some ")[1].split(" ms")[0])
+    assert said == pytest.approx(1e3 * abs(fast) * one.time[-1], rel=0.3)
+
+
 @pytest.mark.slow
 def test_a_lag_is_found_and_taken_off_in_one_table(tmp_path):
     one = wander(19, duration=20.0)

@@ -225,12 +225,14 @@ def score_test(
     problem : BlockProblem
     found : Estimate
     columns : mapping
-        For each error, by how much one of size 1 changes the residuals (G, S) of every block.
+        For each error, by how much one of size 1 changes the residuals (G, S) of every block. What
+        stands where there is no reading, or where it is rejected, counts for nothing.
 
     Raises
     ------
     InputError
-        An estimate that is not a minimum, or columns of other shapes than the residuals.
+        An estimate that is not a minimum, or columns of other shapes than the residuals, or that are
+        not finite where there is a reading.
     """
     if found.status == "not_converged":
         raise InputError("an estimate that has not converged", "a minimum to test at")
@@ -242,15 +244,16 @@ def score_test(
     blocks = kept_blocks(problem, found)
     values = {name: x[None] for name, x in found.values.items()}
     J, e = problem.rows(blocks, values).whitened()
-    whole = {
-        name: -np.concatenate(
-            [
-                (column if b.weights.root is None else column * b.weights.root[0]).ravel()
-                for b, column in zip(blocks, of_blocks, strict=True)
-            ]
-        )
-        for name, of_blocks in columns.items()
-    }
+    roots = [b.weights.root for b in blocks]
+    whole = {}
+    for name, of_blocks in columns.items():
+        parts = [
+            column if root is None else np.where(root[0] == 0.0, 0.0, column) * root[0]
+            for root, column in zip(roots, of_blocks, strict=True)
+        ]
+        whole[name] = -np.concatenate([part.ravel() for part in parts])
+        if not np.isfinite(whole[name]).all():
+            raise InputError(f"a column of {name} that is not finite at a reading", "numbers")
     return {name: effect for name, (effect, _) in tested_columns(J, e, whole).items()}
 
 

@@ -16,6 +16,7 @@ from ..arrays import FloatArray, IntArray
 from ..checks import require_names
 from ..errors import CalibrationWarning, InputError
 from ..estimation.estimate import NAMED_SHARE
+from ..factors.amid_readings import amid_readings
 from ..factors.keys import BeamKeys, integer_key, require_beam
 from ..model.distributions import SINGLE_LEVEL
 from ..model.families import DIRECTION, LOCATION, MOUNT_DIM, PLANE
@@ -23,27 +24,26 @@ from ..model.joint import JointCovariance, strong_correlations
 from ..observability.rank import ObservabilityOptions, open_axes
 from ..quantities import NEGLIGIBLE, TEN_TIMES
 from ..solvers.graph import parameters_of
-from ..solvers.graph_levenberg import require_values
+from ..solvers.graph_levenberg import OPTIMAL, require_values
 from .calibration import Calibration
 from .calibration_data import Determined, Fit, StartReport, Status
 from .messages import warned
 from .problem import fit_of_rows, named_estimates
 from .warnings import NO_MOUNT
 
-OPTIMAL = 0.1
-"""Standard deviations from the optimum that values may be."""
 ANCHOR = (
     "anchor at least one pose, tie every pose to others by a prior, odometry or a fix, and check that "
     "all lengths are metres"
 )
+FURTHER = "optimise further, with hl.optimize, or start closer"
 MOVE_MORE = "add stations in other orientations, and check that all lengths are metres"
 
 
 KINDS = (
-    ("location of beam {}", gtsam.Values.atPoint3, "Point3", (1, 1, 1)),
-    ("direction of beam {}", gtsam.Values.atUnit3, "Unit3", (0, 0)),
-    ("range error of beam {}", gtsam.Values.atVector, "vector (k1,) or (k1, k2)", (0, -1)),
-    ("plane {}", gtsam.Values.atOrientedPlane3, "OrientedPlane3", (0, 0, 1)),
+    ("location of beam {}", gtsam.Values.atPoint3, "a Point3", (1, 1, 1)),
+    ("direction of beam {}", gtsam.Values.atUnit3, "a Unit3", (0, 0)),
+    ("range error of beam {}", gtsam.Values.atVector, "a vector (k1,) or (k1, k2)", (0, -1)),
+    ("plane {}", gtsam.Values.atOrientedPlane3, "an OrientedPlane3", (0, 0, 1)),
 )
 """Kinds of variables: what each is of, how it is read, its type, and the natural units of its columns
 as powers of the typical range. A beam has three lengths, two angles, and a number k1 with k2 per
@@ -95,10 +95,10 @@ def _variables(own: OwnGraph) -> Variables:
             value = read(own.values, key)
         except RuntimeError as error:
             other = f"another type under {key_name(key)}, {words}"
-            raise InputError(other, f"a {expected}") from error
+            raise InputError(other, expected) from error
         dim = np.asarray(value).size if read is gtsam.Values.atVector else len(powers)
         if not 1 <= dim <= len(powers):
-            raise InputError(f"{dim} numbers as {words}", f"a {expected}")
+            raise InputError(f"{dim} numbers as {words}", expected)
         found.setdefault(key, (words, powers[:dim]))
     return found
 
@@ -302,7 +302,7 @@ def read_graph(
     require_names("the name of a plane", planes)
     own = OwnGraph(graph, values, beams, planes)
     wanted = _variables(own)
-    linear = graph.linearize(values)
+    linear, points = amid_readings(graph.linearize(values), values)
     fit, times, against = _fit_of_graph(own, linear.gradientAtZero().vector().size)
     status, message, determined, covariance = _judged(own, linear, wanted, fit)
     at = parameters_of(values, list(beams.values()), list(planes.values()))
@@ -321,7 +321,7 @@ def read_graph(
         warnings = (warned("sigmas-too-small:graph", chi2=fit.chi2, dof=fit.dof),)
     keys = [beam.range_error for beam in beams.values()]
     terms = tuple(0 if key is None else len(wanted[key][1]) for key in keys)
-    joint = None if covariance is None else _joint(covariance, wanted, own, terms, signs)
+    joint = None if covariance is None else _joint(covariance, wanted, own, terms, signs, points)
     return Calibration(
         status,
         message,
@@ -369,8 +369,6 @@ def _judged(
         found = Determined(0, len(block), None, (words,), (ANCHOR,))
         return "unobservable", f"{words}: {ANCHOR}", found, None
     matrix, vector = information
-    centred = _centring(matrix, wanted)
-    matrix, vector = centred.T @ matrix @ centred, centred.T @ vector
     length = fit.typical_range if fit.typical_range > 0.0 else 1.0
     unit = length ** np.concatenate([powers for _, powers in wanted.values()]).astype(float)
     values, axes = np.linalg.eigh(0.5 * (matrix + matrix.T) * np.outer(unit, unit))
@@ -388,40 +386,30 @@ def _judged(
     found = Determined(len(block), len(block), float(np.sqrt(values[-1] / values[0])))
     away = float((np.abs(S @ vector) / np.sqrt(np.diagonal(S))).max())
     if not away <= OPTIMAL:
-        words = f"the values are {away:.2g} standard deviations from the optimum: optimise further"
+        words = f"the values are {away:.2g} standard deviations from the optimum: {FURTHER}"
         return "not_converged", words, found, None
     try:  # the squared length of the step to the optimum of all variables, in standard deviations
         decrement = -linear.gradientAtZero().dot(linear.optimize())
     except RuntimeError:
         decrement = np.inf
     if not decrement <= OPTIMAL**2:
-        words = "the values are not at the optimum of the graph: optimise further"
+        words = f"the values are not at the optimum of the graph: {FURTHER}"
         return "not_converged", words, found, None
-    return "converged", "the values are the optimum of the graph", found, centred @ S @ centred.T
-
-
-def _centring(matrix: FloatArray, wanted: Variables) -> FloatArray:
-    """Return what offsets follow from if they are taken amid the readings of their planes.
-
-    An offset is at the origin of the world, from where the normal moves the plane by a long lever. Amid
-    the readings normal and offset have no information in common.
-    """
-    steps, first = np.eye(len(matrix)), 0
-    for _, powers in wanted.values():
-        offset = first + PLANE.dim - 1
-        if powers == KINDS[-1][-1] and matrix[offset, offset] > 0.0:
-            normal = slice(first, offset)
-            steps[offset, normal] = -matrix[offset, normal] / matrix[offset, offset]
-        first += len(powers)
-    return steps
+    return "converged", "the values are the optimum of the graph", found, S
 
 
 def _joint(
-    S: FloatArray, wanted: Variables, own: OwnGraph, terms: tuple[int, ...], signs: FloatArray
+    S: FloatArray,
+    wanted: Variables,
+    own: OwnGraph,
+    terms: tuple[int, ...],
+    signs: FloatArray,
+    points: Mapping[int, FloatArray],
 ) -> JointCovariance:
     """Return the covariance in the order of the names; shared variables stand once for every beam.
 
-    `signs` (P,) turn the planes: offsets change theirs, and the bases of the normals.
+    `signs` (P,) turn the planes: offsets change theirs, and the bases of the normals. Offsets are taken
+    at `points`.
     """
     ends = np.cumsum([len(powers) for _, powers in wanted.values()])
     columns = dict(zip(wanted, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
@@ -447,6 +435,6 @@ def _joint(
         alone,
         np.array([own.values.atUnit3(beam.direction).basis() for beam in own.beams.values()]),
         signs[:, None, None] * np.array([normal.basis() for normal in normals]).reshape(-1, 3, 2),
-        np.zeros((count, 3)),
+        np.array([points[key] for key in own.planes.values()]).reshape(-1, 3),
         coupling,
     )

@@ -6,6 +6,7 @@ rows of it, and GTSAM eliminates. Damping follows the rules of `model.damped_sea
 
 What is minimised is an `Objective`: a calibration, or any graph of a user. Each is evaluated at values,
 and linearised there to (H + lambda diag(H)) delta = -g, which GTSAM eliminates for any damping lambda.
+In the graph of a user, planes are turned about points amid their readings (`amid_readings`).
 """
 
 from collections.abc import Callable
@@ -20,15 +21,20 @@ from numpy.typing import ArrayLike
 from ..arrays import FloatArray
 from ..checks import require_kind
 from ..errors import GrazingBeamError, InputError, MissedTargetError
+from ..factors.amid_readings import amid_readings, turned_amid_readings
 from ..model.damped_search import LevenbergOptions, StoppingRule
-from ..progress import Trial
+from ..progress import Trial, require_progress
 from ..quantities import LARGEST_NUMBER, ROUNDING, SINGULAR
 from ..text import count
 from .graph import CalibrationGraph
 
 Status = Literal["converged", "max_iterations", "stalled", "interrupted"]
+OPTIMAL = 0.1
+"""Standard deviations from the optimum that values may be: less is lost in any use of them."""
 Squares = dict[int, FloatArray]
 """For every key, the squared lengths of its Jacobian columns [standard deviations]."""
+Linear = tuple[gtsam.GaussianFactorGraph, Callable[[gtsam.VectorValues], gtsam.Values]]
+"""A linear graph, and what a step of its variables leads to."""
 Step = tuple[gtsam.VectorValues, float]
 """A step of all variables, and its decrement -g . delta: twice the cost that it should save, in squared
 standard deviations."""
@@ -46,7 +52,7 @@ class Point:
         Returns the residuals (N,) of the readings [m], plain and whitened, in their order; none where
         they are unknown.
     linear : callable
-        Linearises here.
+        Linearises here, and says what steps lead to.
     squares : callable
         Returns the squares of the columns of what `linear` returns.
     """
@@ -54,7 +60,7 @@ class Point:
     values: gtsam.Values
     cost: float
     residuals: Callable[[], tuple[FloatArray, FloatArray]]
-    linear: Callable[[], gtsam.GaussianFactorGraph]
+    linear: Callable[[], Linear]
     squares: Callable[[gtsam.GaussianFactorGraph], Squares]
 
 
@@ -104,9 +110,9 @@ def of_calibration(problem: CalibrationGraph) -> Objective:
             columns = shared.squared_columns(point)
             return {key: column / sigma**2 for key, column in columns.items()}
 
-        def linear() -> gtsam.GaussianFactorGraph:
+        def linear() -> Linear:
             with shared.handed_out(point):
-                return problem.graph.linearize(values)
+                return problem.graph.linearize(values), values.retract
 
         return Point(values, cost + others.error(values), residuals, linear, squares)
 
@@ -124,7 +130,12 @@ def of_graph(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Objecti
 
     def evaluate(values: gtsam.Values) -> Point:
         cost, none = graph.error(values), (np.empty(0), np.empty(0))
-        return Point(values, cost, lambda: none, lambda: graph.linearize(values), squared_columns)
+
+        def linear() -> Linear:
+            amid, points = amid_readings(graph.linearize(values), values)
+            return amid, lambda step: turned_amid_readings(values, step, points)
+
+        return Point(values, cost, lambda: none, linear, squared_columns)
 
     factors = (graph.at(i) for i in range(graph.size()) if graph.exists(i))
     rows = sum(factor.dim() for factor in factors)
@@ -192,7 +203,8 @@ class LevenbergResult:
         Returns the residuals (N,) [m] of the readings at `values`, in their order, and the same
         whitened, in units of the problem's range sigma [m].
     linear : gtsam.GaussianFactorGraph
-        What the last step solved, linearised where that began; at `values` where steps ran out.
+        What the last step solved, linearised where that began; at `values` where steps ran out. Of
+        `optimize` with planes about points amid their readings.
     """
 
     values: gtsam.Values
@@ -301,6 +313,7 @@ def _minimised(
     progress: Callable[[Trial], None] | None,
 ) -> LevenbergResult:
     """Take steps to the end; Ctrl-C ends it with the best values so far."""
+    require_progress(progress)
     point = objective.evaluate(gtsam.Values(objective.start))
     stopping = StoppingRule(
         options.step_tolerance, options.least_damping, objective.rounding, objective.dof
@@ -311,7 +324,7 @@ def _minimised(
     message = f"not converged within {count(options.max_iterations, 'trial step')}"
     linear = gtsam.GaussianFactorGraph()
     try:
-        linear = point.linear()
+        linear, moved = point.linear()
         while len(history) < options.max_iterations:
             step = damped_step(linear, objective.ordering, point.squares, float(damping))
             decrement = np.array(-1.0 if step is None else step[1])  # negative for no step
@@ -319,7 +332,8 @@ def _minimised(
             if step is not None:
                 arrived = bool(stopping.little_left(decrement, damping, before))
                 hidden = bool(decrement <= stopping.resolution(before))
-                trial = _tried(objective, point, step, last=arrived and hidden)
+                last = arrived and hidden
+                trial = _tried(objective, point, moved(step[0]), step[1], last=last)
             cost = np.array(np.inf if trial is None else trial.cost)
             gain = stopping.gain(decrement, before, cost)
             better = trial is not None and bool(gain > 0.0)
@@ -330,7 +344,16 @@ def _minimised(
             if better and trial is not None:
                 point = trial
                 accepted += 1
-            if arrived or stopping.is_level():
+            level = not arrived and bool(stopping.is_level())
+            if level and damping > options.least_damping:
+                # Damped steps may be short far from any minimum, as where beams nearly graze planes.
+                here, least = point.linear()[0], options.least_damping
+                left = damped_step(here, objective.ordering, point.squares, least)
+                if left is None or left[1] > OPTIMAL**2:
+                    status = "stalled"
+                    message = f"steps no longer lower the cost after {count(accepted, 'step')}"
+                    break
+            if arrived or level:
                 reason = "converged" if arrived else "the cost is level"
                 status, message = "converged", f"{reason} after {count(accepted, 'step')}"
                 break
@@ -340,7 +363,7 @@ def _minimised(
                 message = f"no step lowers the cost after {count(accepted, 'step')}"
                 break
             if better:
-                linear = point.linear()
+                linear, moved = point.linear()
     except KeyboardInterrupt:
         status, message = "interrupted", f"stopped by Ctrl-C after {count(accepted, 'step')}"
     return LevenbergResult(
@@ -355,14 +378,15 @@ def _minimised(
     )
 
 
-def _tried(objective: Objective, point: Point, step: Step, last: bool) -> Point | None:
+def _tried(
+    objective: Objective, point: Point, values: gtsam.Values, decrement: float, *, last: bool
+) -> Point | None:
     """Return the point after a step; None where a beam grazes its plane, or a ray misses its target.
 
     A last step that is too short to show in the cost is evaluated when its residuals are asked for.
     """
-    values = point.values.retract(step[0])
     if last:
-        cost, there = max(point.cost - 0.5 * step[1], 0.0), objective.evaluate
+        cost, there = max(point.cost - 0.5 * decrement, 0.0), objective.evaluate
         return replace(point, values=values, cost=cost, residuals=lambda: there(values).residuals())
     try:
         trial = objective.evaluate(values)

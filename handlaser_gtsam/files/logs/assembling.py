@@ -21,8 +21,9 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import Recording
 from ...data.screening import FAR_SAMPLE, FINEST_STEP, worth_of_mean
 from ...errors import CalibrationWarning, InputError
+from ...model.distributions import SINGLE_LEVEL, student_quantile
 from ...model.sensor_limits import Sensor
-from ...quantities import FAR_SIGMAS, MEDIAN_TO_SIGMA
+from ...quantities import FAR_SIGMAS, MEDIAN_TO_SIGMA, UNIT_SIGMA
 from ...results.messages import warned
 from ...text import count, some
 from ..exports.rendering import environment
@@ -59,8 +60,9 @@ def assembled(
     planes, chosen, warnings = targets_of(log, given)
     counted = (log.station >= 0) & chosen[log.station]
     warnings = (*readings.code_warnings(counted), *warnings)
+    counted_rows = np.where(counted, log.station, -1)
+    warnings = (*warnings, *_unlike_pairs(readings.ranges, counted_rows, log.names, range_sigma))
     if given.average == "mean":
-        counted_rows = np.where(counted, log.station, -1)
         warnings = (*warnings, *_gross_readings(readings.ranges, counted_rows, log.names))
     if log.times is not None:  # stations in time: a stand may be without a reading
         unread = chosen & np.isnan(mean).all(axis=1)
@@ -158,10 +160,7 @@ def _gross_readings(
     """
     gross, shifted = 0, set[int]()
     for column in d.T:
-        rows = np.flatnonzero(~np.isnan(column) & (station >= 0))
-        rows = rows[np.argsort(station[rows], kind="stable")]
-        first = np.flatnonzero(np.diff(station[rows], prepend=-1))
-        parts = [part for part in np.split(rows, first[1:]) if len(part) >= 3]
+        parts = [part for part in _repeated(column, station) if len(part) >= 3]
         if not parts:
             continue
         off = [np.abs(column[part] - np.median(column[part])) for part in parts]
@@ -178,14 +177,49 @@ def _gross_readings(
             if single.sum() > FAR_SIGMAS * sigma * math.sqrt(len(part)):
                 gross += len(single)
                 shifted.add(int(station[part[0]]))
-    if not shifted:
+    return _warned_at(shifted, names, "gross-readings", gross)
+
+
+def _unlike_pairs(
+    d: FloatArray, station: IntArray, names: Sequence[str], sigma: float | None
+) -> tuple[CalibrationWarning, ...]:
+    """Return a warning of stations whose two readings differ far more than readings of others do.
+
+    The standard deviation of the pair is more than `FAR_SAMPLE` times the median of those of other
+    stations, and more than Student's t allows where these are few; or more than `FAR_SAMPLE` times
+    the stated `sigma` and that median.
+    """
+    unlike = set[int]()
+    for column in d.T:
+        parts = [part for part in _repeated(column, station) if len(part) > 1]
+        parts = [part for part in parts if np.ptp(column[part]) > FINEST_STEP]
+        spread = np.array([np.std(column[part], ddof=1) for part in parts])
+        others, limit, typical = np.sort(spread)[:-1], np.inf, 0.0  # without the one that is judged
+        if len(others):
+            typical = MEDIAN_TO_SIGMA * float(np.median(others))
+            p, dof = 1.0 - 0.5 * SINGLE_LEVEL / len(parts), (len(others) + 1) // 2
+            limit = max(float(student_quantile(p, dof)), FAR_SAMPLE) * typical
+        limit = min(limit, FAR_SAMPLE * max(typical, sigma or UNIT_SIGMA))
+        pairs = zip(parts, (spread > limit).tolist(), strict=True)
+        unlike |= {int(station[part[0]]) for part, far in pairs if far and len(part) == 2}
+    return _warned_at(unlike, names, "gross-readings:two", 2 * len(unlike))
+
+
+def _repeated(column: FloatArray, station: IntArray) -> list[IntArray]:
+    """Return the rows of each station that have a reading."""
+    rows = np.flatnonzero(~np.isnan(column) & (station >= 0))
+    rows = rows[np.argsort(station[rows], kind="stable")]
+    return np.split(rows, np.flatnonzero(np.diff(station[rows])) + 1)
+
+
+def _warned_at(
+    stations: set[int], names: Sequence[str], message: str, readings: int
+) -> tuple[CalibrationWarning, ...]:
+    if not stations:
         return ()
-    words = {
-        "names": some([names[i] for i in sorted(shifted)], 5),
-        "count": count(len(shifted), "station"),
-    }
-    values = {"readings": gross, "stations": len(shifted)}
-    return (warned("gross-readings", values, **words),)
+    shown = some([names[i] for i in sorted(stations)], 5)
+    values = {"readings": readings, "stations": len(stations)}
+    return (warned(message, values, names=shown, count=count(len(stations), "station")),)
 
 
 def averaged(

@@ -189,7 +189,7 @@ class LogFormat:
 
     @property
     def header_given(self) -> tuple[str, ...]:
-        """Names of the columns of a file that has no header; TUM files have none."""
+        """Names of the columns of a file that has no header, as TUM files."""
         return self.header or (TUM_HEADER if self.pose_format == "tum" else ())
 
 

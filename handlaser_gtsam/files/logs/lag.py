@@ -71,7 +71,8 @@ REACH = 0.5
 COARSE, FINE = 0.04, 0.002
 """First and last steps of the search [s]."""
 WORST_SIGMA = 0.01
-"""A standard deviation above this [s] says that the motion does not tell the lag."""
+"""A standard deviation above this [s] says that the motion does not tell the lag, and so does a lag
+that varies by more."""
 STEPS_APART = 2.0
 """Steps between recorded poses to either side over which residuals are differenced. Poses that err by
 0.3 mm moved the lag by 0.40, 0.09 and 0.08 ms (rms) with a sixteenth of a step, one and two."""
@@ -80,6 +81,8 @@ AS_GOOD = 4.0
 best one, and a calibration as the linear equation."""
 PIECES = 6
 """Pieces of a recording in which the lag should be the same."""
+GROWING = 12.0
+"""The square of by how much a lag varies that grows all the time, in parts of its variance."""
 OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
 """Of each calibration: a step of a thousandth of a standard deviation moves no minimum, and what a
 motion that repeats leaves undetermined would take all steps."""
@@ -179,14 +182,15 @@ def estimated_lag(
             "clocks that run alike and are not set meanwhile; or parts of the log by themselves"
         )
         raise InputError(found_so, expected)
-    fits = [one.lag for one in others if _calibrated(track, one) is not None]
+    tried = ((one.lag, _calibrated(track, one)) for one in others)
+    fits = [other for other, lag in tried if lag is not None and lag[2] <= WORST_SIGMA]
     if fits:
         more = f" and {len(fits) - 1} more" if len(fits) > 1 else ""
         raise InputError(
             f"readings that fit the motion at lags of {best.lag:.6g} s and {fits[0]:.6g} s{more}",
             "a motion that does not repeat; or a rough --lag-s, near which the lag is then looked for",
         )
-    return value, float(np.hypot(sigma, varies))
+    return value, float(np.hypot(sigma, varies / np.sqrt(GROWING)))
 
 
 def _coarse(
@@ -272,16 +276,16 @@ def _calibrated(track: Track, candidate: _Candidate) -> tuple[float, float, floa
         lag += float(np.clip(step, -COARSE, COARSE))
     if not (abs(step) < SAME_OPTIMUM * sigma <= SAME_OPTIMUM * WORST_SIGMA):
         return None
-    if not 2.0 * solved.cost[0] <= AS_GOOD * candidate.squares:
-        return None
     time = np.concatenate([own for _, _, own, _ in parts])[at.station]
     # Beside noise, a piece of the recording is off by -rate'e / rate'rate.
     piece = np.searchsorted(np.linspace(time.min(), time.max(), PIECES + 1)[1:-1], time)
     told = np.bincount(piece, rate**2, PIECES)
     off = -np.bincount(piece, rate * e, PIECES) / np.maximum(told, ROUNDING)
-    noise = PIECES * float(e @ e) / len(e)
-    excess = (float(told @ off**2) - noise) / float(told.sum())
-    return lag, sigma, float(np.sqrt(max(excess, 0.0)))
+    noise, varying = PIECES * float(e @ e) / len(e), float(told @ off**2)
+    # The linear equation of each plane has more freedom, and follows a lag that varies.
+    if not 2.0 * solved.cost[0] - varying <= AS_GOOD * candidate.squares:
+        return None
+    return lag, sigma, float(np.sqrt(GROWING * max(varying - noise, 0.0) / float(told.sum())))
 
 
 def _readings(track: Track, parts: list[_Part], lag: float) -> Readings:

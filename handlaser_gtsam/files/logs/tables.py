@@ -95,9 +95,14 @@ def _of_text(path: Path, given: LogFormat) -> FileTable:
     text, names = table_text(path), given.header_given
     if names:
         text = re.sub(r"(?m)^[ \t]*#.*$", "", text)
-    tum = given.pose_format == "tum" and not given.delimiter
     text, stated = without_separator_line(text)
-    stated = " " if tum else DELIMITERS.get(given.delimiter) or stated
+    stated = DELIMITERS.get(given.delimiter) or stated
+    if given.pose_format == "tum" and not given.header:
+        first = text.lstrip().partition("\n")[0]
+        if re.match('["A-Za-z]', first):  # a header: any table with such quaternions
+            names = ()
+        elif stated is None and len(first.split()) > 1:
+            stated = " "
     separator = stated or _separator(text, path)
     if separator == " ":
         text = "\n".join("\t".join(line.split()) for line in text.split("\n"))
