@@ -1,7 +1,7 @@
 """Planes of a linear graph about points amid their readings, and the steps that turn them there.
 
 GTSAM turns a plane n . x + b = 0 about the origin of the world. A turn about an origin that is a
-kilometre away moves the plane by metres where it is read: normal and offset are hardly told apart
+kilometre away moves the plane by metres where it is read: normal and offset look nearly the same
 there, steps are far from linear, and rounding takes what the readings say of the normal. About the
 point c of the plane where the two have no information in common, a step (omega, beta) turns the normal
 to n' by B omega, and the offset becomes beta - n' . c: to first order, b changes by beta - c . B omega.
@@ -22,7 +22,7 @@ def amid_readings(
 ) -> tuple[gtsam.GaussianFactorGraph, dict[int, FloatArray]]:
     """Return a linear graph at `values` in steps of planes about points amid their readings.
 
-    The points (3,) [m] are those of the planes in the graph, by their keys.
+    With them the points (3,) [m], by the keys of the planes in the graph.
     """
     sizes, planes = linear.gradientAtZero(), dict[int, gtsam.OrientedPlane3]()
     for key in values.keys():  # noqa: SIM118  (gtsam.Values is no dict)

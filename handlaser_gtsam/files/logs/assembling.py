@@ -185,9 +185,9 @@ def _unlike_pairs(
 ) -> tuple[CalibrationWarning, ...]:
     """Return a warning of stations whose two readings differ far more than readings of others do.
 
-    The standard deviation of the pair is more than `FAR_SAMPLE` times the median of those of other
-    stations, and more than Student's t allows where these are few; or more than `FAR_SAMPLE` times
-    the stated `sigma` and that median.
+    The standard deviation of the pair is more than `FAR_SAMPLE` times the median at other stations, and
+    more than Student's t allows where these are few; or more than `FAR_SAMPLE` times the stated `sigma`
+    and that median.
     """
     unlike = set[int]()
     for column in d.T:
