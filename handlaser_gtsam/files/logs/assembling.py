@@ -177,7 +177,11 @@ def _gross_readings(
             if single.sum() > FAR_SIGMAS * sigma * math.sqrt(len(part)):
                 gross += len(single)
                 shifted.add(int(station[part[0]]))
-    return _warned_at(shifted, names, "gross-readings", gross)
+    if not shifted:
+        return ()
+    values = {"readings": gross, "stations": len(shifted)}
+    shown, where = _in_words(shifted, names)
+    return (warned("gross-readings", values, names=shown, count=where),)
 
 
 def _unlike_pairs(
@@ -202,7 +206,11 @@ def _unlike_pairs(
         limit = min(limit, FAR_SAMPLE * max(typical, sigma or UNIT_SIGMA))
         pairs = zip(parts, (spread > limit).tolist(), strict=True)
         unlike |= {int(station[part[0]]) for part, far in pairs if far and len(part) == 2}
-    return _warned_at(unlike, names, "gross-readings:two", 2 * len(unlike))
+    if not unlike:
+        return ()
+    values = {"readings": 2 * len(unlike), "stations": len(unlike)}
+    shown, where = _in_words(unlike, names)
+    return (warned("gross-readings:two", values, names=shown, count=where),)
 
 
 def _repeated(column: FloatArray, station: IntArray) -> list[IntArray]:
@@ -212,14 +220,9 @@ def _repeated(column: FloatArray, station: IntArray) -> list[IntArray]:
     return np.split(rows, np.flatnonzero(np.diff(station[rows])) + 1)
 
 
-def _warned_at(
-    stations: set[int], names: Sequence[str], message: str, readings: int
-) -> tuple[CalibrationWarning, ...]:
-    if not stations:
-        return ()
-    shown = some([names[i] for i in sorted(stations)], 5)
-    values = {"readings": readings, "stations": len(stations)}
-    return (warned(message, values, names=shown, count=count(len(stations), "station")),)
+def _in_words(stations: set[int], names: Sequence[str]) -> tuple[str, str]:
+    """Return the names of some stations, and how many they are."""
+    return some([names[i] for i in sorted(stations)], 5), count(len(stations), "station")
 
 
 def averaged(
