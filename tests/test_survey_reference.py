@@ -215,6 +215,34 @@ def test_rows_of_single_readings_have_the_derivatives_of_their_range_errors():
         assert rows.derivatives[:, column] == pytest.approx(by_difference, rel=1e-5, abs=1e-3)
 
 
+def test_readings_that_graze_their_ball_are_judged_at_the_scale():
+    """They were judged where rays are without it: 27 of 645 that are kept grazed their ball."""
+    survey = survey_of(
+        rigs_by_rays.array(0, targets="spheres", zones=8, sigma=3e-4, hand_sigma=HAND)
+    )
+    (shots,) = survey.shots
+    across = shots.across * np.array([1.0, 1.0, 1.05])
+    shots = replace(shots, across=across, free=("k0", "scale"))
+    found = hl.calibrate(replace(survey, shots=(shots,)), STATED)._found
+    sensor, hands = found.values["sensor"][0, 0], found.rows.survey.stations
+    assert sensor[-1] == pytest.approx(0.05, abs=0.005)
+    for item in found.rows.items:
+        assert item.shot.single
+        x, y, z = shots.across[item.points].T
+        u = np.stack(((1.0 + sensor[-1]) * x, (1.0 + sensor[-1]) * y, z))
+        u = (
+            hands.world_R_hand[item.station]
+            @ sensor[:9].reshape(3, 3)
+            @ u
+            / np.linalg.norm(u, axis=0)
+        )
+        at = hands.world_R_hand[item.station] @ sensor[9:12] + hands.world_t_hand[item.station]
+        *centre, radius = found.values["sphere"][0, item.target[1]]
+        away = np.array(centre) - at
+        aside = np.linalg.norm(away[:, None] - u * (away @ u), axis=0) / radius
+        assert aside.max() < np.sqrt(1.0 - 1.0 / 3.0**2) + 0.01  # hands err
+
+
 def test_scipy_begins_at_the_range_errors_that_were_found():
     """It began at none, and ended at another ball where k0 and the scale were large."""
     pose = np.concatenate((np.eye(3).ravel(), [0.1, 0.2, 0.3]))

@@ -581,11 +581,11 @@ def rays_before(
 
 
 def without_range_errors(values: Values) -> dict[str, FloatArray]:
-    """Return values with sensors whose readings have no errors: the way of the rays knows of none."""
+    """Return values with sensors whose readings have no errors; the scale stays, which moves rays."""
     exact = dict(values)
     if SENSOR.name in exact:
         exact[SENSOR.name] = exact[SENSOR.name].copy()
-        exact[SENSOR.name][..., -len(RAY_ERRORS) :] = 0.0
+        exact[SENSOR.name][..., -len(RAY_ERRORS) : -1] = 0.0
     return exact
 
 
