@@ -283,7 +283,7 @@ def test_a_file_without_header_and_with_comments(tmp_path):
     assert_poses(hl.read_log(path, given), R, t)
 
 
-@pytest.mark.parametrize("separator", [",", " ", ";"])
+@pytest.mark.parametrize("separator", [",", " ", ";", ", "])
 @pytest.mark.parametrize("header", [True, False])
 def test_a_tum_file_may_have_a_header_and_other_separators(tmp_path, separator, header):
     rows, R, t = written("ros", np.random.default_rng(4), 9)

@@ -101,7 +101,7 @@ def _of_text(path: Path, given: LogFormat) -> FileTable:
         first = text.lstrip().partition("\n")[0]
         if re.match('["A-Za-z]', first):  # a header: any table with such quaternions
             names = ()
-        elif stated is None and len(first.split()) > 1:
+        elif stated is None and len(first.split()) > 1 and not re.search("[,;][ \t]", first):
             stated = " "
     separator = stated or _separator(text, path)
     if separator == " ":
