@@ -207,7 +207,8 @@ def estimate_survey(
 ) -> SurveyEstimate:
     """Estimate all mounts and targets of a survey, perhaps from where an `earlier` one ended.
 
-    No start is sought where the state that is `begun` is the `first_state` of this survey.
+    No start is sought where a state is `begun`: the `first_state` of this survey, or what was found of
+    it with other noise.
 
     The status is `contradicted` where the others reject more than `MOST_REJECTED` of the shots of a
     sensor, of a beam or of a target: what is left of it may be the wrong part. It is `not_converged`

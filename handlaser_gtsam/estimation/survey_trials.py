@@ -206,10 +206,12 @@ def _explained_otherwise(found: SurveyEstimate) -> bool:
     explained = []
     if moved is not None:
         entity, station, _ = moved
-        trial, items = _Trial(state.dense()[0]), found.rows.items
+        (rows, owner), items = state.dense(), found.rows.items
+        trial, stations = _Trial(rows), state.stations(owner)
+        columns = rows.derivatives[:, _place(state, entity)]
         # The first shot after the move may be among those that are rejected.
         for since in {station, *(items[i].station for i in np.flatnonzero(~found.used))}:
-            tried = trial(_since(entity, since, state, True))
+            tried = trial(columns * (stations >= since)[:, None])
             explained.append((tried.left, tried.chi2))
     if state.rows.survey.shots:
         explained.append(_Trial(state.dense(range_errors=True)[0]).explained())
