@@ -193,8 +193,8 @@ def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
         return found
     if _unlikelihood(found, sigma) - _unlikelihood(free, sigma) <= -2.0 * math.log(FAMILY_LEVEL):
         return found
-    if solved:
-        free = estimate_survey(survey, unstated, found)
+    again = estimate_survey(survey, unstated, found) if solved else free
+    free = again if again.estimate.status == "converged" else free
     return replace(free, contradicted=noise)
 
 
