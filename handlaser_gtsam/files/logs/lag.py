@@ -73,7 +73,7 @@ COARSE, FINE = 0.04, 0.002
 """First and last steps of the search [s]."""
 WORST_SIGMA = 0.01
 """A standard deviation above this [s] says that the motion does not tell the lag, and so does a lag
-that varies by more, and by more than chance makes of it (`BY_CHANCE`)."""
+that varies by more, and by more than chance makes of it (`SEEMS_TO_GROW`)."""
 STEPS_APART = 2.0
 """Steps between recorded poses to either side over which residuals are differenced. Poses that err by
 0.3 mm moved the lag by 0.40, 0.09 and 0.08 ms (rms) with a sixteenth of a step, one and two."""
@@ -84,7 +84,7 @@ PIECES = 6
 """Pieces of a recording in which the lag should be the same."""
 GROWING = 12.0
 """The square of by how much a lag varies that grows all the time, in parts of its variance."""
-BY_CHANCE = 20.0
+SEEMS_TO_GROW = 20.0
 """A lag that does not vary hardly seems to grow by more standard deviations of the lag: by 15 at most
 in 60 recordings with noise of 0.3 to 1.5 mm."""
 OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
@@ -200,7 +200,7 @@ def estimated_lag(
 def _steady(lag: tuple[float, float, float]) -> bool:
     """Tell whether a lag, with its sigma and by how much it varies, is the same all the time."""
     _, sigma, varies = lag
-    most = min(BY_CHANCE * sigma, math.sqrt(GROWING) * WORST_SIGMA)
+    most = min(SEEMS_TO_GROW * sigma, math.sqrt(GROWING) * WORST_SIGMA)
     return varies <= max(most, WORST_SIGMA)
 
 
