@@ -502,7 +502,8 @@ def _name(rows: SurveyRows, mount: Entity) -> str:
 def _inside(rows: SurveyRows, *, single: bool = False) -> Inside:
     """Return what shots tell of the noise inside them; beams and the aiming tell nothing.
 
-    Shots whose readings are rows of their own say it there; or what such shots say, each by itself.
+    Rows of single readings say it themselves: shots of such readings count only if `single` is set, and
+    then no others do.
     """
     squares, dof = np.zeros((2, len(set(rows.sources.values())) + 1))
     for member in range(len(rows.survey.shots)):

@@ -173,8 +173,8 @@ class Condensed:
     kept : (n,) of bool
         Points that belong to the shape.
     single : bool
-        Whether readings are rows of their own, of a shape that is hardly known; they say then what
-        `squares` say, too.
+        Whether its readings are rows of their own, because they tell its shape too roughly. These rows
+        say what `squares` say, too.
     scale : float
         At which the rays of single readings are, which move with it.
     """

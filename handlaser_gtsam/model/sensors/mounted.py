@@ -51,10 +51,8 @@ class Mounted:
         origin, direction, by_scale = self.origin, self.direction, None
         if self.by_scale is not None:
             shift, turn, scale = self.by_scale
-            origin, direction = (
-                origin + (x[-1:] - scale) * shift,
-                direction + (x[-1:] - scale) * turn,
-            )
+            more = x[-1:] - scale
+            origin, direction = origin + more * shift, direction + more * turn
             length = np.sqrt(dot(direction, direction))
             direction = direction / length
             turn = (turn - direction * dot(direction, turn)) / length
