@@ -189,7 +189,9 @@ def test_k0_and_scale_of_rough_readings_of_balls_are_found_alike(seed):
     shots = replace(survey.shots[0], free=("k0", "scale"))
     found = hl.calibrate(replace(survey, shots=(shots,)), STATED)
     assert found.status == "converged"
-    assert not found.rejected  # with a first noise that is not of the readings, one shot of seed 1 is
+    assert (
+        not found.rejected
+    )  # with a first noise that is not of the readings, one shot of seed 1 is
     checked = cross_check(found)
     assert checked.largest < 1e-4
     assert checked.largest_sigma < 1e-4
