@@ -103,7 +103,7 @@ def calibrate_survey(
     """
     from .estimation.survey import estimate_survey
     from .estimation.survey_rows import rows_of
-    from .estimation.survey_trials import with_pose_errors_learned
+    from .estimation.survey_trials import with_noise_learned
     from .results.survey import beside, survey_calibration
     from .results.survey_misfit import misread, with_causes
 
@@ -115,7 +115,7 @@ def calibrate_survey(
         raise InputError("a range sigma, which is that of single beams, and no beam", expected)
     try:
         before = None if earlier is None else earlier._found
-        found = with_pose_errors_learned(estimate_survey(survey, noise, before))
+        found = with_noise_learned(estimate_survey(survey, noise, before))
     except InputError as error:
         raise with_causes(error, misread(rows_of(survey), noise)) from error
     result = survey_calibration(found)
@@ -124,7 +124,7 @@ def calibrate_survey(
         return result
     try:
         part = estimate_survey(replace(survey, known=known), noise)
-        without = survey_calibration(with_pose_errors_learned(part))
+        without = survey_calibration(with_noise_learned(part))
     except InputError:  # a mount that was stated was the only start
         return result
     return beside(result, without)

@@ -221,6 +221,54 @@ def test_pose_sigmas_that_shots_contradict_are_learned(stated):
         assert (right.warnings, right.verdict.code) == ((), "usable")
 
 
+@pytest.mark.parametrize("stated", [rigs.STATED, hl.Noise()], ids=["hand-stated", "hand-unknown"])
+@pytest.mark.parametrize("kind", ["beams", "profiler"])
+def test_sigmas_of_readings_that_these_contradict_are_learned(kind, stated):
+    """Errors of the hand took them up, or targets were said to be moved, or nothing fitted."""
+    for seed in (0, 2, 3):
+        survey = rigs.survey_of(getattr(rigs_by_rays, kind)(seed, hand_sigma=rigs.HAND))
+        shots = tuple(replace(one, sigma=1e-4 / 3.0) for one in survey.shots)
+        small = replace(survey, shots=shots, range_sigma=None if shots else 1e-4 / 3.0)
+        found, free = hl.calibrate(small, stated), hl.calibrate(survey, stated)
+        (warning,) = found.warnings
+        assert warning.code == "sigmas-too-small"
+        of = "profiler" if shots else "single beams"
+        assert f"the stated range sigma of {of} of 0.033 mm" in warning.message
+        assert warning.values["stated"] == 1e-4 / 3.0
+        assert warning.values["sigma"] == pytest.approx(1e-4, rel=0.4)
+        assert found.verdict.code == "usable-with-care"
+        assert found.verdict.best.code == "sigmas"
+        assert found.survey == small
+        assert found.pose_sigma == pytest.approx(free.pose_sigma, rel=0.02)
+        for one, other in zip(found.mounts, free.mounts, strict=True):
+            assert np.allclose(one.covariance, other.covariance, rtol=0.05, atol=1e-12)
+        if seed == 2:
+            assert hl.validate(small, stated).contradicted == ()
+
+
+def test_sigmas_of_readings_and_hand_may_be_contradicted_at_once():
+    survey = rigs.survey_of(rigs_by_rays.profiler(0, hand_sigma=rigs.HAND))
+    small = replace(survey, shots=(replace(survey.shots[0], sigma=1e-4 / 3.0),))
+    found = hl.calibrate(small, rigs.A_FIFTH)
+    assert [one.code for one in found.warnings] == ["sigmas-too-small"] * 2
+    assert found.pose_sigma == pytest.approx(hl.calibrate(survey).pose_sigma, rel=0.02)
+
+
+@pytest.mark.parametrize("of_all", [None, 1e-4])
+def test_the_sigma_of_the_beam_that_reads_worse_is_learned_alone(of_all):
+    """Beams of which the noise says it must keep it where another one has none any more."""
+    survey = rigs.survey_of(rigs_by_rays.beams(2, hand_sigma=rigs.HAND))
+    others = 1e-4 if of_all is None else np.nan
+    stated = np.array([others, 2e-5, others])
+    found = hl.calibrate(replace(survey, range_sigma=stated), hl.Noise(range_sigma=of_all))
+    (warning,) = found.warnings
+    assert f"range sigma of {survey.beam_names[1]} of 0.02 mm" in warning.message
+    right = hl.calibrate(replace(survey, range_sigma=1e-4))
+    assert right.warnings == ()
+    for one, other in zip(found.mounts, right.mounts, strict=True):
+        assert np.allclose(one.covariance, other.covariance, rtol=0.2, atol=1e-12)
+
+
 def test_a_hand_that_is_not_exact_is_said_without_a_ratio(tmp_path):
     """Errors were "inf times as large as given"."""
     survey = rigs.survey_of(rigs_by_rays.profiler(0, hand_sigma=rigs.HAND))

@@ -18,6 +18,7 @@ from ..quantities import ROUNDING
 from .value import Value
 
 POSE_SIGMAS = "pose_translation_sigma", "pose_rotation_sigma"
+OF_POSE = (*POSE_SIGMAS, "pose_covariance")
 SIGMAS = ("range_sigma", *POSE_SIGMAS)
 """Fields of `Noise` that are estimated where they are not given, or where readings contradict them."""
 LEAST_SIGMA = 1e-12

@@ -137,8 +137,8 @@ class SurveyEstimate:
     first : FirstFit
     spread : (n,)
         By what the standard deviation of each unknown of `estimate` was multiplied (`_spread`).
-    contradicted : Noise, optional
-        What was stated beside it, where the readings contradict its pose sigmas: they were learned.
+    contradicted : (Survey, Noise), optional
+        What was stated, where the readings contradict sigmas of it: those were learned.
     """
 
     rows: SurveyRows
@@ -151,7 +151,7 @@ class SurveyEstimate:
     images: Mapping[tuple[str, int], float]
     first: FirstFit
     spread: FloatArray
-    contradicted: Noise | None = None
+    contradicted: tuple[Survey, Noise] | None = None
 
     @property
     def fits(self) -> bool:

@@ -19,8 +19,8 @@ from functools import partial
 import numpy as np
 
 from ..arrays import FloatArray, IntArray, evenly
-from ..data.noise import POSE_SIGMAS
-from ..data.survey import RAY_ERRORS
+from ..data.noise import OF_POSE, Noise
+from ..data.survey import RAY_ERRORS, Survey
 from ..data.value import Value
 from ..errors import InputError
 from ..model.distributions import FAMILY_LEVEL, SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_sf, f_sf
@@ -33,6 +33,7 @@ from ..quantities import MAJORITY, MANY_OUTLIERS, NEGLIGIBLE, NUMBERS_AT_ONCE, T
 from .dense import DenseRows
 from .joint_solution import STEPS_IN_VAIN
 from .survey import SurveyEstimate, estimate_survey, learned_sizes, sizes_and_likelihood, state_of
+from .survey_noise import Components
 from .survey_outliers import GROSS, leave_out_gross
 from .survey_rows import Entity
 from .survey_state import Columns, SurveyState, grazing
@@ -41,6 +42,13 @@ PLACES_OF = dict.fromkeys((PLANE.name, SPHERE.name, BEAM.name), (0, 1, 2)) | {
     SENSOR.name: (3, 4, 5)
 }
 """Tangent coordinates of where targets, sensors and beams are: of planes two tilts and the offset."""
+CONTRADICTED = -2.0 * math.log(FAMILY_LEVEL)
+"""What is stated of the noise is contradicted where -2 log of the likelihood is larger by that than
+with it learned: more than two more sizes make of it by chance (Wilks)."""
+HAND = -1
+"""Which sigmas those of the hand are, beside the numbers of the sources of readings."""
+CLOSE_TO_STATED = 1.5
+"""Data sheets do not state sigmas better than by this factor."""
 BOTH_AXES, ALIKE = "x-and-z", ("k1", "scale")
 """Code of an error of both axes of a profiler by the same part, and the range errors that it is."""
 
@@ -156,46 +164,103 @@ def _with_all_shots(found: SurveyEstimate) -> SurveyState | None:
     return state if state.minimize(STEPS_IN_VAIN) else None
 
 
-def with_pose_errors_learned(found: SurveyEstimate) -> SurveyEstimate:
-    """Return an estimate with errors of the hand learned where readings contradict what is stated.
+def with_noise_learned(found: SurveyEstimate) -> SurveyEstimate:
+    """Return an estimate with those sigmas learned that the readings contradict.
 
-    They are looked for where shots are rejected, misfit by chi2 or do not fit at all, unless range
-    errors, or what was moved, explain most of that. What is stated is contradicted where likelihoods
-    differ by more than two more sizes make of them by chance (`FAMILY_LEVEL`; Wilks). Where nothing
+    Where errors of the hand are stated, the question is asked where shots are rejected, misfit by chi2
+    or do not fit at all, unless range errors, or what was moved, explain most of that. Where they are
+    learned, they become large enough for all that misfits: the likelihood alone tells. Where nothing
     fits what is stated, errors that no robot has explain it neither.
     """
-    noise, estimate, survey = found.given, found.estimate, found.rows.survey
-    if np.isnan(found.stated.pose).any() or estimate.status == "undetermined":
+    estimate, survey = found.estimate, found.rows.survey
+    hand = not np.isnan(found.stated.pose).any()
+    every = np.flatnonzero(~np.isnan(found.stated.sigma[:-1])).tolist() + [HAND] * hand
+    if not every or estimate.status == "undetermined":
         return found
-    unstated = noise.without((*POSE_SIGMAS, "pose_covariance"))
     if any(one.contradicted for one in found.tests):
         known = tuple(one.known for one in found.tests if not one.contradicted)
         try:
-            part = with_pose_errors_learned(estimate_survey(replace(survey, known=known), noise))
+            part = with_noise_learned(estimate_survey(replace(survey, known=known), found.given))
         except InputError:  # a mount that was stated was the only start
             return found
         if part.contradicted is None:
             return found
-        return replace(estimate_survey(survey, unstated), contradicted=noise)
-    solved = found.fits and estimate.status == "converged"
-    likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= SINGLE_LEVEL
-    if (solved and found.used.all() and likely) or _explained_otherwise(found):
+        again = estimate_survey(replace(part.rows.survey, known=survey.known), part.given)
+        return replace(again, contradicted=(survey, found.given))
+    solved, near = found.fits and estimate.status == "converged", found.learning()
+    free = None
+    if hand:
+        likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= SINGLE_LEVEL
+        if (solved and found.used.all() and likely) or _explained_otherwise(found):
+            return found
+        begun = _unstated(found, every, found.values)
+        if solved:  # from the same readings of each shot: likelihoods of others do not compare
+            leave_out_gross(begun)
+        free = estimate_survey(*_without(found, every), begun=begun if solved else None)
+        usual = np.array([found.given.pose_rotation_prior, found.given.pose_translation_prior])
+        plausible = solved or (free.noise.pose <= TEN_TIMES * usual).all()
+        if not (free.estimate.status == "converged" and plausible):
+            return found
+        near = _unstated(found, every, free.values)
+        leave_out_gross(near)
+    wrong = _contradicted(found, near, every)
+    if not wrong:
         return found
-    begun = None
-    if solved:  # from the same readings of each shot: likelihoods of others do not compare
-        begun = replace(state_of(found.rows, unstated), values=found.values)
-        leave_out_gross(begun)
-    free = estimate_survey(survey, unstated, begun=begun)
-    usual = np.array([noise.pose_rotation_prior, noise.pose_translation_prior])
-    plausible = solved or (free.noise.pose <= TEN_TIMES * usual).all()
-    sigma = found.noise.sigma
-    if not (free.estimate.status == "converged" and plausible):
+    if solved or free is None or len(wrong) < len(every):
+        again = estimate_survey(*_without(found, wrong), found)
+        free = again if free is None or again.estimate.status == "converged" else free
+    if free.estimate.status != "converged":
         return found
-    if _unlikelihood(found, sigma) - _unlikelihood(free, sigma) <= -2.0 * math.log(FAMILY_LEVEL):
-        return found
-    again = estimate_survey(survey, unstated, found) if solved else free
-    free = again if again.estimate.status == "converged" else free
-    return replace(free, contradicted=noise)
+    return replace(free, contradicted=(survey, found.given))
+
+
+def _contradicted(found: SurveyEstimate, near: SurveyState, every: list[int]) -> list[int]:
+    """Return which sigmas the readings contradict of `every` one that is stated, the surest first.
+
+    Readings that may count are as in the state `near` where a sigma is learned.
+    """
+    wrong, least = list[int](), _unlikelihood(found.learning(), found.noise)[1]
+    while len(wrong) < len(every):
+        left = [one for one in every if one not in wrong]
+        states = [_unstated(found, [*wrong, one], near.values) for one in left]
+        trials = [_unlikelihood(replace(one, used=near.used), found.noise) for one in states]
+        value = [
+            after
+            if one == HAND
+            or CLOSE_TO_STATED < sizes.sigma[one] / found.stated.sigma[one] <= TEN_TIMES
+            else np.inf
+            for one, (sizes, after) in zip(left, trials, strict=True)
+        ]
+        best = int(np.argmin(value))
+        if value[best] >= least - CONTRADICTED:
+            break
+        wrong, least = [*wrong, left[best]], value[best]
+    return wrong
+
+
+def _unstated(
+    found: SurveyEstimate, sigmas: list[int], values: dict[str, FloatArray]
+) -> SurveyState:
+    """Return a state of the survey of an estimate in which some sigmas are not stated."""
+    noise = found.given.without(OF_POSE) if HAND in sigmas else found.given
+    state = state_of(found.rows, noise)
+    stated = state.stated.sigma.copy()
+    stated[[one for one in sigmas if one != HAND]] = np.nan
+    return replace(state, values=values, stated=replace(state.stated, sigma=stated))
+
+
+def _without(found: SurveyEstimate, sigmas: list[int]) -> tuple[Survey, Noise]:
+    """Return the survey of an estimate and its noise without some sigmas that were stated."""
+    survey, noise = found.rows.survey, found.given
+    of_all = np.nan if noise.range_sigma is None else noise.range_sigma
+    of_beams = np.where(np.isnan(survey.stated_sigmas), of_all, survey.stated_sigmas)
+    of_beams[np.isin(survey.beam_sources + len(survey.shots), sigmas)] = np.nan
+    shots = tuple(
+        replace(one, sigma=None, sigma_across=0.0) if i in sigmas else one
+        for i, one in enumerate(survey.shots)
+    )
+    survey = replace(survey, shots=shots, range_sigma=of_beams if len(of_beams) else None)
+    return survey, noise.without(("range_sigma", *(OF_POSE if HAND in sigmas else ())))
 
 
 def _explained_otherwise(found: SurveyEstimate) -> bool:
@@ -221,20 +286,20 @@ def _explained_otherwise(found: SurveyEstimate) -> bool:
     )
 
 
-def _unlikelihood(found: SurveyEstimate, sigma: FloatArray) -> float:
-    """Return -2 log of the likelihood of all shots, readings in standard deviations `sigma`.
+def _unlikelihood(state: SurveyState, reference: Components) -> tuple[Components, float]:
+    """Return sizes of the noise, and -2 log of the likelihood of all shots, relative to a reference.
 
     Each row that was rejected is one unknown more, by Schwarz's criterion, and at most the part
     `MANY_OUTLIERS` of all shots are rejected by accident.
     """
-    state = replace(found.learning(), sizes=replace(found.noise, sigma=sigma))
-    rows, owner = replace(state, used=np.ones_like(found.used)).dense(pose_errors=False)
-    out = np.flatnonzero((owner >= 0) & ~found.used[owner])
-    P, C = rows.by_pose[out], state.pose_covariance()[state.stations(owner[out])]
-    variance = 1.0 + np.einsum("ri,rij,rj->r", P, C, P)
+    state = replace(state, sizes=replace(state.sizes, sigma=reference.sigma))
+    rows, owner = replace(state, used=np.ones_like(state.used)).dense(pose_errors=False)
+    sizes, value = sizes_and_likelihood(state)
+    out = np.flatnonzero((owner >= 0) & ~state.used[owner])
+    P, C = rows.by_pose[out], replace(state, sizes=sizes).pose_covariance()
+    variance = 1.0 + np.einsum("ri,rij,rj->r", P, C[state.stations(owner[out])], P)
     rejected = float(np.log(len(owner) * variance).sum())
-    rejected -= 2.0 * math.log(MANY_OUTLIERS) * len(np.unique(owner[out]))
-    return sizes_and_likelihood(state)[1] + rejected
+    return sizes, value + rejected - 2.0 * math.log(MANY_OUTLIERS) * len(np.unique(owner[out]))
 
 
 def _explained(owner: IntArray, before: FloatArray, left: FloatArray) -> bool:

@@ -295,8 +295,9 @@ class SurveyCalibration(Result):
 
     @property
     def survey(self) -> Survey:
-        """What was calibrated."""
-        return self._found.rows.survey
+        """What was calibrated, with all that was stated of its noise."""
+        stated = self._found.contradicted
+        return self._found.rows.survey if stated is None else stated[0]
 
     @property
     def mounts(self) -> tuple[SensorMount | BeamMount, ...]:

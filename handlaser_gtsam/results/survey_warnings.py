@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..arrays import FloatArray, evenly
+from ..data.noise import OF_POSE
 from ..data.screening import REPEATED, repeated
 from ..data.survey import normal_label
 from ..errors import CalibrationWarning
@@ -22,7 +23,7 @@ from ..estimation.scales import ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_state import SurveyState
-from ..estimation.survey_trials import displacement
+from ..estimation.survey_trials import CLOSE_TO_STATED, displacement
 from ..model.distributions import (
     FEW_DEGREES,
     SINGLE_LEVEL,
@@ -70,6 +71,7 @@ from .warnings import (
     RIVAL,
     WORTH_REFINING,
     contradicted_poses,
+    contradicted_readings,
     large_pose_errors,
 )
 
@@ -305,8 +307,26 @@ def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             yield warned("zones-miss", values, names=names, count=count(int(miss.sum()), "zone"))
 
 
+def _contradicted(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of stated sigmas that the readings contradict: they were learned."""
+    if found.contradicted is None:
+        return
+    (survey, noise), now = found.contradicted, found.noise.sigma
+    if noise.without(OF_POSE) != noise and found.given.without(OF_POSE) == found.given:
+        yield contradicted_poses(noise, *found.noise.pose)
+    names, of_beams = found.rows.names_of_noise(), survey.stated_sigmas
+    for (family, member), source in found.rows.sources.items():
+        if family == SENSOR.name:
+            stated = survey.shots[member].sigma
+        else:
+            stated = noise.range_sigma if np.isnan(of_beams[member]) else float(of_beams[member])
+        if stated is not None and np.isnan(found.stated.sigma[source]) and names[source]:
+            yield contradicted_readings(stated, float(now[source]), f" of {names[source]}")
+            names[source] = ""  # said once of all that share it
+
+
 def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
-    """Warn of stated sigmas that the scatter inside shots contradicts, or chi2 if none is learned."""
+    """Warn of stated sigmas that scatter inside shots, or all readings, contradict; else by chi2."""
     for member, shots in enumerate(found.rows.survey.shots):
         own = [
             one.shot
@@ -320,9 +340,7 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
         square = many * (inside / shots.sigma) ** 2
         smaller = inside < shots.sigma
         p = float((chi2_cdf if smaller else chi2_sf)(square, many))
-        # Points tell a sigma to a per cent; data sheets do not state it better than by such a
-        # factor.
-        if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > 1.5:
+        if p < SINGLE_LEVEL and max(inside / shots.sigma, shots.sigma / inside) > CLOSE_TO_STATED:
             how, stated = "large" if smaller else "small", shots.sigma
             times = inside / shots.sigma
             values: Values = {
@@ -334,8 +352,7 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             }
             yield warned(f"sigmas-too-{how}:shots", values)
             return
-    if found.contradicted is not None:
-        yield contradicted_poses(found.contradicted, *found.noise.pose)
+    yield from _contradicted(found)
     chi2, dof = found.estimate.chi2, found.estimate.dof
     learned = np.isnan([*found.stated.sigma, *found.stated.pose]).any()
     if learned or dof < 1 or not math.isfinite(chi2):

@@ -332,12 +332,16 @@ def contradicted_sigmas(
 ) -> Iterator[CalibrationWarning]:
     """Warn of sigmas of noise that readings contradict; `range_sigma` or others were learned."""
     if stated.range_sigma is not None and "range_sigma" in contradicted:
-        times = range_sigma / stated.range_sigma
-        values = {"stated": stated.range_sigma, "sigma": range_sigma, "times": times}
-        yield warned("sigmas-too-small:range", values)
+        yield contradicted_readings(stated.range_sigma, range_sigma)
     elif contradicted:
         sizes = {one.quantity: one.sigma for one in learned}
         yield contradicted_poses(stated, sizes.get(ROTATION, 0.0), sizes.get(TRANSLATION, 0.0))
+
+
+def contradicted_readings(stated: float, learned: float, of: str = "") -> CalibrationWarning:
+    """Warn that the readings contradict their stated sigma [m]: another one was learned."""
+    values = {"stated": stated, "sigma": learned, "times": learned / stated}
+    return warned("sigmas-too-small:range", values, of=of)
 
 
 def contradicted_poses(stated: Noise, turn: float, shift: float) -> CalibrationWarning:
