@@ -42,6 +42,8 @@ PLACES_OF = dict.fromkeys((PLANE.name, SPHERE.name, BEAM.name), (0, 1, 2)) | {
     SENSOR.name: (3, 4, 5)
 }
 """Tangent coordinates of where targets, sensors and beams are: of planes two tilts and the offset."""
+ALL_MOUNTS = POSE.name, 0
+"""What was moved where all mounts sit elsewhere in the hand alike, as with another tool frame."""
 CONTRADICTED = -2.0 * math.log(FAMILY_LEVEL)
 """What is stated of the noise is contradicted where -2 log of the likelihood is larger by that than
 with it learned: more than two more sizes make of it by chance (Wilks)."""
@@ -110,7 +112,7 @@ def too_small_alike(found: SurveyEstimate, member: int) -> Tried:
 
 
 def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
-    """Return the target, sensor or beam that most surely was moved amid the survey; None for none.
+    """Return the target or mount that most surely was moved amid the survey, or `ALL_MOUNTS`, or None.
 
     Where a target may be what was moved, it is: a hand of which all targets seem to move takes more.
     Stations of one stop may lie before and after: what was moved between two rounds of a program shows
@@ -123,7 +125,8 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
     station : int
         The first one after the displacement.
     tried : Tried
-        Of the coordinates of `PLACES_OF`; its p-value counts all displacements that were looked for.
+        Of the coordinates of `PLACES_OF`, or of the shift in the hand frame; its p-value counts all
+        displacements that were looked for.
     """
     converged, looked_for = found.estimate.status == "converged", 0
     state = found.learning() if converged else _with_all_shots(found)
@@ -134,7 +137,7 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
     best: list[tuple[Entity, int, Tried]] = []
     for entity, splits in _splits(state):
         looked_for += len(splits)
-        columns = rows.derivatives[:, _place(state, entity)]
+        columns = _columns(state, rows, entity)
         late = stations[:, None] >= np.array(splits)
         share = max(NUMBERS_AT_ONCE // columns.size, 1)
         parts = [late[:, a : a + share, None] for a in range(0, len(splits), share)]
@@ -187,43 +190,45 @@ def with_noise_learned(found: SurveyEstimate) -> SurveyEstimate:
             return found
         again = estimate_survey(replace(part.rows.survey, known=survey.known), part.given)
         return replace(again, contradicted=(survey, found.given))
-    solved, near = found.fits and estimate.status == "converged", found.learning()
-    free = None
+    solved = found.fits and estimate.status == "converged"
+    free = found
     if hand:
         likely = chi2_sf(estimate.chi2, max(estimate.dof, 1)) >= SINGLE_LEVEL
         if (solved and found.used.all() and likely) or _explained_otherwise(found):
             return found
-        begun = _unstated(found, every, found.values)
+        begun = _unstated(found, every, found)
         if solved:  # from the same readings of each shot: likelihoods of others do not compare
             leave_out_gross(begun)
         free = estimate_survey(*_without(found, every), begun=begun if solved else None)
         usual = np.array([found.given.pose_rotation_prior, found.given.pose_translation_prior])
         plausible = solved or (free.noise.pose <= TEN_TIMES * usual).all()
-        if not (free.estimate.status == "converged" and plausible):
+        if not (plausible and _compares(free, found)):
             return found
-        near = _unstated(found, every, free.values)
-        leave_out_gross(near)
-    wrong = _contradicted(found, near, every)
-    if not wrong:
-        return found
-    if solved or free is None or len(wrong) < len(every):
-        again = estimate_survey(*_without(found, wrong), found)
-        free = again if free is None or again.estimate.status == "converged" else free
-    if free.estimate.status != "converged":
+    wrong = _contradicted(found, free, every)
+    if wrong and (solved or len(wrong) < len(every) or not hand):
+        free = estimate_survey(*_without(found, wrong), found)
+    # Which shots count is decided again: one that is rejected either way tells nothing.
+    if not (wrong and _compares(free, found) and _differ(found, free, wrong)):
         return found
     return replace(free, contradicted=(survey, found.given))
 
 
-def _contradicted(found: SurveyEstimate, near: SurveyState, every: list[int]) -> list[int]:
+def _compares(free: SurveyEstimate, found: SurveyEstimate) -> bool:
+    """Tell whether an estimate converged whose shots count of the same targets as of another one."""
+    same = free.rows.targets == found.rows.targets
+    return same and free.estimate.status == "converged"
+
+
+def _contradicted(found: SurveyEstimate, near: SurveyEstimate, every: list[int]) -> list[int]:
     """Return which sigmas the readings contradict of `every` one that is stated, the surest first.
 
-    Readings that may count are as in the state `near` where a sigma is learned.
+    Where one is learned, those readings count that do in an estimate `near` the one that is found.
     """
     wrong, least = list[int](), _unlikelihood(found.learning(), found.noise)[1]
     while len(wrong) < len(every):
         left = [one for one in every if one not in wrong]
-        states = [_unstated(found, [*wrong, one], near.values) for one in left]
-        trials = [_unlikelihood(replace(one, used=near.used), found.noise) for one in states]
+        states = [_unstated(found, [*wrong, one], near) for one in left]
+        trials = [_unlikelihood(one, found.noise) for one in states]
         value = [
             after
             if one == HAND
@@ -238,15 +243,23 @@ def _contradicted(found: SurveyEstimate, near: SurveyState, every: list[int]) ->
     return wrong
 
 
-def _unstated(
-    found: SurveyEstimate, sigmas: list[int], values: dict[str, FloatArray]
-) -> SurveyState:
-    """Return a state of the survey of an estimate in which some sigmas are not stated."""
+def _differ(found: SurveyEstimate, free: SurveyEstimate, sigmas: list[int]) -> bool:
+    """Tell whether the readings contradict what is stated, beside an estimate without some sigmas."""
+    states = found.learning(), _unstated(found, sigmas, free)
+    before, after = (_unlikelihood(state, found.noise)[1] for state in states)
+    return before - after > CONTRADICTED
+
+
+def _unstated(found: SurveyEstimate, sigmas: list[int], near: SurveyEstimate) -> SurveyState:
+    """Return a state in which some sigmas are not stated, with the values and shots of an estimate."""
     noise = found.given.without(OF_POSE) if HAND in sigmas else found.given
     state = state_of(found.rows, noise)
     stated = state.stated.sigma.copy()
     stated[[one for one in sigmas if one != HAND]] = np.nan
-    return replace(state, values=values, stated=replace(state.stated, sigma=stated))
+    counted = {(one.station, one.mount, one.target) for one in near.rows.counted(near.used)}
+    used = [(one.station, one.mount, one.target) in counted for one in found.rows.items]
+    stated_but = replace(state.stated, sigma=stated)
+    return replace(state, values=near.values, stated=stated_but, used=np.array(used))
 
 
 def _without(found: SurveyEstimate, sigmas: list[int]) -> tuple[Survey, Noise]:
@@ -273,7 +286,7 @@ def _explained_otherwise(found: SurveyEstimate) -> bool:
         entity, station, _ = moved
         (rows, owner), items = state.dense(), found.rows.items
         trial, stations = _Trial(rows), state.stations(owner)
-        columns = rows.derivatives[:, _place(state, entity)]
+        columns = _columns(state, rows, entity)
         # The first shot after the move may be among those that are rejected.
         for since in {station, *(items[i].station for i in np.flatnonzero(~found.used))}:
             tried = trial(columns * (stations >= since)[:, None])
@@ -313,32 +326,37 @@ def _explained(owner: IntArray, before: FloatArray, left: FloatArray) -> bool:
 
 
 def _splits(state: SurveyState) -> Iterator[tuple[Entity, list[int]]]:
-    """Yield targets, sensors and beams with the stations from which on each may be elsewhere.
+    """Yield targets, mounts and all mounts with the stations from which on each may be elsewhere.
 
     Beams that are aimed at points do not count: each station is aimed by itself.
     """
     seen: dict[Entity, set[int]] = {}
     for item in state.rows.counted(state.used):
         if item.target[0] != POINT.name:
-            for entity in (item.target, item.mount):
+            for entity in (item.target, item.mount, ALL_MOUNTS):
                 seen.setdefault(entity, set()).add(item.station)
+    mounts = [entity for entity in seen if entity[0] in (SENSOR.name, BEAM.name)]
     for entity, stations in seen.items():
         splits = sorted(stations)[LEAST_STATIONS : len(stations) - LEAST_STATIONS + 1]
-        if entity[0] in PLACES_OF and splits:
+        several = entity == ALL_MOUNTS and len(mounts) > 1
+        if splits and (several or entity[0] in PLACES_OF):
             yield entity, [splits[i] for i in evenly(len(splits), MOST_SPLITS)]
 
 
-def _place(state: SurveyState, entity: Entity) -> IntArray:
-    """Return which unknowns (3,) say where an entity is."""
+def _columns(state: SurveyState, rows: DenseRows, entity: Entity) -> FloatArray:
+    """Return the derivatives (R, 3) of rows of a state by where an entity is."""
+    if entity == ALL_MOUNTS:
+        return rows.by_pose[:, 3:]
     family, member = entity
-    return np.asarray(state.rows.places().place[family][member] + np.array(PLACES_OF[family]))
+    place = state.rows.places().place[family][member] + np.array(PLACES_OF[family])
+    return np.asarray(rows.derivatives[:, place])
 
 
 def _since(entity: Entity, station: int, state: SurveyState, pose_errors: bool) -> FloatArray:
     """Return the derivatives (R, 3) by the place of an entity from a station on."""
     rows, owner = state.dense(pose_errors=pose_errors)
     late = state.stations(owner) >= station
-    return np.asarray(rows.derivatives[:, _place(state, entity)] * late[:, None])
+    return _columns(state, rows, entity) * late[:, None]
 
 
 class _Trial:

@@ -23,7 +23,7 @@ from ..estimation.scales import ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_state import SurveyState
-from ..estimation.survey_trials import CLOSE_TO_STATED, displacement
+from ..estimation.survey_trials import ALL_MOUNTS, CLOSE_TO_STATED, displacement
 from ..model.distributions import (
     FEW_DEGREES,
     SINGLE_LEVEL,
@@ -168,7 +168,7 @@ def many_rejected(
 
 
 def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[CalibrationWarning]:
-    """Warn of a target, sensor or beam that was moved amid the survey."""
+    """Warn of a target, a mount or all mounts that were moved amid the survey."""
     moved = displacement(found) if found.estimate.status != "undetermined" else None
     if moved is None:
         return
@@ -179,7 +179,8 @@ def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[Cal
         J = mount.spot_by()
         shift = J @ tried.moved[place[own][number] + np.arange(J.shape[1])]
         times.append(float(np.linalg.norm(shift)) / mount.spot_error)
-    name, of_mount = found.rows.names(family)[member], family in (SENSOR.name, BEAM.name)
+    of_mount, of_all = family in (SENSOR.name, BEAM.name), (family, member) == ALL_MOUNTS
+    name = "all sensors" if of_all else found.rows.names(family)[member]
     values: Values = {
         "target": f"{family} {name}" if of_mount else name,
         "station": found.rows.survey.stations.station_names[station],
@@ -189,7 +190,9 @@ def _displaced(found: SurveyEstimate, mounts: "Sequence[Mount]") -> Iterator[Cal
         "times": max(times),
     }
     likely = p_words(tried.p_value, 1)
-    if of_mount:
+    if of_all:
+        yield warned(f"{DISPLACED}:hand", values, likely=likely)
+    elif of_mount:
         yield warned(f"{DISPLACED}:mount", values, likely=likely)
     else:
         yield warned(DISPLACED, values, likely=likely)
