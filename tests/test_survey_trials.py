@@ -1,5 +1,7 @@
 """What a survey misfits by, where errors of the hand that are learned would explain it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,6 +69,21 @@ def test_a_sensor_that_was_moved_is_named():
     (warning,) = [one for one in found.warnings if one.code == "displaced"]
     assert warning.values["target"] == "sensor p"
     assert warning.values["shift"] == pytest.approx(float(np.linalg.norm(move)), rel=0.15)
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("beams", 0), ("mixed", 2)])
+def test_another_tool_frame_moves_all_mounts(kind, seed):
+    """One beam or sensor was named, or none: each alone explains less."""
+    rig = getattr(rigs_by_rays, kind)(seed, hand_sigma=rigs.HAND)
+    late, move = np.arange(len(rig.t)) >= len(rig.t) // 2, np.array([6e-4, -5e-4, 7e-4])
+    survey = rigs.survey_of(replace(rig, t=rig.t - late[:, None] * (rig.R @ move)))
+    found = hl.calibrate(survey)
+    (warning,) = [one for one in found.warnings if one.code == "displaced"]
+    assert warning.message.startswith("all sensors sit ")
+    assert warning.values["target"] == "all sensors"
+    assert warning.values["shift"] == pytest.approx(float(np.linalg.norm(move)), rel=0.2)
+    assert found.verdict.best.code == "displaced"
+    assert hl.calibrate(rigs.survey_of(rig)).warnings == ()
 
 
 @pytest.mark.slow

@@ -49,8 +49,8 @@ CONTRADICTED = -2.0 * math.log(FAMILY_LEVEL)
 with it learned: more than two more sizes make of it by chance (Wilks)."""
 HAND = -1
 """Which sigmas those of the hand are, beside the numbers of the sources of readings."""
-CLOSE_TO_STATED = 1.5
-"""Data sheets do not state sigmas better than by this factor."""
+CLOSE_TO_STATED = 1.2
+"""Sigmas of readings that err by no more than this part beyond what is stated are left as stated."""
 BOTH_AXES, ALIKE = "x-and-z", ("k1", "scale")
 """Code of an error of both axes of a profiler by the same part, and the range errors that it is."""
 
@@ -231,8 +231,7 @@ def _contradicted(found: SurveyEstimate, near: SurveyEstimate, every: list[int])
         trials = [_unlikelihood(one, found.noise) for one in states]
         value = [
             after
-            if one == HAND
-            or CLOSE_TO_STATED < sizes.sigma[one] / found.stated.sigma[one] <= TEN_TIMES
+            if one == HAND or sizes.sigma[one] > CLOSE_TO_STATED * found.stated.sigma[one]
             else np.inf
             for one, (sizes, after) in zip(left, trials, strict=True)
         ]
