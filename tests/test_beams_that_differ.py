@@ -89,8 +89,12 @@ def test_stated_noise_is_of_the_beam_it_is_stated_of():
     assert not checked.difference, checked.difference
     said = " ".join(result.summary().split())
     assert "sonar 4 mm" in said
-    both = hl.calibrate(hand_of_two(3), replace(EXACT, range_sigma=1e-3))
-    assert {beam.reading_sigma for beam in both.beams.values()} == {1e-3}
+    both = hl.calibrate(hand_of_two(3), replace(EXACT, range_sigma=5e-3))
+    assert {beam.reading_sigma for beam in both.beams.values()} == {5e-3}
+    fine = hl.calibrate(hand_of_two(3), replace(EXACT, range_sigma=1e-3))
+    assert fine.beams["laser"].reading_sigma == 1e-3
+    assert fine.beams["sonar"].reading_sigma == pytest.approx(SONAR, rel=0.3)
+    assert "stated range sigma of sonar of 1 mm" in fine.warnings[0].message
 
 
 @pytest.mark.slow
