@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from .checks import require_kind
-from .data.noise import Noise
+from .data.noise import POSE_SIGMAS, Noise
 from .data.parameters import Parameters
 from .data.recording import Recording, beyond_planes, sorted_readings
 from .data.screening import screened
@@ -14,11 +14,13 @@ from .data.survey import Survey
 from .errors import InputError
 from .estimation.options import CalibrationOptions
 from .estimation.selection import select
+from .model.losses import GAUSSIAN
 from .progress import LOGGER, Listener, told_to
+from .quantities import MAJORITY
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.problem import Problem
-from .results.warnings import contradicted_sigmas
+from .results.warnings import DISPLACED, contradicted_sigmas
 
 if TYPE_CHECKING:
     from .estimation.estimate import BlockProblem, Estimate
@@ -91,7 +93,45 @@ def calibrate(
             return estimate(recording)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
-    return calibrate_from(None, recording, noise, options, progress)
+    result = calibrate_from(None, recording, noise, options, progress)
+    return _with_noise_learned(result, recording, noise, options, progress)
+
+
+def _with_noise_learned(
+    stated: Calibration,
+    recording: Recording,
+    noise: Noise,
+    options: CalibrationOptions,
+    progress: Listener | None,
+) -> Calibration:
+    """Return a calibration with those sigmas learned that chi2 contradicts, where all were stated.
+
+    Either the range sigma or those of the poses are too small, and what contradicts one of them beside
+    the other as an unknown tells which (`estimation.joint_solution`). Nothing is learned where another
+    error explains most of the misfit, or is still found beside noise that was learned.
+    """
+    fit, codes = stated.fit, {one.code for one in stated.warnings}
+    every = fit.range_sigma_given and (noise.poses_uncertain or noise.poses_exact)
+    asked = every and fit.loss == GAUSSIAN.name and stated.status == "converged"
+    if not (asked and "sigmas-too-small" in codes):
+        return stated
+    most = MAJORITY * (fit.chi2 - fit.dof)
+    if any(one.found and (one.size / one.sigma) ** 2 > most for one in stated.systematic):
+        return stated
+    wrong: tuple[str, ...] = POSE_SIGMAS
+    free = None
+    if noise.poses_uncertain and noise.pose_covariance is None:
+        free = calibrate_from(None, recording, noise.without(wrong), options, progress)
+    if free is None or not free.fit.range_sigma_given:
+        wrong = ("range_sigma",)
+        free = calibrate_from(None, recording, noise.without(wrong), options, progress)
+    other = any(one.found for one in free.systematic) or DISPLACED in {
+        w.code for w in free.warnings
+    }
+    if free.status != "converged" or other:
+        return stated
+    of_noise = contradicted_sigmas(noise, wrong, free.fit.range_sigma, free.noise_estimate)
+    return replace(free, warnings=(*of_noise, *free.warnings))
 
 
 def calibrate_survey(

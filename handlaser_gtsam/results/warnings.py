@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..data.noise import Noise
+from ..data.noise import POSE_SIGMAS, Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..data.screening import rounding
@@ -333,7 +333,7 @@ def contradicted_sigmas(
     """Warn of sigmas of noise that readings contradict; `range_sigma` or others were learned."""
     if stated.range_sigma is not None and "range_sigma" in contradicted:
         yield contradicted_readings(stated.range_sigma, range_sigma)
-    elif contradicted:
+    if any(name in contradicted for name in POSE_SIGMAS):
         sizes = {one.quantity: one.sigma for one in learned}
         yield contradicted_poses(stated, sizes.get(ROTATION, 0.0), sizes.get(TRANSLATION, 0.0))
 

@@ -16,7 +16,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..errors import InputError
 from ..estimation.options import CalibrationOptions
-from ..pipeline import calibrate
+from ..pipeline import calibrate_from
 from ..results.calibration import Calibration
 from ..solvers.isam import BeamState
 from ..validation.other_recording import BeamDrift
@@ -152,7 +152,7 @@ class FreedState:
             raise undetermined(" (no plane is left)")
         everything, config = contents.recording(), self.config
         recording = everything.part(np.isin(everything.plane_labels, planes))
-        batch = calibrate(recording, config.noise, config.options)
+        batch = calibrate_from(None, recording, config.noise, config.options)
         if batch.interrupted:
             raise KeyboardInterrupt
         if set(batch.beams) != set(config.names):

@@ -20,7 +20,7 @@ from ..data.screening import screened
 from ..errors import ArgumentError, CalibrationWarning, InputError
 from ..estimation.options import CalibrationOptions
 from ..model.sensor_limits import Rejected
-from ..pipeline import calibrate
+from ..pipeline import calibrate_from
 from ..results.calibration import Calibration
 from ..results.freed import prior_sizes
 from ..results.messages import warned
@@ -319,7 +319,7 @@ def started(
     """
     waits = Update((), contents.waiting, UNKNOWN, None, None)
     try:
-        batch = calibrate(contents.recording(), noise, options)
+        batch = calibrate_from(None, contents.recording(), noise, options)
     except InputError as error:
         if now is not None or not options.free:
             raise

@@ -41,7 +41,7 @@ from ..model.joint import beams_lift
 from ..model.sensor_limits import FLAT, OUTSIDE, within_incidence
 from ..model.weighting import weighed
 from ..outliers.reading_tests import price
-from ..pipeline import calibrate
+from ..pipeline import calibrate_from
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SAME_OPTIMUM
 from ..results.assemble import assemble
 from ..results.calibration import Calibration
@@ -257,7 +257,7 @@ class SessionState:
     def calibrated(self) -> tuple[Calibration, SessionConfig]:
         """Return the batch calibration of everything, and what all planes have in common after it."""
         noise, options = self.config.noise, self.config.options
-        batch = calibrate(self.contents.recording(), noise, options)
+        batch = calibrate_from(None, self.contents.recording(), noise, options)
         return batch, SessionConfig.of(batch, noise, options)
 
     def recalibrated(self) -> tuple["SessionState", Comparison]:
