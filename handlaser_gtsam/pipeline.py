@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from .checks import require_kind
-from .data.noise import POSE_SIGMAS, Noise
+from .data.noise import POSE_SIGMAS, SIGMAS, Noise
 from .data.parameters import Parameters
 from .data.recording import Recording, beyond_planes, sorted_readings
 from .data.screening import screened
@@ -21,6 +21,9 @@ from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.problem import Problem
 from .results.warnings import DISPLACED, contradicted_sigmas
+
+OTHER_ERRORS = {DISPLACED, "poses-err", "large-pose-errors"}
+"""Warnings beside noise that was learned: more than sigmas that were too small is wrong then."""
 
 if TYPE_CHECKING:
     from .estimation.estimate import BlockProblem, Estimate
@@ -106,9 +109,8 @@ def _with_noise_learned(
 ) -> Calibration:
     """Return a calibration with those sigmas learned that chi2 contradicts, where all were stated.
 
-    Either the range sigma or those of the poses are too small, and what contradicts one of them beside
-    the other as an unknown tells which (`estimation.joint_solution`). Nothing is learned where another
-    error explains most of the misfit, or is still found beside noise that was learned.
+    These are the sigmas of the poses, the range sigma, or both: the first beside which no other error
+    is found, nor the range sigma contradicted. None is where another error explains most of the misfit.
     """
     fit, codes = stated.fit, {one.code for one in stated.warnings}
     every = fit.range_sigma_given and (noise.poses_uncertain or noise.poses_exact)
@@ -118,20 +120,19 @@ def _with_noise_learned(
     most = MAJORITY * (fit.chi2 - fit.dof)
     if any(one.found and (one.size / one.sigma) ** 2 > most for one in stated.systematic):
         return stated
-    wrong: tuple[str, ...] = POSE_SIGMAS
-    free = None
-    if noise.poses_uncertain and noise.pose_covariance is None:
+    for wrong in (POSE_SIGMAS, ("range_sigma",), SIGMAS):
+        if noise.pose_covariance is not None and POSE_SIGMAS[0] in wrong:
+            continue
         free = calibrate_from(None, recording, noise.without(wrong), options, progress)
-    if free is None or not free.fit.range_sigma_given:
-        wrong = ("range_sigma",)
-        free = calibrate_from(None, recording, noise.without(wrong), options, progress)
-    other = any(one.found for one in free.systematic) or DISPLACED in {
-        w.code for w in free.warnings
-    }
-    if free.status != "converged" or other:
-        return stated
-    of_noise = contradicted_sigmas(noise, wrong, free.fit.range_sigma, free.noise_estimate)
-    return replace(free, warnings=(*of_noise, *free.warnings))
+        if free.interrupted:
+            break
+        codes = {one.code for one in free.warnings}
+        range_too = wrong == POSE_SIGMAS and "sigmas-too-small" in codes
+        other = any(one.found for one in free.systematic) or codes & OTHER_ERRORS
+        if free.status == "converged" and not (range_too or other):
+            of_noise = contradicted_sigmas(noise, wrong, free.fit.range_sigma, free.noise_estimate)
+            return replace(free, warnings=(*of_noise, *free.warnings))
+    return stated
 
 
 def calibrate_survey(

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import handlaser_gtsam as hl
 from benchmarks.uncertainty import MODES, run_once, summarized
 from handlaser_gtsam import model
+from handlaser_gtsam.data.noise import POSE_SIGMAS, SIGMAS
 from handlaser_gtsam.factors import range_factor
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.solvers.graph import build_graph, pose_priors, read_parameters
@@ -252,6 +253,44 @@ def test_pose_sigmas_that_the_readings_contradict_are_estimated(part, named):
         for beam, location in zip(found.beams.values(), truth.locations, strict=True):
             largest.append(np.abs((beam.location - location) / beam.location_sigma).max())
     assert 0.5 < np.median(largest) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("of_range", "of_poses", "wrong"),
+    [
+        (1.0, 1.0, ()),
+        (0.3, 1.0, ("range_sigma",)),
+        (1.0, 0.2, POSE_SIGMAS),
+        (0.3, 0.2, SIGMAS),
+    ],
+)
+def test_of_sigmas_that_are_all_stated_those_too_small_are_estimated(of_range, of_poses, wrong):
+    """Standard deviations were a third of the errors, and errors of other kinds were named."""
+    stated = hl.Noise(of_range * RANGE, of_poses * TRANSLATION, of_poses * ROTATION)
+    recording, truth = robot(0, Layout(beams=4, planes=6, stations=12))
+    found, free = (hl.calibrate(recording, one) for one in (stated, stated.without(wrong)))
+    values = [one.values for one in found.warnings]
+    assert [one.code for one in found.warnings] == ["sigmas-too-small"] * len(values)
+    assert any("stated" in one for one in values) == ("range_sigma" in wrong)
+    assert any("stated_rotation" in one for one in values) == (POSE_SIGMAS[0] in wrong)
+    for beam, same, location in zip(
+        found.beams.values(), free.beams.values(), truth.locations, strict=True
+    ):
+        assert np.allclose(beam.covariance, same.covariance, rtol=1e-6)
+        assert np.abs((beam.location - location) / beam.location_sigma).max() < 4.0
+
+
+def test_sigmas_stay_as_stated_where_another_error_explains_the_misfit():
+    """A tool frame that was displaced is named in units of the noise that is stated."""
+    recording, _ = robot(0, Layout(beams=4, planes=6, stations=12))
+    order = np.random.default_rng(1).permutation(len(recording.plane_labels))
+    recording, late = recording.part(order), np.arange(len(order))[:, None] >= 36
+    t = recording.world_t_hand + late * (recording.world_R_hand @ [1e-3, 0.0, 0.0])
+    found = hl.calibrate(replace(recording, world_t_hand=t), NOISE)
+    assert "sigmas-too-small" in codes(found)
+    assert "systematic-tool-displaced" in codes(found)
+    assert found.fit.range_sigma_given
+    assert not [one for one in found.warnings if "stated" in one.values]
 
 
 def test_of_a_covariance_of_the_poses_nothing_is_contradicted():
