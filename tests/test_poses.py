@@ -280,6 +280,13 @@ def test_of_sigmas_that_are_all_stated_those_too_small_are_estimated(of_range, o
         assert np.abs((beam.location - location) / beam.location_sigma).max() < 4.0
 
 
+def test_planes_are_predicted_with_the_noise_that_was_learned():
+    """Each part contradicted what was stated by itself, or not: planes that fit did not."""
+    recording, _ = robot(4, Layout(beams=3, planes=4, stations=8))
+    found = hl.validate(recording, hl.Noise(RANGE, 0.2 * TRANSLATION, 0.2 * ROTATION))
+    assert found.contradicted == ()
+
+
 def test_sigmas_stay_as_stated_where_another_error_explains_the_misfit():
     """A tool frame that was displaced is named in units of the noise that is stated."""
     recording, _ = robot(0, Layout(beams=4, planes=6, stations=12))

@@ -28,6 +28,12 @@ from ..quantities import MOST_ROUNDS, SAME_OPTIMUM, TINY
 from .options import CalibrationOptions
 
 RANGE, TRANSLATION, ROTATION = "range", "pose translation", "pose rotation"
+FIELDS = {
+    RANGE: "range_sigma",
+    TRANSLATION: "pose_translation_sigma",
+    ROTATION: "pose_rotation_sigma",
+}
+"""Which field of the noise states each of them."""
 AXES = {ROTATION: slice(0, 3), TRANSLATION: slice(3, 6)}
 RANGE_FLOOR = 0.1
 """The flat prior of a range sigma ends at this part of the residuals: a smaller one is improbable."""

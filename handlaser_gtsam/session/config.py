@@ -7,12 +7,12 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..data.noise import SIGMAS, Noise
+from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters, RangeErrorPrior
 from ..data.recording import Readings, Recording
 from ..estimation.learning_scales import LearnedScales
 from ..estimation.options import CalibrationOptions
-from ..estimation.scales import ROTATION, TRANSLATION
+from ..estimation.scales import FIELDS, RANGE
 from ..factors.keys import BeamKeys, beam_keys
 from ..model.families import BEAM, modelled
 from ..model.weighting import Variances
@@ -111,15 +111,10 @@ class SessionConfig:
     @property
     def contradicted(self) -> tuple[str, ...]:
         """Sigmas of the noise that are given, and estimated because the readings contradict them."""
-        learned = [] if self.learned is None else self.learned.scales.unknown
-        estimated = {
-            "range_sigma": np.isfinite(self.sigma_dof),
-            "pose_translation_sigma": any(scale.name == TRANSLATION for scale in learned),
-            "pose_rotation_sigma": any(scale.name == ROTATION for scale in learned),
-        }
-        return tuple(
-            name for name in SIGMAS if estimated[name] and getattr(self.noise, name) is not None
-        )
+        learned = {scale.name for scale in self.learned.scales.unknown} if self.learned else set()
+        learned |= {RANGE} if np.isfinite(self.sigma_dof) else set()
+        fields = (field for name, field in FIELDS.items() if name in learned)
+        return tuple(field for field in fields if getattr(self.noise, field) is not None)
 
     def variances(self, stations: int) -> Variances:
         """Return the variances behind the covariance of the readings of that many stations."""

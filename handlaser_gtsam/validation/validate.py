@@ -18,6 +18,7 @@ from ..data.recording import Recording
 from ..data.survey import Survey, normal_label
 from ..errors import InputError, SolverError
 from ..estimation.options import CalibrationOptions
+from ..estimation.scales import FIELDS, RANGE
 from ..estimation.survey import estimate_survey
 from ..model.distributions import squares_sf
 from ..model.families import POSE, pose_of
@@ -86,6 +87,10 @@ def validate(
         if whole.status != "converged":
             raise SolverError(f"no calibration to validate: {whole.message}")
         kept = whole.used_in(recording)
+        if not options.estimate_noise:  # what the readings contradict, the parts learn, too
+            learned = {one.quantity for one in whole.noise_estimate}
+            learned |= set() if whole.fit.range_sigma_given else {RANGE}
+            noise = noise.without(FIELDS[one] for one in learned)
         # Errors that are unknowns are taken out of all readings as the whole recording has them.
         keep = replace(options, outliers="keep", free=())
 
