@@ -165,7 +165,7 @@ def test_copies_and_what_is_raised_on_the_way_change_nothing(monkeypatch):
     before = session.calibration()
     with monkeypatch.context() as patch:
         patch.setattr(
-            "handlaser_gtsam.session.freed.calibrate",
+            "handlaser_gtsam.session.freed.calibrate_from",
             lambda *_: replace(before, status="not_converged", interrupted=True),
         )
         with pytest.raises(KeyboardInterrupt):
