@@ -302,8 +302,7 @@ class _Look:
         s, sensor = met.columns[-1, 0], block.sensor
         good = (s > 0.8 * d.min()) & (s < 1.2 * d.max())
         good &= ~missed(family, met)
-        if isinstance(sensor, BeamSensor) and family == SPHERE.name:
-            # A survey counts none that graze it.
+        if family == SPHERE.name or isinstance(sensor, Mounted):  # a survey counts none that graze
             good &= np.linalg.norm(by_place(met), axis=0) < MOST_SLANTED
         s = np.where(good, s, 0.0)
         if isinstance(sensor, Mounted):
