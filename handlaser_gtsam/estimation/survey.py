@@ -185,7 +185,7 @@ class SurveyEstimate:
         scale = np.sqrt((J**2).sum(axis=0))
         U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
         left = 1.0 - (U[:, size > NEGLIGIBLE * size[0]] ** 2).sum(axis=1)
-        source, inside = state.sources(owner), _inside(self.rows)[1]
+        source, inside = state.sources(owner), _beside_rows(state)[1]
         own = np.bincount(source[source >= 0], left[source >= 0], len(inside))
         return np.asarray(own + inside)
 
@@ -518,6 +518,20 @@ def _inside(rows: SurveyRows, *, single: bool = False) -> Inside:
     return squares, dof
 
 
+def _beside_rows(state: SurveyState) -> Inside:
+    """Return what shots that count tell of the noise beside their rows.
+
+    Single readings whose errors go together are as many rows as they are, but say as much of the noise
+    as fewer independent ones: what rows say too much of it is taken away.
+    """
+    squares, dof = _inside(state.rows)
+    for item in state.rows.counted(state.used):
+        if item.shot is not None and item.shot.single and item.shot.growth[0] > 1.0:
+            source = state.rows.sources[item.mount]
+            dof[source] -= len(item.shot.reading) * (1.0 - 1.0 / item.shot.growth[0])
+    return squares, dof
+
+
 def _stated(rows: SurveyRows, noise: Noise) -> Components:
     """Return what is stated of the noise, NaN for what is not."""
     turn, shift = noise.pose_rotation_sigma, noise.pose_translation_sigma
@@ -671,7 +685,7 @@ def sizes_and_likelihood(
     # The likelihood has no bound where all spots are aimed exactly.
     finest[len(state.sizes.sigma) - 1] = 1e-6
     finest[-1] = SAME_OPTIMUM
-    source, inside = state.sources(owner), _inside(state.rows)
+    source, inside = state.sources(owner), _beside_rows(state)
     usual = usual_noise(state.rows, state.noise)
     again = np.where(state.rows.shared[state.stations(owner)], owner, -1)
     noise = state.sizes, state.stated, usual, finest

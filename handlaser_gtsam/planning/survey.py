@@ -294,6 +294,7 @@ class _Look:
             some = points[evenly(len(points), RAYS)]  # which have the weight of all
             own = KINDS[shots.kind].rays(shots.across[some])
             station, rays, heavier = np.arange(count), len(some), len(points) / len(some)
+            heavier /= float(np.median([item.growth for item in self.items]))
             block = rays_before(member, own, family, seen_at, station)
         met = block.evaluate(without_range_errors(values))
         d = np.concatenate(
