@@ -27,7 +27,13 @@ from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import tests_of
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
-from .survey_mirror import best_image, images_of, motion_with_images, with_images
+from .survey_mirror import (
+    best_image,
+    images_of,
+    motion_with_images,
+    with_images,
+    without_wobble,
+)
 from .survey_noise import USUALLY_AGAIN, Components, Inside, components
 from .survey_outliers import (
     GROSS,
@@ -220,7 +226,20 @@ def estimate_survey(
         No shot has enough points on a target, or shows the edge of its groove; a sensor, or a beam,
         that nothing leads to a start of.
     """
-    state = first_state(rows_of(survey, noise), noise, earlier) if begun is None else begun
+    if begun is not None:
+        return _estimated(begun)
+    rows = rows_of(survey, noise)
+    flat = without_wobble(rows, noise.standstill[1])
+    found = _estimated(first_state(flat, noise, earlier))
+    if flat is rows and noise.pose_covariance is None:
+        flat = without_wobble(rows, found.noise.pose[0])  # errors that were learned
+        if flat is not rows:
+            found = _estimated(first_state(flat, noise))
+    return found
+
+
+def _estimated(state: SurveyState) -> SurveyEstimate:
+    """Go on from a first state to the estimate."""
     first = first_fit(state)
     settled = _settle_near(state)
     again, others = best_image(state, _settle_near)
@@ -262,7 +281,7 @@ def estimate_survey(
     found, images = with_images(found, others)
     sizes, stated, used = state.sizes, state.stated, state.used
     return SurveyEstimate(
-        state.rows, noise, found, sizes, stated, used, tests, images, first, spread
+        state.rows, state.noise, found, sizes, stated, used, tests, images, first, spread
     )
 
 

@@ -20,13 +20,14 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, POSE, bases, pose_of
+from ..model.geometry import normalized
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..observability.motion import COUNTED_TURN, PoorMotion, poor_motion
 from ..observability.rank import ObservabilityOptions
-from ..quantities import FAR_SIGMAS, MOST_ROUNDS
+from ..quantities import FAR_SIGMAS, MOST_ROUNDS, TINY
 from .estimate import Estimate, descended
 from .survey_rows import Entity, SurveyRows
 
@@ -48,6 +49,33 @@ def motion_of(rows: SurveyRows) -> PoorMotion | None:
     numbers = numbers_of(rows)
     seen = {(numbers[item.target], 0, item.station, rows.length) for item in rows.items}
     return poor_motion(rows.readings(seen, 1))
+
+
+def without_wobble(rows: SurveyRows, error: float) -> SurveyRows:
+    """Return rows whose hand turns about the axis of its poor motion alone, or not at all.
+
+    Turns beside it that are within the errors of the hand, `error` about each axis [rad], are no
+    motion: taken for one, they determine heights, and wrong ones. The same rows come back where the
+    hand turns further, or its motion is not poor.
+    """
+    motion, stations = motion_of(rows), rows.survey.stations
+    if motion is None:
+        return rows
+    R, axes = stations.world_R_hand, 2 if motion.axis.any() else 3
+    if motion.axis.any():
+        turned = R @ motion.axis
+        upright = normalized(turned.mean(axis=0))
+        across = np.cross(turned, upright)
+        sine = np.linalg.norm(across, axis=1)
+        beside = across * (np.arctan2(sine, turned @ upright) / np.maximum(sine, TINY))[:, None]
+        flat = Rotation.from_rotvec(beside).as_matrix() @ R
+    else:
+        mean = Rotation.from_matrix(R).mean().as_matrix()
+        beside = Rotation.from_matrix(mean @ np.swapaxes(R, 1, 2)).as_rotvec()
+        flat = np.tile(mean, (len(R), 1, 1))
+    if (beside**2).sum(axis=1).mean() > axes * (FAR_SIGMAS * error) ** 2:
+        return rows
+    return replace(rows, survey=replace(rows.survey, stations=replace(stations, world_R_hand=flat)))
 
 
 def motion_with_images(rows: SurveyRows) -> PoorMotion | None:
