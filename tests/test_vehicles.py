@@ -662,3 +662,16 @@ def test_turns_of_a_vehicle_on_an_uneven_floor_are_motion():
     assert found.verdict.usable
     tof = found.sensors["tof"]
     assert np.all(np.abs(tof.location - [0.1, 0.02, 0.4]) < 4.0 * tof.location_sigma)
+
+
+@pytest.mark.parametrize("error", [0.02, 0.1])
+def test_errors_of_recorded_turns_are_no_motion_of_beams(error):
+    """A leaning board leaves one common height of all beams; errors of the poses tell nothing of it."""
+    rng, made = np.random.default_rng(0), scene("planar", "one leans", 4)
+    turns = Rotation.from_rotvec(np.radians(error) * rng.standard_normal(made.t.shape))
+    recorded = made.t + 2e-4 * rng.standard_normal(made.t.shape)
+    recording = made.recording(5e-4)
+    wobbling = replace(recording, world_R_hand=made.R @ turns.as_matrix(), world_t_hand=recorded)
+    found = hl.calibrate(wobbling)
+    assert found.status == "unobservable"
+    assert "one common height" in found.message

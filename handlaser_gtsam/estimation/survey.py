@@ -227,7 +227,7 @@ def estimate_survey(
         that nothing leads to a start of.
     """
     if begun is not None:
-        return _estimated(begun)
+        return replace(_estimated(begun), given=noise)
     rows = rows_of(survey, noise)
     flat = without_wobble(rows, noise.standstill[1])
     found = _estimated(first_state(flat, noise, earlier))

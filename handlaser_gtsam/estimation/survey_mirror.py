@@ -20,14 +20,13 @@ from scipy.spatial.transform import Rotation
 
 from ..arrays import FloatArray
 from ..model.families import BEAM, DIRECTION, LOCATION, PLANE, POSE, bases, pose_of
-from ..model.geometry import normalized
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from ..observability.motion import COUNTED_TURN, PoorMotion, poor_motion
+from ..observability.motion import COUNTED_TURN, PoorMotion, poor_motion, steadied
 from ..observability.rank import ObservabilityOptions
-from ..quantities import FAR_SIGMAS, MOST_ROUNDS, TINY
+from ..quantities import FAR_SIGMAS, MOST_ROUNDS
 from .estimate import Estimate, descended
 from .survey_rows import Entity, SurveyRows
 
@@ -54,28 +53,16 @@ def motion_of(rows: SurveyRows) -> PoorMotion | None:
 def without_wobble(rows: SurveyRows, error: float) -> SurveyRows:
     """Return rows whose hand turns about the axis of its poor motion alone, or not at all.
 
-    Turns beside it that are within the errors of the hand, `error` about each axis [rad], are no
-    motion: taken for one, they determine heights, and wrong ones. The same rows come back where the
-    hand turns further, or its motion is not poor.
+    The same rows come back where it turns further than its errors, `error` about each axis [rad], or
+    where its motion is not poor.
     """
     motion, stations = motion_of(rows), rows.survey.stations
     if motion is None:
         return rows
-    R, axes = stations.world_R_hand, 2 if motion.axis.any() else 3
-    if motion.axis.any():
-        turned = R @ motion.axis
-        upright = normalized(turned.mean(axis=0))
-        across = np.cross(turned, upright)
-        sine = np.linalg.norm(across, axis=1)
-        beside = across * (np.arctan2(sine, turned @ upright) / np.maximum(sine, TINY))[:, None]
-        flat = Rotation.from_rotvec(beside).as_matrix() @ R
-    else:
-        mean = Rotation.from_matrix(R).mean().as_matrix()
-        beside = Rotation.from_matrix(mean @ np.swapaxes(R, 1, 2)).as_rotvec()
-        flat = np.tile(mean, (len(R), 1, 1))
-    if (beside**2).sum(axis=1).mean() > axes * (FAR_SIGMAS * error) ** 2:
+    R = steadied(motion, stations.world_R_hand, error)
+    if R is None:
         return rows
-    return replace(rows, survey=replace(rows.survey, stations=replace(stations, world_R_hand=flat)))
+    return replace(rows, survey=replace(rows.survey, stations=replace(stations, world_R_hand=R)))
 
 
 def motion_with_images(rows: SurveyRows) -> PoorMotion | None:
