@@ -811,6 +811,13 @@ def test_a_single_mistake_in_the_table_of_poses_is_named(how, words):
         _accused(survey, survey.shots[0], (mistakes,), kuka)
 
 
+def test_a_label_that_a_relation_alone_has_is_said_to_be_in_the_relation():
+    """It was said of the table of poses, in which no such label stands."""
+    known = hl.Known("radius", ("sphere:bal",), 0.04, sigma=1e-5)
+    with pytest.raises(hl.InputError, match=r"no 'sphere:bal', which is in \[\[known\]\]: radius"):
+        replace(cell(1), known=(known,))
+
+
 def test_a_rough_sensor_does_not_hide_a_wrong_convention():
     """It has a shot more than a fine one, which alone fits another convention a hundredfold better."""
     rig = rigs_by_rays.mixed(
