@@ -56,7 +56,7 @@ def without_wobble(rows: SurveyRows, error: float) -> SurveyRows:
     The same rows come back where it turns further than its errors, `error` about each axis [rad], or
     where its motion is not poor.
     """
-    motion, stations = motion_of(rows), rows.survey.stations
+    motion, stations = motion_of(rows) if rows.items else None, rows.survey.stations
     if motion is None:
         return rows
     R = steadied(motion, stations.world_R_hand, error)
