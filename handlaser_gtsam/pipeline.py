@@ -130,7 +130,8 @@ def _with_noise_learned(
     other = any(one.found for one in free.systematic) or DISPLACED in {
         w.code for w in free.warnings
     }
-    if free.status != "converged" or other:
+    # Turns of a vehicle within the errors that were learned leave undetermined what they seem to say.
+    if free.status not in ("converged", "unobservable") or other:
         return stated
     of_noise = contradicted_sigmas(noise, wrong, free.fit.range_sigma, free.noise_estimate)
     return replace(free, warnings=(*of_noise, *free.warnings))

@@ -380,6 +380,20 @@ def test_profiles_whose_errors_go_together_are_calibrated_with_the_intervals_tha
     assert found.sensors["scanner"].spot_error > 1.3 * sharp.sensors["scanner"].spot_error
 
 
+def test_single_readings_whose_errors_go_together_say_as_much_as_fewer_ones():
+    """Balls are too rough for rows of their shape here. The noise was half of what it is, or less."""
+    rng = np.random.default_rng(0)
+    survey = with_noise(lambda _, n: 1e-3 * smoothed(rng.standard_normal(n), 5))
+    grown = {item.growth for item in rows_of_survey(survey).items if item.shot.single}
+    assert 4.0 < min(grown) <= max(grown) < 6.5
+    found = estimate_survey(survey, hl.Noise())
+    assert found.noise.sigma[0] == pytest.approx(1e-3, rel=0.1)
+    stated = hl.Noise(pose_rotation_sigma=1e-4, pose_translation_sigma=1e-4)
+    sure = hl.calibrate(replace(survey, shots=(replace(survey.shots[0], sigma=1e-3),)), stated)
+    assert sure.warnings == ()
+    assert sure.chi2 == pytest.approx(sure.dof, rel=0.3)
+
+
 def test_a_shot_that_is_rougher_than_the_others_counts_for_less():
     rng = np.random.default_rng(0)
     survey = with_noise(lambda at, n: (1e-3 if at in (3, 15) else 2e-4) * rng.standard_normal(n))

@@ -675,3 +675,22 @@ def test_errors_of_recorded_turns_are_no_motion_of_beams(error):
     found = hl.calibrate(wobbling)
     assert found.status == "unobservable"
     assert "one common height" in found.message
+
+
+def test_pose_errors_of_a_vehicle_that_are_learned_in_place_of_stated_ones_are_no_motion():
+    """Stated a fifth as large, errors of turns gave a height that was "usable", 0.27 m off."""
+    stated = hl.Noise(pose_rotation_sigma=np.radians(0.01), pose_translation_sigma=2e-4)
+    survey = array_before_walls(0.0, 0.05, 7)
+    survey = replace(survey, shots=(replace(survey.shots[0], sigma=1e-3),))
+    found = hl.calibrate(survey, stated)
+    assert found.status == "undetermined"
+    assert "the height of every sensor" in found.undetermined[0]
+    rng, made = np.random.default_rng(2), scene("planar", "one leans", 4)
+    turns = Rotation.from_rotvec(np.radians(0.05) * rng.standard_normal(made.t.shape))
+    recorded = made.t + 2e-4 * rng.standard_normal(made.t.shape)
+    recording = replace(
+        made.recording(5e-4), world_R_hand=made.R @ turns.as_matrix(), world_t_hand=recorded
+    )
+    result = hl.calibrate(recording, replace(stated, range_sigma=5e-4))
+    assert result.status == "unobservable"
+    assert "one common height" in result.message

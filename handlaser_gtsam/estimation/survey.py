@@ -254,6 +254,7 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         again, others = best_image(state, _settle_near)
     problem, _ = state.problem()
     found = judged(problem, problem.blocks, dict(state.values))
+    found = replace(found, dof=max(found.dof - round(float(_twice(state).sum())), 0))
     # A mirror image that fits better than the first state is none of its misfit.
     misfit = not first.fits and (not settled or (again is None and found.status != "converged"))
     if misfit or (not settled and found.status != "undetermined"):
@@ -538,17 +539,24 @@ def _inside(rows: SurveyRows, *, single: bool = False) -> Inside:
 
 
 def _beside_rows(state: SurveyState) -> Inside:
-    """Return what shots that count tell of the noise beside their rows.
-
-    Single readings whose errors go together are as many rows as they are, but say as much of the noise
-    as fewer independent ones: what rows say too much of it is taken away.
-    """
+    """Return what shots that count tell of the noise beside their rows, and not twice in them."""
     squares, dof = _inside(state.rows)
-    for item in state.rows.counted(state.used):
-        if item.shot is not None and item.shot.single and item.shot.growth[0] > 1.0:
-            source = state.rows.sources[item.mount]
-            dof[source] -= len(item.shot.reading) * (1.0 - 1.0 / item.shot.growth[0])
-    return squares, dof
+    return squares, dof - _twice(state)
+
+
+def _twice(state: SurveyState) -> FloatArray:
+    """Return how many rows of each source say again what others say, as their errors go together.
+
+    Single readings are as many rows as they are, but tell as much of the noise as fewer independent
+    ones.
+    """
+    rows = state.rows
+    twice = np.zeros(len(set(rows.sources.values())) + 1)
+    for item in rows.counted(state.used):
+        if item.shot is not None and item.shot.single:
+            share = 1.0 - 1.0 / item.shot.growth[0]
+            twice[rows.sources[item.mount]] += share * len(item.shot.reading)
+    return twice
 
 
 def _stated(rows: SurveyRows, noise: Noise) -> Components:
