@@ -99,7 +99,7 @@ class Item:
 
     @property
     def growth(self) -> float:
-        """The variance of its readings in units of that of their noise."""
+        """The variance of its readings, where their noise has a variance of one."""
         return 1.0 if self.shot is None else self.shot.growth[0] * self.shot.growth[1]
 
     @property

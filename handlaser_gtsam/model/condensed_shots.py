@@ -490,11 +490,11 @@ def with_own_noise(shots: Sequence[Condensed | None]) -> list[Condensed | None]:
     be rougher than others: both follow from residuals inside all shots, where they say it clearly.
     """
     known = [shot for shot in shots if shot is not None and not shot.hardly_known]
-    told = [shot for shot in known if shot.dof > 0 and shot.squares > 0.0]
-    if len(told) < FEWEST_SHOTS:
+    telling = [shot for shot in known if shot.dof > 0 and shot.squares > 0.0]
+    if len(telling) < FEWEST_SHOTS:
         return list(shots)
-    together = common_growth(np.array([shot.together for shot in told]))
-    level = float(np.median([shot.squares / shot.dof for shot in told]))
+    together = common_growth(np.array([shot.together for shot in telling]))
+    level = float(np.median([shot.squares / shot.dof for shot in telling]))
     found = list(shots)
     for i, shot in enumerate(shots):
         if shot is None or not shot.dof:
