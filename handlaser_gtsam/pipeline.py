@@ -13,8 +13,10 @@ from .data.screening import screened
 from .data.survey import Survey
 from .errors import InputError
 from .estimation.options import CalibrationOptions
+from .estimation.scales import ROTATION
 from .estimation.selection import select
 from .model.losses import GAUSSIAN
+from .observability.motion import poor_motion, steadied
 from .progress import LOGGER, Listener, told_to
 from .quantities import MAJORITY
 from .results.assemble import assemble
@@ -129,7 +131,9 @@ def _with_noise_learned(
         codes = {one.code for one in free.warnings}
         range_too = wrong == POSE_SIGMAS and "sigmas-too-small" in codes
         other = any(one.found for one in free.systematic) or codes & OTHER_ERRORS
-        if free.status == "converged" and not (range_too or other):
+        # Turns of a vehicle within errors that were learned leave undetermined what they seem to say.
+        poor = free.status == "unobservable" and poor_motion(recording.readings()) is not None
+        if (free.status == "converged" or poor) and not (range_too or other):
             of_noise = contradicted_sigmas(noise, wrong, free.fit.range_sigma, free.noise_estimate)
             return replace(free, warnings=(*of_noise, *free.warnings))
     return stated
@@ -184,6 +188,34 @@ def calibrate_from(
     takes long; a model that lacks a beam or a term is known to fit less well.
     """
     options = _checked(recording, noise, options)
+    error = 0.0 if options.poses == "exact" else noise.standstill[1]
+    steady = _steady(recording, error)
+    result = _calibrated(start, steady or recording, noise, options, progress)
+    learned = [one.sigma for one in result.noise_estimate if one.name == ROTATION]
+    if steady is None and learned:
+        steady = _steady(recording, learned[0])
+        if steady is not None:
+            result = _calibrated(start, steady, noise, options, progress)
+    return result
+
+
+def _steady(recording: Recording, error: float) -> Recording | None:
+    """Return a recording without turns within the errors of its poses beside its poor motion."""
+    if not error or np.isnan(recording.ranges).all():
+        return None
+    motion = poor_motion(recording.readings())
+    R = None if motion is None else steadied(motion, recording.world_R_hand, error)
+    return None if R is None else replace(recording, world_R_hand=R)
+
+
+def _calibrated(
+    start: Parameters | None,
+    recording: Recording,
+    noise: Noise,
+    options: CalibrationOptions,
+    progress: Listener | None,
+) -> Calibration:
+    """Do as `calibrate_from` with arguments that are checked, and poses as they are."""
     # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.
     recording, warnings = screened(recording, noise.range_sigma)
     options.require_readings((~np.isnan(recording.ranges)).sum(axis=0), recording.beam_names)

@@ -204,6 +204,8 @@ def test_files_reach_the_disk_before_they_get_their_names(tmp_path, monkeypatch)
         ("[noise]\npose_covariance = 1.0", "an array"),
         ("[sensor]\nrange_mm = 30", "an array"),
         ("noise = 3", "a table"),
+        ('[[sensor]]\nname = "s"', "one table [sensor], or [[sensors]]"),
+        ('[known]\nrelation = "radius"', "[[known]], a table for each"),
         ("[log]\nplane = 3", "a text in quotes"),
         ('[log]\nstands = "yes"', "true or false"),
     ],

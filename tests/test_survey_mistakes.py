@@ -811,6 +811,31 @@ def test_a_single_mistake_in_the_table_of_poses_is_named(how, words):
         _accused(survey, survey.shots[0], (mistakes,), kuka)
 
 
+def test_a_label_that_a_relation_alone_has_is_said_to_be_in_the_relation():
+    """It was said of the table of poses, in which no such label stands."""
+    known = hl.Known("radius", ("sphere:bal",), 0.04, sigma=1e-5)
+    with pytest.raises(hl.InputError, match=r"no 'sphere:bal', which is in \[\[known\]\]: radius"):
+        replace(cell(1), known=(known,))
+
+
+def test_a_rough_sensor_does_not_hide_a_wrong_convention():
+    """It has a shot more than a fine one, which alone fits another convention a hundredfold better."""
+    rig = rigs_by_rays.mixed(
+        3, sensors=("profiler", "array"), targets="planes", planes=2, stations=12
+    )
+    survey, kuka = survey_of(rig), hl.LogFormat(pose_format="kuka")
+    fine, rough = survey.shots
+    noise = 5e-3 * np.random.default_rng(0).standard_normal(len(rough.reading))
+    shots = fine.part(fine.station > 0), replace(rough, reading=rough.reading + noise)
+    of = survey.stations
+    fanuc = convention_of(hl.LogFormat(pose_format="fanuc"))
+    numbers = numbers_of(of.world_R_hand, of.world_t_hand, fanuc)
+    R, t = poses_of(numbers, convention_of(kuka))
+    wrong = replace(survey, stations=replace(of, world_R_hand=R, world_t_hand=t), shots=shots)
+    with pytest.raises(hl.InputError, match=f"pose-format fanuc .*lengths of {fine.name}"):
+        refuse_wrong_reading(wrong, numbers, Way.of_rows(len(of)), kuka)
+
+
 def test_shots_of_another_row_are_not_tried_where_labels_take_turns():
     """Shot and row would have different targets at every station."""
     survey, _, kuka = written_wrong("sign")

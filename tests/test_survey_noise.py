@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from scipy.linalg import null_space
 from scipy.stats import chi2
 
@@ -17,6 +18,8 @@ from handlaser_gtsam.estimation import survey_trials
 from handlaser_gtsam.estimation.dense import DenseRows
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.estimation.survey_noise import Components, components
+from handlaser_gtsam.estimation.survey_rows import rows_of as rows_of_survey
+from handlaser_gtsam.model.errors_together import common_growth, growth_by_distance
 from handlaser_gtsam.pipeline import calibrate_survey
 
 USUAL = Components(np.array([1e-4, 5e-4]), (3.5e-4, 1e-4))
@@ -332,3 +335,69 @@ def test_errors_that_no_robot_has_explain_no_survey_that_fits_nothing():
     found = hl.calibrate(rigs.survey_of(replace(rig, t=t)), rigs.STATED)
     assert found.verdict.code == "no-fit"
     assert "sigmas-too-small" not in {one.code for one in found.warnings}
+
+
+def smoothed(errors, points):
+    """Errors as a filter over some points leaves them, of unit variance."""
+    return np.convolve(errors, np.ones(points), "same") / np.sqrt(points)
+
+
+@pytest.mark.parametrize(("points", "largest", "least"), [(1, 1.1, 1.0), (5, 6.5, 4.0)])
+def test_errors_that_go_together_make_variances_of_a_shape_larger(points, largest, least):
+    """A mean of five neighbours makes the variance of a line five times as large."""
+    rng, x, grown = np.random.default_rng(0), np.linspace(-1.0, 1.0, 300), []
+    Q = np.linalg.qr(np.column_stack((np.ones_like(x), x)))[0]
+    for _ in range(40):
+        e = smoothed(rng.standard_normal(len(x)), points)
+        e -= Q @ (Q.T @ e)
+        order = rng.permutation(len(x))  # the order of a table says nothing
+        e, shuffled = (e * np.sqrt(298.0 / (e @ e)))[order], Q[order]
+        grown.append(growth_by_distance(shuffled, e, np.argsort(x[order])))
+    assert least <= common_growth(np.array(grown)) < largest
+
+
+def with_noise(noise):
+    """The profiler of the example, with noise of its own a shot (a function of its points)."""
+    folder = ROOT / "examples" / "profiler"
+    survey = hl.read_survey(folder / "poses.csv", folder / "rig.toml")
+    (shots,) = survey.shots
+    reading = shots.reading.copy()
+    for station in np.unique(shots.station).tolist():
+        reading[shots.station == station] += noise(station, np.sum(shots.station == station))
+    return replace(survey, shots=(replace(shots, reading=reading),))
+
+
+def test_profiles_whose_errors_go_together_are_calibrated_with_the_intervals_that_they_allow():
+    """Each shot was rejected that missed by more than independent points can."""
+    rng = np.random.default_rng(0)
+    survey = with_noise(lambda _, n: 3e-4 * smoothed(rng.standard_normal(n), 9))
+    found = hl.calibrate(survey)
+    assert found.verdict.usable
+    assert not found.rejected
+    assert found.chi2 < 2.0 * found.dof
+    assert hl.cross_check(found).largest < 0.1
+    sharp = hl.calibrate(with_noise(lambda _, n: 3e-4 * rng.standard_normal(n)))
+    assert found.sensors["scanner"].spot_error > 1.3 * sharp.sensors["scanner"].spot_error
+
+
+def test_single_readings_whose_errors_go_together_say_as_much_as_fewer_ones():
+    """Balls are too rough for rows of their shape here. The noise was half of what it is, or less."""
+    rng = np.random.default_rng(0)
+    survey = with_noise(lambda _, n: 1e-3 * smoothed(rng.standard_normal(n), 5))
+    grown = {item.growth for item in rows_of_survey(survey).items if item.shot.single}
+    assert 4.0 < min(grown) <= max(grown) < 6.5
+    found = estimate_survey(survey, hl.Noise())
+    assert found.noise.sigma[0] == pytest.approx(1e-3, rel=0.1)
+    stated = hl.Noise(pose_rotation_sigma=1e-4, pose_translation_sigma=1e-4)
+    sure = hl.calibrate(replace(survey, shots=(replace(survey.shots[0], sigma=1e-3),)), stated)
+    assert sure.warnings == ()
+    assert sure.chi2 == pytest.approx(sure.dof, rel=0.3)
+
+
+def test_a_shot_that_is_rougher_than_the_others_counts_for_less():
+    rng = np.random.default_rng(0)
+    survey = with_noise(lambda at, n: (1e-3 if at in (3, 15) else 2e-4) * rng.standard_normal(n))
+    growth = {item.station: item.growth for item in rows_of_survey(survey).items}
+    assert 15.0 < growth.pop(3) < 36.0
+    assert 15.0 < growth.pop(15) < 36.0
+    assert max(growth.values()) < 2.0

@@ -614,3 +614,83 @@ def test_a_beam_of_a_survey_has_a_mirror_image(walls, sigma_deg):
     else:
         assert result.status == "converged"
         assert np.arccos(beam.direction @ v) < 4.0 * np.sqrt(2.0) * beam.direction_sigma
+
+
+def array_before_walls(wobble, recorded, seed):
+    """An array on a vehicle before two upright walls, whose poses err by 0.2 mm, and readings by 1 mm.
+
+    It rolls and pitches by `wobble`, and recorded turns err by `recorded` [deg].
+    """
+    rng = np.random.default_rng(seed)
+    azimuth, wall = np.radians([0.0, 70.0]), np.repeat([0, 1], 14)
+    n = np.column_stack((-np.cos(azimuth), -np.sin(azimuth), np.zeros(2)))[wall]
+    yaw = azimuth[wall] + rng.uniform(-0.4, 0.4, 28)
+    place = rng.uniform(-0.4, 0.4, (28, 3)) * [1.0, 1.0, 0.0]
+    turns = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0])
+    turns *= Rotation.from_rotvec(np.radians(wobble) * rng.standard_normal((28, 3)) * [1, 1, 0])
+    mount = np.array([[0.1, 0.0, 0.995], [1.0, 0.0, -0.1], [0.0, 1.0, 0.0]])
+    mount = Rotation.from_rotvec([0.02, 0.1, -0.05]) * Rotation.from_matrix(mount)
+    side = np.linspace(-0.4, 0.4, 5)
+    u = np.stack(np.meshgrid(side, side, [1.0]), axis=-1).reshape(-1, 3)
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    rays = np.einsum("mij,zj->mzi", (turns * mount).as_matrix(), u)
+    start = place + turns.apply([0.1, 0.02, 0.4])
+    ranges = -(1.5 + (start * n).sum(axis=1))[:, None] / np.einsum("mzi,mi->mz", rays, n)
+    ranges += 1e-3 * rng.standard_normal(ranges.shape)
+    R = turns * Rotation.from_rotvec(np.radians(recorded) * rng.standard_normal((28, 3)))
+    labels = tuple(f"plane:{'AB'[w]}" for w in wall)
+    at = place + 2e-4 * rng.standard_normal((28, 3))
+    stations = hl.StationList(R.as_matrix(), at, labels)
+    shots = hl.Shots.array("tof", np.repeat(np.arange(28), 25), np.tile(u, (28, 1)), ranges.ravel())
+    return hl.Survey(stations, (shots,))
+
+
+@pytest.mark.parametrize("recorded", [0.02, 0.1])
+def test_errors_of_recorded_turns_are_no_motion_of_a_vehicle(recorded):
+    """Before upright walls the height of an array is open, however poses that err wobble.
+
+    It was "usable", half a metre off. Errors that are as usual are known before; others are learned.
+    """
+    found = hl.calibrate(array_before_walls(0.0, recorded, 0))
+    assert found.status == "undetermined"
+    assert "the height of every sensor" in found.undetermined[0]
+
+
+def test_turns_of_a_vehicle_on_an_uneven_floor_are_motion():
+    """They are well above the errors of the poses, and tell the height as well as they can."""
+    found = hl.calibrate(array_before_walls(0.5, 0.02, 0))
+    assert found.verdict.usable
+    tof = found.sensors["tof"]
+    assert np.all(np.abs(tof.location - [0.1, 0.02, 0.4]) < 4.0 * tof.location_sigma)
+
+
+@pytest.mark.parametrize("error", [0.02, 0.1])
+def test_errors_of_recorded_turns_are_no_motion_of_beams(error):
+    """A leaning board leaves one common height of all beams; errors of the poses tell nothing of it."""
+    rng, made = np.random.default_rng(0), scene("planar", "one leans", 4)
+    turns = Rotation.from_rotvec(np.radians(error) * rng.standard_normal(made.t.shape))
+    recorded = made.t + 2e-4 * rng.standard_normal(made.t.shape)
+    recording = made.recording(5e-4)
+    wobbling = replace(recording, world_R_hand=made.R @ turns.as_matrix(), world_t_hand=recorded)
+    found = hl.calibrate(wobbling)
+    assert found.status == "unobservable"
+    assert "one common height" in found.message
+
+
+def test_pose_errors_of_a_vehicle_that_are_learned_in_place_of_stated_ones_are_no_motion():
+    """Stated a fifth as large, errors of turns gave a height that was "usable", 0.27 m off."""
+    stated = hl.Noise(pose_rotation_sigma=np.radians(0.01), pose_translation_sigma=2e-4)
+    survey = array_before_walls(0.0, 0.05, 7)
+    survey = replace(survey, shots=(replace(survey.shots[0], sigma=1e-3),))
+    found = hl.calibrate(survey, stated)
+    assert found.status == "undetermined"
+    assert "the height of every sensor" in found.undetermined[0]
+    rng, made = np.random.default_rng(2), scene("planar", "one leans", 4)
+    turns = Rotation.from_rotvec(np.radians(0.05) * rng.standard_normal(made.t.shape))
+    recorded = made.t + 2e-4 * rng.standard_normal(made.t.shape)
+    recording = replace(
+        made.recording(5e-4), world_R_hand=made.R @ turns.as_matrix(), world_t_hand=recorded
+    )
+    result = hl.calibrate(recording, replace(stated, range_sigma=5e-4))
+    assert result.status == "unobservable"
+    assert "one common height" in result.message

@@ -506,7 +506,8 @@ class Survey(Value):
             for label in known.of:
                 if label not in there:
                     listed = some(sorted(there), 8)
-                    raise InputError(f"{known.words}: no {shown(label)}", f"one of {listed}")
+                    found = f"no {shown(label)}, which is in [[known]]: {known.words}"
+                    raise InputError(found, f"one of {listed}")
 
     def variables(self) -> set[str]:
         """Return the labels of all that a relation can be of: sensors, beams and targets."""

@@ -27,7 +27,13 @@ from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import tests_of
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
-from .survey_mirror import best_image, images_of, motion_with_images, with_images
+from .survey_mirror import (
+    best_image,
+    images_of,
+    motion_with_images,
+    with_images,
+    without_wobble,
+)
 from .survey_noise import USUALLY_AGAIN, Components, Inside, components
 from .survey_outliers import (
     GROSS,
@@ -185,7 +191,7 @@ class SurveyEstimate:
         scale = np.sqrt((J**2).sum(axis=0))
         U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
         left = 1.0 - (U[:, size > NEGLIGIBLE * size[0]] ** 2).sum(axis=1)
-        source, inside = state.sources(owner), _inside(self.rows)[1]
+        source, inside = state.sources(owner), _beside_rows(state)[1]
         own = np.bincount(source[source >= 0], left[source >= 0], len(inside))
         return np.asarray(own + inside)
 
@@ -220,7 +226,20 @@ def estimate_survey(
         No shot has enough points on a target, or shows the edge of its groove; a sensor, or a beam,
         that nothing leads to a start of.
     """
-    state = first_state(rows_of(survey, noise), noise, earlier) if begun is None else begun
+    if begun is not None:
+        return replace(_estimated(begun), given=noise)
+    rows = rows_of(survey, noise)
+    flat = without_wobble(rows, noise.standstill[1])
+    found = _estimated(first_state(flat, noise, earlier))
+    if flat is rows and noise.pose_covariance is None:
+        flat = without_wobble(rows, found.noise.pose[0])  # errors that were learned
+        if flat is not rows:
+            found = _estimated(first_state(flat, noise))
+    return found
+
+
+def _estimated(state: SurveyState) -> SurveyEstimate:
+    """Go on from a first state to the estimate."""
     first = first_fit(state)
     settled = _settle_near(state)
     again, others = best_image(state, _settle_near)
@@ -235,6 +254,7 @@ def estimate_survey(
         again, others = best_image(state, _settle_near)
     problem, _ = state.problem()
     found = judged(problem, problem.blocks, dict(state.values))
+    found = replace(found, dof=max(found.dof - round(float(_twice(state).sum())), 0))
     # A mirror image that fits better than the first state is none of its misfit.
     misfit = not first.fits and (not settled or (again is None and found.status != "converged"))
     if misfit or (not settled and found.status != "undetermined"):
@@ -262,7 +282,7 @@ def estimate_survey(
     found, images = with_images(found, others)
     sizes, stated, used = state.sizes, state.stated, state.used
     return SurveyEstimate(
-        state.rows, noise, found, sizes, stated, used, tests, images, first, spread
+        state.rows, state.noise, found, sizes, stated, used, tests, images, first, spread
     )
 
 
@@ -518,6 +538,27 @@ def _inside(rows: SurveyRows, *, single: bool = False) -> Inside:
     return squares, dof
 
 
+def _beside_rows(state: SurveyState) -> Inside:
+    """Return what shots that count tell of the noise beside their rows, and not twice in them."""
+    squares, dof = _inside(state.rows)
+    return squares, dof - _twice(state)
+
+
+def _twice(state: SurveyState) -> FloatArray:
+    """Return how many rows of each source say again what others say, as their errors go together.
+
+    Single readings are as many rows as they are, but tell as much of the noise as fewer independent
+    ones.
+    """
+    rows = state.rows
+    twice = np.zeros(len(set(rows.sources.values())) + 1)
+    for item in rows.counted(state.used):
+        if item.shot is not None and item.shot.single:
+            share = 1.0 - 1.0 / item.shot.growth[0]
+            twice[rows.sources[item.mount]] += share * len(item.shot.reading)
+    return twice
+
+
 def _stated(rows: SurveyRows, noise: Noise) -> Components:
     """Return what is stated of the noise, NaN for what is not."""
     turn, shift = noise.pose_rotation_sigma, noise.pose_translation_sigma
@@ -671,7 +712,7 @@ def sizes_and_likelihood(
     # The likelihood has no bound where all spots are aimed exactly.
     finest[len(state.sizes.sigma) - 1] = 1e-6
     finest[-1] = SAME_OPTIMUM
-    source, inside = state.sources(owner), _inside(state.rows)
+    source, inside = state.sources(owner), _beside_rows(state)
     usual = usual_noise(state.rows, state.noise)
     again = np.where(state.rows.shared[state.stations(owner)], owner, -1)
     noise = state.sizes, state.stated, usual, finest

@@ -24,7 +24,7 @@ from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from ..observability.motion import COUNTED_TURN, PoorMotion, poor_motion
+from ..observability.motion import COUNTED_TURN, PoorMotion, poor_motion, steadied
 from ..observability.rank import ObservabilityOptions
 from ..quantities import FAR_SIGMAS, MOST_ROUNDS
 from .estimate import Estimate, descended
@@ -48,6 +48,21 @@ def motion_of(rows: SurveyRows) -> PoorMotion | None:
     numbers = numbers_of(rows)
     seen = {(numbers[item.target], 0, item.station, rows.length) for item in rows.items}
     return poor_motion(rows.readings(seen, 1))
+
+
+def without_wobble(rows: SurveyRows, error: float) -> SurveyRows:
+    """Return rows whose hand turns about the axis of its poor motion alone, or not at all.
+
+    The same rows come back where it turns further than its errors, `error` about each axis [rad], or
+    where its motion is not poor.
+    """
+    motion, stations = motion_of(rows) if rows.items else None, rows.survey.stations
+    if motion is None:
+        return rows
+    R = steadied(motion, stations.world_R_hand, error)
+    if R is None:
+        return rows
+    return replace(rows, survey=replace(rows.survey, stations=replace(stations, world_R_hand=R)))
 
 
 def motion_with_images(rows: SurveyRows) -> PoorMotion | None:

@@ -18,7 +18,9 @@ from ..model.condensed_shots import (
     Mixed,
     Unexplained,
     condensed_shots,
+    grown,
     some_of,
+    with_own_noise,
 )
 from ..model.families import BEAM, PLANE, POSE, pose_of
 from ..model.range_blocks import GivenPoses, PoseVariables, Ranges, RobotModel
@@ -94,6 +96,11 @@ class Item:
     def mount(self) -> Entity:
         """Whose reading it is."""
         return self.family, self.member
+
+    @property
+    def growth(self) -> float:
+        """The variance of its readings, where their noise has a variance of one."""
+        return 1.0 if self.shot is None else self.shot.growth[0] * self.shot.growth[1]
 
     @property
     def numbers(self) -> int:
@@ -355,8 +362,10 @@ def about_errors(rows: SurveyRows, values: Values) -> SurveyRows | None:
             how = {"sorted_out": True, "errors": errors[member]}
             again = condensed_shots(kind, target, tables, ratio, **how)
             for i, shot, points in zip(some_items, again, seen, strict=True):
-                if shot is not None:
-                    items[i] = replace(items[i], shot=shot, points=points[shot.kept])
+                now = items[i].shot
+                if shot is not None and now is not None:
+                    again_grown = grown(shot, *now.growth)
+                    items[i] = replace(items[i], shot=again_grown, points=points[shot.kept])
     return replace(rows, items=tuple(items), errors=errors)
 
 
@@ -368,6 +377,8 @@ def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list
         seen = [i for i, (_, label, _) in enumerate(parts) if kind_of(label) == target]
         tables = [(shots.across[parts[i][2]], shots.reading[parts[i][2]]) for i in seen]
         some = condensed_shots(KINDS[shots.kind], target, tables, ratio, shots.sigma)
+        if len(KINDS[shots.kind].axes) == 2:
+            some = with_own_noise(some)
         for i, shot in zip(seen, some, strict=True):
             found[i] = shot
     return found
@@ -533,7 +544,10 @@ def blocks_of(
                 mounted = replace(mounted, by_scale=(shift, turn, scale))
             reading = np.concatenate([s.reading for s in shots]).reshape(1, -1, size)
             ranges = Ranges(mounted, TARGETS[target](seen), robot, reading)
-            mix = np.stack([s.mix for s in shots]) if size > 1 else np.ones((len(member), 1, 1))
+            if size > 1:
+                mix = np.stack([s.mix for s in shots])
+            else:
+                mix = np.concatenate([np.diagonal(s.mix) for s in shots]).reshape(-1, 1, 1)
             root = np.repeat(root, mix.shape[2], axis=1)
             blocks.append(Mixed(ranges, mix, weights(root)))
         owners.append(np.repeat(numbers, root.shape[1]))

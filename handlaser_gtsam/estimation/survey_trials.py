@@ -214,9 +214,16 @@ def with_noise_learned(found: SurveyEstimate) -> SurveyEstimate:
 
 
 def _compares(free: SurveyEstimate, found: SurveyEstimate) -> bool:
-    """Tell whether an estimate converged whose shots count of the same targets as of another one."""
-    same = free.rows.targets == found.rows.targets
-    return same and free.estimate.status == "converged"
+    """Tell whether an estimate whose shots count of the same targets as of another one says the noise.
+
+    It converged, or the other one's turns are within the errors that it learned: without them it is
+    undetermined what these turns seem to say.
+    """
+    if free.rows.targets != found.rows.targets:
+        return False
+    turned, steady = (one.rows.survey.stations.world_R_hand for one in (found, free))
+    without_turns = free.estimate.status == "undetermined" and not np.array_equal(turned, steady)
+    return free.estimate.status == "converged" or without_turns
 
 
 def _contradicted(found: SurveyEstimate, near: SurveyEstimate, every: list[int]) -> list[int]:

@@ -175,7 +175,13 @@ def _first_fault(
         kind = one["type"].removesuffix("_type").removesuffix("_parsing")
         wanted.append(KINDS.get(kind, "another value").format(**one.get("ctx", {})))
     wanted_words = " or ".join(dict.fromkeys(wanted))
-    return InputError(f"{field} = {shown(fault['input'])}", wanted_words, path)
+    given, several = fault["input"], f"{field}s"
+    if path.suffix == ".toml" and isinstance(given, dict) and wanted_words == KINDS["list"]:
+        return InputError(f"the table [{field}]", f"[[{field}]], a table for each", path)
+    if path.suffix == ".toml" and isinstance(given, list) and wanted_words == KINDS["dict"]:
+        more = f", or [[{several}]]" if several in schema.model_fields else ""
+        return InputError(f"the tables [[{field}]]", f"one table [{field}]{more}", path)
+    return InputError(f"{field} = {shown(given)}", wanted_words, path)
 
 
 def _tables(annotation: object) -> Iterator[type[BaseModel]]:

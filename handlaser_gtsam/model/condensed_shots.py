@@ -23,6 +23,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import RAY_ERRORS
 from ..quantities import (
+    FAR_SIGMAS,
     MEDIAN_TO_SIGMA,
     MOST_ROUNDS,
     NEGLIGIBLE,
@@ -33,6 +34,7 @@ from ..quantities import (
 )
 from .block import Rows, Slot, Values, Weights
 from .distributions import gaussian_quantile
+from .errors_together import DISTANCES, FEWEST_SHOTS, common_growth, growth_by_distance
 from .range_blocks import Ranges
 from .reduced_information import inverse_stack
 from .sensors.kinds import Kind, Rayset
@@ -53,6 +55,11 @@ VOTING = 128
 """Points that vote on trial shapes."""
 MOST_SLANTED = 3.0
 """Rays that count meet the target with a cosine of at least one over this."""
+SHOTS_THAT_TELL = 32
+"""How errors go together is one number of a sensor: that number of shots of a batch tells it."""
+ROUGHEST_SHOT = 36.0
+"""A shot whose readings have up to that times the typical variance is a rough one, as before a dark or
+slanted surface; beyond, it is of something else, and has no weight of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +176,7 @@ class Condensed:
         Residuals, with their derivatives by the range error, of what it does beside moving the shape.
     squares : float
         Of what is left, with `dof` degrees of freedom.
-    dof : int
+    dof : float
     kept : (n,) of bool
         Points that belong to the shape.
     single : bool
@@ -177,6 +184,11 @@ class Condensed:
         say what `squares` say, too.
     scale : float
         At which the rays of single readings are, which move with it.
+    growth : (together, rough)
+        Factors on the variance of a reading that rows are of: one over the part of the readings that
+        are as good as independent, and how much rougher the shot is than others (`with_own_noise`).
+    together : (k,)
+        What `growth_by_distance` says of its residuals; NaN where that is not known.
     """
 
     shape: FloatArray
@@ -187,10 +199,12 @@ class Condensed:
     rest: FloatArray
     rest_by_error: FloatArray
     squares: float
-    dof: int
+    dof: float
     kept: BoolArray
     single: bool = False
     scale: float = 0.0
+    growth: tuple[float, float] = (1.0, 1.0)
+    together: FloatArray = field(default_factory=lambda: np.full(len(DISTANCES), np.nan))
 
     @property
     def hardly_known(self) -> bool:
@@ -246,7 +260,9 @@ def condensed_shots(
             rays = kind.scaled(np.concatenate([shots[i][0] for i in some]), float(errors[-1]))
             rays = _rows(rays, np.arange(len(some) * n).reshape(len(some), n))
             reading = np.stack([shots[i][1] for i in some])
-            ends = _condensed(shape, rays, reading, few, ratio, sigma, sorted_out, errors)
+            along = np.stack([shots[i][0].reshape(n, -1)[:, 0] for i in some])
+            line = along if len(kind.axes) == 2 else None  # else neighbours are not known
+            ends = _condensed(shape, rays, reading, few, ratio, sigma, sorted_out, errors, line)
             for i, end in zip(some, ends, strict=True):
                 found[i] = end
     return found
@@ -261,8 +277,12 @@ def _condensed(
     sigma: float | None,
     sorted_out: bool,
     errors: FloatArray,
+    line: FloatArray | None,
 ) -> list[Condensed | None]:
-    """Return shots with readings (G, n) in a few rows; those with few points kept as they are."""
+    """Return shots with readings (G, n) in a few rows; those with few points kept as they are.
+
+    Where they are along a line (G, n) tells neighbours; None for rays that are on none.
+    """
     (G, n), scale = reading.shape, float(errors[-1])
     as_read, reading = reading, reading + errors[0] + (errors[1] + errors[2] * reading) * reading
     kept = np.ones(reading.shape, dtype=bool)
@@ -288,12 +308,15 @@ def _condensed(
     whole = np.flatnonzero(fits & ~single & (many >= shape.size))
     ends: list[Condensed | None] = [None] * G
     for i in np.flatnonzero(fits & single & (many >= shape.size)).tolist():
-        ends[i] = _as_they_are(shape, _rows(rays, i), as_read[i], kept[i], scale)
+        along = None if line is None or i >= SHOTS_THAT_TELL or many[i] <= few else line[i]
+        ends[i] = _as_they_are(shape, _rows(rays, i), as_read[i], kept[i], scale, along)
     if not whole.size:
         return ends
     kept = kept[whole]
     found, _, linear = _fitted(shape, found[whole], _rows(rays, whole), reading[whole], kept, ratio)
-    for i, end in zip(whole.tolist(), _in_rows(shape, found, *linear, kept, errors), strict=True):
+    line = None if line is None else line[whole]
+    rows = _in_rows(shape, found, *linear, kept, errors, line)
+    for i, end in zip(whole.tolist(), rows, strict=True):
         ends[i] = end if end is None else _about(end, errors)
     return ends
 
@@ -348,23 +371,35 @@ def _fitted(
 
 
 def _as_they_are(
-    shape: Shape, rays: Rayset, reading: FloatArray, kept: BoolArray, scale: float
+    shape: Shape,
+    rays: Rayset,
+    reading: FloatArray,
+    kept: BoolArray,
+    scale: float,
+    line: FloatArray | None = None,
 ) -> Condensed:
     """Return readings as rows of their own; the shape only serves as a start, where there is one."""
     rays, d = _rows(rays, kept), reading[kept]
     n, found, squares, dof = len(d), np.full(shape.size, np.nan), 0.0, 0
+    together = np.full(len(DISTANCES), np.nan)
     if n >= shape.size:
         every = _rows(rays, None)
         all_points = np.ones((1, n), dtype=bool)
-        refined, fits, _ = _fitted(shape, shape.through(every, d[None]), every, d[None], all_points)
+        refined, fits, linear = _fitted(
+            shape, shape.through(every, d[None]), every, d[None], all_points
+        )
         if fits[0]:
             found = refined[0]
             e = d - shape.ranges(refined[:, None], every)[0, 0]
             hit = np.isfinite(e)
             squares, dof = float(e[hit] @ e[hit]), max(int(hit.sum()) - shape.size, 0)
+            if line is not None and hit.all() and dof > shape.size and squares > 0.0:
+                Q, alone = np.linalg.qr(linear[2][0])[0], e * np.sqrt(dof / squares)
+                together = growth_by_distance(Q, alone, line[kept].argsort())
     by_error = np.stack((np.ones(n), d, d**2, np.zeros(n)))
     nothing = np.zeros(0), np.zeros((0, len(by_error)))
-    return Condensed(found, rays, d, np.eye(n), by_error, *nothing, squares, dof, kept, True, scale)
+    shot = Condensed(found, rays, d, np.eye(n), by_error, *nothing, squares, dof, kept, True, scale)
+    return replace(shot, together=together)
 
 
 def some_of(shot: Condensed, which: BoolArray) -> Condensed:
@@ -397,6 +432,7 @@ def _in_rows(
     root: FloatArray,
     kept: BoolArray,
     errors: FloatArray,
+    line: FloatArray | None,
 ) -> list[Condensed | None]:
     """Return as many rays of each shot as its shape has numbers, and what range errors leave."""
     s = shape.ranges(found[:, None], rays)[:, 0]
@@ -427,7 +463,7 @@ def _in_rows(
         # Ranges at the nodes have the covariance G G' with G = at inv(R).
         mix: FloatArray = np.linalg.inv(np.linalg.solve(R[g].T, at.T).T).T
         rest = U[g][:, some].T @ beside[g]
-        ends[g] = Condensed(
+        shot = Condensed(
             found[g],
             _rows(_rows(rays, g), nodes[g]),
             s[g, nodes[g]],
@@ -439,7 +475,54 @@ def _in_rows(
             int(kept[g].sum()) - shape.size - int(some.sum()),
             kept[g],
         )
+        tells = g < SHOTS_THAT_TELL and shot.dof > shape.size and shot.squares > 0.0
+        if line is not None and tells:
+            alone = (e[g] - base[g] @ (U[g][:, some] @ rest)) * np.sqrt(shot.dof / shot.squares)
+            shot = replace(shot, together=growth_by_distance(Q[g], alone, line[g].argsort()))
+        ends[g] = shot
     return ends
+
+
+def with_own_noise(shots: Sequence[Condensed | None]) -> list[Condensed | None]:
+    """Return shots of rays of one plane, before targets of one kind, whose rows count how they err.
+
+    Errors of neighbouring readings may go together, as filtered or grainy ones do, and some shots may
+    be rougher than others: both follow from residuals inside all shots, where they say it clearly.
+    """
+    known = [shot for shot in shots if shot is not None and not shot.hardly_known]
+    telling = [shot for shot in known if shot.dof > 0 and shot.squares > 0.0]
+    if len(telling) < FEWEST_SHOTS:
+        return list(shots)
+    together = common_growth(np.array([shot.together for shot in telling]))
+    level = float(np.median([shot.squares / shot.dof for shot in telling]))
+    found = list(shots)
+    for i, shot in enumerate(shots):
+        if shot is None or not shot.dof:
+            continue
+        rough = shot.squares / (shot.dof * level)
+        clear = 1.0 + FAR_SIGMAS * np.sqrt(2.0 * together / shot.dof) < rough <= ROUGHEST_SHOT
+        clear &= not shot.hardly_known
+        found[i] = grown(shot, together, rough if clear else 1.0)
+    return found
+
+
+def grown(shot: Condensed, together: float, rough: float) -> Condensed:
+    """Return a shot whose variances are larger by what goes together, and by how rough it is.
+
+    Rows of single readings are as many as before, each with the larger variance.
+    """
+    if together == rough == 1.0:
+        return shot
+    root = np.sqrt(together * rough)
+    return replace(
+        shot,
+        mix=shot.mix / root,
+        rest=shot.rest / root,
+        rest_by_error=shot.rest_by_error / root,
+        squares=shot.squares / (together * rough),
+        dof=shot.dof / together,
+        growth=(together, rough),
+    )
 
 
 def _far_apart(rows: FloatArray) -> IntArray:

@@ -38,7 +38,7 @@ from ..data.recording import Readings, Recording, sorted_readings
 from ..errors import GrazingBeamError
 from ..model.families import count_unknowns
 from ..model.weighting import Whitening
-from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SINGULAR
+from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SINGULAR, TINY
 from ..solvers.beam_problem import refine
 from ..starts.choice import find_start
 from ..starts.translations import SPANNING
@@ -121,6 +121,28 @@ def poor_motion(readings: Readings) -> PoorMotion | None:
     return PoorMotion(
         "planar" if np.linalg.norm(along) <= least * root else "one axis", axis, upright
     )
+
+
+def steadied(motion: PoorMotion, R: FloatArray, error: float) -> FloatArray | None:
+    """Return rotations (M, 3, 3) about the axis of a poor motion alone, or one rotation for all.
+
+    Turns beside the axis that are within the errors of recorded poses, `error` about each axis [rad],
+    are no motion: taken for one, they determine heights, and wrong ones. None where they are larger.
+    """
+    axes = 2 if motion.axis.any() else 3
+    if axes == 2:
+        turned = R @ motion.axis
+        upright = model.normalized(turned.mean(axis=0))
+        across = np.cross(turned, upright)
+        sine = np.linalg.norm(across, axis=1)
+        beside = across * (np.arctan2(sine, turned @ upright) / np.maximum(sine, TINY))[:, None]
+        flat = Rotation.from_rotvec(beside).as_matrix() @ R
+    else:
+        mean = Rotation.from_matrix(R).mean().as_matrix()
+        beside = Rotation.from_matrix(mean @ np.swapaxes(R, 1, 2)).as_rotvec()
+        flat = np.tile(mean, (len(R), 1, 1))
+    within = (beside**2).sum(axis=1).mean() <= axes * (FAR_SIGMAS * error) ** 2
+    return flat if within else None
 
 
 def some_plane_leans(

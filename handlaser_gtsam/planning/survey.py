@@ -294,6 +294,7 @@ class _Look:
             some = points[evenly(len(points), RAYS)]  # which have the weight of all
             own = KINDS[shots.kind].rays(shots.across[some])
             station, rays, heavier = np.arange(count), len(some), len(points) / len(some)
+            heavier /= float(np.median([item.growth for item in self.items]))
             block = rays_before(member, own, family, seen_at, station)
         met = block.evaluate(without_range_errors(values))
         d = np.concatenate(
@@ -302,8 +303,7 @@ class _Look:
         s, sensor = met.columns[-1, 0], block.sensor
         good = (s > 0.8 * d.min()) & (s < 1.2 * d.max())
         good &= ~missed(family, met)
-        if isinstance(sensor, BeamSensor) and family == SPHERE.name:
-            # A survey counts none that graze it.
+        if family == SPHERE.name or isinstance(sensor, Mounted):  # a survey counts none that graze
             good &= np.linalg.norm(by_place(met), axis=0) < MOST_SLANTED
         s = np.where(good, s, 0.0)
         if isinstance(sensor, Mounted):

@@ -23,7 +23,7 @@ from ..estimation.survey import (
     first_image,
     first_state,
 )
-from ..estimation.survey_mirror import with_images
+from ..estimation.survey_mirror import with_images, without_wobble
 from ..estimation.survey_rows import SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
 from ..model.distributions import FEW_DEGREES
@@ -154,7 +154,7 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         No shot has enough points on its target.
     """
     noise = noise or Noise()
-    rows = rows_of(survey, noise)
+    rows = without_wobble(rows_of(survey, noise), noise.standstill[1])
     causes = tuple(misread(rows, noise))
     unread = tuple(unread_stations(rows))
     lost = () if causes else tuple(unconfirmed(rows, unread))

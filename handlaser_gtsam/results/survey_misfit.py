@@ -72,7 +72,7 @@ OTHER_KIND = {"plane": "sphere", "sphere": "plane"}
 MUCH_DEARER = 2.0
 """Real arrays before clutter cost up to 1.5 times as much one way as the other, from file to file; with
 noise of a fifth of what the two ways differ by, the wrong one costs ten times as much."""
-Cost = tuple[float, int, int]
+Cost = tuple[float, float, int]
 """What shots cost when they are read in one way: see `_squares`."""
 CHECKS = said("survey-checks")
 """What to do where no cause is known."""
@@ -497,7 +497,7 @@ def _much_better(sensors: Iterable[tuple[Cost, Cost, float]]) -> bool:
     shot of it has a shape, and it says nothing.
     """
     now = changed = 0.0
-    many = gone = 0
+    many, gone = 0.0, 0
     for stated, other, variance in sensors:
         if variance > 0.0:
             now += stated[0] / variance + ROUGH_CUT**2 * stated[2]
@@ -521,7 +521,7 @@ def _squares(
     sigma : float, optional
         Standard deviation of a reading [m], where it is known.
     """
-    total, dof, lost, rng = 0.0, 0, 0, np.random.default_rng(len(reading))
+    total, dof, lost, rng = 0.0, 0.0, 0, np.random.default_rng(len(reading))
     order = np.argsort(shots.station, kind="stable")
     for target in OTHER_KIND:
         seen = np.array([s for s, kind in kinds.items() if kind == target], dtype=np.intp)

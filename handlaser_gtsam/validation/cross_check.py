@@ -262,7 +262,8 @@ def _problem(found: SurveyEstimate) -> ReferenceProblem:
             target,
             sensor,
             np.array([item.reading for item in items]),
-            np.full(len(which), sigmas[family, items[0].member]),
+            sigmas[family, items[0].member]
+            * np.repeat([item.growth for item in items], each) ** 0.5,
             half_angle=items[0].half_angle,
         )
         if member >= 0:

@@ -60,8 +60,8 @@ def refuse_wrong_reading(
 ) -> tuple[CalibrationWarning, ...]:
     """Refuse a survey that fits a hundredfold better read another way; warn where it is less.
 
-    Units of lengths are tried of every sensor, and conventions of poses by the sensor that has most
-    shots.
+    Units of lengths are tried of every sensor, and conventions of poses by the finest one that has half
+    as many shots as any: a rough sensor fits no convention a hundredfold better.
 
     Parameters
     ----------
@@ -82,7 +82,10 @@ def refuse_wrong_reading(
     warnings: tuple[CalibrationWarning, ...] = ()
     poses = list(alternatives(numbers, way, given))
     mistakes = [*_single_mistakes(survey.stations), *_other_orders(numbers, way, given)]
-    for shots in sorted(survey.shots, key=lambda shots: -len(np.unique(shots.station))):
+    many = [len(np.unique(shots.station)) for shots in survey.shots]
+    noise = [_noise(survey, shots) if len(many) > 1 else 0.0 for shots in survey.shots]
+    order = sorted(range(len(many)), key=lambda i: (2 * many[i] < max(many), noise[i]))
+    for shots in (survey.shots[i] for i in order):
         words = f'the lengths of {shots.name} are in {{name}}: units = "{{unit}}" in [[sensors]]'
         others = [one for stated in LENGTHS for one in other_lengths(stated, words)]
         warnings += _accused(survey, shots, ([*others, *poses], mistakes), given)
@@ -253,6 +256,13 @@ def _variance(rows: SurveyRows) -> float:
     if sum(map(len, read)) < len(rows.places().names) + LEAST_SPARE:
         return 0.0
     return max(float(np.concatenate(read).var()), TINY)
+
+
+def _noise(survey: Survey, shots: Shots) -> float:
+    """Return the typical variance inside the shots of a sensor [m^2]; infinite where none tells it."""
+    shown = [item.shot for item in _part(survey, shots).items]
+    each = [one.squares / one.dof for one in shown if one is not None and one.dof > 0]
+    return float(np.median(each)) if each else np.inf
 
 
 def _part(survey: Survey, one: Shots) -> SurveyRows:
