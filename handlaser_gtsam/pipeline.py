@@ -16,7 +16,7 @@ from .estimation.options import CalibrationOptions
 from .estimation.scales import ROTATION
 from .estimation.selection import select
 from .model.losses import GAUSSIAN
-from .observability.motion import poor_motion, steadied
+from .observability.motion import poor_motion, steady
 from .progress import LOGGER, Listener, told_to
 from .quantities import MAJORITY
 from .results.assemble import assemble
@@ -189,23 +189,14 @@ def calibrate_from(
     """
     options = _checked(recording, noise, options)
     error = 0.0 if options.poses == "exact" else noise.standstill[1]
-    steady = _steady(recording, error)
-    result = _calibrated(start, steady or recording, noise, options, progress)
+    flat = steady(recording, error)
+    result = _calibrated(start, flat or recording, noise, options, progress)
     learned = [one.sigma for one in result.noise_estimate if one.name == ROTATION]
-    if steady is None and learned:
-        steady = _steady(recording, learned[0])
-        if steady is not None:
-            result = _calibrated(start, steady, noise, options, progress)
+    if flat is None and learned:
+        flat = steady(recording, learned[0])
+        if flat is not None:
+            result = _calibrated(start, flat, noise, options, progress)
     return result
-
-
-def _steady(recording: Recording, error: float) -> Recording | None:
-    """Return a recording without turns within the errors of its poses beside its poor motion."""
-    if not error or np.isnan(recording.ranges).all():
-        return None
-    motion = poor_motion(recording.readings())
-    R = None if motion is None else steadied(motion, recording.world_R_hand, error)
-    return None if R is None else replace(recording, world_R_hand=R)
 
 
 def _calibrated(

@@ -48,7 +48,7 @@ CONTRADICTED = -2.0 * math.log(FAMILY_LEVEL)
 """What is stated of the noise is contradicted where -2 log of the likelihood is larger by that than
 with it learned: more than two more sizes make of it by chance (Wilks)."""
 HAND = -1
-"""Which sigmas those of the hand are, beside the numbers of the sources of readings."""
+"""The sigmas of the hand, beside the numbers of the sources of readings."""
 CLOSE_TO_STATED = 1.2
 """Sigmas of readings that err by no more than this part beyond what is stated are left as stated."""
 BOTH_AXES, ALIKE = "x-and-z", ("k1", "scale")

@@ -25,7 +25,7 @@ standard deviations of metres. Turns and moves that are too small to count are t
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -143,6 +143,15 @@ def steadied(motion: PoorMotion, R: FloatArray, error: float) -> FloatArray | No
         flat = np.tile(mean, (len(R), 1, 1))
     within = (beside**2).sum(axis=1).mean() <= axes * (FAR_SIGMAS * error) ** 2
     return flat if within else None
+
+
+def steady(recording: Recording, error: float) -> Recording | None:
+    """Return a recording without turns within the errors of its poses beside its poor motion."""
+    if not error or np.isnan(recording.ranges).all():
+        return None
+    motion = poor_motion(recording.readings())
+    R = None if motion is None else steadied(motion, recording.world_R_hand, error)
+    return None if R is None else replace(recording, world_R_hand=R)
 
 
 def some_plane_leans(
