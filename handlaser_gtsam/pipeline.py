@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from .checks import require_kind
-from .data.noise import POSE_SIGMAS, SIGMAS, Noise
+from .data.noise import OF_POSE, Noise
 from .data.parameters import Parameters
 from .data.recording import Recording, beyond_planes, sorted_readings
 from .data.screening import screened
@@ -64,7 +64,8 @@ def calibrate(
         options and no progress); or blocks of any sensors, targets and relations, whose weights state
         their noise (then there are no further arguments, and the result is an `Estimate`).
     noise : Noise, optional
-        What is not given of it is estimated, and integrated over where that counts (docs/method.md).
+        What is not given of it, or contradicted by the readings, is estimated, and integrated over
+        where that counts (docs/method.md).
     options : CalibrationOptions, optional
         What is estimated, what is rejected, and the sensor's limits.
     progress : callable, optional
@@ -98,8 +99,8 @@ def calibrate(
             return estimate(recording)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
-    result = calibrate_from(None, recording, noise, options, progress)
-    return _with_noise_learned(result, recording, noise, options, progress)
+    result = _solved(None, recording, noise, options, progress)
+    return _logged(_with_noise_learned(result, recording, noise, options, progress))
 
 
 def _with_noise_learned(
@@ -122,14 +123,12 @@ def _with_noise_learned(
     most = MAJORITY * (fit.chi2 - fit.dof)
     if any(one.found and (one.size / one.sigma) ** 2 > most for one in stated.systematic):
         return stated
-    for wrong in (POSE_SIGMAS, ("range_sigma",), SIGMAS):
-        if noise.pose_covariance is not None and POSE_SIGMAS[0] in wrong:
-            continue
-        free = calibrate_from(None, recording, noise.without(wrong), options, progress)
+    for wrong in (OF_POSE, ("range_sigma",), ("range_sigma", *OF_POSE)):
+        free = _solved(None, recording, noise.without(wrong), options, progress)
         if free.interrupted:
-            break
+            return replace(stated, interrupted=True)
         codes = {one.code for one in free.warnings}
-        range_too = wrong == POSE_SIGMAS and "sigmas-too-small" in codes
+        range_too = wrong == OF_POSE and "sigmas-too-small" in codes
         other = any(one.found for one in free.systematic) or codes & OTHER_ERRORS
         # Turns of a vehicle within errors that were learned leave undetermined what they seem to say.
         poor = free.status == "unobservable" and poor_motion(recording.readings()) is not None
@@ -184,18 +183,33 @@ def calibrate_from(
 ) -> Calibration:
     """Do as `calibrate`, perhaps from the parameters of another calibration of these beams and planes.
 
+    Where all sigmas are stated they are kept.
+
     No start is sought where one is given. Where nothing fits, a search would try everything, which
     takes long; a model that lacks a beam or a term is known to fit less well.
     """
+    return _logged(_solved(start, recording, noise, options, progress))
+
+
+def _solved(
+    start: Parameters | None,
+    recording: Recording,
+    noise: Noise,
+    options: CalibrationOptions,
+    progress: Listener | None,
+) -> Calibration:
+    """Do as `calibrate_from`, without a word in the log about the result."""
     options = _checked(recording, noise, options)
-    error = 0.0 if options.poses == "exact" else noise.standstill[1]
-    flat = steady(recording, error)
-    result = _calibrated(start, flat or recording, noise, options, progress)
+    result = _calibrated(start, recording, noise, options, progress)
+    stated = 0.0 if options.poses == "exact" else noise.standstill[1]
     learned = [one.sigma for one in result.noise_estimate if one.name == ROTATION]
-    if flat is None and learned:
-        flat = steady(recording, learned[0])
+    for error in (stated, *learned):
+        fits = result.status in ("converged", "unobservable") and not result.interrupted
+        flat = steady(recording, error) if fits else None
         if flat is not None:
-            result = _calibrated(start, flat, noise, options, progress)
+            # What turns within the errors of the poses seem to say is undetermined.
+            without = _calibrated(start, flat, noise, options, progress)
+            return without if without.status == "unobservable" else result
     return result
 
 
@@ -234,12 +248,16 @@ def _calibrated(
         result = assemble(problem, selection, freed)
     of_noise = contradicted_sigmas(stated, gone, result.fit.range_sigma, result.noise_estimate)
     recorded = None if freed is None else recording
-    result = replace(
+    return replace(
         result,
         recording=problem.recording,
         recorded=recorded,
         warnings=(*warnings, *of_noise, *result.warnings),
     )
+
+
+def _logged(result: Calibration) -> Calibration:
+    """Return a result whose status and warnings are in the log."""
     fit = result.fit
     LOGGER.info("start: %s, the best of %d", result.start.method, len(result.start.tried))
     LOGGER.info("%d readings, %d rejected, rms %.3g m", fit.readings, len(fit.rejected), fit.rms)

@@ -280,6 +280,33 @@ def test_of_sigmas_that_are_all_stated_those_too_small_are_estimated(of_range, o
         assert np.abs((beam.location - location) / beam.location_sigma).max() < 4.0
 
 
+def test_a_covariance_of_the_poses_that_is_too_small_is_not_said_of_the_range_sigma():
+    recording, _ = robot(0, Layout(beams=3, planes=4, stations=14))
+    covariance = np.diag([(0.2 * ROTATION) ** 2] * 3 + [(0.2 * TRANSLATION) ** 2] * 3)
+    found = hl.calibrate(recording, hl.Noise(RANGE, pose_covariance=covariance))
+    (warning,) = found.warnings
+    assert warning.values["stated_rotation"] == pytest.approx(0.2 * ROTATION)
+    assert found.fit.range_sigma_given
+
+
+def test_ctrl_c_while_noise_is_learned_in_place_of_what_is_stated_is_kept():
+    """The result said that nothing was interrupted, and what called it went on."""
+    recording, _ = robot(0, Layout(beams=4, planes=6, stations=12))
+    stated, trials = hl.Noise(0.3 * RANGE, TRANSLATION, ROTATION), []
+
+    def listen(progress):
+        trials.extend([progress.trial] if progress.trial is not None else [])
+        if len(trials) == last:
+            raise KeyboardInterrupt
+
+    last = -1
+    assert not hl.calibrate(recording, stated, progress=listen).interrupted
+    last = len(trials) - 2
+    trials.clear()
+    assert hl.calibrate(recording, stated, progress=listen).interrupted
+    assert len(trials) == last
+
+
 def test_planes_are_predicted_with_the_noise_that_was_learned():
     """Each part contradicted what was stated by itself, or not: planes that fit did not."""
     recording, _ = robot(4, Layout(beams=3, planes=4, stations=8))

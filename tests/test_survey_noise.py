@@ -272,6 +272,20 @@ def test_the_sigma_of_the_beam_that_reads_worse_is_learned_alone(of_all):
         assert np.allclose(one.covariance, other.covariance, rtol=0.2, atol=1e-12)
 
 
+def test_beams_that_are_stated_to_err_differently_never_share_one_learned_sigma():
+    """One sigma for a rough and a fine beam was 0.4 times the right one of the rough one."""
+    survey = rigs.survey_of(rigs_by_rays.beams(2, hand_sigma=rigs.HAND))
+    ranges, true = survey.ranges.copy(), np.array([1e-3, 1e-4, 1e-4])
+    ranges[:, 0] += 1e-3 * np.random.default_rng(2).standard_normal(len(ranges))
+    survey = replace(survey, ranges=ranges)
+    right = hl.calibrate(replace(survey, range_sigma=true), rigs.STATED)
+    found = hl.calibrate(replace(survey, range_sigma=true / 3.0), rigs.STATED)
+    sigmas = [one.reading_sigma for one in found.beams.values()]
+    assert sigmas == pytest.approx((true / 3.0).tolist())
+    assert "sigmas-too-small" in {one.code for one in found.warnings}
+    assert right.usable
+
+
 def test_a_hand_that_is_not_exact_is_said_without_a_ratio(tmp_path):
     """Errors were "inf times as large as given"."""
     survey = rigs.survey_of(rigs_by_rays.profiler(0, hand_sigma=rigs.HAND))

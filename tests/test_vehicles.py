@@ -672,9 +672,27 @@ def test_errors_of_recorded_turns_are_no_motion_of_beams(error):
     recorded = made.t + 2e-4 * rng.standard_normal(made.t.shape)
     recording = made.recording(5e-4)
     wobbling = replace(recording, world_R_hand=made.R @ turns.as_matrix(), world_t_hand=recorded)
-    found = hl.calibrate(wobbling)
-    assert found.status == "unobservable"
-    assert "one common height" in found.message
+    # A station that reads nothing says nothing, wherever the hand is.
+    R, ranges = wobbling.world_R_hand.copy(), wobbling.ranges.copy()
+    R[3], ranges[3] = R[3] @ Rotation.from_rotvec([1.0, 0.0, 0.0]).as_matrix(), np.nan
+    for one in (wobbling, replace(wobbling, world_R_hand=R, ranges=ranges)):
+        found = hl.calibrate(one)
+        assert found.status == "unobservable"
+        assert "one common height" in found.message
+
+
+def test_turns_within_pose_errors_count_where_a_relation_determines_the_rest():
+    """Poses were made wrong by up to four sigmas, and a plane was falsely said to be moved."""
+    survey = array_before_walls(0.06, 0.02, 0)
+    pose = np.eye(4)
+    plain = hl.calibrate(survey)
+    pose[:3, :3] = plain.sensors["tof"].matrix()[:3, :3]
+    pose[:3, 3] = [0.1, 0.02, 0.4]
+    known = hl.Known("mount", ("sensor:tof",), sigma=1e-3, sigma_angle=np.radians(2.0), pose=pose)
+    found = hl.calibrate(replace(survey, known=(known,)))
+    assert found.usable
+    assert found.survey.stations == survey.stations
+    assert not {"displaced", "sigmas-too-small"} & {one.code for one in found.warnings}
 
 
 def test_pose_errors_of_a_vehicle_that_are_learned_in_place_of_stated_ones_are_no_motion():

@@ -19,6 +19,7 @@ from .value import Value
 
 POSE_SIGMAS = "pose_translation_sigma", "pose_rotation_sigma"
 OF_POSE = (*POSE_SIGMAS, "pose_covariance")
+"""Fields of `Noise` that state errors of the hand poses."""
 SIGMAS = ("range_sigma", *POSE_SIGMAS)
 """Fields of `Noise` that are estimated where they are not given, or where readings contradict them."""
 LEAST_SIGMA = 1e-12

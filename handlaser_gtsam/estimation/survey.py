@@ -229,12 +229,16 @@ def estimate_survey(
     if begun is not None:
         return replace(_estimated(begun), given=noise)
     rows = rows_of(survey, noise)
-    flat = without_wobble(rows, noise.standstill[1])
-    found = _estimated(first_state(flat, noise, earlier))
-    if flat is rows and noise.pose_covariance is None:
-        flat = without_wobble(rows, found.noise.pose[0])  # errors that were learned
-        if flat is not rows:
-            found = _estimated(first_state(flat, noise))
+    found = _estimated(first_state(rows, noise, earlier))
+    stated = noise.standstill[1]
+    learned = stated if noise.pose_covariance is not None else found.noise.pose[0]
+    for error in (stated, learned):
+        fits = found.estimate.status in ("converged", "undetermined")
+        flat = without_wobble(rows, error) if fits else None
+        if flat is not None:
+            # What turns within the errors of the poses seem to say is undetermined.
+            steady = _estimated(first_state(flat, noise, found))
+            return steady if steady.estimate.status == "undetermined" else found
     return found
 
 

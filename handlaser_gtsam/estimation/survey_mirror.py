@@ -50,18 +50,22 @@ def motion_of(rows: SurveyRows) -> PoorMotion | None:
     return poor_motion(rows.readings(seen, 1))
 
 
-def without_wobble(rows: SurveyRows, error: float) -> SurveyRows:
+def without_wobble(rows: SurveyRows, error: float) -> SurveyRows | None:
     """Return rows whose hand turns about the axis of its poor motion alone, or not at all.
 
-    The same rows come back where it turns further than its errors, `error` about each axis [rad], or
-    where its motion is not poor.
+    None where it does so, or turns further than its errors, `error` about each axis [rad] (`steadied`),
+    or where its motion is not poor.
     """
-    motion, stations = motion_of(rows) if rows.items else None, rows.survey.stations
+    motion, stations = motion_of(rows) if error and rows.items else None, rows.survey.stations
     if motion is None:
-        return rows
-    R = steadied(motion, stations.world_R_hand, error)
+        return None
+    of = np.full(len(stations), -1)
+    labels = np.unique(stations.plane_labels, return_inverse=True)[1]
+    read = [item.station for item in rows.items]
+    of[read] = labels[read]
+    R = steadied(motion, stations.world_R_hand, of, error)
     if R is None:
-        return rows
+        return None
     return replace(rows, survey=replace(rows.survey, stations=replace(stations, world_R_hand=R)))
 
 

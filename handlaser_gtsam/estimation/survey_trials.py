@@ -205,6 +205,9 @@ def with_noise_learned(found: SurveyEstimate) -> SurveyEstimate:
         if not (plausible and _compares(free, found)):
             return found
     wrong = _contradicted(found, free, every)
+    kinds = [np.unique(one.beam_sources) for one in (survey, _without(found, wrong)[0])]
+    if len(kinds[1]) < len(kinds[0]):  # beams that are stated to err differently would err alike
+        return found
     if wrong and (solved or len(wrong) < len(every) or not hand):
         free = estimate_survey(*_without(found, wrong), found)
     # Which shots count is decided again: one that is rejected either way tells nothing.

@@ -38,7 +38,7 @@ from ..data.recording import Readings, Recording, sorted_readings
 from ..errors import GrazingBeamError
 from ..model.families import count_unknowns
 from ..model.weighting import Whitening
-from ..quantities import FAR_SIGMAS, MOST_ROUNDS, SINGULAR, TINY
+from ..quantities import FAR_SIGMAS, MOST_ROUNDS, NEGLIGIBLE, SINGULAR, TINY
 from ..solvers.beam_problem import refine
 from ..starts.choice import find_start
 from ..starts.translations import SPANNING
@@ -123,34 +123,43 @@ def poor_motion(readings: Readings) -> PoorMotion | None:
     )
 
 
-def steadied(motion: PoorMotion, R: FloatArray, error: float) -> FloatArray | None:
-    """Return rotations (M, 3, 3) about the axis of a poor motion alone, or one rotation for all.
+def steadied(motion: PoorMotion, R: FloatArray, of: IntArray, error: float) -> FloatArray | None:
+    """Return rotations (M, 3, 3) about the axis of a poor motion alone, or one rotation a target.
 
     Turns beside the axis that are within the errors of recorded poses, `error` about each axis [rad],
-    are no motion: taken for one, they determine heights, and wrong ones. None where they are larger.
+    are no motion: taken for one, they determine heights, and wrong ones. None where they are larger, or
+    where there are none. `of` (M,) are the numbers of the targets that stations see, -1 where nothing
+    is read.
     """
-    axes = 2 if motion.axis.any() else 3
-    if axes == 2:
-        turned = R @ motion.axis
-        upright = model.normalized(turned.mean(axis=0))
-        across = np.cross(turned, upright)
-        sine = np.linalg.norm(across, axis=1)
-        beside = across * (np.arctan2(sine, turned @ upright) / np.maximum(sine, TINY))[:, None]
-        flat = Rotation.from_rotvec(beside).as_matrix() @ R
-    else:
-        mean = Rotation.from_matrix(R).mean().as_matrix()
-        beside = Rotation.from_matrix(mean @ np.swapaxes(R, 1, 2)).as_rotvec()
-        flat = np.tile(mean, (len(R), 1, 1))
-    within = (beside**2).sum(axis=1).mean() <= axes * (FAR_SIGMAS * error) ** 2
-    return flat if within else None
+    axes, flat, beside = 2 if motion.axis.any() else 3, R.copy(), np.zeros((len(R), 3))
+    for target in np.unique(of[of >= 0]):
+        some = of == target
+        if axes == 2:
+            turned = R[some] @ motion.axis
+            across = np.cross(turned, model.normalized(turned.mean(axis=0)))
+            sine = np.linalg.norm(across, axis=1)
+            angle = np.arctan2(sine, turned @ model.normalized(turned.mean(axis=0)))
+            beside[some] = across * (angle / np.maximum(sine, TINY))[:, None]
+            flat[some] = Rotation.from_rotvec(beside[some]).as_matrix() @ R[some]
+        else:
+            flat[some] = Rotation.from_matrix(R[some]).mean().as_matrix()
+            turns = Rotation.from_matrix(flat[some] @ np.swapaxes(R[some], 1, 2))
+            beside[some] = turns.as_rotvec()
+    within = (beside[of >= 0] ** 2).sum(axis=1).mean() <= axes * (FAR_SIGMAS * error) ** 2
+    return flat if within and (np.abs(beside) > NEGLIGIBLE).any() else None
 
 
 def steady(recording: Recording, error: float) -> Recording | None:
-    """Return a recording without turns within the errors of its poses beside its poor motion."""
-    if not error or np.isnan(recording.ranges).all():
+    """Return a recording without turns within the errors of its poses beside its poor motion.
+
+    None where there are none, or larger ones (`steadied`).
+    """
+    read = ~np.isnan(recording.ranges).all(axis=1)
+    motion = poor_motion(recording.readings()) if error and read.any() else None
+    if motion is None:
         return None
-    motion = poor_motion(recording.readings())
-    R = None if motion is None else steadied(motion, recording.world_R_hand, error)
+    of = np.where(read, recording.plane_of_station, -1)
+    R = steadied(motion, recording.world_R_hand, of, error)
     return None if R is None else replace(recording, world_R_hand=R)
 
 

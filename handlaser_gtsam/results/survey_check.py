@@ -154,7 +154,8 @@ def check_survey(survey: Survey, noise: Noise | None = None) -> SurveyCheck:
         No shot has enough points on its target.
     """
     noise = noise or Noise()
-    rows = without_wobble(rows_of(survey, noise), noise.standstill[1])
+    rows = rows_of(survey, noise)
+    rows = without_wobble(rows, noise.standstill[1]) or rows
     causes = tuple(misread(rows, noise))
     unread = tuple(unread_stations(rows))
     lost = () if causes else tuple(unconfirmed(rows, unread))
