@@ -1,5 +1,6 @@
 """The whole way, from a recording to a calibration."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, overload
 
@@ -24,12 +25,12 @@ from .results.calibration import Calibration
 from .results.problem import Problem
 from .results.warnings import DISPLACED, contradicted_sigmas
 
-OTHER_ERRORS = {DISPLACED, "poses-err", "large-pose-errors"}
-"""Warnings beside noise that was learned: more than sigmas that were too small is wrong then."""
-
 if TYPE_CHECKING:
     from .estimation.estimate import BlockProblem, Estimate
     from .results.survey import SurveyCalibration
+
+OTHER_ERRORS = {DISPLACED, "poses-err", "large-pose-errors"}
+"""Warnings beside noise that was learned: more than sigmas that were too small is wrong then."""
 
 
 @overload
@@ -99,21 +100,24 @@ def calibrate(
             return estimate(recording)
     noise = Noise() if noise is None else noise
     options = CalibrationOptions() if options is None else options
-    result = _solved(None, recording, noise, options, progress)
-    return _logged(_with_noise_learned(result, recording, noise, options, progress))
+
+    def solve(noise: Noise) -> Calibration:
+        return _solved(None, recording, noise, options, progress)
+
+    return _logged(_with_noise_learned(solve(noise), recording, noise, solve))
 
 
 def _with_noise_learned(
     stated: Calibration,
     recording: Recording,
     noise: Noise,
-    options: CalibrationOptions,
-    progress: Listener | None,
+    solve: Callable[[Noise], Calibration],
 ) -> Calibration:
     """Return a calibration with those sigmas learned that chi2 contradicts, where all were stated.
 
-    These are the sigmas of the poses, the range sigma, or both: the first beside which no other error
-    is found, nor the range sigma contradicted. None is where another error explains most of the misfit.
+    These are the sigmas of the poses, the range sigma, or both: the first of these beside which no
+    other error is found, nor the range sigma contradicted. Nothing is learned where another error
+    explains most of the misfit.
     """
     fit, codes = stated.fit, {one.code for one in stated.warnings}
     every = fit.range_sigma_given and (noise.poses_uncertain or noise.poses_exact)
@@ -124,7 +128,7 @@ def _with_noise_learned(
     if any(one.found and (one.size / one.sigma) ** 2 > most for one in stated.systematic):
         return stated
     for wrong in (OF_POSE, ("range_sigma",), ("range_sigma", *OF_POSE)):
-        free = _solved(None, recording, noise.without(wrong), options, progress)
+        free = solve(noise.without(wrong))
         if free.interrupted:
             return replace(stated, interrupted=True)
         codes = {one.code for one in free.warnings}

@@ -314,6 +314,19 @@ def test_planes_are_predicted_with_the_noise_that_was_learned():
     assert found.contradicted == ()
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_an_error_that_explains_the_misfit_is_not_taken_for_noise(seed):
+    """Noise that is learned takes it up, so that nothing is found beside it."""
+    rng = np.random.default_rng(seed)
+    truth, stations = SCENES["arm"](Layout(beams=3, planes=4, stations=14), rng)
+    recording = simulate(truth, stations, Errors(RANGE, TRANSLATION, ROTATION), rng)
+    bent = replace(recording, ranges=recording.ranges + 2.0 * recording.ranges**3)
+    found = hl.calibrate(bent, NOISE)
+    assert {"systematic-cubic", "sigmas-too-small"} <= set(codes(found))
+    assert found.fit.range_sigma_given
+    assert not [one for one in found.warnings if "stated_rotation" in one.values]
+
+
 def test_sigmas_stay_as_stated_where_another_error_explains_the_misfit():
     """A tool frame that was displaced is named in units of the noise that is stated."""
     recording, _ = robot(0, Layout(beams=4, planes=6, stations=12))

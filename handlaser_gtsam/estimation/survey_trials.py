@@ -217,10 +217,10 @@ def with_noise_learned(found: SurveyEstimate) -> SurveyEstimate:
 
 
 def _compares(free: SurveyEstimate, found: SurveyEstimate) -> bool:
-    """Tell whether an estimate whose shots count of the same targets as of another one says the noise.
+    """Tell whether an estimate with noise learned may take the place of another one.
 
-    It converged, or the other one's turns are within the errors that it learned: without them it is
-    undetermined what these turns seem to say.
+    Both have shots of the same targets, and it converged; or it is undetermined without turns of a
+    vehicle that are within the errors that it learned.
     """
     if free.rows.targets != found.rows.targets:
         return False

@@ -136,9 +136,10 @@ def steadied(motion: PoorMotion, R: FloatArray, of: IntArray, error: float) -> F
         some = of == target
         if axes == 2:
             turned = R[some] @ motion.axis
-            across = np.cross(turned, model.normalized(turned.mean(axis=0)))
+            upright = model.normalized(turned.mean(axis=0))
+            across = np.cross(turned, upright)
             sine = np.linalg.norm(across, axis=1)
-            angle = np.arctan2(sine, turned @ model.normalized(turned.mean(axis=0)))
+            angle = np.arctan2(sine, turned @ upright)
             beside[some] = across * (angle / np.maximum(sine, TINY))[:, None]
             flat[some] = Rotation.from_rotvec(beside[some]).as_matrix() @ R[some]
         else:

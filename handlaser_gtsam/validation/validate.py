@@ -90,7 +90,8 @@ def validate(
         if not options.estimate_noise:  # what the readings contradict, the parts learn, too
             learned = {one.quantity for one in whole.noise_estimate}
             learned |= set() if whole.fit.range_sigma_given else {RANGE}
-            noise = noise.without(FIELDS[one] for one in learned)
+            covariance = ("pose_covariance",) if learned - {RANGE} else ()
+            noise = noise.without((*covariance, *(FIELDS[one] for one in learned)))
         # Errors that are unknowns are taken out of all readings as the whole recording has them.
         keep = replace(options, outliers="keep", free=())
 
