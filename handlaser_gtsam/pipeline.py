@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .estimation.estimate import BlockProblem, Estimate
     from .results.survey import SurveyCalibration
 
-OTHER_ERRORS = {DISPLACED, "poses-err", "large-pose-errors"}
+OTHER_ERRORS = {DISPLACED, "correlated-in-time", "poses-err", "large-pose-errors"}
 """Warnings beside noise that was learned: more than sigmas that were too small is wrong then."""
 
 

@@ -327,6 +327,19 @@ def test_an_error_that_explains_the_misfit_is_not_taken_for_noise(seed):
     assert not [one for one in found.warnings if "stated_rotation" in one.values]
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_beam_that_moved_is_not_taken_for_pose_errors_that_are_stated(seed):
+    """Learned pose errors hid it, or stood beside it; the readings stayed correlated in time."""
+    recording, _ = robot(seed, Layout(beams=3, planes=4, stations=14))
+    order = np.random.default_rng(seed).permutation(len(recording.plane_labels))
+    recording = recording.part(order)
+    ranges = recording.ranges.copy()
+    ranges[len(order) // 2 :, 0] += 3e-4
+    found = hl.calibrate(replace(recording, ranges=ranges), NOISE)
+    assert {"displaced", "sigmas-too-small"} <= set(codes(found))
+    assert not [one for one in found.warnings if "stated_rotation" in one.values]
+
+
 def test_sigmas_stay_as_stated_where_another_error_explains_the_misfit():
     """A tool frame that was displaced is named in units of the noise that is stated."""
     recording, _ = robot(0, Layout(beams=4, planes=6, stations=12))
