@@ -64,6 +64,11 @@ ROWS: dict[str, tuple[str, dict[str, Any], hl.Noise]] = {
     "mixed, hand not stated": ("mixed", {"hand_sigma": HAND}, hl.Noise()),
     "profiler, 10 % wrong": ("profiler", {"wrong_shots": 0.1, "wrong_by": "station"}, EXACT),
     "array, 10 % wrong rays": ("array", {"wrong_shots": 0.1}, EXACT),
+    "array, sphere, 10 % wrong rays": (
+        "array",
+        {"wrong_shots": 0.1, "targets": "planes+sphere"},
+        EXACT,
+    ),
 }
 RELATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "angle": ("profiler", {"planes": 4}),

@@ -650,12 +650,12 @@ def _settle_sorted(state: SurveyState) -> bool:
     noise takes them in.
     """
     for _ in range(MOST_ROUNDS):
-        members = sortable(state.rows, state.sizes.sigma, _by_hand(state))
-        if not members:
+        arrays = sortable(state.rows, state.sizes.sigma, _by_hand(state))
+        if not arrays:
             break
         if not state.minimize():
             return False
-        again = sorted_again(state.rows, state.values, state.used, members)
+        again = sorted_again(state.rows, state.values, state.used, arrays)
         if again is None:
             break
         state.rows, state.used = again

@@ -5,13 +5,15 @@ sorted out when it was condensed.
 
 Of the few zones of a ToF array a shot hardly tells which read something else than its target: an edge,
 a thing before it. Where mount and target are known from all shots, each reading tells by itself. The
-distances e of all readings of a sensor from their planes are a mixture of noise and of anything else
-within the typical range L of the sensor (Banfield and Raftery, Biometrics 49, 1993, page 808):
+distances e of all readings of a sensor from their planes, or spheres, are a mixture of noise and of
+anything else within the typical range L of the sensor (Banfield and Raftery, Biometrics 49, 1993, page
+808):
 
     p(e) = w N(e; 0, sigma^2) + (1 - w) / L,
 
 with w and sigma by expectation maximisation. A reading counts where it is rather noise than anything
-else. Where errors of the hand are larger than those of a reading, a shot sorts its readings better.
+else. Where errors of the hand are larger than those of a reading, a shot before a plane sorts its
+readings better; before a sphere, whose shape takes most of them, it never does.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,13 +30,13 @@ from ..model.equation import corrected
 from ..model.families import PLANE, POSE, pose_of
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
-from ..model.targets.plane import PlaneTarget
+from ..model.targets.sphere import SPHERE, continued
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
 from .dense import dense_rows, tests_of, with_pose_errors
 from .estimate import BlockProblem
 from .joint_solution import STEPS_IN_VAIN
 from .survey_mirror import numbers_of
-from .survey_rows import Item, SurveyRows, blocks_of
+from .survey_rows import TARGETS, Entity, Item, SurveyRows, blocks_of
 from .survey_starts import TRIMMED, search_again, start_of
 from .survey_state import SurveyState, grazing
 
@@ -193,8 +195,12 @@ BESIDE_REACH = 0.2
 a tenth of a hundred readings are enough for it."""
 
 
-def sortable(rows: SurveyRows, sigma: FloatArray, by_hand: float) -> list[int]:
-    """Return the arrays before planes whose readings err more than the hand makes them.
+Sorted = tuple[int, str]
+"""An array, by its number, and the family of the targets before which its readings are sorted."""
+
+
+def sortable(rows: SurveyRows, sigma: FloatArray, by_hand: float) -> list[Sorted]:
+    """Return the arrays whose readings all shots sort better than each shot does by itself.
 
     Parameters
     ----------
@@ -205,16 +211,18 @@ def sortable(rows: SurveyRows, sigma: FloatArray, by_hand: float) -> list[int]:
         Standard deviation of what errors of the hand, as stated or usual, do to a reading [m].
     """
     every = range(len(rows.survey.shots))
-    return [i for i in every if sigma[i] > by_hand and any(_small_shots(rows, i))]
+    pairs = [(i, family) for i in every for family in (PLANE.name, SPHERE.name)]
+    rough = [one for one in pairs if one[1] == SPHERE.name or sigma[one[0]] > by_hand]
+    return [one for one in rough if any(_small_shots(rows, *one))]
 
 
 def sorted_again(
-    rows: SurveyRows, values: Values, used: BoolArray, members: Sequence[int]
+    rows: SurveyRows, values: Values, used: BoolArray, arrays: Sequence[Sorted]
 ) -> tuple[SurveyRows, BoolArray] | None:
-    """Return the rows with the readings of some arrays before planes sorted by the whole survey.
+    """Return the rows with the readings of some arrays sorted by the whole survey.
 
     A shot that was rejected, or had too few readings on its target, counts again where at least half
-    of its readings do.
+    of its readings do whose rays meet the target.
 
     Parameters
     ----------
@@ -222,8 +230,8 @@ def sorted_again(
     values : mapping
         Of a minimum.
     used : (items,) of bool
-    members : sequence of int
-        Numbers of these arrays (`sortable`).
+    arrays : sequence of (number, family)
+        These arrays, before which targets (`sortable`).
 
     Returns
     -------
@@ -235,20 +243,20 @@ def sorted_again(
         (item.member, item.station): i for i, item in enumerate(items) if item.shot is not None
     }
     changed = False
-    for member in members:
-        shots, tables = rows.survey.shots[member], list(_small_shots(rows, member))
-        misses, reach = _misses_and_reach(rows, values, member)
+    for member, family in arrays:
+        shots, tables = rows.survey.shots[member], list(_small_shots(rows, member, family))
+        misses, reach = _misses_and_reach(rows, values, member, family)
         some = []
-        for (station, plane, table), e in zip(tables, misses, strict=True):
+        for (station, target, table), e in zip(tables, misses, strict=True):
             near = np.abs(e) <= reach
             at = place.get((member, station))
             before = items[at].points if at is not None and counts[at] else None
-            if near.any() and (before is not None or near.mean() >= 0.5):
-                some.append((station, plane, table[near], at, before))
+            if near.any() and (before is not None or near.sum() >= 0.5 * np.isfinite(e).sum()):
+                some.append((station, target, table[near], at, before))
         every = [(shots.across[points], shots.reading[points]) for _, _, points, _, _ in some]
         kind = KINDS[shots.kind]
-        again = condensed_shots(kind, PLANE.name, every, sorted_out=True)
-        for (station, plane, points, at, before), shot in zip(some, again, strict=True):
+        again = condensed_shots(kind, family, every, sorted_out=True)
+        for (station, target, points, at, before), shot in zip(some, again, strict=True):
             if shot is None:
                 continue
             points = points[shot.kept]
@@ -260,7 +268,7 @@ def sorted_again(
                 member,
                 station,
                 int(rows.stops[station]),
-                (PLANE.name, plane),
+                target,
                 shot,
                 points=points,
             )
@@ -277,7 +285,7 @@ def sorted_again(
 
 def of_others(rows: SurveyRows, member: int) -> float:
     """Return the part of the readings of an array before planes that are not on their plane."""
-    tables = {station: table for station, _, table in _small_shots(rows, member)}
+    tables = {station: table for station, _, table in _small_shots(rows, member, PLANE.name)}
     many = sum(map(len, tables.values()))
     kept = sum(
         len(item.points)
@@ -294,7 +302,7 @@ def slackness(rows: SurveyRows, values: Values, member: int) -> float:
     other, and pull them along. For the density f of the distances, and the part P within the reach, the
     mean derivative of the influence is P - c (f(c) + f(-c)) (Huber, Robust Statistics, 1981, page 45).
     """
-    misses, reach = _misses_and_reach(rows, values, member)
+    misses, reach = _misses_and_reach(rows, values, member, PLANE.name)
     size = np.abs(np.concatenate(misses))
     inside = float((size <= reach).sum())
     low, high = (1.0 - BESIDE_REACH) * reach, (1.0 + BESIDE_REACH) * reach
@@ -303,11 +311,11 @@ def slackness(rows: SurveyRows, values: Values, member: int) -> float:
 
 
 def _misses_and_reach(
-    rows: SurveyRows, values: Values, member: int
+    rows: SurveyRows, values: Values, member: int, family: str
 ) -> tuple[list[FloatArray], float]:
     """Return `misses_of` the readings of each small shot of an array, and the reach of their noise."""
-    shots = _small_shots(rows, member)
-    misses = [misses_of(rows, values, member, plane, table) for _, plane, table in shots]
+    shots = _small_shots(rows, member, family)
+    misses = [misses_of(rows, values, member, target, table) for _, target, table in shots]
     length = float(np.median(rows.survey.shots[member].reading))
     return misses, reach_of_noise(np.concatenate(misses), length)
 
@@ -337,23 +345,25 @@ def reach_of_noise(e: FloatArray, length: float) -> float:
     return float(sigma * np.sqrt(2.0 * np.log(max(odds, 1.0))))
 
 
-def _small_shots(rows: SurveyRows, member: int) -> Iterator[tuple[int, int, IntArray]]:
-    """Yield station, plane and rows (n,) of the table of each small shot of an array before planes."""
+def _small_shots(
+    rows: SurveyRows, member: int, family: str
+) -> Iterator[tuple[int, Entity, IntArray]]:
+    """Yield station, target and rows (n,) of the table of each small shot of an array."""
     shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
-    planes = {label: i for i, label in enumerate(rows.targets.get(PLANE.name, ()))}
-    if shots.kind != "array":
+    number = {label: i for i, label in enumerate(rows.targets.get(family, ()))}
+    if shots.kind != "array" or not number:
         return
     for station in np.unique(shots.station).tolist():
         table = np.flatnonzero(shots.station == station)
         label = normal_label(labels[station])
-        if kind_of(label) == PLANE.name and label in planes and len(table) < MANY:
-            yield station, planes[label], table
+        if kind_of(label) == family and label in number and len(table) < MANY:
+            yield station, (family, number[label]), table
 
 
 def misses_of(
-    rows: SurveyRows, values: Values, member: int, plane: int, some: IntArray
+    rows: SurveyRows, values: Values, member: int, target: Entity, some: IntArray
 ) -> FloatArray:
-    """Return by how much readings of a sensor are longer than the way to a plane [m].
+    """Return by how much readings of a sensor are longer than the way to a plane or sphere [m].
 
     Infinite where a ray does not meet it.
 
@@ -362,8 +372,9 @@ def misses_of(
     rows : SurveyRows
     values : mapping
         Of a minimum.
-    member, plane : int
-        Numbers of the sensor and of the plane.
+    member : int
+        Number of the sensor.
+    target : (family, number)
     some : (n,)
         Rows of the table of the sensor.
     """
@@ -375,9 +386,12 @@ def misses_of(
     X, location = pose_of(sensor)
     direction = (rays.direction + scale * rays.direction_by_scale) @ X.T
     direction = np.einsum("nij,nj->ni", R, direction)
-    hits = PlaneTarget(np.array([plane])).hit(
+    family, number = target
+    hits = TARGETS[family](np.array([number])).hit(
         values, (R @ location + t).T[:, None, None], direction.T[:, None, None]
     )
     s = hits.range[0, 0]
-    e = k0 + corrected(d, np.array(k)) - s
-    return np.asarray(np.where(hits.impossible[0, 0] | (s <= 0.0), np.inf, e))
+    passes = hits.impossible[0, 0] | (s <= 0.0)
+    if family == SPHERE.name:
+        passes |= continued(hits.covector)[0, 0]
+    return np.asarray(np.where(passes, np.inf, k0 + corrected(d, np.array(k)) - s))

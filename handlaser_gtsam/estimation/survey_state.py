@@ -86,6 +86,8 @@ class SurveyState:
         Readings of a sphere have the square of its radius only: it is taken above zero.
         """
         self.used = self.used & ~grazing(self.rows)
+        if not self.used.any():
+            return False
         problem, _ = self.problem()
         blocks = problem.blocks
 

@@ -15,7 +15,7 @@ Blocks of shots have a few rows each: ranges whose noise is correlated (`Mixed`)
 leave (`Unexplained`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -49,6 +49,10 @@ ROUGH_RADIUS = 0.003
 """A ball is roughly known from a shot that tells its radius with a standard deviation above this part:
 rows of the first order in its errors say too much of k0 and the scale then. With noise of 1 mm on balls
 of 50 mm, 2 % of the radius, k0 was up to two standard deviations off."""
+CLEAR = 0.2
+"""What is behind a ball is farther from it than this part of its distance: points on it are closer."""
+STRAYS = 0.05
+"""Readings before all others are strays, and no ball, where they are a smaller part, or one or two."""
 LARGEST_BALL = 5.0
 """The radius of a sphere is below this multiple of the largest length of a shot, or it looks flat."""
 VOTING = 128
@@ -225,8 +229,8 @@ def condensed_shots(
     """Return shots in a few rows each; None where no shape fits the points of one.
 
     A shot of so few points that its shape is hardly known is not condensed: each reading is a row.
-    Many points on one ray show no shape.
-    Shots of equal length are condensed together.
+    Many points on one ray show no shape. A ball is looked for in front of what is clearly behind it,
+    then among all points. Shots of equal length are condensed together.
 
     Parameters
     ----------
@@ -248,6 +252,47 @@ def condensed_shots(
     shape = shape_of(kind, target)
     # A sphere is hardly known from up to four times as many points as it has numbers.
     few = 4 * shape.size if target == "sphere" else shape.size - 1
+    how = few, ratio, sigma, sorted_out, errors
+    if target != "sphere" or sorted_out:
+        return _alike(kind, shape, shots, *how)
+    found = list[Condensed | None]([None] * len(shots))
+
+    def find(points: Mapping[int, IntArray]) -> None:
+        """Find shots, by their number, with some of their points."""
+        tables = [(shots[i][0][some], shots[i][1][some]) for i, some in points.items()]
+        for (i, some), shot in zip(points.items(), _alike(kind, shape, tables, *how), strict=True):
+            if shot is not None:
+                kept = np.isin(np.arange(len(shots[i][1])), some[shot.kept])
+                found[i] = replace(shot, kept=kept)
+
+    front = {i: _in_front(reading) for i, (_, reading) in enumerate(shots)}
+    every = {i: np.arange(len(reading)) for i, (_, reading) in enumerate(shots)}
+    find(front)
+    find({i: every[i] for i in every if found[i] is None and len(front[i]) < len(every[i])})
+    return found
+
+
+def _in_front(reading: FloatArray) -> IntArray:
+    """Return the rows of the readings (n,) that are clearly before all others; all where none are."""
+    order = np.argsort(reading)
+    d = reading[order]
+    gap, span = np.diff(d), d[:-1] - d[0]
+    free = np.flatnonzero((gap > span) & (gap > CLEAR * np.abs(d[:-1])))
+    free = free[free + 1 >= max(3, STRAYS * len(d))]
+    return np.sort(order[: free[0] + 1]) if free.size else np.arange(len(d))
+
+
+def _alike(
+    kind: Kind,
+    shape: Shape,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    few: int,
+    ratio: float,
+    sigma: float | None,
+    sorted_out: bool,
+    errors: FloatArray,
+) -> list[Condensed | None]:
+    """Do as `condensed_shots`, those of equal length together."""
     lengths = np.array([len(reading) for _, reading in shots], dtype=int)
     found: list[Condensed | None] = [None] * len(shots)
     for n in np.unique(lengths).tolist():

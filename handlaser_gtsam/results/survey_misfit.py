@@ -245,7 +245,7 @@ def _misses(rows: SurveyRows, clear: SurveyEstimate, member: int) -> FloatArray:
     names = np.array([normal_label(label) for label in labels])[shots.station]
     for plane, label in enumerate(clear.rows.targets.get(PLANE.name, ())):
         some = np.flatnonzero(names == label)
-        miss[some] = misses_of(rows, values, member, plane, some)
+        miss[some] = misses_of(rows, values, member, (PLANE.name, plane), some)
     return miss
 
 
@@ -478,16 +478,20 @@ def _looks_other(sensors: Sequence[Shots], labels: Sequence[str], label: str) ->
 
 
 def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Cost) -> bool | None:
-    """Tell whether a target is less flat than planes are; None where nothing says what flat is."""
+    """Tell whether a target is less flat than planes are; None where nothing says what flat is.
+
+    Readings that fit no plane bend it only where it loses a larger part of them than other planes.
+    """
     stations = np.unique(shots.station).tolist()
     planes = [s for s in stations if kind_of(labels[s]) == "plane" and labels[s] != label]
-    total, dof, _ = _squares(shots, shots.reading, dict.fromkeys(planes, "plane"))
-    if shots.sigma:
-        total, dof = shots.sigma**2, 1
-    if not dof or total == 0.0:
+    total, dof, gone = _squares(shots, shots.reading, dict.fromkeys(planes, "plane"))
+    variance = shots.sigma**2 if shots.sigma else total / max(dof, 1.0)
+    if variance == 0.0:
         return None
     squares, own, lost = as_plane
-    return squares * dof / total + ROUGH_CUT**2 * lost > MUCH_DEARER * (own + lost)
+    of_others = max(OF_OTHERS, gone / max(dof + gone, 1.0))
+    bent = max(lost - of_others * (own + lost), 0.0)
+    return squares / variance + ROUGH_CUT**2 * bent > MUCH_DEARER * (own + lost)
 
 
 def _much_better(sensors: Iterable[tuple[Cost, Cost, float]]) -> bool:

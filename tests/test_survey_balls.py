@@ -1,0 +1,105 @@
+"""Balls as sensors of many rays see them: with a wall behind, and readings of something else."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import handlaser_gtsam as hl
+from benchmarks import rigs, rigs_by_distance, rigs_by_rays
+from handlaser_gtsam.model.condensed_shots import condensed_shots
+from handlaser_gtsam.model.sensors.kinds import KINDS
+
+PLACE, TURN = np.array([0.06, -0.03, 0.1]), Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
+BALL, RADIUS, WALL = np.array([0.5, 0.1, 0.3]), 0.04, 0.25
+"""Centre and radius of the ball, and how far the wall is behind its centre [m]."""
+TANGENTS = np.stack(np.meshgrid(*2 * [np.linspace(-0.36, 0.36, 8)]), axis=-1).reshape(-1, 2)
+ANGLES = np.radians(np.linspace(-45.0, 45.0, 241))
+RAYS = {
+    "array": np.column_stack((TANGENTS, np.ones(64))),
+    "scanner": np.column_stack((np.cos(ANGLES), np.sin(ANGLES), np.zeros(241))),
+}
+AHEAD = {"array": 2, "scanner": 0}
+"""The axis of the sensor that looks at the ball."""
+
+
+def before_a_wall(kind, seed, stations=14, sigma=1e-4):
+    """A sensor that looks at a ball from all around, a wall behind it: every ray reads something."""
+    rng = np.random.default_rng(seed)
+    u = RAYS[kind] / np.linalg.norm(RAYS[kind], axis=1)[:, None]
+    R, t, reading, on_ball = [], [], [], []
+    for _ in range(stations):
+        attitude = Rotation.random(rng=rng).as_matrix()
+        ahead = attitude[:, AHEAD[kind]]
+        aim = BALL + 0.3 * RADIUS * rng.uniform(-1.0, 1.0, 3)
+        origin = aim - rng.uniform(0.2, 0.3) * ahead
+        w, away = origin - BALL, u @ attitude.T
+        b = away @ w
+        inside = b**2 - w @ w + RADIUS**2
+        s = np.where(inside > 0.0, -b - np.sqrt(np.maximum(inside, 0.0)), np.inf)
+        normal = Rotation.from_rotvec(rng.normal(0.0, 0.2, 3)).as_matrix() @ ahead
+        wall = ((BALL + WALL * ahead - origin) @ normal) / (away @ normal)
+        on_ball.append(np.isfinite(s).mean())
+        reading.append(np.minimum(s, wall) + sigma * rng.standard_normal(len(u)))
+        R.append(attitude @ TURN.T)
+        t.append(origin - R[-1] @ PLACE)
+    d, station = np.concatenate(reading), np.repeat(np.arange(stations), len(u))
+    if kind == "array":
+        shots = hl.Shots.array("it", station, np.tile(RAYS[kind], (stations, 1)), d, "radial")
+    else:
+        shots = hl.Shots.scanner("it", station, np.tile(ANGLES, stations), d)
+    assert np.mean(on_ball) < 0.35  # of fewer than that nothing was known
+    at = hl.StationList(np.array(R), np.array(t), ("sphere:ball",) * stations)
+    return hl.Survey(at, (shots,))
+
+
+@pytest.mark.parametrize("kind", ["array", "scanner"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_wall_behind_a_ball_need_not_be_cut_out(kind, seed):
+    exact = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
+    found = hl.calibrate(before_a_wall(kind, seed), exact)
+    assert found.usable, found.verdict.sentence
+    sensor = found.sensors["it"]
+    turn = Rotation.from_matrix(sensor.rotation.T @ TURN).as_rotvec()
+    error = np.concatenate((turn, sensor.rotation.T @ (PLACE - sensor.location)))
+    assert error @ np.linalg.solve(sensor.covariance[:6, :6], error) < 30.0  # 4 of 100,000
+    assert sensor.location_sigma.max() < 1e-3
+    assert found.targets["sphere:ball"].values["radius"] == pytest.approx(RADIUS, abs=5e-4)
+
+
+def test_strays_before_a_ball_are_no_ball():
+    """Two near readings of sixty, then fifteen: a ball is in front of the wall all the same."""
+    rng = np.random.default_rng(4)
+    for near in (2, 15):
+        d = np.full(120, 0.4) + 1e-3 * rng.standard_normal(120)
+        x = np.linspace(-0.06, 0.06, 120)
+        ball = np.abs(x) < 0.045
+        d[ball] = 0.2 - np.sqrt(0.05**2 - x[ball] ** 2)
+        d[rng.choice(np.flatnonzero(~ball), near, replace=False)] = 0.02
+        (shot,) = condensed_shots(KINDS["profiler"], "sphere", [(x[:, None], d)])
+        assert shot is not None
+        assert (shot.kept & ~ball).sum() == 0
+        assert shot.kept.sum() > 0.8 * ball.sum()
+
+
+@pytest.mark.parametrize(
+    ("generator", "seed"), [(rigs_by_rays, 2), (rigs_by_distance, 1), (rigs_by_distance, 2)]
+)
+def test_wrong_readings_of_a_ball_are_left_out_one_by_one(generator, seed):
+    """With a tenth of all readings wrong, half of the shots with few readings have a wrong one."""
+    rig = generator.array(seed, wrong_shots=0.1, targets="planes+sphere")
+    found = hl.calibrate(rigs.survey_of(rig), rigs.EXACT)
+    assert found.usable, found.verdict.sentence
+    ((error, covariance),) = rigs.errors_of(rig, found)
+    assert error @ np.linalg.solve(covariance, error) < 30.0
+
+
+@pytest.mark.parametrize("sigma", [None, 1e-4])
+@pytest.mark.parametrize("seed", [18, 54])
+def test_planes_with_wrong_readings_are_no_balls(seed, sigma):
+    """Sixteen readings fit any sphere, and those that fit no plane bend none."""
+    survey = rigs.survey_of(rigs_by_rays.array(seed, wrong_shots=0.1))
+    shots = tuple(dataclasses.replace(one, sigma=sigma) for one in survey.shots)
+    found = hl.calibrate(dataclasses.replace(survey, shots=shots), rigs.EXACT)
+    assert found.usable, found.verdict.sentence
