@@ -135,6 +135,25 @@ def test_stops_without_a_message_or_a_label_are_said_and_how_the_bag_was_read(tm
     assert survey.lines[1].startswith(f"{number} moments at which the hand stands")
 
 
+def test_scans_that_take_long_while_the_hand_moves_are_said(tmp_path):
+    rig = rigs_by_rays.scanner(6, planes=3, stations=8)
+
+    def messages(make):
+        for topic, time, message in published(rig, make, scans):
+            if topic == "scanner":
+                message.time_increment = 1e-4
+            yield topic, time, message
+
+    bag = write_bag(tmp_path, "ros2", messages)
+    file = rig_file(tmp_path, rig, "scanner", ["scanner"])
+    assert not hl.read_survey(bag, file).warnings
+    way = '[log]\ninterpolate = true\ntolerance_s = 0.1\nplane = "A"\n'
+    file.write_text(way + file.read_text()[file.read_text().index("\n[[sensors]]") :])
+    warnings = hl.read_survey(bag, file).warnings
+    (said,) = [one for one in warnings if one.code == "scan-while-moving"]
+    assert said.values["lasts_s"] == pytest.approx(0.0361)
+
+
 def test_one_topic_of_two_sensors_is_refused(tmp_path):
     rig = rigs_by_rays.scanner(6, planes=3, stations=8)
     bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, scans))

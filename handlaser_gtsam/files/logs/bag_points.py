@@ -19,6 +19,7 @@ from ...data.screening import FINEST_STEP
 from ...data.station_list import StationList
 from ...errors import CalibrationWarning, InputError
 from ...quantities import LARGEST_LENGTH, MM
+from ...results.messages import warned
 from ...text import shown, some
 from .assembling import left_out, targets_of
 from .bags import RANGE, SCAN, Reader, lines_of, read_messages, require_topic
@@ -30,6 +31,8 @@ from .rows import LogRows
 CLOUD = "sensor_msgs/msg/PointCloud2"
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
+SHORT_SCAN = 1e-3
+"""In so long a hand at 0.1 m/s moves by 0.1 mm, the usual error of a robot [s]."""
 
 
 class BagPoints(NamedTuple):
@@ -75,10 +78,15 @@ def read_bag_points(
     clouds: list[tuple[array[float], list[FloatArray]]] = [(array("d"), []) for _ in sensors]
     # Of each sensor which of its topics a message is of.
     topic_of = [array("l") for _ in sensors]
+    lasts: dict[str, float] = {}  # how long a scan of each scanner takes [s]
 
     def add(sensor: int, number: int, message: Any, time: float) -> None:
         """Add the points of a message, if it has any, to the points of its sensor."""
-        rows = READ_FROM[sensors[sensor][1]][1](message, number)
+        name, kind, _ = sensors[sensor]
+        rows = READ_FROM[kind][1](message, number)
+        if kind == "scanner":
+            one = abs(message.time_increment) * len(message.ranges)
+            lasts[name] = max(lasts.get(name, 0.0), one)
         if len(rows):
             clouds[sensor][0].append(time)
             clouds[sensor][1].append(rows)
@@ -98,6 +106,7 @@ def read_bag_points(
         return found
 
     poses = read_messages(path, given, readers)
+    skewed = _skewed(lasts) if given.interpolate else ()
     for (name, _, own), (_, numbers) in zip(sensors, clouds, strict=True):
         if not numbers:
             found = f"no point of {name} within the limits of its messages"
@@ -130,7 +139,16 @@ def read_bag_points(
     late = f"readings are taken to be stamped {given.lag_s:g} s later than poses"
     words = (poses.words, log.words, *((late,) if given.lag_s else ()))
     return BagPoints(
-        stations, points, words, (*poses.warnings, *log.warnings, *unlabelled, *unread)
+        stations, points, words, (*poses.warnings, *log.warnings, *unlabelled, *unread, *skewed)
+    )
+
+
+def _skewed(lasts: Mapping[str, float]) -> tuple[CalibrationWarning, ...]:
+    """Return warnings of scans that take long [s], by the scanner, of a hand that moves meanwhile."""
+    return tuple(
+        warned("scan-while-moving", {"sensor": name, "lasts_s": time})
+        for name, time in lasts.items()
+        if time > SHORT_SCAN
     )
 
 

@@ -474,7 +474,10 @@ def planes_of(
             for end in (first, last):
                 if end not in place:
                     expected = "a station of it, in --plane-ranges or --plane-file"
-                    raise InputError(f"no station {shown(end)} in the log", expected)
+                    found_so = (
+                        f"no station {shown(end)} in the log, whose last is {shown(names[-1])}"
+                    )
+                    raise InputError(found_so, expected)
             if place[first] > place[last]:
                 raise InputError(f"stations {first} to {last}", "in the order of the log")
             inside = np.arange(place[first], place[last] + 1)
