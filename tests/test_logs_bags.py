@@ -273,6 +273,20 @@ def test_a_topic_of_several_publishers_is_warned_of(tmp_path, short):
     assert (first.ranges == second.ranges).all()
 
 
+def test_poses_of_one_stamp_that_differ_are_refused(tmp_path, short):
+    """A driver that stamps whole seconds: all poses of a second but the first were dropped."""
+
+    def messages(make):
+        for topic, time, message in published(short, make):
+            message.header.stamp.nanosec = 0
+            yield topic, time, message
+
+    bag = write_bag(tmp_path, "mcap", messages)
+    with pytest.raises(hl.InputError, match=r"poses at the time of another one .* --receive-time"):
+        hl.read_log(bag, hl.LogFormat(plane="A"))
+    assert len(hl.read_log(bag, hl.LogFormat(plane="A", receive_time=True)).ranges) == 4
+
+
 def test_topics_without_stamps_beside_others_are_said(tmp_path, short):
     """Their times of receipt count, which may be of another clock."""
 

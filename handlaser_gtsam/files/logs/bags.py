@@ -356,12 +356,25 @@ def stamped_rows(numbers: "array[float]") -> FloatArray:
     Raises
     ------
     InputError
-        A quaternion that is none, or a position that is not finite.
+        A quaternion that is none, a position that is not finite, or two poses at one time.
     """
     x = np.frombuffer(numbers, dtype=np.float64).reshape(-1, len(TUM_HEADER))
     if (np.diff(x[:, 0]) <= 0.0).any():
-        order = np.argsort(x[:, 0], kind="stable")
-        x = x[order[np.concatenate(([True], np.diff(x[order, 0]) > 0.0))]]
+        x = x[np.argsort(x[:, 0], kind="stable")]
+        again = np.flatnonzero(np.diff(x[:, 0]) == 0.0) + 1
+        own, other = x[again], x[again - 1]
+        shift = np.linalg.norm(own[:, 1:4] - other[:, 1:4], axis=1)
+        length = np.linalg.norm(own[:, 4:], axis=1) * np.linalg.norm(other[:, 4:], axis=1)
+        cosine = np.abs((own[:, 4:] * other[:, 4:]).sum(axis=1))  # of half the turn, times length
+        far = (shift > MOVES_M) | (cosine < np.cos(0.5 * MOVES_RAD) * length)
+        if far.any():
+            first = own[far.argmax(), 0]
+            found = (
+                f"{far.sum()} poses at the time of another one that differs, as at {first:.10g} s"
+            )
+            expected = "one pose at a time, of one publisher; --receive-time if stamps are coarse"
+            raise InputError(found, expected)
+        x = np.delete(x, again, axis=0)
     far = ~(np.abs(x[:, 1:4]) <= LARGEST_LENGTH).all(axis=1)
     if far.any():
         found = f"a pose at {x[far.argmax(), 1:4].tolist()}"
