@@ -113,6 +113,56 @@ def test_units_are_not_stated_of_messages(tmp_path):
         hl.read_survey(bag, file)
 
 
+def test_stops_without_a_message_or_a_label_are_said_and_how_the_bag_was_read(tmp_path):
+    rig = rigs_by_rays.scanner(6, planes=3, stations=8)
+    number = len(rig.R)
+    table = rig.tables["scanner"]
+    rig.tables["scanner"] = {
+        name: x[table["station"] != 2] if np.ndim(x) and len(x) == len(table["station"]) else x
+        for name, x in table.items()
+    }
+    bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, scans))
+    text = rig_file(tmp_path, rig, "scanner", ["scanner"]).read_text()
+    file = tmp_path / "rig.toml"
+    file.write_text(text.replace(f"..{number}", f"..{number - 1}"))
+    survey = hl.read_survey(bag, file)
+    assert len(survey.stations) == number - 2
+    assert [(one.code, one.values["stations"]) for one in survey.warnings] == [
+        ("stations-left-out", 1),
+        ("stations-left-out", 1),
+    ]
+    assert survey.lines[0].startswith("poses from pose")
+    assert survey.lines[1].startswith(f"{number} moments at which the hand stands")
+
+
+def test_scans_that_take_long_while_the_hand_moves_are_said(tmp_path):
+    rig = rigs_by_rays.scanner(6, planes=3, stations=8)
+
+    def messages(make):
+        for topic, time, message in published(rig, make, scans):
+            if topic == "scanner":
+                message.time_increment = 1e-4
+            yield topic, time, message
+
+    bag = write_bag(tmp_path, "ros2", messages)
+    file = rig_file(tmp_path, rig, "scanner", ["scanner"])
+    assert not hl.read_survey(bag, file).warnings
+    way = '[log]\ninterpolate = true\ntolerance_s = 0.1\nplane = "A"\n'
+    file.write_text(way + file.read_text()[file.read_text().index("\n[[sensors]]") :])
+    warnings = hl.read_survey(bag, file).warnings
+    (said,) = [one for one in warnings if one.code == "scan-while-moving"]
+    assert said.values["lasts_s"] == pytest.approx(0.0361)
+
+
+def test_one_topic_of_two_sensors_is_refused(tmp_path):
+    rig = rigs_by_rays.scanner(6, planes=3, stations=8)
+    bag = write_bag(tmp_path, "ros2", lambda make: published(rig, make, scans))
+    again = '\n[[sensors]]\nname = "again"\nkind = "scanner"\ntopics = ["scanner"]\n'
+    file = rig_file(tmp_path, rig, "scanner", ["scanner"], again)
+    with pytest.raises(hl.InputError, match="topic 'scanner' twice"):
+        hl.read_survey(bag, file)
+
+
 @pytest.mark.slow
 def test_zones_of_an_array_are_topics_of_ranges(tmp_path):
     rig = rigs_by_rays.array(3, planes=3, zones=4, convention="radial", stations=10)

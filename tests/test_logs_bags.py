@@ -273,6 +273,61 @@ def test_a_topic_of_several_publishers_is_warned_of(tmp_path, short):
     assert (first.ranges == second.ranges).all()
 
 
+def test_poses_of_one_stamp_that_differ_are_refused(tmp_path, short):
+    """A driver that stamps whole seconds: all poses of a second but the first were dropped."""
+
+    def messages(make):
+        for topic, time, message in published(short, make):
+            message.header.stamp.nanosec = 0
+            yield topic, time, message
+
+    bag = write_bag(tmp_path, "mcap", messages)
+    with pytest.raises(hl.InputError, match=r"poses at the time of another one .* --receive-time"):
+        hl.read_log(bag, hl.LogFormat(plane="A"))
+    assert len(hl.read_log(bag, hl.LogFormat(plane="A", receive_time=True)).ranges) == 4
+
+
+def test_topics_without_stamps_beside_others_are_said(tmp_path, short):
+    """Their times of receipt count, which may be of another clock."""
+
+    def messages(make):
+        for topic, time, message in published(short, make):
+            if topic != "/tcp_pose":
+                message.header.stamp.sec = message.header.stamp.nanosec = 0
+            yield topic, time, message
+
+    bag = write_bag(tmp_path, "mcap", messages)
+    found = hl.read_log(bag, hl.LogFormat(plane="A"))
+    (said,) = [one for one in found.warnings if one.code == "no-stamps"]
+    assert said.values["topics"] == "/laser/1, /laser/2"
+    at_receipt = hl.read_log(bag, hl.LogFormat(plane="A", receive_time=True))
+    assert not [one for one in at_receipt.warnings if one.code == "no-stamps"]
+
+
+def test_poses_in_a_gap_of_a_frame_that_moved_meanwhile_do_not_count(tmp_path, short):
+    """Frames lay on a straight way between both ends of a gap, however long it was."""
+
+    def messages(make):
+        for topic, time, message in published(short, make, by="tf"):
+            if topic == "/tf" and 1.5 < time < 3.5:
+                del message.transforms[1]  # the slide
+            yield topic, time, message
+
+    bag = write_bag(tmp_path, "ros2", messages)
+    given = {"plane": "A", "frames": ("base", "hand"), "as_stated": True}
+    found = hl.read_log(bag, hl.LogFormat(**given, interpolate=True, tolerance_s=0.05))
+    codes = [one.code for one in found.warnings]
+    assert codes.count("unmatched-rows") == 2  # of poses, and of readings at these times
+    every = hl.read_log(
+        write_bag(tmp_path, "mcap", partial(published, short, by="tf")),
+        hl.LogFormat(**given, interpolate=True, tolerance_s=0.05),
+    )
+    assert len(found.ranges) < len(every.ranges)
+    number = {name: i for i, name in enumerate(every.station_names)}
+    same = [number[name] for name in found.station_names]
+    assert np.abs(found.world_t_hand - every.world_t_hand[same]).max() < 1e-9
+
+
 @pytest.mark.parametrize("kind", ["ros1", "mcap-file"])
 @pytest.mark.parametrize("part", [0.1, 0.5, 0.9, 0.999])
 def test_a_bag_that_ends_too_early_is_refused(tmp_path, short, kind, part):
@@ -282,6 +337,7 @@ def test_a_bag_that_ends_too_early_is_refused(tmp_path, short, kind, part):
     with pytest.raises(hl.InputError) as caught:
         hl.read_log(bag, hl.LogFormat(plane="A"))
     assert "no bag that can be read" in str(caught.value)
+    assert "mended by rosbag reindex, ros2 bag reindex or mcap recover" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

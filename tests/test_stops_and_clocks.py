@@ -135,6 +135,23 @@ def test_a_stop_that_creeps_is_trimmed_and_what_is_dropped_is_said(tmp_path):
         hl.describe_log(tmp_path / "log.csv", long)
 
 
+@pytest.mark.parametrize(("lag", "way"), [(0.0, ""), (0.5, "later"), (-0.5, "earlier")])
+def test_readings_that_are_stamped_while_the_hand_moves_are_said(tmp_path, lag, way):
+    """A lag of half a second reaches into stops of two: means over them were off by centimetres."""
+    one = drive(SEED, stops=12, speed=2.0)
+    write_poses(tmp_path / "poses.csv", one)
+    write_readings(tmp_path / "readings.csv", *one.late(lag, 100.0))
+    given = hl.LogFormat(stands=True, plane="A", readings=tmp_path / "readings.csv", as_stated=True)
+    report = hl.describe_log(tmp_path / "poses.csv", given)
+    said = [one for one in report.recording.warnings if one.code == "moving-readings"]
+    assert len(said) == bool(way)
+    if said:
+        assert f"readings of 1, 2 still move at the {'begin' if lag > 0 else 'end'} of" in str(
+            said[0]
+        )
+        assert f"stamped {way} than the poses" in str(said[0])
+
+
 @pytest.mark.parametrize("given", [{"stands": True}, {"tolerance_s": 0.004}])
 def test_codes_of_rows_in_no_station_are_no_warning(tmp_path, given):
     """The sensors are out of range while the arm moves, and once while it stands before plane A."""

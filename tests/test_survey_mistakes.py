@@ -978,3 +978,69 @@ def test_zones_that_are_counted_from_one_are_said_to_miss(shift):
     warnings = [one for one in result.warnings if one.code == "zones-miss"]
     assert len(warnings) == shift
     assert (result.verdict.code == "usable") == (not shift)
+
+
+NORMALS = np.array([[0.1, 0.15, 1.0], [-0.5, 0.1, 0.85], [0.2, 0.55, 0.8]])
+NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
+CORNER, BESIDE = np.array([0.5, 0.0, 0.0]), np.array([0.0, 0.02, -0.03])
+"""Three plates pass a corner, each so far beside it: what reads another one is not far off."""
+HELD = Rotation.from_rotvec([0.3, 2.9, 0.2]).as_matrix(), np.array([0.03, -0.02, 0.05])
+SWEEP = np.linspace(-0.6, 0.6, 181)
+
+
+def mislabelled_scans(seed, wrong):
+    """Six scans of each of three plates, some with the label of another one; of an exact robot."""
+    rng, (X, x), plate = np.random.default_rng(seed), HELD, np.repeat(np.arange(3), 6)
+    R, t, table = [], [], []
+    for n, beside in zip(NORMALS[plate], BESIDE[plate], strict=True):
+        facing, _ = Rotation.align_vectors([-n], [X[:, 0]])
+        axis = rng.normal(size=3)
+        axis -= n * (axis @ n)
+        lean = axis / np.linalg.norm(axis) * rng.uniform(0.3, 1) * 0.5
+        spin = Rotation.from_rotvec(n * rng.uniform(-0.6, 0.6))
+        R.append((Rotation.from_rotvec(lean) * spin * facing).as_matrix())
+        away = rng.uniform(0.25, 0.45)
+        aim = CORNER + beside * n + 0.03 * rng.normal(size=3)
+        t.append(aim - away * R[-1] @ X[:, 0] - R[-1] @ x)
+    rays = np.column_stack((np.cos(SWEEP), np.sin(SWEEP), 0.0 * SWEEP)) @ X.T
+    for station, n in enumerate(NORMALS[plate]):
+        gap = BESIDE[plate[station]] + n @ (CORNER - R[station] @ x - t[station])
+        d = gap / (rays @ R[station].T @ n)
+        d[d <= 0.0] = np.nan
+        d += 6e-5 * rng.normal(size=len(d))
+        seen = np.isfinite(d)
+        table += [(station, *row) for row in zip(SWEEP[seen], d[seen], strict=True)]
+        R[station] = R[station] @ Rotation.from_rotvec(1e-5 * rng.normal(size=3)).as_matrix()
+        t[station] = t[station] + 5e-6 * rng.normal(size=3)
+    labels = [wrong.get(station, "ABC"[i]) for station, i in enumerate(plate.tolist())]
+    of, angle, reading = np.array(table).T
+    stations = hl.StationList(np.array(R), np.array(t), tuple(labels))
+    return hl.Survey(stations, shots=(hl.Shots.scanner("laser", of.astype(int), angle, reading),))
+
+
+def off_by(result):
+    """The square of the error of the mount in standard deviations, of six numbers."""
+    laser, (X, x) = result.sensors["laser"], HELD
+    turn = Rotation.from_matrix(X.T @ laser.matrix()[:3, :3]).as_rotvec()
+    error = np.concatenate((turn, X.T @ (laser.matrix()[:3, 3] - x)))
+    return error @ np.linalg.solve(laser.covariance, error)
+
+
+@pytest.mark.parametrize(("seed", "wrong"), [(108, {6: "A", 12: "B"}), (128, {6: "A"})])
+def test_scans_of_another_plate_do_not_pull_the_start(seed, wrong):
+    """Errors of the hand became large enough for them: the mount was centimetres off."""
+    result = hl.calibrate(mislabelled_scans(seed, wrong))
+    assert {one.station for one in result.rejected} == {str(station + 1) for station in wrong}
+    assert off_by(result) < 20.0
+
+
+def test_a_pose_that_is_off_does_not_hide_in_errors_of_the_hand():
+    """By as little as a usual robot errs, of an exact one: mounts were 7 times less sure."""
+    survey = mislabelled_scans(17, {})
+    t = survey.stations.world_t_hand.copy()
+    t[6] += 3e-4 * NORMALS[1]
+    stations = replace(survey.stations, world_t_hand=t)
+    result = hl.calibrate(replace(survey, stations=stations))
+    assert [one.station for one in result.rejected] == ["7"]
+    assert off_by(result) < 20.0
+    assert result.sensors["laser"].location_sigma.max() < 2e-4

@@ -19,7 +19,7 @@ from ..data.survey import Known, Survey
 from ..data.value import Value
 from ..errors import InputError
 from ..model.condensed_shots import Mixed, Unexplained
-from ..model.distributions import FAMILY_LEVEL, chi2_sf
+from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
 from ..model.families import BEAM
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
@@ -37,7 +37,9 @@ from .survey_mirror import (
 from .survey_noise import USUALLY_AGAIN, Components, Inside, components
 from .survey_outliers import (
     GROSS,
+    MOST_LEFT_OUT,
     OF_OTHERS,
+    agreement,
     leave_out_gross,
     misfits,
     most_contradicted,
@@ -340,9 +342,9 @@ def first_state(
 ) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
-    Where shots do not surely fit the start of a quick search, a thorough one follows, and where most do
-    not agree then, one from halves of the shots. No start is sought where most shots agree beside an
-    `earlier` estimate of the same sensors.
+    Where shots do not surely fit the start of a quick search, a thorough one follows, and where they do
+    not fit that either, one from halves of the shots: wrong labels pull a start of all to where none
+    fits well. No start is sought where most agree beside an `earlier` estimate of the same sensors.
 
     Raises
     ------
@@ -369,6 +371,10 @@ def first_state(
     if rough is not None and np.median(misfits(rough)) <= GROSS:
         return rough
     if np.median(misfits(state)) <= GROSS:
+        parts = replace(state)
+        if not _surely_fits(state) and started_from_halves(parts):
+            leave_out_gross(parts)
+            state = parts if _surely_fits(parts) else state
         return state
     free = _begun_without_relations(state)
     if free is not None and _some_relation_is_contradicted(
@@ -629,9 +635,39 @@ def _settle(state: SurveyState) -> bool:
         straightened = about_errors(state.rows, state.values)
         if straightened is not None:
             state.rows = straightened
-        elif not learned and not worst_changed(state):
+        elif not (learned or worst_changed(state) or _hidden_left_out(state)):
             return True
     return False
+
+
+def _hidden_left_out(state: SurveyState) -> bool:
+    """Leave out the shot that fits worst, where it hides in errors of the hand that it makes large.
+
+    Where sizes of the noise are learned, the worst shot is tested in units of those that are learned
+    with its q rows free (externally studentised: Cook and Weisberg, Residuals and Influence in
+    Regression, 1982, page 20), against an F distribution of q over S - q - 1 degrees of freedom at S
+    stops, as if each said one number of the noise. Tell whether it is left out.
+    """
+    if not state.learning or state.used.mean() <= 1.0 - MOST_LEFT_OUT:
+        return False
+    p, chi2, tested = agreement(state)
+    worst = tested[most_contradicted(p, chi2)]
+
+    def alone(at: SurveyState, pose_errors: bool) -> FloatArray:
+        _, owner = at.dense(pose_errors=pose_errors)
+        own = np.flatnonzero(owner == worst)
+        columns = np.zeros((len(owner), len(own)))
+        columns[own, np.arange(len(own))] = 1.0
+        return columns
+
+    _, owner = state.dense()
+    rows, stops = int((owner == worst).sum()), len(np.unique(state.stops(owner[owner >= 0])))
+    _, chi2, _ = agreement(replace(state, sizes=learned_sizes(state, alone)))
+    far = float(chi2[tested == worst].sum()) / rows
+    if stops <= rows + 1 or f_sf(far, rows, stops - rows - 1) >= FAMILY_LEVEL / len(tested):
+        return False
+    state.used = state.used & (np.arange(len(state.used)) != worst)
+    return True
 
 
 def _settle_near(state: SurveyState) -> bool:

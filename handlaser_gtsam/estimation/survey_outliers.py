@@ -147,7 +147,7 @@ def misfits(state: SurveyState) -> FloatArray:
 
 def worst_changed(state: SurveyState) -> bool:
     """Leave out the shot that the others contradict most, or take one back; tell whether any was."""
-    p, chi2, tested = _agreement(state)
+    p, chi2, tested = agreement(state)
     worst = most_contradicted(p, chi2)
     if p[worst] < FAMILY_LEVEL / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
         state.used = state.used & (np.arange(len(state.used)) != tested[worst])
@@ -156,14 +156,14 @@ def worst_changed(state: SurveyState) -> bool:
     for best in np.argsort(misfit)[: np.isfinite(misfit).sum()]:
         # How far it may be off depends on how well the others predict it: one that agrees counts again.
         trial = replace(state, used=state.used | (np.arange(len(state.used)) == best))
-        p, _, tested = _agreement(trial)
+        p, _, tested = agreement(trial)
         if p[tested == best] >= FAMILY_LEVEL:
             state.used = trial.used
             return True
     return False
 
 
-def _agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
+def agreement(state: SurveyState) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return how the shots that count agree with all others: p, chi2 and the number of each item.
 
     Where sizes of the noise are learned from few readings, a shot that is far in units of them need not

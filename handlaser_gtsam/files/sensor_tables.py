@@ -150,8 +150,8 @@ class SurveyTables:
 
     def bag(
         self, path: Path, given: LogFormat
-    ) -> tuple[StationList, tuple[Shots, ...], tuple[CalibrationWarning, ...]]:
-        """Return the stops of the hand in a bag, what the sensors published there, and warnings.
+    ) -> tuple[StationList, tuple[Shots, ...], tuple[str, ...], tuple[CalibrationWarning, ...]]:
+        """Return the stops of the hand in a bag, what sensors published there, how, and warnings.
 
         Raises
         ------
@@ -162,21 +162,21 @@ class SurveyTables:
 
         for table in self.sensors:
             if table.points or not table.topics:
-                found = f"a table of points of {table.name}, or no topics, with a bag"
-                raise InputError(found, 'topics = ["/scan"] in [[sensors]]', path)
+                stated = f"a table of points of {table.name}, or no topics, with a bag"
+                raise InputError(stated, 'topics = ["/scan"] in [[sensors]]', path)
             if table.units not in (None, "m") or table.angles not in (None, "rad"):
-                found = f"units or angles of {table.name} with topics of a bag"
-                raise InputError(found, "none: messages are in metres and radians", path)
+                stated = f"units or angles of {table.name} with topics of a bag"
+                raise InputError(stated, "none: messages are in metres and radians", path)
         wanted = [(table.name, table.kind, table.topics) for table in self.sensors]
         with in_file(path):
-            stations, points = read_bag_points(path, given, wanted)
-            shots, warnings = [], list[CalibrationWarning]()
-            for table, published in zip(self.sensors, points, strict=True):
+            found = read_bag_points(path, given, wanted)
+            shots, warnings = [], list(found.warnings)
+            for table, published in zip(self.sensors, found.points, strict=True):
                 station, numbers, codes = without_codes(*published)
                 warnings += _code_warnings(table, codes)
                 own = station, numbers, np.full(len(numbers), np.nan)
                 shots.append(self._shots(table, own, 1.0, 1.0))
-        return stations, tuple(shots), tuple(warnings)
+        return found.stations, tuple(shots), found.lines, tuple(warnings)
 
     def _read(
         self, table: SensorTable, stations: tuple[str, ...], station_column: str

@@ -60,7 +60,7 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     beams, lines = tuple[str, ...](), tuple[str, ...]()
     if is_bag(path):
         refuse_of_a_bag(log, path, OF_READINGS)
-        stations, shots, coded = tables.bag(path, log)
+        stations, shots, lines, coded = tables.bag(path, log)
     elif is_log(path, log, readings=False):
         stations, rows = _of_log(path, log)
         shots, lines, coded = tables.shots(stations.station_names, log.station_column)

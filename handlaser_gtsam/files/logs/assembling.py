@@ -70,7 +70,7 @@ def assembled(
         if not chosen.any():
             raise InputError("no reading at any station", "readings at the time of poses", path)
         if unread.any():
-            warnings = (*warnings, _left_out(unread, "have no reading"))
+            warnings = (*warnings, left_out(unread, "have no reading"))
     R, t = hand_poses(poses.posed, log.way, given)
     both = (poses,) if readings is poses else (poses, readings)
     rows = np.flatnonzero(chosen)
@@ -127,7 +127,7 @@ def targets_of(
         if not chosen.any():
             path = log.poses.table.path
             raise InputError("no station in any range of planes", "ranges with stations", path)
-        warnings = (_left_out(~chosen, "are in no range of a plane"),) if not chosen.all() else ()
+        warnings = (left_out(~chosen, "are in no range of a plane"),) if not chosen.all() else ()
         return [stated[i][0] if i >= 0 else "" for i in which.tolist()], chosen, warnings
     if given.plane:
         return [given.plane] * len(log.names), every, ()
@@ -141,7 +141,8 @@ def targets_of(
     return log.planes, every, ()
 
 
-def _left_out(stations: BoolArray, what: str) -> CalibrationWarning:
+def left_out(stations: BoolArray, what: str) -> CalibrationWarning:
+    """Return a warning of stations (S,) that are left out, and why."""
     values = {"stations": int(stations.sum()), "total": len(stations)}
     return warned("stations-left-out:log", values, what=what)
 

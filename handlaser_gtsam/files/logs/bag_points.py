@@ -8,18 +8,20 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
 from ...data.screening import FINEST_STEP
 from ...data.station_list import StationList
-from ...errors import InputError
+from ...errors import CalibrationWarning, InputError
 from ...quantities import LARGEST_LENGTH, MM
-from ...text import some
-from .assembling import targets_of
+from ...results.messages import warned
+from ...text import shown, some
+from .assembling import left_out, targets_of
 from .bags import RANGE, SCAN, Reader, lines_of, read_messages, require_topic
 from .format import LogFormat
 from .joining import by_time
@@ -29,12 +31,35 @@ from .rows import LogRows
 CLOUD = "sensor_msgs/msg/PointCloud2"
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
+SHORT_SCAN = 1e-3
+"""In so long a hand at 0.1 m/s moves by 0.1 mm, the usual error of a robot [s]."""
+
+
+class BagPoints(NamedTuple):
+    """What sensors of many rays published at the stops of the hand, or at moments of its way.
+
+    Attributes
+    ----------
+    stations : StationList
+        Those before a target at which any sensor read something.
+    points : list of (station, numbers)
+        Of each sensor the station (n,) and the numbers (n, c) of each point, in metres and radians, as
+        a table of points has them.
+    lines : tuple of str
+        How the bag was read, for a person.
+    warnings : tuple of CalibrationWarning
+    """
+
+    stations: StationList
+    points: list[tuple[IntArray, FloatArray]]
+    lines: tuple[str, ...]
+    warnings: tuple[CalibrationWarning, ...]
 
 
 def read_bag_points(
     path: Path, given: LogFormat, sensors: Sequence[tuple[str, str, tuple[str, ...]]]
-) -> tuple[StationList, list[tuple[IntArray, FloatArray]]]:
-    """Return the stops of the hand, and of each sensor the station and the numbers of each point.
+) -> BagPoints:
+    """Return the stops of the hand, and the points that each sensor published there.
 
     Parameters
     ----------
@@ -51,13 +76,21 @@ def read_bag_points(
         raise InputError("--estimate-lag with sensors of many rays", "--lag-s, how late they are")
     # Of each sensor the times of messages that have points [s], and the points of each (n, c).
     clouds: list[tuple[array[float], list[FloatArray]]] = [(array("d"), []) for _ in sensors]
+    # Of each sensor which of its topics a message is of.
+    topic_of = [array("l") for _ in sensors]
+    lasts: dict[str, float] = {}  # how long a scan of each scanner takes [s]
 
     def add(sensor: int, number: int, message: Any, time: float) -> None:
         """Add the points of a message, if it has any, to the points of its sensor."""
-        rows = READ_FROM[sensors[sensor][1]][1](message, number)
+        name, kind, _ = sensors[sensor]
+        rows = READ_FROM[kind][1](message, number)
+        if kind == "scanner":
+            one = abs(message.time_increment) * len(message.ranges)
+            lasts[name] = max(lasts.get(name, 0.0), one)
         if len(rows):
             clouds[sensor][0].append(time)
             clouds[sensor][1].append(rows)
+            topic_of[sensor].append(number)
 
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
         found: dict[str, Reader] = {}
@@ -67,26 +100,32 @@ def read_bag_points(
                 raise InputError(stated, "topics = one; of an array one for each zone")
             for number, topic in enumerate(own):
                 require_topic(topics, topic, READ_FROM[kind][0])
+                if topic in found:
+                    raise InputError(f"topic {shown(topic)} twice", "one sensor, or zone, of each")
                 found[topic] = partial(add, sensor, number)
         return found
 
     poses = read_messages(path, given, readers)
+    skewed = _skewed(lasts) if given.interpolate else ()
     for (name, _, own), (_, numbers) in zip(sensors, clouds, strict=True):
         if not numbers:
             found = f"no point of {name} within the limits of its messages"
             raise InputError(found, f"at least one, on {some(own, 4)}")
     times = np.concatenate([np.frombuffer(own) for own, _ in clouds])
     order = np.argsort(times, kind="stable")
-    messages = LogRows(
-        lines_of(path, len(times)), (), np.full((len(times), 0), np.nan), times=times[order]
-    )
+    beams, read = _typical([rows for _, rows in clouds], topic_of, [name for name, *_ in sensors])
+    lines = lines_of(path, len(times))
+    messages = LogRows(lines, beams, read[order], times=times[order])
     log = by_time(poses, messages, replace(given, stands=not given.interpolate))
-    labels, chosen, _ = targets_of(log, given)
+    labels, chosen, unlabelled = targets_of(log, given)
     station = np.empty(len(times), dtype=np.intp)
     station[order] = log.station
     seen = np.zeros(len(log.names), dtype=bool)
     seen[station[station >= 0]] = True
+    unread = (left_out(chosen & ~seen, "have no reading"),) if (chosen & ~seen).any() else ()
     kept = np.flatnonzero(seen & chosen)
+    if not kept.size:
+        raise InputError("no reading at any station", "readings at the time of poses", path)
     number = np.full(len(log.names) + 1, -1)
     number[kept] = np.arange(len(kept))
     R, t = hand_poses(poses.posed, log.way, given)
@@ -97,7 +136,36 @@ def read_bag_points(
     for (_, numbers), where in zip(clouds, np.split(number[station], ends), strict=True):
         at = np.repeat(where, [len(rows) for rows in numbers])
         points.append((at[at >= 0].astype(np.intp), np.concatenate(numbers)[at >= 0]))
-    return stations, points
+    late = f"readings are taken to be stamped {given.lag_s:g} s later than poses"
+    words = (poses.words, log.words, *((late,) if given.lag_s else ()))
+    return BagPoints(
+        stations, points, words, (*poses.warnings, *log.warnings, *unlabelled, *unread, *skewed)
+    )
+
+
+def _skewed(lasts: Mapping[str, float]) -> tuple[CalibrationWarning, ...]:
+    """Return warnings of scans that take long [s], by the scanner, of a hand that moves meanwhile."""
+    return tuple(
+        warned("scan-while-moving", {"sensor": name, "lasts_s": time})
+        for name, time in lasts.items()
+        if time > SHORT_SCAN
+    )
+
+
+def _typical(
+    points: Sequence[Sequence[FloatArray]], topic_of: Sequence[Sequence[int]], names: Sequence[str]
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the sensor of each of C topics, and the mean of the readings of each of M messages (M, C).
+
+    A message is of one topic; the others have NaN there.
+    """
+    of_sensor = [np.array(numbers, dtype=np.intp) for numbers in topic_of]
+    counts = [int(numbers.max()) + 1 for numbers in of_sensor]
+    begin = np.cumsum(counts) - counts
+    column = np.concatenate([own + first for own, first in zip(of_sensor, begin, strict=True)])
+    found = np.full((len(column), sum(counts)), np.nan)
+    found[np.arange(len(column)), column] = [rows[:, -1].mean() for rows in chain(*points)]
+    return tuple(np.repeat(names, counts).tolist()), found
 
 
 def _scan(message: Any, _: int) -> FloatArray:

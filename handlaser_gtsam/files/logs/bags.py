@@ -32,7 +32,7 @@ from ...text import A_NAME, name_fault, shown, some
 from ..recording_csv import off_unit
 from ..table import FileTable
 from .format import NO_HALF_ANGLE, TUM_HEADER, LogFormat
-from .motion import interpolated, neighbours
+from .motion import MOVES_M, MOVES_RAD, interpolated, neighbours
 from .packed import limit_chunks, refuse_bag_bomb
 from .rows import LogRows
 
@@ -50,6 +50,9 @@ METADATA = "metadata.yaml"
 """Which every folder of a ROS 2 bag has."""
 BAGS = (ROS1, ".mcap", ".db3")
 RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
+GAP_STEPS = 10.0
+"""A frame of tf that was not sent for so many of its usual steps, and moved meanwhile, was anywhere
+between: single messages get lost, and ten in a row do not."""
 Place = tuple[str, int | None]
 """The topic that a beam reads on, and which ray of a `LaserScan` it is."""
 
@@ -85,7 +88,11 @@ def _opened(path: Path) -> Iterator[Any]:
     except Exception as error:  # the readers of rosbags have no common root
         what = (str(error).strip().splitlines() or [type(error).__name__])[0][:160]
         found = f"no bag that can be read ({what})"
-        raise InputError(found, "a ROS 1, ROS 2 or MCAP bag", path) from error
+        expected = (
+            "a ROS 1, ROS 2 or MCAP bag; one whose recording broke off is mended by rosbag reindex, "
+            "ros2 bag reindex or mcap recover"
+        )
+        raise InputError(found, expected, path) from error
 
 
 Reader = Callable[[Any, float], None]
@@ -171,17 +178,20 @@ def read_messages(
         wanted = list(dict.fromkeys([*poses, *readers]))
         wanted.sort(key=lambda topic: not topic.endswith(STATIC))
         by_topic = path.suffix.lower() == ROS1
+        with_stamp: dict[bool, set[str]] = {True: set(), False: set()}
         for message, topic, received in _messages(reader, wanted, topics, by_topic=by_topic):
-            when = received if given.receive_time else None
-            if topic not in poses:
-                readers[topic](message, _time(message, when, received))
-            elif frames is None:
-                time, pose = _time(message, when, received), message.pose
-                stamp(stamped, time, pose.position, pose.orientation)
-            else:
-                static = topic.endswith(STATIC)
-                for transform in message.transforms:
-                    frames.add(_time(transform, when, received), transform, static=static)
+            static = topic.endswith(STATIC)
+            for one in message.transforms if topics[topic] in TRANSFORMS else (message,):
+                time = None if given.receive_time else _stamp(one)
+                if not static:
+                    with_stamp[time is not None].add(topic)
+                time = 1e-9 * received if time is None else time
+                if topic not in poses:
+                    readers[topic](one, time)
+                elif frames is None:
+                    stamp(stamped, time, one.pose.position, one.pose.orientation)
+                else:
+                    frames.add(time, one, static=static)
         publishers = Counter(one.topic for one in reader.connections)
     if frames is None and not len(stamped):
         raise InputError(f"no pose on topic {poses[0]}", "poses of the hand")
@@ -192,6 +202,13 @@ def read_messages(
         count = publishers[topic]
         if count > 1 and topics[topic] not in TRANSFORMS:  # of which several are usual
             warnings.append(warned("several-publishers", {"topic": topic, "publishers": count}))
+    if with_stamp[True] and with_stamp[False]:
+        some_topics = some(sorted(with_stamp[False]), 8)
+        warnings.append(warned("no-stamps", {"topics": some_topics}))
+    if frames is not None and frames.lost:
+        name, rows = frames.lost.most_common(1)[0]
+        values = {"rows": rows, "total": len(x) + frames.lost.total()}
+        warnings.append(warned("unmatched-rows:frames", values, frame=name))
     return LogRows(
         lines_of(path, len(x)),
         (),
@@ -262,12 +279,10 @@ def _messages(
         yield message, one.topic, received
 
 
-def _time(message: Any, when: int | None, received: int) -> float:
-    """Return the stamp of a header [s]; when it was received if that is wanted, or all there is."""
+def _stamp(message: Any) -> float | None:
+    """Return the stamp of a header [s]; None where it is zero, as of drivers that write none."""
     stamp = message.header.stamp
-    if when is None and (stamp.sec or stamp.nanosec):
-        return float(stamp.sec + 1e-9 * stamp.nanosec)
-    return 1e-9 * received
+    return float(stamp.sec + 1e-9 * stamp.nanosec) if stamp.sec or stamp.nanosec else None
 
 
 def _beams(topics: Mapping[str, str], given: LogFormat) -> dict[str, Place]:
@@ -341,12 +356,25 @@ def stamped_rows(numbers: "array[float]") -> FloatArray:
     Raises
     ------
     InputError
-        A quaternion that is none, or a position that is not finite.
+        A quaternion that is none, a position that is not finite, or two poses at one time.
     """
     x = np.frombuffer(numbers, dtype=np.float64).reshape(-1, len(TUM_HEADER))
     if (np.diff(x[:, 0]) <= 0.0).any():
-        order = np.argsort(x[:, 0], kind="stable")
-        x = x[order[np.concatenate(([True], np.diff(x[order, 0]) > 0.0))]]
+        x = x[np.argsort(x[:, 0], kind="stable")]
+        again = np.flatnonzero(np.diff(x[:, 0]) == 0.0) + 1
+        own, other = x[again], x[again - 1]
+        shift = np.linalg.norm(own[:, 1:4] - other[:, 1:4], axis=1)
+        length = np.linalg.norm(own[:, 4:], axis=1) * np.linalg.norm(other[:, 4:], axis=1)
+        cosine = np.abs((own[:, 4:] * other[:, 4:]).sum(axis=1))  # of half the turn, times length
+        far = (shift > MOVES_M) | (cosine < np.cos(0.5 * MOVES_RAD) * length)
+        if far.any():
+            first = own[far.argmax(), 0]
+            found = (
+                f"{far.sum()} poses at the time of another one that differs, as at {first:.10g} s"
+            )
+            expected = "one pose at a time, of one publisher; --receive-time if stamps are coarse"
+            raise InputError(found, expected)
+        x = np.delete(x, again, axis=0)
     far = ~(np.abs(x[:, 1:4]) <= LARGEST_LENGTH).all(axis=1)
     if far.any():
         found = f"a pose at {x[far.argmax(), 1:4].tolist()}"
@@ -367,6 +395,7 @@ class Frames:
         self.static: set[str] = set()
         self.poses: dict[str, array[float]] = {}
         self.way: tuple[list[str], list[str]] | None = None
+        self.lost = Counter[str]()
 
     def add(self, time: float, transform: Any, *, static: bool) -> None:
         """Add a TransformStamped.
@@ -409,6 +438,8 @@ class Frames:
     def rows(self) -> FloatArray:
         """Return the hand in the world (M, 8), at the times of the frame on the way sent most often.
 
+        Times in a gap of a frame are `lost`, and counted by its name.
+
         Raises
         ------
         InputError
@@ -428,6 +459,19 @@ class Frames:
         begin = max(rows[name][0, 0] for name in moving)
         end = min(rows[name][-1, 0] for name in moving)
         time = base[(base >= begin) & (base <= end)]
+        for name in moving:
+            x = rows[name]
+            row, _ = neighbours(x[:, 0], time)
+            before, after = x[row[:, 0]], x[row[:, 1]]
+            turn = Rotation.from_quat(before[:, 4:]).inv() * Rotation.from_quat(after[:, 4:])
+            moved = np.linalg.norm(after[:, 1:4] - before[:, 1:4], axis=1) > MOVES_M
+            moved |= turn.magnitude() > MOVES_RAD
+            gap = after[:, 0] - before[:, 0] > GAP_STEPS * np.median(
+                np.diff(x[:, 0], prepend=-np.inf)
+            )
+            self.lost[name] += int((gap & moved).sum())
+            time = time[~(gap & moved)]
+        self.lost = +self.lost
         if not len(time):
             raise InputError("tf frames of the chain at times of their own", "times that overlap")
         x = np.empty((len(time), len(TUM_HEADER)))

@@ -15,9 +15,9 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import first_repeated, numbered
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import FORMATS, TIME_UNITS, poses_of
-from ...quantities import IN_MM
+from ...quantities import FAR_SIGMAS, IN_MM, MEDIAN_TO_SIGMA, MM
 from ...results.messages import warned
-from ...text import A_NAME, name_fault, shown
+from ...text import A_NAME, name_fault, shown, some
 from ..table import labels, read_table
 from .format import LogFormat
 from .format_checks import convention_of
@@ -206,6 +206,7 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStatio
         near = (station >= 0) & (wanted <= clock[last][np.maximum(station, 0)])
         needed, remedy = "a stop of the hand around it", "or --lag-s"
         words += f"; {int(near.sum())} of {len(near)} rows of readings are in them"
+        warnings = _moving_readings(readings, np.where(near, station, -1), given)
         # Labels that are set on arrival are right in the middle.
         labels = (poses, (first + last) // 2), (readings, nearest(wanted, times)[0])
     elif given.tolerance_s is None:
@@ -262,6 +263,65 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStatio
     )
     planes = next(of_rows, None)
     return JoinedStations(poses, readings, way, names, planes, times, station, warnings, words, lag)
+
+
+AT_AN_END = 16
+"""Of the readings of a stop, one in so many is at either end, and so many in the middle are compared: a
+lag that leaves all of these to a hand that rests moves the mean by no more than its error."""
+OFTEN = 0.25
+"""Part of the stops at whose ends readings are off, beyond those at which they are off in the middle: a
+lag does that at nearly all of them, a clock that runs away at some, and gross readings, which are
+anywhere, at none."""
+
+
+def _moving_readings(
+    readings: LogRows, station: IntArray, given: LogFormat
+) -> tuple[CalibrationWarning, ...]:
+    """Return warnings of readings that still move, or move already, at the ends of stops of the hand.
+
+    The median of the readings at an end is farther from that of the stop than `FAR_SIGMAS` of what
+    medians in the middle of stops are, and than the hand may move while it stands.
+
+    Parameters
+    ----------
+    readings : LogRows
+        M rows in the order of time.
+    station : (M,)
+        The stop of each row, -1 for none.
+    given : LogFormat
+    """
+    found: dict[str, set[str]] = {"begin": set(), "end": set()}
+    stops, off = set[int](), list[float]()
+    for name, column in zip(readings.beams, readings.ranges.T, strict=True):
+        rows = np.flatnonzero(~np.isnan(column) & (station >= 0))
+        rows = rows[np.argsort(station[rows], kind="stable")]
+        parts = np.split(rows, np.flatnonzero(np.diff(station[rows])) + 1)
+        parts = [part for part in parts if len(part) >= 4]  # two ends, and two between
+        if len(parts) < 3:  # of which one alone would be more than a quarter
+            continue
+        middles = np.array([np.median(column[part]) for part in parts])
+        far = np.empty((3, len(parts)))  # at the begin, at the end, and in the middle
+        for i, part in enumerate(parts):
+            few = max(len(part) // AT_AN_END, 1)
+            firsts = 0, len(part) - few, (len(part) - few) // 2
+            far[:, i] = [np.median(column[part[first : first + few]]) for first in firsts]
+        far = np.abs(far - middles)
+        noise = FAR_SIGMAS * MEDIAN_TO_SIGMA * np.median(far[2])
+        moved = given.stand_mm * MM + np.radians(given.stand_deg) * np.abs(middles)
+        beyond = far > np.maximum(noise, moved)
+        for end, k in (("begin", 0), ("end", 1)):
+            if beyond[k].mean() - beyond[2].mean() > OFTEN:
+                found[end].add(name)
+                stops.update(int(station[parts[i][0]]) for i in np.flatnonzero(beyond[k]).tolist())
+                off += far[k, beyond[k]].tolist()
+    if not off:
+        return ()
+    names = some(sorted(set().union(*found.values())), 5)
+    ends = [end for end, own in found.items() if own]
+    way = "otherwise" if len(ends) > 1 else {"begin": "later", "end": "earlier"}[ends[0]]
+    values = {"stops": len(stops), "far_m": float(np.median(off))}
+    words = {"names": names, "end": " and the ".join(ends), "way": way}
+    return (warned("moving-readings", values, **words),)
 
 
 def _lag_of(poses: LogRows, readings: LogRows, given: LogFormat) -> tuple[float, float]:
@@ -414,7 +474,10 @@ def planes_of(
             for end in (first, last):
                 if end not in place:
                     expected = "a station of it, in --plane-ranges or --plane-file"
-                    raise InputError(f"no station {shown(end)} in the log", expected)
+                    found_so = (
+                        f"no station {shown(end)} in the log, whose last is {shown(names[-1])}"
+                    )
+                    raise InputError(found_so, expected)
             if place[first] > place[last]:
                 raise InputError(f"stations {first} to {last}", "in the order of the log")
             inside = np.arange(place[first], place[last] + 1)

@@ -116,10 +116,11 @@ class Calibrator:
         if last != self._last:
             self._answer = answer = self._calibrated(parts, rests, rig)
             self._last = last
-        for _, lines, rest in parts:
+        for path, lines, rest in parts:
             if rest.strip() and not settled and not answer.error:
                 number = len(lines.splitlines()) + 1
-                return replace(answer, note=f"line {number} is not whole yet")
+                of = "" if path == paths[0] else f" of {printable(path.name)}"
+                return replace(answer, note=f"line {number}{of} is not whole yet")
         return answer
 
     def _calibrated(
