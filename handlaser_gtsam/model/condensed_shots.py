@@ -51,8 +51,6 @@ rows of the first order in its errors say too much of k0 and the scale then. Wit
 of 50 mm, 2 % of the radius, k0 was up to two standard deviations off."""
 CLEAR = 0.2
 """What is behind a ball is farther from it than this part of its distance: points on it are closer."""
-STRAYS = 0.05
-"""Readings before all others are strays, and no ball, where they are a smaller part, or one or two."""
 LARGEST_BALL = 5.0
 """The radius of a sphere is below this multiple of the largest length of a shot, or it looks flat."""
 VOTING = 128
@@ -265,21 +263,28 @@ def condensed_shots(
                 kept = np.isin(np.arange(len(shots[i][1])), some[shot.kept])
                 found[i] = replace(shot, kept=kept)
 
-    front = {i: _in_front(reading) for i, (_, reading) in enumerate(shots)}
+    front = {i: _in_front(*shot) for i, shot in enumerate(shots)}
     every = {i: np.arange(len(reading)) for i, (_, reading) in enumerate(shots)}
     find(front)
     find({i: every[i] for i in every if found[i] is None and len(front[i]) < len(every[i])})
     return found
 
 
-def _in_front(reading: FloatArray) -> IntArray:
-    """Return the rows of the readings (n,) that are clearly before all others; all where none are."""
+def _in_front(across: FloatArray, reading: FloatArray) -> IntArray:
+    """Return the rows of the readings (n,) of a ball before all others; all where there is none.
+
+    At least half of the rays that are as near to its middle as its own, by their `across` (n, c), are
+    its own: strays lie anywhere, and two neighbours are no ball.
+    """
     order = np.argsort(reading)
-    d = reading[order]
+    d, x = reading[order], across[order]
     gap, span = np.diff(d), d[:-1] - d[0]
-    free = np.flatnonzero((gap > span) & (gap > CLEAR * np.abs(d[:-1])))
-    free = free[free + 1 >= max(3, STRAYS * len(d))]
-    return np.sort(order[: free[0] + 1]) if free.size else np.arange(len(d))
+    for last in np.flatnonzero((gap > span) & (gap > CLEAR * np.abs(d[:-1]))).tolist():
+        from_middle = np.linalg.norm(x - x[: last + 1].mean(axis=0), axis=1)
+        beside = int((from_middle <= from_middle[: last + 1].max()).sum())
+        if last >= 2 and 2 * (last + 1) >= beside:
+            return np.sort(order[: last + 1])
+    return np.arange(len(d))
 
 
 def _alike(
