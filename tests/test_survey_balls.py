@@ -24,13 +24,19 @@ AHEAD = {"array": 2, "scanner": 0}
 """The axis of the sensor that looks at the ball."""
 
 
-def before_a_wall(kind, seed, stations=14, sigma=1e-4):
-    """A sensor that looks at a ball from all around, a wall behind it: every ray reads something."""
+def before_a_wall(kind, seed, *, stations=14, sigma=1e-4, fixed=False):
+    """A sensor that looks at a ball, and every ray that misses it reads the wall behind.
+
+    From all around, a wall behind it each time; or from before one wall, whose shape all shots show.
+    """
     rng = np.random.default_rng(seed)
     u = RAYS[kind] / np.linalg.norm(RAYS[kind], axis=1)[:, None]
     R, t, reading, on_ball = [], [], [], []
     for _ in range(stations):
         attitude = Rotation.random(rng=rng).as_matrix()
+        if fixed:  # about the axis that looks at the ball, then leaning
+            about = Rotation.from_rotvec(rng.uniform(-3.0, 3.0) * np.eye(3)[AHEAD[kind]])
+            attitude = (Rotation.from_rotvec(rng.normal(0.0, 0.25, 3)) * about).as_matrix()
         ahead = attitude[:, AHEAD[kind]]
         aim = BALL + 0.3 * RADIUS * rng.uniform(-1.0, 1.0, 3)
         origin = aim - rng.uniform(0.2, 0.3) * ahead
@@ -39,7 +45,8 @@ def before_a_wall(kind, seed, stations=14, sigma=1e-4):
         inside = b**2 - w @ w + RADIUS**2
         s = np.where(inside > 0.0, -b - np.sqrt(np.maximum(inside, 0.0)), np.inf)
         normal = Rotation.from_rotvec(rng.normal(0.0, 0.2, 3)).as_matrix() @ ahead
-        wall = ((BALL + WALL * ahead - origin) @ normal) / (away @ normal)
+        normal = np.eye(3)[AHEAD[kind]] if fixed else normal
+        wall = ((BALL + WALL * (normal if fixed else ahead) - origin) @ normal) / (away @ normal)
         on_ball.append(np.isfinite(s).mean())
         reading.append(np.minimum(s, wall) + sigma * rng.standard_normal(len(u)))
         R.append(attitude @ TURN.T)
@@ -56,9 +63,10 @@ def before_a_wall(kind, seed, stations=14, sigma=1e-4):
 
 @pytest.mark.parametrize("kind", ["array", "scanner"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_wall_behind_a_ball_need_not_be_cut_out(kind, seed):
+@pytest.mark.parametrize("fixed", [False, True])
+def test_a_wall_behind_a_ball_need_not_be_cut_out(kind, seed, fixed):
     exact = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
-    found = hl.calibrate(before_a_wall(kind, seed), exact)
+    found = hl.calibrate(before_a_wall(kind, seed, fixed=fixed), exact)
     assert found.usable, found.verdict.sentence
     sensor = found.sensors["it"]
     turn = Rotation.from_matrix(sensor.rotation.T @ TURN).as_rotvec()

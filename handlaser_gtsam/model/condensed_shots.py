@@ -263,14 +263,14 @@ def condensed_shots(
                 kept = np.isin(np.arange(len(shots[i][1])), some[shot.kept])
                 found[i] = replace(shot, kept=kept)
 
-    front = {i: _in_front(*shot) for i, shot in enumerate(shots)}
+    front = {i: in_front(*shot) for i, shot in enumerate(shots)}
     every = {i: np.arange(len(reading)) for i, (_, reading) in enumerate(shots)}
     find(front)
     find({i: every[i] for i in every if found[i] is None and len(front[i]) < len(every[i])})
     return found
 
 
-def _in_front(across: FloatArray, reading: FloatArray) -> IntArray:
+def in_front(across: FloatArray, reading: FloatArray) -> IntArray:
     """Return the rows of the readings (n,) of a ball before all others; all where there is none.
 
     At least half of the rays that are as near to its middle as its own, by their `across` (n, c), are
