@@ -15,7 +15,7 @@ Blocks of shots have a few rows each: ranges whose noise is correlated (`Mixed`)
 leave (`Unexplained`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -229,8 +229,8 @@ def condensed_shots(
     """Return shots in a few rows each; None where no shape fits the points of one.
 
     A shot of so few points that its shape is hardly known is not condensed: each reading is a row.
-    Many points on one ray show no shape. A ball is looked for in front of what is clearly behind it,
-    then among all points. Shots of equal length are condensed together.
+    Many points on one ray show no shape. A ball is looked for in front of what is clearly behind it and
+    in front of a plane, then among all points. Shots of equal length are condensed together.
 
     Parameters
     ----------
@@ -257,29 +257,58 @@ def condensed_shots(
         return _alike(kind, shape, shots, *how)
     found = list[Condensed | None]([None] * len(shots))
 
-    def find(points: Mapping[int, IntArray]) -> None:
-        """Find shots, by their number, with some of their points."""
-        tables = [(shots[i][0][some], shots[i][1][some]) for i, some in points.items()]
-        for (i, some), shot in zip(points.items(), _alike(kind, shape, tables, *how), strict=True):
-            if shot is not None:
+    def find(points: Sequence[tuple[int, IntArray]]) -> None:
+        """Find shots, by their number, with some of their points; of two the one with more points."""
+        tables = [(shots[i][0][some], shots[i][1][some]) for i, some in points]
+        for (i, some), shot in zip(points, _alike(kind, shape, tables, *how), strict=True):
+            before = found[i]
+            if shot is not None and (before is None or before.kept.sum() < shot.kept.sum()):
                 kept = np.isin(np.arange(len(shots[i][1])), some[shot.kept])
                 found[i] = replace(shot, kept=kept)
 
-    front = {i: _in_front(reading) for i, (_, reading) in enumerate(shots)}
-    every = {i: np.arange(len(reading)) for i, (_, reading) in enumerate(shots)}
-    find(front)
-    find({i: every[i] for i in every if found[i] is None and len(front[i]) < len(every[i])})
+    find(_before_others(kind, shots, sigma))
+    find([(i, np.arange(len(d))) for i, (_, d) in enumerate(shots) if found[i] is None])
     return found
 
 
-def _in_front(reading: FloatArray) -> IntArray:
-    """Return the rows of the readings (n,) that are clearly before all others; all where none are."""
-    order = np.argsort(reading)
-    d = reading[order]
-    gap, span = np.diff(d), d[:-1] - d[0]
-    free = np.flatnonzero((gap > span) & (gap > CLEAR * np.abs(d[:-1])))
-    free = free[free + 1 >= max(3, STRAYS * len(d))]
-    return np.sort(order[: free[0] + 1]) if free.size else np.arange(len(d))
+def _before_others(
+    kind: Kind, shots: Sequence[tuple[FloatArray, FloatArray]], sigma: float | None
+) -> list[tuple[int, IntArray]]:
+    """Return which shots show something that stands before what is behind it, with its rows.
+
+    Behind is a plane that most points are on, which it may touch, as a ball on a table does: few points
+    are behind that, as many are behind a plane through a ball. Else what is behind is clearly farther.
+    What is clearly nearer than the rest of it may be something else, and is one by itself.
+    """
+    plane, found = shape_of(kind, "plane"), list[tuple[int, IntArray]]()
+    how = plane.size - 1, 0.0, sigma, False, np.zeros(len(RAY_ERRORS))
+    for i, behind in enumerate(_alike(kind, plane, shots, *how)):
+        across, reading = shots[i]
+        least, before = max(3, STRAYS * len(reading)), np.zeros(len(reading), dtype=bool)
+        if behind is not None and behind.dof > 0:
+            longer = reading - plane.ranges(behind.shape[None], kind.rays(across))[0]
+            beside = np.abs(longer[behind.kept]).max()
+            if (longer > beside).sum() < least:
+                before = longer < -beside
+        if before.sum() >= least:
+            parts = [np.flatnonzero(before)[some] for some in _apart(reading[before])]
+        else:
+            parts = _apart(reading)[:-1]
+        found += [(i, some) for some in parts if len(some) >= least]
+    return found
+
+
+def _apart(reading: FloatArray) -> list[IntArray]:
+    """Return the rows of readings (n,) in parts, nearest first, each clearly apart from the next."""
+    order, found = np.argsort(reading), list[IntArray]()
+    while order.size:
+        d = reading[order]
+        gap, span = np.diff(d), d[:-1] - d[0]
+        free = np.flatnonzero((gap > span) & (gap > CLEAR * np.abs(d[:-1])))
+        end = int(free[0]) + 1 if free.size else len(order)
+        found.append(np.sort(order[:end]))
+        order = order[end:]
+    return found
 
 
 def _alike(
