@@ -251,10 +251,12 @@ def condensed_shots(
     errors = np.zeros(len(RAY_ERRORS)) if errors is None else errors
     shape = shape_of(kind, target)
     # A sphere is hardly known from up to four times as many points as it has numbers.
-    few = 4 * shape.size if target == "sphere" else shape.size - 1
+    few = 4 * shape.size if isinstance(shape, _Sphere) else shape.size - 1
     how = few, ratio, sigma, sorted_out, errors
-    if target != "sphere" or sorted_out:
+    if sorted_out:
         return _alike(kind, shape, shots, *how)
+    if isinstance(shape, _Flat):
+        return _plates_before(kind, shape, shots, _alike(kind, shape, shots, *how), how)
     found = list[Condensed | None]([None] * len(shots))
 
     def find(points: Sequence[tuple[int, IntArray]]) -> None:
@@ -280,22 +282,60 @@ def _before_others(
     are behind that, as many are behind a plane through a ball. Else what is behind is clearly farther.
     What is clearly nearer than the rest of it may be something else, and is one by itself.
     """
-    plane, found = shape_of(kind, "plane"), list[tuple[int, IntArray]]()
+    plane, found = _Flat(kind.axes, kind.parallel), list[tuple[int, IntArray]]()
     how = plane.size - 1, 0.0, sigma, False, np.zeros(len(RAY_ERRORS))
     for i, behind in enumerate(_alike(kind, plane, shots, *how)):
-        across, reading = shots[i]
-        least, before = max(3, STRAYS * len(reading)), np.zeros(len(reading), dtype=bool)
-        if behind is not None and behind.dof > 0:
-            longer = reading - plane.ranges(behind.shape[None], kind.rays(across))[0]
-            beside = np.abs(longer[behind.kept]).max()
-            if (longer > beside).sum() < least:
-                before = longer < -beside
-        if before.sum() >= least:
-            parts = [np.flatnonzero(before)[some] for some in _apart(reading[before])]
+        reading, least = shots[i][1], max(3, STRAYS * len(shots[i][1]))
+        side = _sides(kind, plane, shots[i], behind)
+        before = np.flatnonzero(side < 0) if (side > 0).sum() < least else np.zeros(0, dtype=int)
+        if len(before) >= least:
+            parts = [before[some] for some in _apart(reading[before])]
         else:
             parts = _apart(reading)[:-1]
         found += [(i, some) for some in parts if len(some) >= least]
     return found
+
+
+def _plates_before(
+    kind: Kind,
+    plane: _Flat,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    found: Sequence[Condensed | None],
+    how: tuple[int, float, float | None, bool, FloatArray],
+) -> list[Condensed | None]:
+    """Return the planes of shots, or those before them, as a plate on a table is, with enough points.
+
+    A plate hides what is behind it: where two planes meet at an edge, neither is before the other.
+    """
+    found = list(found)
+    side = [_sides(kind, plane, *one) for one in zip(shots, found, strict=True)]
+    enough = [max(share_of(len(one))[0] * len(one), 1.0) for one in side]
+    some = [i for i, one in enumerate(side) if (one < 0).sum() >= enough[i]]
+    tables = [(shots[i][0][side[i] < 0], shots[i][1][side[i] < 0]) for i in some]
+    for i, plate in zip(some, _alike(kind, plane, tables, *how), strict=True):
+        if plate is None or plate.kept.sum() < enough[i]:
+            continue
+        kept = np.zeros(len(side[i]), dtype=bool)
+        kept[side[i] < 0] = plate.kept
+        plate, on = replace(plate, kept=kept), side[i] == 0
+        if (_sides(kind, plane, shots[i], plate)[on] > 0).mean() >= 1.0 - STRAYS:
+            found[i] = plate
+    return found
+
+
+def _sides(
+    kind: Kind, plane: _Flat, shot: tuple[FloatArray, FloatArray], found: Condensed | None
+) -> IntArray:
+    """Return of readings (n,) whether they are on a plane of a shot (0), before (-1) or behind it (1)."""
+    across, reading = shot
+    if found is None or found.dof <= 0:
+        return np.zeros(len(reading), dtype=int)
+    longer = reading - plane.ranges(found.shape[None], kind.rays(across))[0]
+    # Range errors moved the plane off the readings.
+    longer -= np.median(longer[found.kept])
+    return np.asarray(
+        np.sign(longer) * (np.abs(longer) > np.abs(longer[found.kept]).max()), dtype=int
+    )
 
 
 def _apart(reading: FloatArray) -> list[IntArray]:
