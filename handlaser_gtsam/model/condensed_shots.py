@@ -326,7 +326,7 @@ def _plates_before(
 def _sides(
     kind: Kind, plane: _Flat, shot: tuple[FloatArray, FloatArray], found: Condensed | None
 ) -> IntArray:
-    """Return of readings (n,) whether they are on a plane of a shot (0), before (-1) or behind it (1)."""
+    """Return of readings (n,) whether they are on a plane of a shot, 0, before it, -1, or behind, 1."""
     across, reading = shot
     if found is None or found.dof <= 0:
         return np.zeros(len(reading), dtype=int)
