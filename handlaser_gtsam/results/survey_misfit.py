@@ -33,7 +33,7 @@ from ..estimation.survey import (
 from ..estimation.survey_outliers import GROSS, MOST_LEFT_OUT, OF_OTHERS, misfits, misses_of
 from ..estimation.survey_rows import Entity, SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
-from ..model.condensed_shots import LARGEST_BALL, condensed_shots, in_front
+from ..model.condensed_shots import LARGEST_BALL, condensed_shots
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
 from ..model.equation import plausible_factors
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE
@@ -539,16 +539,16 @@ def _squares(
         # because those at even steps of an image may lie on one line.
         each = [rng.permutation(rows)[:64] for rows in each]
         tables = [(shots.across[rows], reading[rows]) for rows in each]
-        for table, shot in zip(
+        for (_, d), shot in zip(
             tables, condensed_shots(KINDS[shots.kind], target, tables, sigma=sigma), strict=True
         ):
-            # What is behind a ball is no part of it that does not fit.
-            points = len(in_front(*table) if target == SPHERE.name else table[1])
             if shot is None:
-                lost += points
+                lost += len(d)
                 continue
             if not shot.hardly_known:
                 total += shot.squares + float(shot.rest @ shot.rest)
                 dof += shot.dof + len(shot.rest)
-            lost += max(points - int(shot.kept.sum()), 0)
+            # What is behind a ball is no part of it that does not fit.
+            farthest = d[shot.kept].max() if target == SPHERE.name else np.inf
+            lost += int((~shot.kept & (d <= farthest)).sum())
     return total, dof, lost
