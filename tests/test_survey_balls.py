@@ -24,8 +24,11 @@ AHEAD = {"array": 2, "scanner": 0}
 """The axis of the sensor that looks at the ball."""
 
 
-def before_a_wall(kind, seed, stations=14, sigma=1e-4):
-    """A sensor that looks at a ball from all around, a wall behind it: every ray reads something."""
+def before_a_wall(kind, seed, stations=14, sigma=1e-4, wall_at=WALL, gripper=0):
+    """A sensor that looks at a ball from all around, a wall behind it: every ray reads something.
+
+    The first rays read the gripper, 50 mm away, at all stations.
+    """
     rng = np.random.default_rng(seed)
     u = RAYS[kind] / np.linalg.norm(RAYS[kind], axis=1)[:, None]
     R, t, reading, on_ball = [], [], [], []
@@ -39,8 +42,9 @@ def before_a_wall(kind, seed, stations=14, sigma=1e-4):
         inside = b**2 - w @ w + RADIUS**2
         s = np.where(inside > 0.0, -b - np.sqrt(np.maximum(inside, 0.0)), np.inf)
         normal = Rotation.from_rotvec(rng.normal(0.0, 0.2, 3)).as_matrix() @ ahead
-        wall = ((BALL + WALL * ahead - origin) @ normal) / (away @ normal)
-        on_ball.append(np.isfinite(s).mean())
+        wall = ((BALL + wall_at * normal - origin) @ normal) / (away @ normal)
+        s[:gripper] = 0.05
+        on_ball.append(np.isfinite(s[gripper:]).mean())
         reading.append(np.minimum(s, wall) + sigma * rng.standard_normal(len(u)))
         R.append(attitude @ TURN.T)
         t.append(origin - R[-1] @ PLACE)
@@ -54,11 +58,9 @@ def before_a_wall(kind, seed, stations=14, sigma=1e-4):
     return hl.Survey(at, (shots,))
 
 
-@pytest.mark.parametrize("kind", ["array", "scanner"])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_wall_behind_a_ball_need_not_be_cut_out(kind, seed):
+def check(survey):
     exact = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
-    found = hl.calibrate(before_a_wall(kind, seed), exact)
+    found = hl.calibrate(survey, exact)
     assert found.usable, found.verdict.sentence
     sensor = found.sensors["it"]
     turn = Rotation.from_matrix(sensor.rotation.T @ TURN).as_rotvec()
@@ -66,6 +68,24 @@ def test_a_wall_behind_a_ball_need_not_be_cut_out(kind, seed):
     assert error @ np.linalg.solve(sensor.covariance[:6, :6], error) < 30.0  # 4 of 100,000
     assert sensor.location_sigma.max() < 1e-3
     assert found.targets["sphere:ball"].values["radius"] == pytest.approx(RADIUS, abs=5e-4)
+
+
+@pytest.mark.parametrize("kind", ["array", "scanner"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_wall_behind_a_ball_need_not_be_cut_out(kind, seed):
+    check(before_a_wall(kind, seed))
+
+
+@pytest.mark.parametrize("kind", ["array", "scanner"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_ball_may_lie_on_a_table(kind, seed):
+    check(before_a_wall(kind, seed, wall_at=RADIUS))
+
+
+@pytest.mark.parametrize(("kind", "rays"), [("array", 4), ("scanner", 15)])
+@pytest.mark.parametrize("wall_at", [WALL, RADIUS])
+def test_the_gripper_at_the_edge_of_the_view_is_no_ball(kind, rays, wall_at):
+    check(before_a_wall(kind, 0, wall_at=wall_at, gripper=rays))
 
 
 def test_strays_before_a_ball_are_no_ball():

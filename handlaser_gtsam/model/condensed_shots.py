@@ -15,7 +15,7 @@ Blocks of shots have a few rows each: ranges whose noise is correlated (`Mixed`)
 leave (`Unexplained`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -229,8 +229,8 @@ def condensed_shots(
     """Return shots in a few rows each; None where no shape fits the points of one.
 
     A shot of so few points that its shape is hardly known is not condensed: each reading is a row.
-    Many points on one ray show no shape. A ball is looked for in front of what is clearly behind it,
-    then among all points. Shots of equal length are condensed together.
+    Many points on one ray show no shape. A ball is looked for in front of what is clearly behind it and
+    in front of a plane, then among all points. Shots of equal length are condensed together.
 
     Parameters
     ----------
@@ -251,35 +251,104 @@ def condensed_shots(
     errors = np.zeros(len(RAY_ERRORS)) if errors is None else errors
     shape = shape_of(kind, target)
     # A sphere is hardly known from up to four times as many points as it has numbers.
-    few = 4 * shape.size if target == "sphere" else shape.size - 1
+    few = 4 * shape.size if isinstance(shape, _Sphere) else shape.size - 1
     how = few, ratio, sigma, sorted_out, errors
-    if target != "sphere" or sorted_out:
+    if sorted_out:
         return _alike(kind, shape, shots, *how)
+    if isinstance(shape, _Flat):
+        return _plates_before(kind, shape, shots, _alike(kind, shape, shots, *how), how)
     found = list[Condensed | None]([None] * len(shots))
 
-    def find(points: Mapping[int, IntArray]) -> None:
-        """Find shots, by their number, with some of their points."""
-        tables = [(shots[i][0][some], shots[i][1][some]) for i, some in points.items()]
-        for (i, some), shot in zip(points.items(), _alike(kind, shape, tables, *how), strict=True):
-            if shot is not None:
+    def find(points: Sequence[tuple[int, IntArray]]) -> None:
+        """Find shots, by their number, with some of their points; of two the one with more points."""
+        tables = [(shots[i][0][some], shots[i][1][some]) for i, some in points]
+        for (i, some), shot in zip(points, _alike(kind, shape, tables, *how), strict=True):
+            before = found[i]
+            if shot is not None and (before is None or before.kept.sum() < shot.kept.sum()):
                 kept = np.isin(np.arange(len(shots[i][1])), some[shot.kept])
                 found[i] = replace(shot, kept=kept)
 
-    front = {i: _in_front(reading) for i, (_, reading) in enumerate(shots)}
-    every = {i: np.arange(len(reading)) for i, (_, reading) in enumerate(shots)}
-    find(front)
-    find({i: every[i] for i in every if found[i] is None and len(front[i]) < len(every[i])})
+    find(_before_others(kind, shots, sigma))
+    find([(i, np.arange(len(d))) for i, (_, d) in enumerate(shots) if found[i] is None])
     return found
 
 
-def _in_front(reading: FloatArray) -> IntArray:
-    """Return the rows of the readings (n,) that are clearly before all others; all where none are."""
-    order = np.argsort(reading)
-    d = reading[order]
-    gap, span = np.diff(d), d[:-1] - d[0]
-    free = np.flatnonzero((gap > span) & (gap > CLEAR * np.abs(d[:-1])))
-    free = free[free + 1 >= max(3, STRAYS * len(d))]
-    return np.sort(order[: free[0] + 1]) if free.size else np.arange(len(d))
+def _before_others(
+    kind: Kind, shots: Sequence[tuple[FloatArray, FloatArray]], sigma: float | None
+) -> list[tuple[int, IntArray]]:
+    """Return which shots show something that stands before what is behind it, with its rows.
+
+    Behind is a plane that most points are on, which it may touch, as a ball on a table does: few points
+    are behind that, as many are behind a plane through a ball. Else what is behind is clearly farther.
+    What is clearly nearer than the rest of it may be something else, and is one by itself.
+    """
+    plane, found = _Flat(kind.axes, kind.parallel), list[tuple[int, IntArray]]()
+    how = plane.size - 1, 0.0, sigma, False, np.zeros(len(RAY_ERRORS))
+    for i, behind in enumerate(_alike(kind, plane, shots, *how)):
+        reading, least = shots[i][1], max(3, STRAYS * len(shots[i][1]))
+        side = _sides(kind, plane, shots[i], behind)
+        before = np.flatnonzero(side < 0) if (side > 0).sum() < least else np.zeros(0, dtype=int)
+        if len(before) >= least:
+            parts = [before[some] for some in _apart(reading[before])]
+        else:
+            parts = _apart(reading)[:-1]
+        found += [(i, some) for some in parts if len(some) >= least]
+    return found
+
+
+def _plates_before(
+    kind: Kind,
+    plane: _Flat,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    found: Sequence[Condensed | None],
+    how: tuple[int, float, float | None, bool, FloatArray],
+) -> list[Condensed | None]:
+    """Return the planes of shots, or those before them, as a plate on a table is, with enough points.
+
+    A plate hides what is behind it: where two planes meet at an edge, neither is before the other.
+    """
+    found = list(found)
+    side = [_sides(kind, plane, *one) for one in zip(shots, found, strict=True)]
+    enough = [max(share_of(len(one))[0] * len(one), 1.0) for one in side]
+    some = [i for i, one in enumerate(side) if (one < 0).sum() >= enough[i]]
+    tables = [(shots[i][0][side[i] < 0], shots[i][1][side[i] < 0]) for i in some]
+    for i, plate in zip(some, _alike(kind, plane, tables, *how), strict=True):
+        if plate is None or plate.kept.sum() < enough[i]:
+            continue
+        kept = np.zeros(len(side[i]), dtype=bool)
+        kept[side[i] < 0] = plate.kept
+        plate, on = replace(plate, kept=kept), side[i] == 0
+        if (_sides(kind, plane, shots[i], plate)[on] > 0).mean() >= 1.0 - STRAYS:
+            found[i] = plate
+    return found
+
+
+def _sides(
+    kind: Kind, plane: _Flat, shot: tuple[FloatArray, FloatArray], found: Condensed | None
+) -> IntArray:
+    """Return of readings (n,) whether they are on a plane of a shot, 0, before it, -1, or behind, 1."""
+    across, reading = shot
+    if found is None or found.dof <= 0:
+        return np.zeros(len(reading), dtype=int)
+    longer = reading - plane.ranges(found.shape[None], kind.rays(across))[0]
+    # Range errors moved the plane off the readings.
+    longer -= np.median(longer[found.kept])
+    return np.asarray(
+        np.sign(longer) * (np.abs(longer) > np.abs(longer[found.kept]).max()), dtype=int
+    )
+
+
+def _apart(reading: FloatArray) -> list[IntArray]:
+    """Return the rows of readings (n,) in parts, nearest first, each clearly apart from the next."""
+    order, found = np.argsort(reading), list[IntArray]()
+    while order.size:
+        d = reading[order]
+        gap, span = np.diff(d), d[:-1] - d[0]
+        free = np.flatnonzero((gap > span) & (gap > CLEAR * np.abs(d[:-1])))
+        end = int(free[0]) + 1 if free.size else len(order)
+        found.append(np.sort(order[:end]))
+        order = order[end:]
+    return found
 
 
 def _alike(
