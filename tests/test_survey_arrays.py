@@ -24,25 +24,49 @@ TANGENTS = np.array([(x, y) for x in (-0.2, 0.0, 0.2) for y in (-0.2, 0.0, 0.2)]
 ZONES = np.column_stack((TANGENTS, np.ones(9)))
 
 
-def rough(seed, *, stations=40, sigma=8e-3, stated="radial"):
-    """An array of nine zones before a floor at z = 0, from 0.2 to 0.3 m; radial readings."""
+def rough(seed, *, stations=40, sigma=8e-3, stated="radial", zones=ZONES):
+    """An array of some zones before a floor at z = 0, from 0.2 to 0.3 m; radial readings."""
     rng = np.random.default_rng(seed)
     mount = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
     place = np.array([0.05, 0.02, 0.08])
-    u = ZONES / np.linalg.norm(ZONES, axis=1)[:, None]
+    u = zones / np.linalg.norm(zones, axis=1)[:, None]
     R, t, reading = [], [], []
     for _ in range(stations):
         tilt = Rotation.from_rotvec([*rng.uniform(-0.6, 0.6, 2), 0.0])
         looks = (tilt * Rotation.from_euler("XZ", [np.pi, rng.uniform(-3, 3)])).as_matrix()
         origin = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(0.2, 0.3)])
-        reading.append(-origin[2] / (u @ looks.T)[:, 2] + sigma * rng.standard_normal(9))
+        reading.append(-origin[2] / (u @ looks.T)[:, 2] + sigma * rng.standard_normal(len(u)))
         R.append(looks @ mount.T)
         t.append(origin - R[-1] @ place)
     at = hl.StationList(np.array(R), np.array(t), ("plane:floor",) * stations)
-    station = np.repeat(np.arange(stations), 9)
-    directions = np.tile(ZONES, (stations, 1))
+    station = np.repeat(np.arange(stations), len(u))
+    directions = np.tile(zones, (stations, 1))
     d = np.concatenate(reading)
     return hl.Survey(at, (hl.Shots.array("tof", station, directions, d, stated),)), mount, place
+
+
+@pytest.mark.parametrize("size", [0.0, 4e-3])
+def test_offsets_of_zones_are_no_noise_that_stations_lessen(size):
+    """Each zone reads too much or too little by as much at all stations, and the mount follows."""
+    exact = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
+    tangents = np.stack(np.meshgrid(*2 * [np.linspace(-0.35, 0.35, 6)]), axis=-1).reshape(-1, 2)
+    zones, squares = np.column_stack((tangents, np.ones(36))), []
+    for seed in range(6):
+        survey, mount, place = rough(seed, sigma=4e-3, zones=zones)
+        offsets = size * np.random.default_rng(100 + seed).standard_normal(36)
+        (shots,) = survey.shots
+        shots = replace(shots, reading=shots.reading + np.tile(offsets, 40))
+        found = hl.calibrate(replace(survey, shots=(shots,)), exact)
+        assert found.usable, found.verdict.sentence
+        told = [one for one in found.warnings if one.code == "zones-err"]
+        assert bool(told) == (size > 0.0)
+        for one in told:
+            assert 0.5 * size < one.values["size"] < 1.5 * size
+        sensor = found.sensors["tof"]
+        turn = Rotation.from_matrix(sensor.rotation.T @ mount).as_rotvec()
+        error = np.concatenate((turn, sensor.rotation.T @ (place - sensor.location)))
+        squares.append(error @ np.linalg.solve(sensor.covariance[:6, :6], error) / 6.0)
+    assert np.mean(squares) < 1.7  # 36 numbers, 3 of 1000
 
 
 @pytest.mark.slow

@@ -40,6 +40,7 @@ from .survey_outliers import (
     MOST_LEFT_OUT,
     OF_OTHERS,
     agreement,
+    alike_by_zone,
     leave_out_gross,
     misfits,
     most_contradicted,
@@ -762,6 +763,8 @@ def sizes_and_likelihood(
 def _spread(state: SurveyState, found: Estimate) -> FloatArray:
     r"""Return by what the standard deviations grow where arrays read much beside their targets (n,).
 
+    They grow, too, where zones have errors of their own (`alike_by_zone`).
+
     Errors of what is left are neither Gaussian nor independent at one station. What they do to the
     unknowns follows from the residuals themselves (Liang and Zeger, Biometrika 73, 1986, page 13): with
     the gradient g_s of each of S stations and the information H,
@@ -771,12 +774,10 @@ def _spread(state: SurveyState, found: Estimate) -> FloatArray:
     What may be sorted either way adds to that (`slackness`), and is all where stations are no more than
     the unknowns. No standard deviation becomes smaller.
     """
-    ones = np.ones(len(found.covariance))
-    rough = [
-        member
-        for member in range(len(state.rows.survey.shots))
-        if of_others(state.rows, member) > OF_OTHERS
-    ]
+    every = range(len(state.rows.survey.shots))
+    alike = [alike_by_zone(state.rows, state.values, state.used, member)[1] for member in every]
+    ones = np.full(len(found.covariance), np.sqrt(max(alike, default=1.0)))
+    rough = [member for member in every if of_others(state.rows, member) > OF_OTHERS]
     if found.status not in ("converged", "contradicted") or not rough:
         return ones
     slack = max(slackness(state.rows, state.values, member) for member in rough)
@@ -788,7 +789,8 @@ def _spread(state: SurveyState, found: Estimate) -> FloatArray:
     inverse = np.linalg.inv(J.T @ J)
     steps = np.stack([inverse @ (J[station == s].T @ e[station == s]) for s in stations])
     variance = (steps**2).sum(axis=0) * len(stations) / (len(stations) - 1)
-    return np.asarray(slack * np.sqrt(np.maximum(variance / np.diagonal(inverse), 1.0)))
+    by_stations = slack * np.sqrt(np.maximum(variance / np.diagonal(inverse), 1.0))
+    return np.asarray(np.maximum(by_stations, ones))
 
 
 def _tested(state: SurveyState) -> tuple[RelationTest, ...]:

@@ -310,6 +310,61 @@ def slackness(rows: SurveyRows, values: Values, member: int) -> float:
     return inside / max(inside - at_reach, 0.5 * inside) if inside else 1.0
 
 
+def alike_by_zone(
+    rows: SurveyRows, values: Values, used: BoolArray, member: int
+) -> tuple[float, float]:
+    """Return by how much each zone of an array errs at all stations alike, and what that does.
+
+    Zones may have offsets of their own, which no number of stations lessens. What mounts and range
+    errors do to the means of zones is of the second order in the tangents of their directions; what is
+    left of them is compared with how readings of one zone scatter (one-way analysis of variance), and
+    with the scatter of all readings, which is what weighs them.
+
+    Parameters
+    ----------
+    rows : SurveyRows
+    values : mapping
+        Of a minimum.
+    used : (items,) of bool
+    member : int
+        Number of the sensor.
+
+    Returns
+    -------
+    size : float
+        Standard deviation among zones [m]; zero where readings show none.
+    growth : float
+        How many times larger variances are; 1 for none.
+    """
+    shots = rows.survey.shots[member]
+    own = [
+        (item.target, item.points)
+        for item in rows.counted(used)
+        if item.points is not None and item.mount == (SENSOR.name, member)
+    ]
+    if shots.kind != "array" or not own:
+        return 0.0, 1.0
+    e = np.concatenate([misses_of(rows, values, member, *one) for one in own])
+    across = shots.across[np.concatenate([points for _, points in own])][np.isfinite(e)]
+    e = e[np.isfinite(e)]
+    # Directions that come from one row of a file are equal to the last digit.
+    zones, zone, many = np.unique(across, axis=0, return_inverse=True, return_counts=True)
+    mean = np.bincount(zone.ravel(), e) / many
+    within = float(((e - mean[zone.ravel()]) ** 2).sum())
+    x, y = (zones[:, :2] / zones[:, 2:]).T
+    smooth = np.stack((np.ones_like(x), x, y, x * x, x * y, y * y), axis=1)
+    root = np.sqrt(many)
+    fit, _, rank, _ = np.linalg.lstsq(smooth * root[:, None], mean * root, rcond=None)
+    between, dof = float((many * (mean - smooth @ fit) ** 2).sum()), len(zones) - int(rank)
+    if dof <= 0 or len(e) <= len(zones) or not within > 0.0:
+        return 0.0, 1.0
+    between, rest = between / dof, len(e) - len(zones)
+    if f_sf(np.array(between / (within / rest)), np.array(dof), np.array(rest)) >= FAMILY_LEVEL:
+        return 0.0, 1.0
+    size = np.sqrt(max(between - within / rest, 0.0) / many.mean())
+    return float(size), max(between / float(np.mean(e**2)), 1.0)
+
+
 def _misses_and_reach(
     rows: SurveyRows, values: Values, member: int, family: str
 ) -> tuple[list[FloatArray], float]:

@@ -21,6 +21,7 @@ from ..errors import CalibrationWarning
 from ..estimation.estimate import BlockProblem, descended, search_from
 from ..estimation.scales import ROTATION, TRANSLATION, NoiseComponent
 from ..estimation.survey import RelationTest, SurveyEstimate, usual_noise
+from ..estimation.survey_outliers import alike_by_zone
 from ..estimation.survey_rows import SurveyRows
 from ..estimation.survey_state import SurveyState
 from ..estimation.survey_trials import ALL_MOUNTS, displacement
@@ -108,6 +109,7 @@ def survey_warnings(
     gone = [one for one in unread if one.code == "no-edge" or "targets" in one.values]
     yield from gone  # a target of which no shot counts is missing in all that follows
     yield from _zones_that_miss(found)
+    yield from _zones_that_err(found)
     yield from _sigmas(found)
     if found.fits:
         usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
@@ -308,6 +310,15 @@ def _zones_that_miss(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
             names = some([f"({x:.3g}, {y:.3g})" for x, y in at.tolist()], 4)
             values: Values = {"sensor": shots.name, "zones": int(miss.sum())}
             yield warned("zones-miss", values, names=names, count=count(int(miss.sum()), "zone"))
+
+
+def _zones_that_err(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of arrays whose zones have errors of their own, which make standard deviations larger."""
+    for member, shots in enumerate(found.rows.survey.shots):
+        size, growth = alike_by_zone(found.rows, found.values, found.used, member)
+        if found.fits and growth > 1.0:
+            values: Values = {"sensor": shots.name, "size": size, "times": math.sqrt(growth)}
+            yield warned("zones-err", values)
 
 
 def _contradicted(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
