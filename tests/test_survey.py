@@ -451,9 +451,8 @@ def test_a_body_ties_its_planes_and_one_wrong_face_is_named():
     assert [one.code for one in result.warnings] == ["relation-contradicted"]
 
 
-@pytest.mark.slow
-def test_a_groove_is_two_planes():
-    """A V of two planes at right angles, seen as one profile."""
+def profiles_of_a_groove(labels, turned=0):
+    """A V of two planes at right angles, seen as one profile; some are turned by half a turn."""
     rng = np.random.default_rng(2)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix(), [0.05, -0.02, 0.1]
@@ -467,7 +466,7 @@ def test_a_groove_is_two_planes():
             "xyz", [180 + rng.uniform(-20, 20), *rng.uniform(-15, 15, 2)], degrees=True
         )
         S = np.eye(4)
-        S[:3, :3] = turn.as_matrix()
+        S[:3, :3] = turn.as_matrix() @ np.diag([-1.0, -1.0, 1.0] if i < turned else np.ones(3))
         S[:3, 3] = [rng.uniform(-0.005, 0.005), rng.uniform(-0.05, 0.05), rng.uniform(0.12, 0.2)]
         here = np.linspace(-0.03, 0.03, 200)
         depth = np.stack(
@@ -479,15 +478,30 @@ def test_a_groove_is_two_planes():
         z.append(depth + rng.normal(scale=2e-5, size=200))
     P = np.array(poses)
     shots = hl.Shots.profiler("p", *(np.concatenate(a) for a in (station, x, z)))
-    survey = hl.Survey(hl.StationList(P[:, :3, :3], P[:, :3, 3], ("groove:V",) * 16), (shots,))
+    return hl.Survey(hl.StationList(P[:, :3, :3], P[:, :3, 3], labels), (shots,)), T
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turned", [0, 8])
+def test_a_groove_is_two_planes(turned):
+    labels = ("groove:V2",) * turned + ("groove:V",) * (16 - turned)
+    survey, T = profiles_of_a_groove(labels, turned)
     result = hl.calibrate(survey, EXACT)
     assert result.status == "converged"
-    assert set(result.targets) == {"plane:V.left", "plane:V.right"}
+    sides = {f"plane:{label[7:]}.{side}" for label in labels for side in ("left", "right")}
+    assert set(result.targets) == sides
     R = result.sensors["p"].rotation
     turn = Rotation.from_matrix(R.T @ T[:3, :3]).as_rotvec()
     error = np.concatenate((turn, R.T @ (T[:3, 3] - result.sensors["p"].location)))
     C = result.sensors["p"].covariance
     assert error @ np.linalg.solve(C, error) < 22.5
+
+
+def test_sides_of_a_groove_that_change_places_are_said_to():
+    survey, _ = profiles_of_a_groove(("groove:V",) * 16, turned=8)
+    result = hl.calibrate(survey, EXACT)
+    assert not result.usable
+    assert "the sides of a groove change places" in result.verdict.sentence
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ of 50 mm, 2 % of the radius, k0 was up to two standard deviations off."""
 CLEAR = 0.2
 """What is behind a ball is farther from it than this part of its distance: points on it are closer."""
 STRAYS = 0.05
-"""Points on the other side of a plane are strays where they are a smaller part of a shot, or one or two."""
+"""Points on the other side of a plane are strays where they are a smaller part of a shot, or two."""
 LARGEST_BALL = 5.0
 """The radius of a sphere is below this multiple of the largest length of a shot, or it looks flat."""
 VOTING = 128

@@ -263,6 +263,9 @@ def no_fit(
         what += "a label without a kind is a plane, and of a ball it is sphere:NAME"
     if what.startswith(CHECKS) and rows.known:
         what += "; leave out [[known]] to see whether one of them is false"
+    if what.startswith(CHECKS) and "groove" in map(kind_of, rows.survey.stations.plane_labels):
+        what += "; the sides of a groove change places where its profile is turned by more than 90 "
+        what += "degrees about the line of sight: give such stations another label"
     noise = some(first_noise(rows, fit, given), NAMES_IN_LINE)
     values = {"misfit": fit.misfit, "distance_m": fit.distance}
     return warned(f"{NO_FIT}:shots", values, noise=noise, what=what, of=fit.of)
