@@ -647,7 +647,7 @@ def _hidden_left_out(state: SurveyState) -> bool:
     Where sizes of the noise are learned, the worst shot is tested in units of those that are learned
     with its q rows free (externally studentised: Cook and Weisberg, Residuals and Influence in
     Regression, 1982, page 20), against an F distribution of q over S - q - 1 degrees of freedom at S
-    stops, as if each said one number of the noise. Tell whether it is left out.
+    stops, as if each said one number of the noise. Tell whether it was rejected.
     """
     if not state.learning or state.used.mean() <= 1.0 - MOST_LEFT_OUT:
         return False

@@ -49,7 +49,7 @@ ROUGH_RADIUS = 0.003
 """A ball is roughly known from a shot that tells its radius with a standard deviation above this part:
 rows of the first order in its errors say too much of k0 and the scale then. With noise of 1 mm on balls
 of 50 mm, 2 % of the radius, k0 was up to two standard deviations off."""
-CLEAR = 0.2
+CLEARANCE = 0.2
 """What is behind a ball is farther from it than this part of its distance: points on it are closer."""
 STRAYS = 0.05
 """Points on the other side of a plane are strays where they are a smaller part of a shot, or two."""
@@ -354,7 +354,7 @@ def _apart(reading: FloatArray) -> list[IntArray]:
     while order.size:
         d = reading[order]
         gap, span = np.diff(d), d[:-1] - d[0]
-        free = np.flatnonzero((gap > span) & (gap > CLEAR * np.abs(d[:-1])))
+        free = np.flatnonzero((gap > span) & (gap > CLEARANCE * np.abs(d[:-1])))
         end = int(free[0]) + 1 if free.size else len(order)
         found.append(np.sort(order[:end]))
         order = order[end:]
@@ -371,7 +371,7 @@ def _alike(
     sorted_out: bool,
     errors: FloatArray,
 ) -> list[Condensed | None]:
-    """Do as `condensed_shots`, those of equal length together."""
+    """Do as `condensed_shots`, with shots of equal length together."""
     lengths = np.array([len(reading) for _, reading in shots], dtype=int)
     found: list[Condensed | None] = [None] * len(shots)
     for n in np.unique(lengths).tolist():

@@ -142,7 +142,7 @@ def targets_of(
 
 
 def left_out(stations: BoolArray, what: str) -> CalibrationWarning:
-    """Return a warning of stations (S,) that are left out, and why."""
+    """Return a warning of stations (S,) that do not count, and why."""
     values = {"stations": int(stations.sum()), "total": len(stations)}
     return warned("stations-left-out:log", values, what=what)
 

@@ -32,7 +32,7 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 FIELD_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of the fields of a cloud, by the constants of sensor_msgs/PointField."""
 SHORT_SCAN = 1e-3
-"""In so long a hand at 0.1 m/s moves by 0.1 mm, the usual error of a robot [s]."""
+"""In this time [s] a hand at 0.1 m/s moves by 0.1 mm, the usual error of a robot."""
 
 
 class BagPoints(NamedTuple):

@@ -51,7 +51,7 @@ METADATA = "metadata.yaml"
 BAGS = (ROS1, ".mcap", ".db3")
 RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
 GAP_STEPS = 10.0
-"""A frame of tf that was not sent for so many of its usual steps, and moved meanwhile, was anywhere
+"""A frame of tf that was not sent for this number of its usual steps, and moved meanwhile, was anywhere
 between: single messages get lost, and ten in a row do not."""
 Place = tuple[str, int | None]
 """The topic that a beam reads on, and which ray of a `LaserScan` it is."""

@@ -266,7 +266,7 @@ def by_time(poses: LogRows, readings: LogRows, given: LogFormat) -> JoinedStatio
 
 
 AT_AN_END = 16
-"""Of the readings of a stop, one in so many is at either end, and so many in the middle are compared: a
+"""One reading of this number is at either end of a stop, and this number in the middle is compared: a
 lag that leaves all of these to a hand that rests moves the mean by no more than its error."""
 OFTEN = 0.25
 """Part of the stops at whose ends readings are off, beyond those at which they are off in the middle: a
@@ -279,7 +279,7 @@ def _moving_readings(
 ) -> tuple[CalibrationWarning, ...]:
     """Return warnings of readings that still move, or move already, at the ends of stops of the hand.
 
-    The median of the readings at an end is farther from that of the stop than `FAR_SIGMAS` of what
+    The median of readings at an end is farther from the median of the stop than `FAR_SIGMAS` of what
     medians in the middle of stops are, and than the hand may move while it stands.
 
     Parameters
