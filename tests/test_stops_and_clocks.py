@@ -5,12 +5,16 @@ with the shiver of a controller. The range of each beam follows from the plane a
 """
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.files.logs.bags import lines_of
+from handlaser_gtsam.files.logs.joining import _moving_readings
+from handlaser_gtsam.files.logs.rows import LogRows
 
 BEAMS = (
     np.array([[0.03, 0.0, 0.01], [-0.02, 0.025, 0.0]]),
@@ -451,3 +455,20 @@ def test_milliseconds_in_one_table_are_named(tmp_path, of_poses):
     stated = "--time-units ms --readings-time-units s" if of_poses else "--readings-time-units ms"
     with pytest.raises(hl.InputError, match=stated):
         hl.read_log(tmp_path / "poses.csv", hl.LogFormat(**given))
+
+
+@pytest.mark.parametrize(
+    ("stops", "samples", "step"), [(3, 10, 1e-3), (12, 10, 1e-3), (8, 10, 0.0)]
+)
+def test_noise_of_readings_is_no_motion_at_the_ends_of_stops(stops, samples, step):
+    """Few stops, few readings, many columns, rounded: what scatters within stops says it."""
+    rng = np.random.default_rng(3)
+    station = np.repeat(np.arange(stops), samples)
+    d = 0.3 + 0.05 * rng.standard_normal((stops, 8))[station]
+    alarms = 0
+    for _ in range(20):
+        read = d + 4e-4 * rng.standard_normal(d.shape)
+        read = np.round(read / step) * step if step else read
+        log = LogRows(lines_of(Path("made.bag"), len(read)), tuple("abcdefgh"), read)
+        alarms += len(_moving_readings(log, station, hl.LogFormat(stands=True, stand_mm=0.1)))
+    assert alarms <= 2

@@ -129,3 +129,45 @@ def test_planes_with_wrong_readings_are_no_balls(seed, sigma):
     shots = tuple(dataclasses.replace(one, sigma=sigma) for one in survey.shots)
     found = hl.calibrate(dataclasses.replace(survey, shots=shots), rigs.EXACT)
     assert found.usable, found.verdict.sentence
+
+
+@pytest.mark.parametrize("top", [-2e-3, 0.0, 2e-4])
+def test_a_ball_at_the_zero_of_a_profile_is_whole(top):
+    """Of a profiler that reads about a reference distance, zero is no distance."""
+    rng = np.random.default_rng(7)
+    x = np.linspace(-0.015, 0.015, 50)
+    for _ in range(20):
+        z = top + 0.02 - np.sqrt(0.02**2 - x**2) + 2e-5 * rng.standard_normal(50)
+        (shot,) = condensed_shots(KINDS["profiler"], "sphere", [(x[:, None], z)])
+        assert shot is not None
+        assert shot.kept.sum() > 45
+
+
+@pytest.mark.parametrize("at", [0.0, 1.0, np.pi])
+def test_a_ball_behind_a_scanner_is_one(at):
+    """Where angles jump from pi to -pi its rays are neighbours all the same."""
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    u = np.column_stack((np.cos(angles), np.sin(angles)))
+    room = np.min(np.where(u > 0, [3.0, 2.0], [-3.0, -2.0]) / np.where(u == 0.0, 1e-9, u), axis=1)
+    middle = 0.8 * np.array([np.cos(at), np.sin(at)])
+    b = u @ middle
+    inside = b**2 - middle @ middle + 0.15**2
+    ball = (inside > 0.0) & (b > 0.0)
+    d = np.where(ball, b - np.sqrt(np.maximum(inside, 0.0)), room)
+    d = d + 1e-4 * np.random.default_rng(1).standard_normal(720)
+    (shot,) = condensed_shots(KINDS["scanner"], "sphere", [(angles[:, None], d)])
+    assert shot is not None
+    assert not (shot.kept & ~ball).any()
+    assert shot.shape[-1] == pytest.approx(0.15, abs=2e-3)
+
+
+def test_a_plate_with_most_points_of_a_profile_counts_whatever_the_sign_of_z():
+    x = np.linspace(-0.03, 0.03, 400)
+    plate = x < 0.0084
+    z = np.where(plate, 0.3 + 0.1 * x, 0.34 + 0.1 * x)
+    z = z + 2e-5 * np.random.default_rng(2).standard_normal(400)
+    for towards in (z, -z, 0.6 - z):
+        (shot,) = condensed_shots(KINDS["profiler"], "plane", [(x[:, None], towards)])
+        assert shot is not None
+        assert shot.kept[plate].mean() > 0.95
+        assert not shot.kept[~plate].any()

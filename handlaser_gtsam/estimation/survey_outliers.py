@@ -222,7 +222,7 @@ def sorted_again(
     """Return the rows with the readings of some arrays sorted by the whole survey.
 
     A shot that was rejected, or had too few readings on its target, counts again where at least half
-    of its readings do whose rays meet the target.
+    of its readings do whose rays meet the target, and three.
 
     Parameters
     ----------
@@ -251,11 +251,13 @@ def sorted_again(
             near = np.abs(e) <= reach
             at = place.get((member, station))
             before = items[at].points if at is not None and counts[at] else None
-            if near.any() and (before is not None or near.sum() >= 0.5 * np.isfinite(e).sum()):
+            enough = near.sum() >= max(3, 0.5 * np.isfinite(e).sum())
+            if near.any() and (before is not None or enough):
                 some.append((station, target, table[near], at, before))
         every = [(shots.across[points], shots.reading[points]) for _, _, points, _, _ in some]
         kind = KINDS[shots.kind]
-        again = condensed_shots(kind, family, every, sorted_out=True)
+        errors = None if rows.errors is None else rows.errors[member]
+        again = condensed_shots(kind, family, every, sorted_out=True, errors=errors)
         for (station, target, points, at, before), shot in zip(some, again, strict=True):
             if shot is None:
                 continue

@@ -288,21 +288,25 @@ def _before_others(
         reading, side = shots[i][1], _sides(kind, plane, shots[i], behind)
         strays = (side > 0).sum() < max(3, STRAYS * len(side))
         before = np.flatnonzero(side < 0) if strays else np.zeros(0, dtype=int)
+        # Where z of a profile is zero says nothing of distances.
+        length = np.full(len(side), np.ptp(reading)) if kind.parallel else np.abs(reading)
         if len(before) > 2:
-            parts = [before[some] for some in _apart(reading[before])]
+            parts = [before[some] for some in _apart(reading[before], length[before])]
         else:
-            parts = _apart(reading)[:-1]
-        together = (_together(shots[i][0], some) for some in parts)
+            parts = _apart(reading, length)[:-1]
+        together = (_together(kind, shots[i][0], some) for some in parts)
         found += [(i, p) for p, one in zip(parts, together, strict=True) if one and len(p) > 2]
     return found
 
 
-def _together(across: FloatArray, some: IntArray) -> bool:
+def _together(kind: Kind, across: FloatArray, some: IntArray) -> bool:
     """Tell whether some rays of a shot, by their `across` (n, c), are neighbours: strays lie anywhere.
 
     At least half of the rays that are as near to their middle as they are, are among them.
     """
-    from_middle = np.linalg.norm(across - across[some].mean(axis=0), axis=1)
+    rays = kind.rays(across)
+    place = rays.origin + rays.direction
+    from_middle = np.linalg.norm(place - place[some].mean(axis=0), axis=1)
     return 2 * len(some) >= int((from_middle <= from_middle[some].max()).sum())
 
 
@@ -315,7 +319,8 @@ def _plates_before(
 ) -> list[Condensed | None]:
     """Return the planes of shots, or those before them, as a plate on a table is, with enough points.
 
-    A plate hides what is behind it: where two planes meet at an edge, neither is before the other.
+    A plate hides what is behind it: where two planes meet at an edge, neither is before the other. Of
+    profiles, whose z may grow towards the sensor, the plane with more points is the plate.
     """
     found = list(found)
     side = [_sides(kind, plane, *one) for one in zip(shots, found, strict=True)]
@@ -323,7 +328,10 @@ def _plates_before(
     some = [i for i, one in enumerate(side) if (one < 0).sum() >= enough[i]]
     tables = [(shots[i][0][side[i] < 0], shots[i][1][side[i] < 0]) for i in some]
     for i, plate in zip(some, _alike(kind, plane, tables, *how), strict=True):
-        if plate is None or plate.kept.sum() < enough[i]:
+        now = found[i]
+        if plate is None or now is None or plate.kept.sum() < enough[i]:
+            continue
+        if kind.parallel and plate.kept.sum() < now.kept.sum():
             continue
         kept = np.zeros(len(side[i]), dtype=bool)
         kept[side[i] < 0] = plate.kept
@@ -348,13 +356,16 @@ def _sides(
     )
 
 
-def _apart(reading: FloatArray) -> list[IntArray]:
-    """Return the rows of readings (n,) in parts, nearest first, each clearly apart from the next."""
+def _apart(reading: FloatArray, length: FloatArray) -> list[IntArray]:
+    """Return the rows of readings (n,) in parts, nearest first, each clearly apart from the next.
+
+    Clear is what is more than `CLEARANCE` of a length (n,).
+    """
     order, found = np.argsort(reading), list[IntArray]()
     while order.size:
         d = reading[order]
         gap, span = np.diff(d), d[:-1] - d[0]
-        free = np.flatnonzero((gap > span) & (gap > CLEARANCE * np.abs(d[:-1])))
+        free = np.flatnonzero((gap > span) & (gap > CLEARANCE * length[order[:-1]]))
         end = int(free[0]) + 1 if free.size else len(order)
         found.append(np.sort(order[:end]))
         order = order[end:]

@@ -317,7 +317,7 @@ def _zones_that_err(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     for member, shots in enumerate(found.rows.survey.shots):
         size, growth = alike_by_zone(found.rows, found.values, found.used, member)
         if found.fits and growth > 1.0:
-            values: Values = {"sensor": shots.name, "size": size, "times": math.sqrt(growth)}
+            values: Values = {"sensor": shots.name, "size": size}
             yield warned("zones-err", values)
 
 

@@ -202,8 +202,9 @@ def read_messages(
         count = publishers[topic]
         if count > 1 and topics[topic] not in TRANSFORMS:  # of which several are usual
             warnings.append(warned("several-publishers", {"topic": topic, "publishers": count}))
-    if with_stamp[True] and with_stamp[False]:
-        some_topics = some(sorted(with_stamp[False]), 8)
+    never = with_stamp[False] - with_stamp[True]
+    if with_stamp[True] and never:
+        some_topics = some(sorted(never), 8)
         warnings.append(warned("no-stamps", {"topics": some_topics}))
     if frames is not None and frames.lost:
         name, rows = frames.lost.most_common(1)[0]
@@ -461,7 +462,7 @@ class Frames:
         time = base[(base >= begin) & (base <= end)]
         for name in moving:
             x = rows[name]
-            row, _ = neighbours(x[:, 0], time)
+            row, share = neighbours(x[:, 0], time)
             before, after = x[row[:, 0]], x[row[:, 1]]
             turn = Rotation.from_quat(before[:, 4:]).inv() * Rotation.from_quat(after[:, 4:])
             moved = np.linalg.norm(after[:, 1:4] - before[:, 1:4], axis=1) > MOVES_M
@@ -469,8 +470,9 @@ class Frames:
             gap = after[:, 0] - before[:, 0] > GAP_STEPS * np.median(
                 np.diff(x[:, 0], prepend=-np.inf)
             )
-            self.lost[name] += int((gap & moved).sum())
-            time = time[~(gap & moved)]
+            between = gap & moved & (share > 0.0) & (share < 1.0)
+            self.lost[name] += int(between.sum())
+            time = time[~between]
         self.lost = +self.lost
         if not len(time):
             raise InputError("tf frames of the chain at times of their own", "times that overlap")

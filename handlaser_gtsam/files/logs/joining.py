@@ -13,9 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...data.recording import first_repeated, numbered
+from ...data.screening import rounding
 from ...errors import CalibrationWarning, InputError
 from ...model.conventions import FORMATS, TIME_UNITS, poses_of
-from ...quantities import FAR_SIGMAS, IN_MM, MEDIAN_TO_SIGMA, MM
+from ...model.distributions import gaussian_quantile
+from ...quantities import FAR_SIGMAS, IN_MM, MM
 from ...results.messages import warned
 from ...text import A_NAME, name_fault, shown, some
 from ..table import labels, read_table
@@ -279,8 +281,9 @@ def _moving_readings(
 ) -> tuple[CalibrationWarning, ...]:
     """Return warnings of readings that still move, or move already, at the ends of stops of the hand.
 
-    The median of readings at an end is farther from the median of the stop than `FAR_SIGMAS` of what
-    medians in the middle of stops are, and than the hand may move while it stands.
+    The median of readings at an end is farther from the median of the stop than `FAR_SIGMAS` of the
+    readings in the middle halves of stops, and than the hand may move while it stands, by more than one
+    step to which readings are rounded.
 
     Parameters
     ----------
@@ -300,15 +303,17 @@ def _moving_readings(
         if len(parts) < 3:  # of which one alone would be more than a quarter
             continue
         middles = np.array([np.median(column[part]) for part in parts])
+        rest = [column[part[len(part) // 4 : -(len(part) // 4)]] for part in parts]
+        within = np.abs(np.concatenate(rest) - np.repeat(middles, [len(one) for one in rest]))
         far = np.empty((3, len(parts)))  # at the begin, at the end, and in the middle
         for i, part in enumerate(parts):
             few = max(len(part) // AT_AN_END, 1)
             firsts = 0, len(part) - few, (len(part) - few) // 2
             far[:, i] = [np.median(column[part[first : first + few]]) for first in firsts]
         far = np.abs(far - middles)
-        noise = FAR_SIGMAS * MEDIAN_TO_SIGMA * np.median(far[2])
+        noise = FAR_SIGMAS * np.quantile(within, 0.9) / gaussian_quantile(0.95)
         moved = given.stand_mm * MM + np.radians(given.stand_deg) * np.abs(middles)
-        beyond = far > np.maximum(noise, moved)
+        beyond = far > np.maximum(noise, moved) + 2.0 * rounding(column[rows])
         for end, k in (("begin", 0), ("end", 1)):
             if beyond[k].mean() - beyond[2].mean() > OFTEN:
                 found[end].add(name)
