@@ -13,6 +13,7 @@ from handlaser_gtsam.arrays import FloatArray
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.data.recording import Recording
 from handlaser_gtsam.results.calibration import Calibration
+from handlaser_gtsam.results.survey import SensorMount
 from handlaser_gtsam.results.systematic import SystematicError
 from handlaser_gtsam.solvers.graph import CalibrationGraph
 from handlaser_gtsam.validation.scenes import SCENES, Layout
@@ -20,6 +21,8 @@ from handlaser_gtsam.validation.simulate import Errors, Stations, simulate
 
 ROOT = Path(__file__).parents[1]
 GRIPPER = ROOT / "examples" / "gripper"
+BY_CHANCE = 30.0
+"""A chi2 of six that chance exceeds in 4 of 100,000 cases."""
 
 
 def first_and_slow(*values: Any) -> list[Any]:
@@ -49,6 +52,13 @@ def recording_of(
     """Return what the beams of `truth` read at chosen hand poses."""
     stations = Stations(np.asarray(R), np.asarray(t), np.asarray(plane))
     return simulate(truth, stations, Errors(range_sigma), np.random.default_rng(5))
+
+
+def mount_chi2(sensor: SensorMount, turn: FloatArray, place: FloatArray) -> float:
+    """Return the chi2 of six of a mount, by its covariance, of its true turn (3, 3) and place."""
+    about = Rotation.from_matrix(sensor.rotation.T @ turn).as_rotvec()
+    error = np.concatenate((about, sensor.rotation.T @ (place - sensor.location)))
+    return float(error @ np.linalg.solve(sensor.covariance[:6, :6], error))
 
 
 def numeric_jacobian(

@@ -76,6 +76,7 @@ def rig_file(folder, rig, kind, topics, more=""):
     return folder / "rig.toml"
 
 
+OPTIONS = {"array": {"zones": 4, "convention": "radial"}}
 CASES = {
     "scanner": (scans, {"targets": "planes+sphere"}, "ros1"),
     "points": (clouds, {"planes": 3}, "ros2"),
@@ -161,6 +162,35 @@ def test_one_topic_of_two_sensors_is_refused(tmp_path):
     file = rig_file(tmp_path, rig, "scanner", ["scanner"], again)
     with pytest.raises(hl.InputError, match="topic 'scanner' twice"):
         hl.read_survey(bag, file)
+
+
+@pytest.mark.parametrize("kind", ["scanner", "array"])
+@pytest.mark.parametrize("late", [0.0, 0.3])
+def test_readings_that_still_move_when_the_hand_stands_are_said(tmp_path, kind, late):
+    """Readings of another moment of the hand are of another place, at one end of each stop."""
+    rig = getattr(rigs_by_rays, kind)(3, planes=3, stations=8, **OPTIONS.get(kind, {}))
+    table, topics = rig.tables[kind], [kind]
+    if kind == "array":
+        topics = [f"array/{i}" for i in range(len(table["directions"]))]
+        lines = [f"{i},{x},{y},{z}" for i, (x, y, z) in enumerate(table["directions"].tolist())]
+        (tmp_path / "zones.csv").write_text("\n".join(["zone,x,y,z", *lines]) + "\n")
+
+    def messages(make):
+        yield from poses(rig, make)
+        publish, both = scans if kind == "scanner" else zones, STAND + WAY
+        for time in np.arange(0.0, both * len(rig.R) - WAY, 0.05).tolist():
+            number = int((time - late) // both) if time >= late else 0
+            on_way = max((time - late - both * number - STAND) / WAY, 0.0)
+            rows = np.flatnonzero(table["station"] == number)
+            shot = {**table, "reading": table["reading"] + 0.1 * on_way}
+            yield from publish(make, kind, shot, rows, time)
+
+    bag = write_bag(tmp_path, "mcap", messages)
+    more = 'zones = "zones.csv"\n' if kind == "array" else ""
+    survey = hl.read_survey(bag, rig_file(tmp_path, rig, kind, topics, more))
+    said = [one.values for one in survey.warnings if one.code == "moving-readings"]
+    assert len(said) == (late > 0.0)
+    assert all(one["stops"] >= len(rig.R) // 2 for one in said)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from helpers import ROOT
 from moving import example
 
 import handlaser_gtsam as hl
+from handlaser_gtsam.files.logs.bags import Frames
 
 pytestmark = pytest.mark.skipif(not HAS_ROSBAGS, reason="needs rosbags")
 PLANES = ("A=1..12", "B=13..24")
@@ -287,19 +289,23 @@ def test_poses_of_one_stamp_that_differ_are_refused(tmp_path, short):
     assert len(hl.read_log(bag, hl.LogFormat(plane="A", receive_time=True)).ranges) == 4
 
 
-def test_topics_without_stamps_beside_others_are_said(tmp_path, short):
-    """Their times of receipt count, which may be of another clock."""
+@pytest.mark.parametrize("stamped", [0, 1])
+def test_topics_without_stamps_beside_others_are_said(tmp_path, short, stamped):
+    """Their times of receipt count, which may be of another clock; a first message without is none."""
 
     def messages(make):
+        left = 1
         for topic, time, message in published(short, make):
-            if topic != "/tcp_pose":
+            without = topic != "/tcp_pose" and (not stamped or left > 0)
+            left -= without
+            if without:
                 message.header.stamp.sec = message.header.stamp.nanosec = 0
             yield topic, time, message
 
     bag = write_bag(tmp_path, "mcap", messages)
     found = hl.read_log(bag, hl.LogFormat(plane="A"))
-    (said,) = [one for one in found.warnings if one.code == "no-stamps"]
-    assert said.values["topics"] == "/laser/1, /laser/2"
+    said = [one.values["topics"] for one in found.warnings if one.code == "no-stamps"]
+    assert said == ([] if stamped else ["/laser/1, /laser/2"])
     at_receipt = hl.read_log(bag, hl.LogFormat(plane="A", receive_time=True))
     assert not [one for one in at_receipt.warnings if one.code == "no-stamps"]
 
@@ -326,6 +332,32 @@ def test_poses_in_a_gap_of_a_frame_that_moved_meanwhile_do_not_count(tmp_path, s
     number = {name: i for i, name in enumerate(every.station_names)}
     same = [number[name] for name in found.station_names]
     assert np.abs(found.world_t_hand - every.world_t_hand[same]).max() < 1e-9
+
+
+def test_poses_of_a_frame_that_was_recorded_at_stops_only_all_count():
+    """At its own stamps it is known, however long nothing was sent before."""
+    frames = Frames("base", "hand")
+
+    def sent(child, parent, time, x):
+        place, turn = (
+            SimpleNamespace(x=x, y=0.0, z=0.0),
+            SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+        )
+        header = SimpleNamespace(frame_id=parent)
+        both = SimpleNamespace(translation=place, rotation=turn)
+        transform = SimpleNamespace(child_frame_id=child, header=header, transform=both)
+        frames.add(time, transform, static=False)
+
+    for time in np.arange(0.0, 40.0, 0.25).tolist():
+        sent("hand", "slide", time, 0.3)
+        if time % 10.0 < 2.0:  # for two seconds in ten
+            sent("slide", "base", time, time // 10.0)
+    rows = frames.rows()
+    at_stops = rows[:, 0] % 10.0 < 2.0
+    assert at_stops.all()
+    assert len(rows) == 4 * 8
+    assert np.abs(rows[:, 1] - rows[:, 0] // 10.0 - 0.3).max() < 1e-12
+    assert frames.lost == {"slide": 3 * 32}
 
 
 @pytest.mark.parametrize("kind", ["ros1", "mcap-file"])

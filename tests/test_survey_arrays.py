@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import BY_CHANCE, ROOT, mount_chi2
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
@@ -121,16 +121,7 @@ def cluttered(seed, *, short=0.0, limit=0.0, others=0.0):
     return replace(survey, shots=(shots,)), mount, place
 
 
-def error_of(found, mount, place):
-    sensor = found.sensors["tof"]
-    turn = Rotation.from_matrix(sensor.rotation.T @ mount).as_rotvec()
-    error = np.concatenate((turn, sensor.rotation.T @ (place - sensor.location)))
-    return float(error @ np.linalg.solve(sensor.covariance[:6, :6], error))
-
-
 EXACT = hl.Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
-BY_CHANCE = 30.0
-"""A chi2 of six that chance exceeds in 4 of 100,000 cases."""
 
 
 @pytest.mark.slow
@@ -145,7 +136,7 @@ def test_what_is_pulled_by_a_near_echo_is_named_and_left_out():
     (shots,) = survey.shots
     clear = hl.calibrate(replace(survey, shots=(shots.clear_of(limit / 1e3),)), EXACT)
     assert clear.usable
-    assert error_of(clear, mount, place) < BY_CHANCE
+    assert mount_chi2(clear.sensors["tof"], mount, place) < BY_CHANCE
     assert "behind-echo" not in {one.code for one in clear.warnings}
 
 
@@ -155,7 +146,7 @@ def test_a_near_echo_that_pulls_nothing_is_no_reason():
     found = hl.calibrate(survey, EXACT)
     assert "behind-echo" not in {one.code for one in found.warnings}
     assert found.usable
-    assert error_of(found, mount, place) < BY_CHANCE
+    assert mount_chi2(found.sensors["tof"], mount, place) < BY_CHANCE
     assert (found._found.spread == 1.0).all()  # no reading is of something else
 
 
@@ -171,7 +162,7 @@ def test_zones_on_something_else_are_sorted_out_by_all_shots():
     for seed in (0, 3):
         _, mount, place = cluttered(seed, others=0.3)
         found = calibrated_clutter(seed)
-        squares.append(error_of(found, mount, place))
+        squares.append(mount_chi2(found.sensors["tof"], mount, place))
         assert found.sensors["tof"].reading_sigma < 7e-3  # 5 mm, and what cannot be told from it
         assert (found._found.spread >= 1.0).all()
         assert found._found.spread.max() > 1.0
@@ -305,4 +296,4 @@ def test_a_zone_that_grazes_its_ball_does_not_end_the_search():
     found = hl.calibrate(rigs.survey_of(rig), rigs.EXACT)
     assert found.usable
     ((error, C),) = rigs.errors_of(rig, found)
-    assert error @ np.linalg.solve(C, error) < 30.0
+    assert error @ np.linalg.solve(C, error) < BY_CHANCE

@@ -4,12 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
+from helpers import BY_CHANCE, mount_chi2
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_distance, rigs_by_rays
+from handlaser_gtsam.estimation.survey_outliers import misses_of
 from handlaser_gtsam.model.condensed_shots import condensed_shots
+from handlaser_gtsam.model.families import POSE
 from handlaser_gtsam.model.sensors.kinds import KINDS
+from handlaser_gtsam.model.sensors.mounted import SENSOR
 
 PLACE, TURN = np.array([0.06, -0.03, 0.1]), Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
 BALL, RADIUS, WALL = np.array([0.5, 0.1, 0.3]), 0.04, 0.25
@@ -68,9 +72,7 @@ def check(survey):
     found = hl.calibrate(survey, exact)
     assert found.usable, found.verdict.sentence
     sensor = found.sensors["it"]
-    turn = Rotation.from_matrix(sensor.rotation.T @ TURN).as_rotvec()
-    error = np.concatenate((turn, sensor.rotation.T @ (PLACE - sensor.location)))
-    assert error @ np.linalg.solve(sensor.covariance[:6, :6], error) < 30.0  # 4 of 100,000
+    assert mount_chi2(sensor, TURN, PLACE) < BY_CHANCE
     assert sensor.location_sigma.max() < 1e-3
     assert found.targets["sphere:ball"].values["radius"] == pytest.approx(RADIUS, abs=5e-4)
 
@@ -118,7 +120,7 @@ def test_wrong_readings_of_a_ball_are_left_out_one_by_one(generator, seed):
     found = hl.calibrate(rigs.survey_of(rig), rigs.EXACT)
     assert found.usable, found.verdict.sentence
     ((error, covariance),) = rigs.errors_of(rig, found)
-    assert error @ np.linalg.solve(covariance, error) < 30.0
+    assert error @ np.linalg.solve(covariance, error) < BY_CHANCE
 
 
 @pytest.mark.parametrize("sigma", [None, 1e-4])
@@ -171,3 +173,28 @@ def test_a_plate_with_most_points_of_a_profile_counts_whatever_the_sign_of_z():
         assert shot is not None
         assert shot.kept[plate].mean() > 0.95
         assert not shot.kept[~plate].any()
+
+
+@pytest.mark.parametrize("targets", ["planes", "sphere"])
+def test_readings_are_sorted_with_the_range_errors_of_their_sensor(targets):
+    """What is corrected is how far a reading is off: an offset, and a part of the reading."""
+    rig = rigs_by_rays.array(3, targets=targets, convention="radial")
+    found = hl.calibrate(rigs.survey_of(rig), rigs.EXACT)._found
+    item = found.rows.items[0]
+    some = np.flatnonzero(found.rows.survey.shots[0].station == item.station)
+    before = misses_of(found.rows, found.values, 0, item.target, some)
+    values = {name: x.copy() for name, x in found.values.items()}
+    values[SENSOR.name][0, 0, POSE.size : POSE.size + 2] += [2e-3, 0.01]
+    after = misses_of(found.rows, values, 0, item.target, some)
+    hit = np.isfinite(before)
+    assert hit.sum() > 3
+    d = found.rows.survey.shots[0].reading[some]
+    assert after[hit] - before[hit] == pytest.approx(2e-3 + 0.01 * d[hit], rel=1e-9)
+
+
+def test_strays_in_front_of_a_wall_are_no_ball():
+    rng = np.random.default_rng(6)
+    x = np.linspace(-0.06, 0.06, 120)
+    d = 0.4 + 1e-4 * rng.standard_normal(120)
+    d[rng.choice(120, 12, replace=False)] = rng.uniform(0.05, 0.2, 12)
+    assert condensed_shots(KINDS["profiler"], "sphere", [(x[:, None], d)]) == [None]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import BY_CHANCE, mount_chi2
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
@@ -49,9 +50,7 @@ def test_a_table_behind_plates_need_not_be_cut_out(seed):
     found = hl.calibrate(plates_before_tables(seed), exact)
     assert found.usable, found.verdict.sentence
     sensor = found.sensors["it"]
-    turn = Rotation.from_matrix(sensor.rotation.T @ TURN).as_rotvec()
-    error = np.concatenate((turn, sensor.rotation.T @ (PLACE - sensor.location)))
-    assert error @ np.linalg.solve(sensor.covariance[:6, :6], error) < 30.0  # 4 of 100,000
+    assert mount_chi2(sensor, TURN, PLACE) < BY_CHANCE
     assert sensor.location_sigma.max() < 1e-3
 
 

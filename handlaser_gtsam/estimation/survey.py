@@ -343,7 +343,7 @@ def first_state(
 ) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
-    Where shots do not surely fit the start of a quick search, a thorough one follows, and where they do
+    Where shots do not surely fit the start of a quick search, a thorough one follows, and where most do
     not fit that either, one from halves of the shots: wrong labels pull a start of all to where none
     fits well. No start is sought where most agree beside an `earlier` estimate of the same sensors.
 
@@ -372,10 +372,6 @@ def first_state(
     if rough is not None and np.median(misfits(rough)) <= GROSS:
         return rough
     if np.median(misfits(state)) <= GROSS:
-        parts = replace(state)
-        if not _surely_fits(state) and started_from_halves(parts):
-            leave_out_gross(parts)
-            state = parts if _surely_fits(parts) else state
         return state
     free = _begun_without_relations(state)
     if free is not None and _some_relation_is_contradicted(
@@ -653,6 +649,10 @@ def _hidden_left_out(state: SurveyState) -> bool:
         return False
     p, chi2, tested = agreement(state)
     worst = tested[most_contradicted(p, chi2)]
+    _, owner = state.dense()
+    rows, stops = int((owner == worst).sum()), len(np.unique(state.stops(owner[owner >= 0])))
+    if stops <= rows + 1:
+        return False
 
     def alone(at: SurveyState, pose_errors: bool) -> FloatArray:
         _, owner = at.dense(pose_errors=pose_errors)
@@ -661,11 +661,9 @@ def _hidden_left_out(state: SurveyState) -> bool:
         columns[own, np.arange(len(own))] = 1.0
         return columns
 
-    _, owner = state.dense()
-    rows, stops = int((owner == worst).sum()), len(np.unique(state.stops(owner[owner >= 0])))
     _, chi2, _ = agreement(replace(state, sizes=learned_sizes(state, alone)))
     far = float(chi2[tested == worst].sum()) / rows
-    if stops <= rows + 1 or f_sf(far, rows, stops - rows - 1) >= FAMILY_LEVEL / len(tested):
+    if f_sf(far, rows, stops - rows - 1) >= FAMILY_LEVEL / len(tested):
         return False
     state.used = state.used & (np.arange(len(state.used)) != worst)
     return True

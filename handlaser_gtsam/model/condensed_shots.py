@@ -256,21 +256,37 @@ def condensed_shots(
     if sorted_out:
         return _alike(kind, shape, shots, *how)
     if isinstance(shape, _Flat):
-        return _plates_before(kind, shape, shots, _alike(kind, shape, shots, *how), how)
+        return _plates(kind, shape, shots, _alike(kind, shape, shots, *how), how)
     found = list[Condensed | None]([None] * len(shots))
 
     def find(points: Sequence[tuple[int, IntArray]]) -> None:
         """Find shots, by their number, with some of their points; of two the one with more points."""
-        tables = [(shots[i][0][some], shots[i][1][some]) for i, some in points]
-        for (i, some), shot in zip(points, _alike(kind, shape, tables, *how), strict=True):
+        for (i, _), shot in zip(points, _of_whole(kind, shape, shots, points, how), strict=True):
             before = found[i]
             if shot is not None and (before is None or before.kept.sum() < shot.kept.sum()):
-                kept = np.isin(np.arange(len(shots[i][1])), some[shot.kept])
-                found[i] = replace(shot, kept=kept)
+                found[i] = shot
 
     find(_before_others(kind, shots, sigma))
     find([(i, np.arange(len(d))) for i, (_, d) in enumerate(shots) if found[i] is None])
     return found
+
+
+def _of_whole(
+    kind: Kind,
+    shape: Shape,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    parts: Sequence[tuple[int, IntArray]],
+    how: tuple[int, float, float | None, bool, FloatArray],
+) -> list[Condensed | None]:
+    """Return shots of which only a part is looked at; which points are kept is said of the whole.
+
+    Parts are the number of a shot with some of its rows.
+    """
+    tables = [(shots[i][0][some], shots[i][1][some]) for i, some in parts]
+    return [
+        shot and replace(shot, kept=np.isin(np.arange(len(shots[i][1])), some[shot.kept]))
+        for (i, some), shot in zip(parts, _alike(kind, shape, tables, *how), strict=True)
+    ]
 
 
 def _before_others(
@@ -310,7 +326,7 @@ def _together(kind: Kind, across: FloatArray, some: IntArray) -> bool:
     return 2 * len(some) >= int((from_middle <= from_middle[some].max()).sum())
 
 
-def _plates_before(
+def _plates(
     kind: Kind,
     plane: _Flat,
     shots: Sequence[tuple[FloatArray, FloatArray]],
@@ -325,18 +341,16 @@ def _plates_before(
     found = list(found)
     side = [_sides(kind, plane, *one) for one in zip(shots, found, strict=True)]
     enough = [max(share_of(len(one))[0] * len(one), 1.0) for one in side]
-    some = [i for i, one in enumerate(side) if (one < 0).sum() >= enough[i]]
-    tables = [(shots[i][0][side[i] < 0], shots[i][1][side[i] < 0]) for i in some]
-    for i, plate in zip(some, _alike(kind, plane, tables, *how), strict=True):
+    parts = [(i, np.flatnonzero(one < 0)) for i, one in enumerate(side)]
+    parts = [(i, before) for i, before in parts if len(before) >= enough[i]]
+    for (i, _), plate in zip(parts, _of_whole(kind, plane, shots, parts, how), strict=True):
         now = found[i]
         if plate is None or now is None or plate.kept.sum() < enough[i]:
             continue
         if kind.parallel and plate.kept.sum() < now.kept.sum():
             continue
-        kept = np.zeros(len(side[i]), dtype=bool)
-        kept[side[i] < 0] = plate.kept
-        plate, on = replace(plate, kept=kept), side[i] == 0
-        if (_sides(kind, plane, shots[i], plate)[on] > 0).mean() >= 1.0 - STRAYS:
+        behind = _sides(kind, plane, shots[i], plate)[side[i] == 0] > 0
+        if behind.mean() >= 1.0 - STRAYS:
             found[i] = plate
     return found
 

@@ -8,7 +8,6 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -113,9 +112,9 @@ def read_bag_points(
             raise InputError(found, f"at least one, on {some(own, 4)}")
     times = np.concatenate([np.frombuffer(own) for own, _ in clouds])
     order = np.argsort(times, kind="stable")
-    beams, read = _typical([rows for _, rows in clouds], topic_of, [name for name, *_ in sensors])
-    lines = lines_of(path, len(times))
-    messages = LogRows(lines, beams, read[order], times=times[order])
+    read = _typical([rows for _, rows in clouds], topic_of)
+    lines, names = lines_of(path, len(times)), tuple(name for name, *_ in sensors)
+    messages = LogRows(lines, names, read[order], times=times[order])
     log = by_time(poses, messages, replace(given, stands=not given.interpolate))
     labels, chosen, unlabelled = targets_of(log, given)
     station = np.empty(len(times), dtype=np.intp)
@@ -153,19 +152,20 @@ def _skewed(lasts: Mapping[str, float]) -> tuple[CalibrationWarning, ...]:
 
 
 def _typical(
-    points: Sequence[Sequence[FloatArray]], topic_of: Sequence[Sequence[int]], names: Sequence[str]
-) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the sensor of each of C topics, and the mean of the readings of each of M messages (M, C).
+    points: Sequence[Sequence[FloatArray]], topic_of: Sequence[Sequence[int]]
+) -> FloatArray:
+    """Return the median reading of each of M messages (M, sensors), which tells whether it moves.
 
-    A message is of one topic; the others have NaN there.
+    Zones differ: of each sensor messages of one topic count, and all others are NaN.
     """
-    of_sensor = [np.array(numbers, dtype=np.intp) for numbers in topic_of]
-    counts = [int(numbers.max()) + 1 for numbers in of_sensor]
-    begin = np.cumsum(counts) - counts
-    column = np.concatenate([own + first for own, first in zip(of_sensor, begin, strict=True)])
-    found = np.full((len(column), sum(counts)), np.nan)
-    found[np.arange(len(column)), column] = [rows[:, -1].mean() for rows in chain(*points)]
-    return tuple(np.repeat(names, counts).tolist()), found
+    found = np.full((sum(map(len, topic_of)), len(topic_of)), np.nan)
+    begin = 0
+    for sensor, (messages, topics) in enumerate(zip(points, topic_of, strict=True)):
+        first = min(topics)
+        some = [i for i, topic in enumerate(topics) if topic == first]
+        found[[begin + i for i in some], sensor] = [np.median(messages[i][:, -1]) for i in some]
+        begin += len(topics)
+    return found
 
 
 def _scan(message: Any, _: int) -> FloatArray:
