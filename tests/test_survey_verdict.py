@@ -12,6 +12,7 @@ from benchmarks.rigs import HAND, survey_of
 from handlaser_gtsam.files.calibration_writing import calibration_text
 from handlaser_gtsam.results.limits import Limits
 from handlaser_gtsam.results.survey_verdict import survey_verdict
+from handlaser_gtsam.results.warnings import RIVAL
 
 FIELDS = ["code", "usable", "sentence", "spot", "may_hide", "causes", "remedies"]
 """Of a verdict in the JSON of calibrations of beams before planes."""
@@ -39,6 +40,12 @@ def test_a_program_reads_code_causes_and_remedies():
     (cause,) = bad["causes"]
     assert cause["values"]["value"] == sigma
     assert bad["remedies"][0]["number"] == pytest.approx(9.0)
+    # What makes numbers wrong comes before limits that they exceed, and both are said.
+    rival = hl.CalibrationWarning(RIVAL, "another mount is as probable")
+    judged = survey_verdict(replace(result, warnings=(rival,)), Limits(location_sigma=sigma / 3.0))
+    assert judged.code == "undetermined"
+    assert rival.message in judged.sentence
+    assert judged.exceeded[0] in judged.sentence
 
 
 @pytest.mark.slow

@@ -499,3 +499,12 @@ def test_what_may_hide_has_a_code_and_sizes(recording):
     assert found["code"] in EFFECTS
     assert found["spot_shift_m"] > 0.0
     assert found["size"] > 0.0
+
+
+def test_what_makes_numbers_wrong_comes_before_limits(calibration):
+    """Both are said, and both are causes."""
+    harm = error_of(np.ones((4, 3)), p_value=1e-9)
+    found = verdict(replace(calibration, systematic=(harm,)), Limits(rms=1e-6))
+    assert found.code == "systematic-error"
+    assert found.exceeded[0] in found.sentence
+    assert {cause.code for cause in found.causes} == {"outside-limits", harm.code}

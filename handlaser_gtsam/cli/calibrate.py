@@ -263,6 +263,7 @@ def _failure_of(
     if disagreement:
         words = f"{disagreement}; expected the same optimum: do not use this calibration"
         return Exit.UNDETERMINED, words
-    exceeded = judged.exceeded
-    words = f"outside the limits: {'; '.join(exceeded)}" if exceeded else judged.sentence
+    words = judged.sentence
+    if judged.code == "outside-limits":
+        words = f"outside the limits: {'; '.join(judged.exceeded)}"
     return None if judged.usable else (Exit.NOT_USABLE, words)

@@ -28,11 +28,12 @@ from .verdict import (
     Verdict,
     better_sigmas,
     clause,
+    code_of,
     failures,
     failures_of,
     improvement_of,
     more_stations,
-    moved_beam_of,
+    moves_the_spot,
 )
 from .warnings import DISPLACED, RIVAL, ambiguous
 
@@ -70,29 +71,30 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     )
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(result)
-    contradicted = [one.message for one in result.warnings if one.code == FALSE_RELATION]
-    moved = moved_beam_of(result.warnings)
-    unsure = [one.message for one in result.warnings if one.code == TOO_FEW]
-    unsure += ambiguous(result.warnings)
     named = [one.message for one in _range_errors(result, harmful)]
-    code, first = "usable", ""
-    if contradicted:
-        code, first = "contradicted", contradicted[0]
-    elif moved is not None and float(moved.values["times"]) > 1.0:
-        code, first = "systematic-error", moved.message
-    elif harmful is not None and excess > 1.0:
-        code, first = "systematic-error", named[0]
-    elif unsure:
-        code, first = "undetermined", unsure[0]
-    elif failed:
-        code, first = "outside-limits", failures(checks)
-    elif result.warnings:
-        code, first = "usable-with-care", ""
+    moved = [one.message for one in result.warnings if one.code == DISPLACED]
+    # Of each code why it holds: the first is said first.
+    why = {
+        "contradicted": [one.message for one in result.warnings if one.code == FALSE_RELATION],
+        "systematic-error": [
+            *(moved if moves_the_spot(result.warnings) else ()),
+            *(named if excess > 1.0 else ()),
+        ],
+        "undetermined": [
+            *(one.message for one in result.warnings if one.code == TOO_FEW),
+            *ambiguous(result.warnings),
+        ],
+        "outside-limits": [failures(checks)] if failed else [],
+    }
+    code = code_of(*map(bool, why.values()), bool(result.warnings))
+    first = next((words[0] for words in why.values() if words), "")
     findings = [clause(first)] if first else []
     findings += [some(list(_located(result)), NAMES_IN_LINE)]
     if code == "usable-with-care":
         findings.append(clause([*named, *(one.message for one in result.warnings)][0]))
     best = _improvement(result, harmful, failed)
+    if failed and code != "outside-limits":
+        findings.append(failures(checks))
     if code in ("usable", "usable-with-care", "outside-limits"):
         findings.append(best.clause)
     worst = result.mounts[_least_certain(result)]

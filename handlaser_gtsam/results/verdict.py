@@ -1,9 +1,9 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most.
 
-Its code is the first of these that holds: no calibration; outside the limits of the user; a mount that
-no sensor has; a systematic error that moves a laser spot by more than the radius that holds the spot
-with 95 %; another mount that is as probable; a warning, or a systematic error that was found or may
-hide (usable with care); usable.
+Its code is the first of these that holds, of surveys too: no calibration; a contradiction, or a mount
+that no sensor has; a systematic error that moves a laser spot by more than the radius that holds the
+spot with 95 %; another mount that is as probable; outside the limits of the user; a warning, or a
+systematic error that was found or may hide (usable with care); usable.
 
 Of improvements, what makes the stated numbers wrong comes first: a mistake of the file, a beam that was
 moved, a systematic error, another mount that is as probable, many outliers, given sigmas that the
@@ -35,6 +35,9 @@ from .warnings import DISPLACED, RIVAL, ambiguous
 
 OPENING = MESSAGES["openings"]
 """How a sentence begins, by the code of its verdict."""
+LADDER = "contradicted", "systematic-error", "undetermined", "outside-limits", "usable-with-care"
+"""Codes of what was solved and is not simply usable: what makes numbers wrong comes before limits that
+these exceed."""
 MARKS = {"usable": "good", "usable-with-care": "care"}
 """Colours of the verdicts on what can be used; all others are bad."""
 RANDOM_ONLY = "; random errors only: state [sensor] kind"
@@ -145,6 +148,17 @@ def improvement(
 def moved_beam_of(warnings: tuple[CalibrationWarning, ...]) -> CalibrationWarning | None:
     """Return the warning of a beam that was moved amid the recording; None where none was."""
     return next((one for one in warnings if one.code == DISPLACED), None)
+
+
+def moves_the_spot(warnings: tuple[CalibrationWarning, ...]) -> bool:
+    """Tell whether a beam was moved amid the recording by more than its spot is unsure."""
+    moved = moved_beam_of(warnings)
+    return moved is not None and float(moved.values["times"]) > 1.0
+
+
+def code_of(*holds: bool) -> str:
+    """Return the first code of the `LADDER` that holds, or `usable`."""
+    return next((code for code, one in zip(LADDER, holds, strict=True) if one), "usable")
 
 
 def _undone(calibration: CalibrationData) -> Improvement | None:
@@ -300,7 +314,6 @@ def verdict(
     checks = checked(calibration, limits or Limits())
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(calibration, radii, reading)
-    moved = moved_beam_of(calibration.warnings)
     shares = variance_shares(calibration, beam, reading) if beam else None
     hiding = hidden_errors(calibration)  # where a plausible size is known
     hidden = max(hiding, key=lambda one: one.moved(reading, unnoticed=True), default=None)
@@ -310,15 +323,13 @@ def verdict(
     hides = limiting is not None and limiting.random <= limiting.limit
     hides = hides or (beyond or 0.0) > max(radii.values(), default=np.inf)
     doubtful = hidden if hides else None
-    code = "usable-with-care" if harmful or calibration.warnings or doubtful else "usable"
-    if failed:
-        code = "outside-limits"
-    elif any(one.code in IMPOSSIBLE for one in calibration.warnings):
-        code = "contradicted"
-    elif excess > 1.0 or (moved is not None and float(moved.values["times"]) > 1.0):
-        code = "systematic-error"
-    elif any(ambiguous(calibration.warnings)):
-        code = "undetermined"
+    code = code_of(
+        any(one.code in IMPOSSIBLE for one in calibration.warnings),
+        excess > 1.0 or moves_the_spot(calibration.warnings),
+        any(ambiguous(calibration.warnings)),
+        bool(failed),
+        bool(harmful or calibration.warnings or doubtful),
+    )
     asked = shares
     if limiting is not None:
         of: Literal["location", "direction"] = "location"
@@ -398,6 +409,8 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
         if found.hidden is not None and found.hidden_error is not None:
             error = EFFECTS[found.hidden.code].with_size(found.hidden.unnoticed)
             yield said("verdict:hidden", up=_mm(found.spot_error + found.hidden_error), error=error)
+    if found.exceeded and found.code != "outside-limits":
+        yield failures(found.limits)
     if found.code == "usable-with-care" and found.harmful is not None:
         one = found.harmful
         others = f" ({may_also_be(one.alike)})" if one.alike else ""
