@@ -41,7 +41,7 @@ def test_a_program_reads_code_causes_and_remedies():
     assert cause["values"]["value"] == sigma
     assert bad["remedies"][0]["number"] == pytest.approx(9.0)
     # What makes numbers wrong comes before limits that they exceed, and both are said.
-    rival = hl.CalibrationWarning(RIVAL, "another mount is as probable")
+    rival = hl.CalibrationWarning(RIVAL, "another mount", {"chi2": 0.5})
     judged = survey_verdict(replace(result, warnings=(rival,)), Limits(location_sigma=sigma / 3.0))
     assert judged.code == "undetermined"
     assert rival.message in judged.sentence
