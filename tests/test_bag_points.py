@@ -164,6 +164,41 @@ def test_one_topic_of_two_sensors_is_refused(tmp_path):
         hl.read_survey(bag, file)
 
 
+@pytest.mark.parametrize("average", ["mean", "median"])
+def test_a_scanner_and_a_laser_of_one_bag_are_one_survey(tmp_path, average):
+    """Of a laser what it reads at one stop is averaged, as in a bag of lasers alone."""
+    rig = rigs_by_rays.mixed(3, sensors=("scanner", "beam"), stations=10)
+    wanted, laser = survey_of(rig), rig.tables.pop("beam")
+    off = 1e-3 * np.array([-1.0, 0.0, 1.0, 0.0, 2.0])  # of five readings of each stop [m]
+
+    def messages(make):
+        yield from published(rig, make, scans)
+        for number, d in zip(laser["station"].tolist(), laser["reading"].tolist(), strict=True):
+            for i, more in enumerate(off.tolist()):
+                time = (STAND + WAY) * number + 0.5 * STAND + 0.05 * (i - 2)
+                yield "laser", time, make.range(time, d + more)
+
+    bag, file = (
+        write_bag(tmp_path, "mcap", messages),
+        rig_file(tmp_path, rig, "scanner", ["scanner"]),
+    )
+    alone, text = hl.read_survey(bag, file), file.read_text()
+    stated = f'[log]\nrange_columns = ["beam=laser"]\naverage = "{average}"\n'
+    file.write_text(text.replace("[log]\n", stated))
+    survey = hl.read_survey(bag, file)
+    assert survey.beam_names == ("beam",)
+    read = ~np.isnan(survey.ranges)
+    assert (read == ~np.isnan(wanted.ranges)).all()
+    middle = off.mean() if average == "mean" else 0.0
+    assert np.abs(survey.ranges[read] - wanted.ranges[read] - middle).max() < 1e-6
+    (shots,) = survey.shots
+    assert alone.stations.station_names == survey.stations.station_names
+    assert (shots.reading == alone.shots[0].reading).all()
+    file.write_text(text.replace("[log]\n", '[log]\nrange_columns = ["beam=scanner[3]"]\n'))
+    with pytest.raises(hl.InputError, match="topic 'scanner' twice"):
+        hl.read_survey(bag, file)
+
+
 @pytest.mark.parametrize("kind", ["scanner", "array"])
 @pytest.mark.parametrize("late", [0.0, 0.3])
 def test_readings_that_still_move_when_the_hand_stands_are_said(tmp_path, kind, late):

@@ -30,7 +30,6 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..checks import require_number, require_word
 from ..data.screening import shots_code_warning
-from ..data.station_list import StationList
 from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
@@ -42,7 +41,8 @@ from .logs.format import LogFormat
 from .recording_csv import known_numbers
 from .writing import same_file
 
-if TYPE_CHECKING:  # tables of points are read where a rig file names some
+if TYPE_CHECKING:  # tables of points, and bags, are read where a rig file names some
+    from .logs.bag_points import BagPoints
     from .points_table import Codes, Points
 
 SINGLE = "beam"
@@ -150,8 +150,8 @@ class SurveyTables:
 
     def bag(
         self, path: Path, given: LogFormat
-    ) -> tuple[StationList, tuple[Shots, ...], tuple[str, ...], tuple[CalibrationWarning, ...]]:
-        """Return the stops of the hand in a bag, what sensors published there, how, and warnings.
+    ) -> tuple["BagPoints", tuple[Shots, ...], tuple[CalibrationWarning, ...]]:
+        """Return the stops of the hand in a bag, what sensors published there, and all warnings.
 
         Raises
         ------
@@ -176,7 +176,7 @@ class SurveyTables:
                 warnings += _code_warnings(table, codes)
                 own = station, numbers, np.full(len(numbers), np.nan)
                 shots.append(self._shots(table, own, 1.0, 1.0))
-        return found.stations, tuple(shots), found.lines, tuple(warnings)
+        return found, tuple(shots), tuple(warnings)
 
     def _read(
         self, table: SensorTable, stations: tuple[str, ...], station_column: str

@@ -20,7 +20,7 @@ from .logs.format import LogFormat
 from .logs.format_checks import convention_of
 from .logs.motion import Way
 from .logs.poses import hand_poses
-from .logs.reading import OF_READINGS, is_log, refuse_of_a_bag
+from .logs.reading import OF_READINGS, OF_SCATTER, is_log, refuse_of_a_bag
 from .logs.rows import LogRows, rows_of
 from .logs.survey_conventions import refuse_wrong_reading
 from .logs.tables import read_log_table
@@ -59,8 +59,10 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     rows: LogRows | None = None
     beams, lines = tuple[str, ...](), tuple[str, ...]()
     if is_bag(path):
-        refuse_of_a_bag(log, path, OF_READINGS)
-        stations, shots, lines, coded = tables.bag(path, log)
+        refuse_of_a_bag(log, path, OF_SCATTER if log.range_columns else OF_READINGS)
+        published, shots, coded = tables.bag(path, log)
+        stations, lines = published.stations, published.lines
+        ranges, beams = published.ranges, published.beams
     elif is_log(path, log, readings=False):
         stations, rows = _of_log(path, log)
         shots, lines, coded = tables.shots(stations.station_names, log.station_column)
@@ -75,9 +77,10 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         lines = (*(one.message for one in table.warnings), *lines)
     if rig.half_angle and not beams:
         found = "half_angle_deg in [sensor], and no single beam that it would count for"
-        expected = (
-            "columns range_NAME of single beams in the table of stations, or no half_angle_deg"
-        )
+        where = "columns range_NAME of single beams in the table of stations"
+        if is_bag(path):
+            where = 'range_columns = ["NAME=/topic"] of single beams in [log]'
+        expected = f"{where}, or no half_angle_deg"
         raise InputError(found, expected, path)
     with in_file(path):
         survey = _survey(stations, ranges, beams, rig, shots=shots, lines=lines)

@@ -61,9 +61,8 @@ def assembled(
     counted = (log.station >= 0) & chosen[log.station]
     warnings = (*readings.code_warnings(counted), *warnings)
     counted_rows = np.where(counted, log.station, -1)
-    warnings = (*warnings, *_unlike_pairs(readings.ranges, counted_rows, log.names, range_sigma))
-    if given.average == "mean":
-        warnings = (*warnings, *_gross_readings(readings.ranges, counted_rows, log.names))
+    how = given.average, range_sigma
+    warnings = (*warnings, *odd_readings(readings.ranges, counted_rows, log.names, *how))
     if log.times is not None:  # stations in time: a stand may be without a reading
         unread = chosen & np.isnan(mean).all(axis=1)
         chosen = chosen & ~unread
@@ -145,6 +144,22 @@ def left_out(stations: BoolArray, what: str) -> CalibrationWarning:
     """Return a warning of stations (S,) that do not count, and why."""
     values = {"stations": int(stations.sum()), "total": len(stations)}
     return warned("stations-left-out:log", values, what=what)
+
+
+def odd_readings(
+    d: FloatArray, station: IntArray, names: Sequence[str], how: Average, sigma: float | None = None
+) -> tuple[CalibrationWarning, ...]:
+    """Return warnings of single readings, or pairs, that spoil what is made of those of a station.
+
+    Parameters
+    ----------
+    d, station, how, sigma
+        As of `averaged`.
+    names : sequence of str
+        Labels of the stations.
+    """
+    pairs = _unlike_pairs(d, station, names, sigma)
+    return (*pairs, *_gross_readings(d, station, names)) if how == "mean" else pairs
 
 
 def _gross_readings(

@@ -20,8 +20,8 @@ from ...errors import CalibrationWarning, InputError
 from ...quantities import LARGEST_LENGTH, MM
 from ...results.messages import warned
 from ...text import shown, some
-from .assembling import left_out, targets_of
-from .bags import RANGE, SCAN, Reader, lines_of, read_messages, require_topic
+from .assembling import averaged, left_out, odd_readings, targets_of
+from .bags import RANGE, SCAN, BeamTopics, Reader, lines_of, read_messages, require_topic
 from .format import LogFormat
 from .joining import by_time
 from .poses import hand_poses
@@ -44,6 +44,10 @@ class BagPoints(NamedTuple):
     points : list of (station, numbers)
         Of each sensor the station (n,) and the numbers (n, c) of each point, in metres and radians, as
         a table of points has them.
+    ranges : (M, B), optional
+        Of single beams, averaged over each station [m]; NaN where there is none.
+    beams : tuple of str
+        Their names.
     lines : tuple of str
         How the bag was read, for a person.
     warnings : tuple of CalibrationWarning
@@ -51,20 +55,97 @@ class BagPoints(NamedTuple):
 
     stations: StationList
     points: list[tuple[IntArray, FloatArray]]
+    ranges: FloatArray | None
+    beams: tuple[str, ...]
     lines: tuple[str, ...]
     warnings: tuple[CalibrationWarning, ...]
+
+
+class PointTopics:
+    """Topics that sensors of many rays publish on, and the points of their messages.
+
+    Parameters
+    ----------
+    sensors : sequence of (name, kind, topics)
+    """
+
+    def __init__(self, sensors: Sequence[tuple[str, str, tuple[str, ...]]]) -> None:
+        self.sensors = sensors
+        # Of each sensor the times of messages that have points [s], and the points of each (n, c).
+        self.clouds: list[tuple[array[float], list[FloatArray]]] = [
+            (array("d"), []) for _ in sensors
+        ]
+        # Of each sensor which of its topics a message is of.
+        self.topic_of = [array("l") for _ in sensors]
+        self.lasts: dict[str, float] = {}  # how long a scan of each scanner takes [s]
+
+    def readers(self, topics: Mapping[str, str]) -> dict[str, Reader]:
+        """Return what reads the messages of each topic, of the types of all topics.
+
+        Raises
+        ------
+        InputError
+        """
+        found: dict[str, Reader] = {}
+        for sensor, (name, kind, own) in enumerate(self.sensors):
+            if not own or (len(own) > 1 and kind != "array"):
+                stated = f"{len(own)} topics of the sensor {name}, in a bag"
+                raise InputError(stated, "topics = one; of an array one for each zone")
+            for number, topic in enumerate(own):
+                require_topic(topics, topic, READ_FROM[kind][0])
+                _require_once(found, topic)
+                found[topic] = partial(self._add, sensor, number)
+        return found
+
+    def _add(self, sensor: int, number: int, message: Any, time: float) -> None:
+        """Add the points of a message, if it has any, to the points of its sensor."""
+        name, kind, _ = self.sensors[sensor]
+        rows = READ_FROM[kind][1](message, number)
+        if kind == "scanner":
+            one = abs(message.time_increment) * len(message.ranges)
+            self.lasts[name] = max(self.lasts.get(name, 0.0), one)
+        if len(rows):
+            self.clouds[sensor][0].append(time)
+            self.clouds[sensor][1].append(rows)
+            self.topic_of[sensor].append(number)
+
+    def rows(self, path: Path) -> LogRows:
+        """Return a typical reading of each message, sensor after sensor.
+
+        Raises
+        ------
+        InputError
+            No point of a sensor.
+        """
+        for (name, _, own), (_, numbers) in zip(self.sensors, self.clouds, strict=True):
+            if not numbers:
+                found = f"no point of {name} within the limits of its messages"
+                raise InputError(found, f"at least one, on {some(own, 4)}")
+        times = np.concatenate([np.frombuffer(own) for own, _ in self.clouds])
+        read = _typical([rows for _, rows in self.clouds], self.topic_of)
+        names = tuple(name for name, *_ in self.sensors)
+        return LogRows(lines_of(path, len(times)), names, read, times=times)
+
+    def points(self, station: IntArray) -> list[tuple[IntArray, FloatArray]]:
+        """Return the station and the numbers of each point, by the station of each message or -1."""
+        found = []
+        ends = np.cumsum([len(own) for own, _ in self.clouds])[:-1]
+        for (_, numbers), where in zip(self.clouds, np.split(station, ends), strict=True):
+            at = np.repeat(where, [len(rows) for rows in numbers])
+            found.append((at[at >= 0].astype(np.intp), np.concatenate(numbers)[at >= 0]))
+        return found
 
 
 def read_bag_points(
     path: Path, given: LogFormat, sensors: Sequence[tuple[str, str, tuple[str, ...]]]
 ) -> BagPoints:
-    """Return the stops of the hand, and the points that each sensor published there.
+    """Return the stops of the hand, and what each sensor, and each stated beam, read there.
 
     Parameters
     ----------
     path : Path
     given : LogFormat
-        Where poses are, and how stations get their targets.
+        Where poses are, how stations get their targets, and topics of single beams.
     sensors : sequence of (name, kind, topics)
 
     Raises
@@ -73,73 +154,82 @@ def read_bag_points(
     """
     if given.estimate_lag:
         raise InputError("--estimate-lag with sensors of many rays", "--lag-s, how late they are")
-    # Of each sensor the times of messages that have points [s], and the points of each (n, c).
-    clouds: list[tuple[array[float], list[FloatArray]]] = [(array("d"), []) for _ in sensors]
-    # Of each sensor which of its topics a message is of.
-    topic_of = [array("l") for _ in sensors]
-    lasts: dict[str, float] = {}  # how long a scan of each scanner takes [s]
-
-    def add(sensor: int, number: int, message: Any, time: float) -> None:
-        """Add the points of a message, if it has any, to the points of its sensor."""
-        name, kind, _ = sensors[sensor]
-        rows = READ_FROM[kind][1](message, number)
-        if kind == "scanner":
-            one = abs(message.time_increment) * len(message.ranges)
-            lasts[name] = max(lasts.get(name, 0.0), one)
-        if len(rows):
-            clouds[sensor][0].append(time)
-            clouds[sensor][1].append(rows)
-            topic_of[sensor].append(number)
+    points, beams = PointTopics(sensors), BeamTopics(given) if given.range_columns else None
 
     def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
-        found: dict[str, Reader] = {}
-        for sensor, (name, kind, own) in enumerate(sensors):
-            if not own or (len(own) > 1 and kind != "array"):
-                stated = f"{len(own)} topics of the sensor {name}, in a bag"
-                raise InputError(stated, "topics = one; of an array one for each zone")
-            for number, topic in enumerate(own):
-                require_topic(topics, topic, READ_FROM[kind][0])
-                if topic in found:
-                    raise InputError(f"topic {shown(topic)} twice", "one sensor, or zone, of each")
-                found[topic] = partial(add, sensor, number)
+        found = points.readers(topics)
+        for topic, reader in {} if beams is None else beams.readers(topics).items():
+            _require_once(found, topic)
+            found[topic] = reader
         return found
 
     poses = read_messages(path, given, readers)
-    skewed = _skewed(lasts) if given.interpolate else ()
-    for (name, _, own), (_, numbers) in zip(sensors, clouds, strict=True):
-        if not numbers:
-            found = f"no point of {name} within the limits of its messages"
-            raise InputError(found, f"at least one, on {some(own, 4)}")
-    times = np.concatenate([np.frombuffer(own) for own, _ in clouds])
-    order = np.argsort(times, kind="stable")
-    read = _typical([rows for _, rows in clouds], topic_of)
-    lines, names = lines_of(path, len(times)), tuple(name for name, *_ in sensors)
-    messages = LogRows(lines, names, read[order], times=times[order])
-    log = by_time(poses, messages, replace(given, stands=not given.interpolate))
-    labels, chosen, unlabelled = targets_of(log, given)
-    station = np.empty(len(times), dtype=np.intp)
-    station[order] = log.station
+    messages = points.rows(path)
+    single = None if beams is None else beams.rows(path)
+    readings, order = _together(messages, single)
+    log = by_time(poses, readings, replace(given, stands=not given.interpolate))
+    labels, chosen, warnings = targets_of(log, given)
     seen = np.zeros(len(log.names), dtype=bool)
-    seen[station[station >= 0]] = True
-    unread = (left_out(chosen & ~seen, "have no reading"),) if (chosen & ~seen).any() else ()
+    seen[log.station[log.station >= 0]] = True
+    unread = chosen & ~seen
+    if unread.any():
+        warnings = (*warnings, left_out(unread, "have no reading"))
     kept = np.flatnonzero(seen & chosen)
     if not kept.size:
         raise InputError("no reading at any station", "readings at the time of poses", path)
     number = np.full(len(log.names) + 1, -1)
     number[kept] = np.arange(len(kept))
+    station = number[log.station]
     R, t = hand_poses(poses.posed, log.way, given)
     names = tuple(log.names[i] for i in kept.tolist())
     stations = StationList(R[kept], t[kept], tuple(labels[i] for i in kept.tolist()), names)
-    points = []
-    ends = np.cumsum([len(own) for own, _ in clouds])[:-1]
-    for (_, numbers), where in zip(clouds, np.split(number[station], ends), strict=True):
-        at = np.repeat(where, [len(rows) for rows in numbers])
-        points.append((at[at >= 0].astype(np.intp), np.concatenate(numbers)[at >= 0]))
+    if given.interpolate:
+        warnings = (*warnings, *_skewed(points.lasts))
+    ranges = None
+    if single is not None:
+        own = readings.ranges[:, len(sensors) :]
+        ranges = averaged(own, station, len(kept), given.average)[0]
+        warnings = (*warnings, *odd_readings(own, station, names, given.average), *single.warnings)
+    of_message = np.empty(len(station), dtype=np.intp)
+    of_message[order] = station
     late = f"readings are taken to be stamped {given.lag_s:g} s later than poses"
-    words = (poses.words, log.words, *((late,) if given.lag_s else ()))
     return BagPoints(
-        stations, points, words, (*poses.warnings, *log.warnings, *unlabelled, *unread, *skewed)
+        stations,
+        points.points(of_message[: len(messages.ranges)]),
+        ranges,
+        () if single is None else single.beams,
+        (poses.words, log.words, *((late,) if given.lag_s else ())),
+        (*poses.warnings, *log.warnings, *warnings),
     )
+
+
+def _together(messages: LogRows, single: LogRows | None) -> tuple[LogRows, IntArray]:
+    """Return the rows of all messages and of single beams in the order of time, and that order.
+
+    A row has the readings of one message, or of beams at one moment.
+    """
+    parts = [messages] if single is None else [messages, single]
+    times = np.concatenate([one.clock for one in parts])
+    order = np.argsort(times, kind="stable")
+    ranges = np.full((len(times), sum(one.ranges.shape[1] for one in parts)), np.nan)
+    row = column = 0
+    for one in parts:
+        rows, columns = one.ranges.shape
+        ranges[row : row + rows, column : column + columns] = one.ranges
+        row, column = row + rows, column + columns
+    lines, names = lines_of(messages.table.path, len(times)), sum((one.beams for one in parts), ())
+    return LogRows(lines, names, ranges[order], times=times[order]), order
+
+
+def _require_once(found: Mapping[str, Reader], topic: str) -> None:
+    """Refuse a topic that another sensor, zone or beam reads on.
+
+    Raises
+    ------
+    InputError
+    """
+    if topic in found:
+        raise InputError(f"topic {shown(topic)} twice", "one sensor, zone or beam of each")
 
 
 def _skewed(lasts: Mapping[str, float]) -> tuple[CalibrationWarning, ...]:

@@ -53,6 +53,8 @@ RAY = re.compile(r"(?P<topic>.+)\[(?P<index>\d+)\]")
 GAP_STEPS = 10.0
 """A frame of tf that was not sent for this number of its usual steps, and moved meanwhile, was anywhere
 between: single messages get lost, and ten in a row do not."""
+Reader = Callable[[Any, float], None]
+"""Takes a message and its time [s]."""
 Place = tuple[str, int | None]
 """The topic that a beam reads on, and which ray of a `LaserScan` it is."""
 
@@ -95,10 +97,6 @@ def _opened(path: Path) -> Iterator[Any]:
         raise InputError(found, expected, path) from error
 
 
-Reader = Callable[[Any, float], None]
-"""Takes a message and its time [s]."""
-
-
 def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     """Return the poses and the readings of a bag, in the order of time.
 
@@ -107,20 +105,46 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
     InputError
         Topics that are not there or not of their type, or no poses or readings in them.
     """
-    beams: dict[str, Place] = {}
-    numbers: dict[str, array[float]] = {}  # of each beam time [s] and reading [m], in turn
-    cones: dict[str, float] = {}  # fields of view of ultrasonic topics [rad]
-    unit = LENGTHS[given.range_units]
+    beams = BeamTopics(given)
+    poses = read_messages(path, given, beams.readers)
+    return poses, beams.rows(path)
 
-    def read(topic: str, message: Any, time: float) -> None:
+
+class BeamTopics:
+    """Topics that beams read on: those that are stated, or all of `Range`.
+
+    Parameters
+    ----------
+    given : LogFormat
+    """
+
+    def __init__(self, given: LogFormat) -> None:
+        self.given = given
+        self.beams: dict[str, Place] = {}
+        self.numbers: dict[str, array[float]] = {}  # of each beam time [s] and reading [m], in turn
+        self.cones: dict[str, float] = {}  # fields of view of ultrasonic topics [rad]
+
+    def readers(self, topics: Mapping[str, str]) -> dict[str, Reader]:
+        """Return what reads the messages of each topic of a beam, of the types of all topics.
+
+        Raises
+        ------
+        InputError
+        """
+        self.beams = _beams(topics, self.given)
+        self.numbers = {name: array("d") for name in self.beams}
+        return {topic: partial(self._read, topic) for topic, _ in self.beams.values()}
+
+    def _read(self, topic: str, message: Any, time: float) -> None:
         """Add what the beams of a topic read at a time, if it is a reading."""
-        for name, (own, ray) in beams.items():
+        unit = LENGTHS[self.given.range_units]
+        for name, (own, ray) in self.beams.items():
             if own != topic:
                 continue
             if ray is None:
                 least, most, d, delay = message.min_range, message.max_range, message.range, 0.0
                 if message.radiation_type == ULTRASOUND and message.field_of_view > NARROW:
-                    cones[topic] = float(message.field_of_view)
+                    self.cones[topic] = float(message.field_of_view)
             else:
                 if ray >= len(message.ranges):
                     found = f"a scan of {len(message.ranges)} rays on {topic}"
@@ -129,20 +153,22 @@ def read_bag(path: Path, given: LogFormat) -> tuple[LogRows, LogRows]:
                 delay = ray * message.time_increment
             known = math.isfinite(d) and least <= d <= most and unit * abs(d) <= LARGEST_LENGTH
             if known and (d > 0.0 or least < 0.0):
-                numbers[name].extend((time + delay, unit * d))
+                self.numbers[name].extend((time + delay, unit * d))
 
-    def readers(topics: Mapping[str, str]) -> dict[str, Reader]:
-        beams.update(_beams(topics, given))
-        numbers.update((name, array("d")) for name in beams)
-        return {topic: partial(read, topic) for topic, _ in beams.values()}
+    def rows(self, path: Path) -> LogRows:
+        """Return what was read, in the order of time.
 
-    poses = read_messages(path, given, readers)
-    for name, (topic, _) in beams.items():
-        if not len(numbers[name]):
-            found = f"no reading of beam {name} within the limits of its messages, on {topic}"
-            raise InputError(found, "at least one, or the other topics by --range-columns")
-    readings = _readings(numbers, path)
-    return poses, readings._replace(warnings=(*readings.warnings, *_of_cones(cones)))
+        Raises
+        ------
+        InputError
+            No reading of a beam.
+        """
+        for name, (topic, _) in self.beams.items():
+            if not len(self.numbers[name]):
+                found = f"no reading of beam {name} within the limits of its messages, on {topic}"
+                raise InputError(found, "at least one, or the other topics by --range-columns")
+        readings = _readings(self.numbers, path)
+        return readings._replace(warnings=(*readings.warnings, *_of_cones(self.cones)))
 
 
 def _of_cones(cones: Mapping[str, float]) -> Iterator[CalibrationWarning]:

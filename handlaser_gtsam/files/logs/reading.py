@@ -28,7 +28,9 @@ OF_TABLES = (
     *("time_units", "readings_time_units"),
 )
 """Fields that say nothing of a bag."""
-OF_READINGS = ("range_columns", "range_units", "average", "range_sigma_from_scatter")
+OF_SCATTER = ("range_sigma_from_scatter",)
+"""Fields that say nothing of surveys, whose sigmas are learned."""
+OF_READINGS = ("range_columns", "range_units", "average", *OF_SCATTER)
 """Fields that say nothing of sensors of many rays."""
 OF_BAGS = ("pose_topic", "frames", "receive_time")
 """Fields that say nothing of a table."""
