@@ -155,7 +155,7 @@ def read_bag_points(
     if given.estimate_lag:
         expected = (
             "--lag-s, how late they are, as estimated of some of their rays taken for beams, before "
-            "planes: --range-columns 'a=/scan[90],b=/scan[270]', or topics of zones, without [[sensors]]"
+            "planes: --range-columns 'a=/scan[90],b=/scan[270]', or zones, without [[sensors]]"
         )
         raise InputError("--estimate-lag with sensors of many rays", expected)
     points, beams = PointTopics(sensors), BeamTopics(given) if given.range_columns else None
