@@ -1,15 +1,16 @@
-"""Random rigs of profilers, scanners, ToF arrays, depth cameras and beams, by two generators.
+"""Random rigs of profilers, scanners, ToF arrays, depth cameras and beams, by three generators.
 
     python -m benchmarks.rigs --rigs 200 [--only profiler] [--relations]
 
-Two generators that share nothing with the package, nor with each other, make rigs: mounts anywhere,
-planes, spheres, points and bodies anywhere. Each line is one kind of rig: how many were found right
-(within what chance allows of their covariance), how many are wrong without a flag (a coordinate beyond
-5 of its standard deviations, and yet `usable`), how many were flagged (not `usable`, right or not: the
-tests of range errors alone flag at most 1 in 100 sensors that have none), how many were accused of what
-no rig has (`NOT_THERE`), NEES a degree of freedom of the mounts that converged, and the median error.
-With --relations, relations that are true, and false by ten standard deviations of what readings and
-relation say together, are stated one at a time.
+Generators that share nothing with the package, nor with each other, make rigs: mounts anywhere,
+planes, spheres, points and bodies anywhere. Two of them draw only the rays that meet the labelled
+target; of the third, by scene, every ray reads what it meets first. Each line is one kind of rig: how
+many were found right (within what chance allows of their covariance), how many are wrong without a flag
+(a coordinate beyond 5 of its standard deviations, and yet `usable`), how many were flagged (not
+`usable`, right or not: the tests of range errors alone flag at most 1 in 100 sensors that have none),
+how many were accused of what no rig has (`NOT_THERE`), NEES a degree of freedom of the mounts that
+converged, and the median error. With --relations, relations that are true, and false by ten standard
+deviations of what readings and relation say together, are stated one at a time, by the first two.
 """
 
 import argparse
@@ -27,7 +28,7 @@ import handlaser_gtsam as hl
 from handlaser_gtsam.errors import HandlaserError
 from handlaser_gtsam.results.survey import SurveyCalibration
 
-from . import rigs_by_distance, rigs_by_rays
+from . import rigs_by_distance, rigs_by_rays, rigs_by_scene
 
 GENERATORS = {"rays": rigs_by_rays, "distance": rigs_by_distance}
 HAND = 5e-5, 1.7e-4
@@ -70,6 +71,34 @@ ROWS: dict[str, tuple[str, dict[str, Any], hl.Noise]] = {
         EXACT,
     ),
 }
+_HAND_ROWS = (
+    ("profiler", "plate before a wall"),
+    ("scanner", "ball before a wall"),
+    ("array", "plane with clutter"),
+    ("points", "planes and ball"),
+)
+SCENE_ROWS: dict[str, tuple[str, dict[str, Any], hl.Noise]] = {
+    **{
+        f"{kind}, {scene}": (kind, {"scene": scene}, EXACT)
+        for scene in rigs_by_scene.SCENES
+        for kind in ("profiler", "scanner", "array", "points")
+    },
+    **{
+        f"{kind}, {scene}, hand {word}": (kind, {"scene": scene, "hand_sigma": HAND}, noise)
+        for kind, scene in _HAND_ROWS
+        for word, noise in (("stated", STATED), ("not stated", hl.Noise()))
+    },
+    **{
+        f"{kind}, {scene}, {word}": (kind, {"scene": scene, **options}, EXACT)
+        for kind, scene in _HAND_ROWS
+        for word, options in (("1 mm steps", {"step": 1e-3}), ("3 % strays", {"strays": 0.03}))
+    },
+    **{
+        f"array, {scene}, half mixed": ("array", {"scene": scene, "mixed_pixels": 0.5}, EXACT)
+        for scene in ("ball on a table", "ball on a stand", "plate before a wall")
+    },
+}
+"""Rows of the generator by scene: all scenes, some with errors of the hand and rough readings."""
 RELATIONS: dict[str, tuple[str, dict[str, Any]]] = {
     "angle": ("profiler", {"planes": 4}),
     "parallel": ("profiler", {"planes": 3, "parallel": True}),
@@ -156,9 +185,9 @@ def body_of(rig: Any) -> list[hl.Known]:
     return [hl.Known("body", tuple(labels), sigma=1e-5, sigma_angle=1e-5, faces=np.array(faces))]
 
 
-def row_of(name: str, generator: Any, rigs: int) -> str:
+def row_of(name: str, row: tuple[str, dict[str, Any], hl.Noise], generator: Any, rigs: int) -> str:
     """Return what is said of one kind of rig."""
-    kind, options, noise = ROWS[name]
+    kind, options, noise = row
     right = wrong = flagged = accused = mounts = 0
     nees: list[float] = []
     shifts: list[float] = []
@@ -189,9 +218,9 @@ def row_of(name: str, generator: Any, rigs: int) -> str:
     print("\r" + " " * 60 + "\r", end="", file=sys.stderr)
     seconds = (time.process_time() - begin) / rigs
     return (
-        f"{name:32} {right:4} of {rigs} right, {wrong} of {mounts} mounts wrong unflagged, "
-        f"{flagged} flagged, {accused} accused, NEES {np.mean(nees):.2f}, "
-        f"median {1e3 * np.median(shifts):.3f} mm, {seconds:.2f} s"
+        f"{name:44} {right:4} of {rigs} right, {wrong} of {mounts} mounts wrong unflagged, "
+        f"{flagged} flagged, {accused} accused, NEES {np.mean(nees or [np.nan]):.2f}, "
+        f"median {1e3 * np.median(shifts or [np.nan]):.3f} mm, {seconds:.2f} s"
     )
 
 
@@ -329,7 +358,13 @@ def main() -> None:
             continue
         for row in ROWS:
             if given.only in row:
-                print(row_of(row, generator, given.rigs), flush=True)
+                print(row_of(row, ROWS[row], generator, given.rigs), flush=True)
+    if given.relations:
+        return
+    print("generator by scene", flush=True)
+    for row in SCENE_ROWS:
+        if given.only in row:
+            print(row_of(row, SCENE_ROWS[row], rigs_by_scene, given.rigs), flush=True)
 
 
 if __name__ == "__main__":
