@@ -26,10 +26,11 @@ from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.estimation.survey_rows import SurveyRows, blocks_of, rows_of
 from handlaser_gtsam.model import condensed_shots
 from handlaser_gtsam.model.block import Weights
-from handlaser_gtsam.model.condensed_shots import Condensed, Shape
+from handlaser_gtsam.model.condensed_shots import Condensed
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.sensors.kinds import KINDS, Rayset
 from handlaser_gtsam.model.sensors.mounted import Mounted
+from handlaser_gtsam.model.shapes import Shape
 from handlaser_gtsam.model.targets.plane import PlaneTarget
 
 SIGMA = 1e-4
@@ -138,10 +139,10 @@ def compare_calibrations(survey: Survey) -> None:
     condensed = condensed_shots._condensed
 
     def as_they_are(
-        shape: Shape, rays: Rayset, reading: FloatArray, few: int, *of_noise: Any
+        shape: Shape, rays: Rayset, reading: FloatArray, few: int, *more: Any
     ) -> list[Condensed | None]:
         del few
-        return condensed(shape, rays, reading, reading.size, *of_noise)
+        return condensed(shape, rays, reading, reading.size, *more)
 
     exact = Noise(pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
     hl.calibrate(survey, exact)  # a first time, for what is made once

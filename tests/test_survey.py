@@ -23,7 +23,6 @@ from handlaser_gtsam.files.points_table import COLUMNS
 from handlaser_gtsam.model import reduction as reduction_module
 from handlaser_gtsam.model import relation as relations
 from handlaser_gtsam.model.block import whitened
-from handlaser_gtsam.model.condensed_shots import condensed_shots
 from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.reduction import Reduction, damped_step
@@ -35,6 +34,7 @@ from handlaser_gtsam.model.sensors.mounted import SENSOR, Mounted
 from handlaser_gtsam.model.targets.plane import PlaneTarget
 from handlaser_gtsam.model.targets.point import POINT
 from handlaser_gtsam.model.targets.sphere import SPHERE
+from handlaser_gtsam.model.targets_in_shots import condensed_shots
 from handlaser_gtsam.pipeline import calibrate_survey
 from handlaser_gtsam.results.description.survey import facts
 from handlaser_gtsam.results.survey_warnings import rejected_shot

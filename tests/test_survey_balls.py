@@ -8,12 +8,12 @@ from helpers import BY_CHANCE, mount_chi2
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from benchmarks import rigs, rigs_by_distance, rigs_by_rays
+from benchmarks import rigs, rigs_by_distance, rigs_by_rays, rigs_by_scene
 from handlaser_gtsam.estimation.survey_outliers import misses_of
-from handlaser_gtsam.model.condensed_shots import condensed_shots
 from handlaser_gtsam.model.families import POSE
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.sensors.mounted import SENSOR
+from handlaser_gtsam.model.targets_in_shots import condensed_shots
 
 PLACE, TURN = np.array([0.06, -0.03, 0.1]), Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
 BALL, RADIUS, WALL = np.array([0.5, 0.1, 0.3]), 0.04, 0.25
@@ -198,3 +198,32 @@ def test_strays_in_front_of_a_wall_are_no_ball():
     d = 0.4 + 1e-4 * rng.standard_normal(120)
     d[rng.choice(120, 12, replace=False)] = rng.uniform(0.05, 0.2, 12)
     assert condensed_shots(KINDS["profiler"], "sphere", [(x[:, None], d)]) == [None]
+
+
+@pytest.mark.parametrize(
+    ("kind", "scene", "seed"),
+    [
+        ("profiler", "gripper before a ball", 1),
+        ("scanner", "gripper before a ball", 9),
+        ("points", "gripper before a ball", 3),
+        ("array", "gripper before a ball", 8),
+        ("array", "planes and ball", 7),
+        ("profiler", "gripper before planes", 5),
+    ],
+)
+def test_a_finger_of_the_gripper_is_neither_the_ball_nor_makes_a_plane_round(kind, scene, seed):
+    """Some rays read the finger at every station, and some something between it and what is behind."""
+    rig = getattr(rigs_by_scene, kind)(seed, scene=scene)
+    found = hl.calibrate(rigs.survey_of(rig), rigs.EXACT)
+    assert found.usable, found.verdict.sentence
+    ((error, covariance),) = rigs.errors_of(rig, found)
+    assert error @ np.linalg.solve(covariance, error) < BY_CHANCE
+
+
+@pytest.mark.parametrize("seed", [1, 16])
+def test_what_mostly_reads_something_else_than_its_ball_is_not_usable(seed):
+    """With half of the zones at edges between two things, mounts were 20 and 40 mm off, and usable."""
+    rig = rigs_by_scene.array(seed, scene="ball on a table", mixed_pixels=0.5)
+    found = hl.calibrate(rigs.survey_of(rig), rigs.EXACT)
+    assert not found.usable
+    assert "whose rays meet their ball are of something else" in found.verdict.sentence

@@ -6,8 +6,8 @@ from helpers import BY_CHANCE, mount_chi2
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
-from handlaser_gtsam.model.condensed_shots import condensed_shots
 from handlaser_gtsam.model.sensors.kinds import KINDS
+from handlaser_gtsam.model.targets_in_shots import condensed_shots
 
 PLACE, TURN = np.array([0.06, -0.03, 0.1]), Rotation.from_rotvec([0.4, -0.3, 0.8]).as_matrix()
 ANGLES = np.radians(np.linspace(-45.0, 45.0, 241))

@@ -24,13 +24,14 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.survey import kind_of, normal_label
 from ..model.block import Values
-from ..model.condensed_shots import MANY, condensed_shots
+from ..model.condensed_shots import MANY
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
 from ..model.equation import corrected
 from ..model.families import PLANE, POSE, pose_of
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE, continued
+from ..model.targets_in_shots import condensed_shots
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
 from .dense import dense_rows, tests_of, with_pose_errors
 from .estimate import BlockProblem
@@ -295,6 +296,29 @@ def of_others(rows: SurveyRows, member: int) -> float:
         if item.points is not None and item.member == member and item.station in tables
     )
     return 1.0 - kept / many if many else 0.0
+
+
+def beside_balls(rows: SurveyRows, values: Values, used: BoolArray, member: int) -> float:
+    """Return the part of the readings of an array whose rays meet a ball that are of something else.
+
+    Parameters
+    ----------
+    rows : SurveyRows
+    values : mapping
+        Of a minimum.
+    used : (items,) of bool
+    member : int
+        Number of the sensor.
+    """
+    shots = list(_small_shots(rows, member, SPHERE.name))
+    misses = [misses_of(rows, values, member, target, table) for _, target, table in shots]
+    met, small = sum(int(np.isfinite(e).sum()) for e in misses), {station for station, *_ in shots}
+    kept = sum(
+        len(item.points)
+        for item in rows.counted(used)
+        if item.points is not None and item.member == member and item.station in small
+    )
+    return 1.0 - kept / met if met else 0.0
 
 
 def slackness(rows: SurveyRows, values: Values, member: int) -> float:

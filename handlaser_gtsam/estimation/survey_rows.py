@@ -17,7 +17,6 @@ from ..model.condensed_shots import (
     Condensed,
     Mixed,
     Unexplained,
-    condensed_shots,
     grown,
     some_of,
     with_own_noise,
@@ -31,6 +30,7 @@ from ..model.sensors.mounted import SENSOR, Mounted
 from ..model.targets.plane import PlaneTarget
 from ..model.targets.point import POINT, SpotsOnPoints, axes_along
 from ..model.targets.sphere import SPHERE, Sphere, continued
+from ..model.targets_in_shots import condensed_shots
 from ..quantities import MM, ROUNDING
 from ..text import some
 from .dense import Unknowns, unknowns_of

@@ -22,7 +22,6 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..errors import HandlaserError
 from ..model.block import Values, whitened
-from ..model.condensed_shots import shape_of
 from ..model.damped_search import LeastSquares, LevenbergOptions, search
 from ..model.distributions import FEW_DEGREES
 from ..model.families import BEAM, FAMILIES, MOUNT_DIM, PLANE, POSE, pose_of
@@ -31,6 +30,7 @@ from ..model.reduction import Reduction
 from ..model.relation import BODY
 from ..model.sensors.kinds import KINDS
 from ..model.sensors.mounted import SENSOR
+from ..model.shapes import shape_of
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
 from ..observability.motion import PoorMotion

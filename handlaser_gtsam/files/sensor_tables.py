@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from ..arrays import FloatArray, IntArray
 from ..checks import require_number, require_word
 from ..data.screening import shots_code_warning
-from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots
+from ..data.survey import ERRORS, RELATIONS, Convention, Echo, Kind, Known, Shots, Survey
 from ..errors import CalibrationWarning, InputError
 from ..model.conventions import ANGLES, LENGTHS, UNIT_WORDS
 from ..model.sensor_limits import LONG_RANGE
@@ -41,8 +41,7 @@ from .logs.format import LogFormat
 from .recording_csv import known_numbers
 from .writing import same_file
 
-if TYPE_CHECKING:  # tables of points, and bags, are read where a rig file names some
-    from .logs.bag_points import BagPoints
+if TYPE_CHECKING:  # tables of points are read where a rig file names some
     from .points_table import Codes, Points
 
 SINGLE = "beam"
@@ -148,10 +147,8 @@ class SurveyTables:
             tuple(warning for *_, warnings in read for warning in warnings),
         )
 
-    def bag(
-        self, path: Path, given: LogFormat
-    ) -> tuple["BagPoints", tuple[Shots, ...], tuple[CalibrationWarning, ...]]:
-        """Return the stops of the hand in a bag, what sensors published there, and all warnings.
+    def bag(self, path: Path, given: LogFormat) -> Survey:
+        """Return the stops of the hand in a bag, and what sensors and single beams read there.
 
         Raises
         ------
@@ -176,7 +173,14 @@ class SurveyTables:
                 warnings += _code_warnings(table, codes)
                 own = station, numbers, np.full(len(numbers), np.nan)
                 shots.append(self._shots(table, own, 1.0, 1.0))
-        return found, tuple(shots), tuple(warnings)
+        return Survey(
+            found.stations,
+            tuple(shots),
+            found.ranges,
+            found.beams,
+            lines=found.lines,
+            warnings=tuple(warnings),
+        )
 
     def _read(
         self, table: SensorTable, stations: tuple[str, ...], station_column: str

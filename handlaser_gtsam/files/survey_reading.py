@@ -60,9 +60,9 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
     beams, lines = tuple[str, ...](), tuple[str, ...]()
     if is_bag(path):
         refuse_of_a_bag(log, path, OF_SCATTER if log.range_columns else OF_READINGS)
-        published, shots, coded = tables.bag(path, log)
-        stations, lines = published.stations, published.lines
-        ranges, beams = published.ranges, published.beams
+        read = tables.bag(path, log)
+        stations, shots, lines, coded = read.stations, read.shots, read.lines, read.warnings
+        ranges, beams = read.ranges, read.beam_names
     elif is_log(path, log, readings=False):
         stations, rows = _of_log(path, log)
         shots, lines, coded = tables.shots(stations.station_names, log.station_column)

@@ -17,6 +17,7 @@ leave (`Unexplained`).
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +40,7 @@ from .range_blocks import Ranges
 from .reduced_information import inverse_stack
 from .sensors.kinds import Kind, Rayset
 from .sensors.mounted import LEAST_SLOPE, SENSOR
+from .shapes import Round, Shape, solved, some_rays
 
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
@@ -49,10 +51,6 @@ ROUGH_RADIUS = 0.003
 """A ball is roughly known from a shot that tells its radius with a standard deviation above this part:
 rows of the first order in its errors say too much of k0 and the scale then. With noise of 1 mm on balls
 of 50 mm, 2 % of the radius, k0 was up to two standard deviations off."""
-CLEARANCE = 0.2
-"""What is behind a ball is farther from it than this part of its distance: points on it are closer."""
-STRAYS = 0.05
-"""Points on the other side of a plane are strays where they are a smaller part of a shot, or two."""
 LARGEST_BALL = 5.0
 """The radius of a sphere is below this multiple of the largest length of a shot, or it looks flat."""
 VOTING = 128
@@ -64,100 +62,6 @@ SHOTS_THAT_TELL = 32
 ROUGHEST_SHOT = 36.0
 """A shot whose readings have up to that times the typical variance is a rough one, as before a dark or
 slanted surface; beyond, it is of something else, and has no weight of its own."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Flat:
-    """A line or a plane; leading axes of all arrays are shots.
-
-    Of parallel rays z = c + m x: (c, m). Of rays through the origin q . p = 1 in the axes that they
-    span, so that 1 / s = q . u.
-    """
-
-    axes: tuple[int, ...]
-    parallel: bool
-
-    @property
-    def size(self) -> int:
-        """How many numbers it has."""
-        return len(self.axes)
-
-    def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
-        """Return shapes (..., size) through sets of readings (..., m), linear least squares each."""
-        return _solved(self._rows(rays), reading if self.parallel else 1.0 / reading)
-
-    def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
-        """Return the ranges (..., H, n) of n rays to shapes (..., H, size); infinite where missed."""
-        linear: FloatArray = shapes @ np.swapaxes(self._rows(rays), -1, -2)
-        if self.parallel:
-            return linear
-        return np.where(linear > TINY, 1.0 / np.maximum(linear, TINY), np.inf)
-
-    def columns(
-        self, shape: FloatArray, rays: Rayset, s: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return derivatives of ranges s (G, n) by shapes (G, n, size), and by origins (G, n, 3)."""
-        rows, a = self._rows(rays), np.zeros((*s.shape, 3))
-        if self.parallel:
-            a[..., 0], a[..., 2] = shape[:, 1:], -1.0
-            return rows, a
-        a[..., self.axes] = -s[..., None] * shape[:, None]
-        return -(s**2)[..., None] * rows, a
-
-    def _rows(self, rays: Rayset) -> FloatArray:
-        """Return what ranges, or their inverses, are linear in (..., n, size)."""
-        x = rays.origin[..., 0]
-        across = np.stack((np.ones_like(x), x), axis=-1)
-        return across if self.parallel else rays.direction[..., self.axes]
-
-
-@dataclass(frozen=True, slots=True)
-class _Sphere:
-    """A centre in the axes that the rays span, and the radius: a circle for rays of one plane.
-
-    Its methods do what the same of `_Flat` do.
-    """
-
-    axes: tuple[int, ...]
-
-    @property
-    def size(self) -> int:
-        """How many numbers it has."""
-        return len(self.axes) + 1
-
-    def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
-        p = (rays.origin + reading[..., None] * rays.direction)[..., self.axes]
-        rows = np.concatenate((2.0 * p, np.ones((*p.shape[:-1], 1))), axis=-1)
-        found = _solved(rows, (p**2).sum(axis=-1))
-        square = found[..., -1] + (found[..., :-1] ** 2).sum(axis=-1)
-        found[..., -1] = np.sqrt(np.maximum(square, TINY))
-        return found
-
-    def ranges(self, shapes: FloatArray, rays: Rayset) -> FloatArray:
-        w = rays.origin[..., None, :, self.axes] - shapes[..., None, :-1]
-        u = rays.direction[..., None, :, self.axes]
-        b = (w * u).sum(axis=-1)
-        under = b * b - (w * w).sum(axis=-1) + shapes[..., -1:] ** 2
-        return np.where(under > 0.0, -b - np.sqrt(np.maximum(under, 0.0)), np.inf)
-
-    def columns(
-        self, shape: FloatArray, rays: Rayset, s: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        radius, u = shape[:, None, -1], rays.direction[..., self.axes]
-        p = rays.origin[..., self.axes] - shape[:, None, :-1] + s[..., None] * u
-        q = np.minimum((p * u).sum(axis=-1), -NEGLIGIBLE * radius)[..., None]
-        a = np.zeros((*s.shape, 3))
-        a[..., self.axes] = -p / q
-        return np.concatenate((p / q, radius[..., None] / q), axis=-1), a
-
-
-Shape = _Flat | _Sphere
-"""What a target looks like in the frame of a sensor."""
-
-
-def shape_of(kind: Kind, target: str) -> Shape:
-    """Return what a target, `plane` or `sphere`, looks like to a kind of sensor."""
-    return _Sphere(kind.axes) if target == "sphere" else _Flat(kind.axes, kind.parallel)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,187 +120,41 @@ class Condensed:
         return self.single and len(self.reading) <= 4 * len(self.shape)
 
 
-def condensed_shots(
-    kind: Kind,
-    target: str,
-    shots: Sequence[tuple[FloatArray, FloatArray]],
-    ratio: float = 0.0,
-    sigma: float | None = None,
-    *,
-    sorted_out: bool = False,
-    errors: FloatArray | None = None,
-) -> list[Condensed | None]:
-    """Return shots in a few rows each; None where no shape fits the points of one.
+class Stated(NamedTuple):
+    """What is stated of the readings of shots.
 
-    A shot of so few points that its shape is hardly known is not condensed: each reading is a row.
-    Many points on one ray show no shape. A ball is looked for in front of what is clearly behind it and
-    in front of a plane, then among all points. Shots of equal length are condensed together.
-
-    Parameters
+    Attributes
     ----------
-    kind : Kind
-    target : "plane" or "sphere"
-    shots : sequence of (across (n, c), reading (n,))
-        What tells the rays apart, and readings [m].
     ratio : float
         Standard deviation of `across`, in standard deviations of a reading, for profilers.
     sigma : float, optional
         Standard deviation of a reading [m], where it is known.
+    errors : (4,)
+        Range errors near the right ones.
     sorted_out : bool
         Whether points that do not belong to the target have been rejected already.
-    errors : (4,), optional
-        Range errors near the right ones, none where not given: they bend shapes, and rows are of the
-        first order in what is left of them.
     """
-    errors = np.zeros(len(RAY_ERRORS)) if errors is None else errors
-    shape = shape_of(kind, target)
-    # A sphere is hardly known from up to four times as many points as it has numbers.
-    few = 4 * shape.size if isinstance(shape, _Sphere) else shape.size - 1
-    how = few, ratio, sigma, sorted_out, errors
-    if sorted_out:
-        return _alike(kind, shape, shots, *how)
-    if isinstance(shape, _Flat):
-        return _plates(kind, shape, shots, _alike(kind, shape, shots, *how), how)
-    found = list[Condensed | None]([None] * len(shots))
 
-    def find(points: Sequence[tuple[int, IntArray]]) -> None:
-        """Find shots, by their number, with some of their points; of two the one with more points."""
-        for (i, _), shot in zip(points, _of_whole(kind, shape, shots, points, how), strict=True):
-            before = found[i]
-            if shot is not None and (before is None or before.kept.sum() < shot.kept.sum()):
-                found[i] = shot
-
-    find(_before_others(kind, shots, sigma))
-    find([(i, np.arange(len(d))) for i, (_, d) in enumerate(shots) if found[i] is None])
-    return found
+    ratio: float = 0.0
+    sigma: float | None = None
+    errors: FloatArray = np.zeros(len(RAY_ERRORS))
+    sorted_out: bool = False
 
 
-def _of_whole(
-    kind: Kind,
-    shape: Shape,
-    shots: Sequence[tuple[FloatArray, FloatArray]],
-    parts: Sequence[tuple[int, IntArray]],
-    how: tuple[int, float, float | None, bool, FloatArray],
+def condensed_alike(
+    kind: Kind, shape: Shape, shots: Sequence[tuple[FloatArray, FloatArray]], stated: Stated
 ) -> list[Condensed | None]:
-    """Return shots of which only a part is looked at; which points are kept is said of the whole.
+    """Return shots in a few rows each, those of equal length together; None where no shape fits one.
 
-    Parts are the number of a shot with some of its rows.
+    Parameters
+    ----------
+    kind : Kind
+    shape : Shape
+        Of which most points of a shot are.
+    shots : sequence of (across (n, c), reading (n,))
+    stated : Stated
     """
-    tables = [(shots[i][0][some], shots[i][1][some]) for i, some in parts]
-    return [
-        shot and replace(shot, kept=np.isin(np.arange(len(shots[i][1])), some[shot.kept]))
-        for (i, some), shot in zip(parts, _alike(kind, shape, tables, *how), strict=True)
-    ]
-
-
-def _before_others(
-    kind: Kind, shots: Sequence[tuple[FloatArray, FloatArray]], sigma: float | None
-) -> list[tuple[int, IntArray]]:
-    """Return which shots show something that stands before what is behind it, with its rows.
-
-    Behind is a plane that most points are on, which it may touch, as a ball on a table does: few points
-    are behind that, as many are behind a plane through a ball. Else what is behind is clearly farther.
-    What is clearly nearer than the rest of it may be something else, and is one by itself.
-    """
-    plane, found = _Flat(kind.axes, kind.parallel), list[tuple[int, IntArray]]()
-    how = plane.size - 1, 0.0, sigma, False, np.zeros(len(RAY_ERRORS))
-    for i, behind in enumerate(_alike(kind, plane, shots, *how)):
-        reading, side = shots[i][1], _sides(kind, plane, shots[i], behind)
-        strays = (side > 0).sum() < max(3, STRAYS * len(side))
-        before = np.flatnonzero(side < 0) if strays else np.zeros(0, dtype=int)
-        # Where z of a profile is zero says nothing of distances.
-        length = np.full(len(side), np.ptp(reading)) if kind.parallel else np.abs(reading)
-        if len(before) > 2:
-            parts = [before[some] for some in _apart(reading[before], length[before])]
-        else:
-            parts = _apart(reading, length)[:-1]
-        together = (_together(kind, shots[i][0], some) for some in parts)
-        found += [(i, p) for p, one in zip(parts, together, strict=True) if one and len(p) > 2]
-    return found
-
-
-def _together(kind: Kind, across: FloatArray, some: IntArray) -> bool:
-    """Tell whether some rays of a shot, by their `across` (n, c), are neighbours: strays lie anywhere.
-
-    At least half of the rays that are as near to their middle as they are, are among them.
-    """
-    rays = kind.rays(across)
-    place = rays.origin + rays.direction
-    from_middle = np.linalg.norm(place - place[some].mean(axis=0), axis=1)
-    return 2 * len(some) >= int((from_middle <= from_middle[some].max()).sum())
-
-
-def _plates(
-    kind: Kind,
-    plane: _Flat,
-    shots: Sequence[tuple[FloatArray, FloatArray]],
-    found: Sequence[Condensed | None],
-    how: tuple[int, float, float | None, bool, FloatArray],
-) -> list[Condensed | None]:
-    """Return the planes of shots, or those before them, as a plate on a table is, with enough points.
-
-    A plate hides what is behind it: where two planes meet at an edge, neither is before the other. Of
-    profiles, whose z may grow towards the sensor, the plane with more points is the plate.
-    """
-    found = list(found)
-    side = [_sides(kind, plane, *one) for one in zip(shots, found, strict=True)]
-    enough = [max(share_of(len(one))[0] * len(one), 1.0) for one in side]
-    parts = [(i, np.flatnonzero(one < 0)) for i, one in enumerate(side)]
-    parts = [(i, before) for i, before in parts if len(before) >= enough[i]]
-    for (i, _), plate in zip(parts, _of_whole(kind, plane, shots, parts, how), strict=True):
-        now = found[i]
-        if plate is None or now is None or plate.kept.sum() < enough[i]:
-            continue
-        if kind.parallel and plate.kept.sum() < now.kept.sum():
-            continue
-        behind = _sides(kind, plane, shots[i], plate)[side[i] == 0] > 0
-        if behind.mean() >= 1.0 - STRAYS:
-            found[i] = plate
-    return found
-
-
-def _sides(
-    kind: Kind, plane: _Flat, shot: tuple[FloatArray, FloatArray], found: Condensed | None
-) -> IntArray:
-    """Return of readings (n,) whether they are on a plane of a shot, 0, before it, -1, or behind, 1."""
-    across, reading = shot
-    if found is None or found.dof <= 0:
-        return np.zeros(len(reading), dtype=int)
-    longer = reading - plane.ranges(found.shape[None], kind.rays(across))[0]
-    # Range errors moved the plane off the readings.
-    longer -= np.median(longer[found.kept])
-    return np.asarray(
-        np.sign(longer) * (np.abs(longer) > np.abs(longer[found.kept]).max()), dtype=int
-    )
-
-
-def _apart(reading: FloatArray, length: FloatArray) -> list[IntArray]:
-    """Return the rows of readings (n,) in parts, nearest first, each clearly apart from the next.
-
-    Clear is what is more than `CLEARANCE` of a length (n,).
-    """
-    order, found = np.argsort(reading), list[IntArray]()
-    while order.size:
-        d = reading[order]
-        gap, span = np.diff(d), d[:-1] - d[0]
-        free = np.flatnonzero((gap > span) & (gap > CLEARANCE * length[order[:-1]]))
-        end = int(free[0]) + 1 if free.size else len(order)
-        found.append(np.sort(order[:end]))
-        order = order[end:]
-    return found
-
-
-def _alike(
-    kind: Kind,
-    shape: Shape,
-    shots: Sequence[tuple[FloatArray, FloatArray]],
-    few: int,
-    ratio: float,
-    sigma: float | None,
-    sorted_out: bool,
-    errors: FloatArray,
-) -> list[Condensed | None]:
-    """Do as `condensed_shots`, with shots of equal length together."""
+    few, scale = shape.few, float(stated.errors[-1])
     lengths = np.array([len(reading) for _, reading in shots], dtype=int)
     found: list[Condensed | None] = [None] * len(shots)
     for n in np.unique(lengths).tolist():
@@ -406,12 +164,12 @@ def _alike(
         alike = [i for i in alike if n <= few or np.ptp(shots[i][0], axis=0).any()]
         for first in range(0, len(alike), share):
             some = alike[first : first + share]
-            rays = kind.scaled(np.concatenate([shots[i][0] for i in some]), float(errors[-1]))
-            rays = _rows(rays, np.arange(len(some) * n).reshape(len(some), n))
+            rays = kind.scaled(np.concatenate([shots[i][0] for i in some]), scale)
+            rays = some_rays(rays, np.arange(len(some) * n).reshape(len(some), n))
             reading = np.stack([shots[i][1] for i in some])
             along = np.stack([shots[i][0].reshape(n, -1)[:, 0] for i in some])
             line = along if len(kind.axes) == 2 else None  # else neighbours are not known
-            ends = _condensed(shape, rays, reading, few, ratio, sigma, sorted_out, errors, line)
+            ends = _condensed(shape, rays, reading, few, stated, line)
             for i, end in zip(some, ends, strict=True):
                 found[i] = end
     return found
@@ -422,24 +180,22 @@ def _condensed(
     rays: Rayset,
     reading: FloatArray,
     few: int,
-    ratio: float,
-    sigma: float | None,
-    sorted_out: bool,
-    errors: FloatArray,
+    stated: Stated,
     line: FloatArray | None,
 ) -> list[Condensed | None]:
     """Return shots with readings (G, n) in a few rows; those with few points kept as they are.
 
     Where they are along a line (G, n) tells neighbours; None for rays that are on none.
     """
-    (G, n), scale = reading.shape, float(errors[-1])
+    (G, n), (ratio, sigma, errors, sorted_out) = reading.shape, stated
+    scale = float(errors[-1])
     as_read, reading = reading, reading + errors[0] + (errors[1] + errors[2] * reading) * reading
     kept = np.ones(reading.shape, dtype=bool)
     if n <= few:
         every = range(G)
-        return [_as_they_are(shape, _rows(rays, g), as_read[g], kept[g], scale) for g in every]
+        return [_as_they_are(shape, some_rays(rays, g), as_read[g], kept[g], scale) for g in every]
     if sorted_out or n <= shape.size + 1:
-        found, fits, _ = _fitted(shape, shape.through(rays, reading), rays, reading, kept)
+        found, fits, _ = fitted(shape, shape.through(rays, reading), rays, reading, kept)
     else:
         found, fits, kept = _robust(shape, rays, reading, sigma)
     fits &= ~_flat(shape, found, rays, reading)
@@ -450,19 +206,21 @@ def _condensed(
     kept &= hit & (np.einsum("gni,gni->gn", a, a) < MOST_SLANTED**2)
     many = kept.sum(axis=1)
     single = many <= few
-    if isinstance(shape, _Sphere) and not ratio:  # single rows know of no noise across the rays
+    if isinstance(shape, Round) and not ratio:  # single rows know of no noise across the rays
         some = np.flatnonzero(fits & (many > few) & (many <= 4 * few))
-        of = found[some], _rows(rays, some), reading[some], kept[some]
+        of = found[some], some_rays(rays, some), reading[some], kept[some]
         single[some] = _roughly_known(shape, *of)
     whole = np.flatnonzero(fits & ~single & (many >= shape.size))
     ends: list[Condensed | None] = [None] * G
     for i in np.flatnonzero(fits & single & (many >= shape.size)).tolist():
         along = None if line is None or i >= SHOTS_THAT_TELL or many[i] <= few else line[i]
-        ends[i] = _as_they_are(shape, _rows(rays, i), as_read[i], kept[i], scale, along)
+        ends[i] = _as_they_are(shape, some_rays(rays, i), as_read[i], kept[i], scale, along)
     if not whole.size:
         return ends
     kept = kept[whole]
-    found, _, linear = _fitted(shape, found[whole], _rows(rays, whole), reading[whole], kept, ratio)
+    found, _, linear = fitted(
+        shape, found[whole], some_rays(rays, whole), reading[whole], kept, ratio
+    )
     line = None if line is None else line[whole]
     rows = _in_rows(shape, found, *linear, kept, errors, line)
     for i, end in zip(whole.tolist(), rows, strict=True):
@@ -471,17 +229,17 @@ def _condensed(
 
 
 def _roughly_known(
-    shape: _Sphere, found: FloatArray, rays: Rayset, reading: FloatArray, kept: BoolArray
+    shape: Round, found: FloatArray, rays: Rayset, reading: FloatArray, kept: BoolArray
 ) -> BoolArray:
     """Tell which balls (G, size) nearby are known too roughly by the points that are kept."""
-    found, fits, (_, left, J, _, root) = _fitted(shape, found, rays, reading, kept)
+    found, fits, (_, left, J, _, root) = fitted(shape, found, rays, reading, kept)
     J = J * root[..., None]
     variance = ((left * root) ** 2).sum(axis=1) / np.maximum(kept.sum(axis=1) - shape.size, 1)
     radius = inverse_stack(np.swapaxes(J, 1, 2) @ J)[:, -1, -1]
     return np.asarray(fits & (radius * variance > (ROUGH_RADIUS * found[:, -1]) ** 2))
 
 
-def _fitted(
+def fitted(
     shape: Shape,
     found: FloatArray,
     rays: Rayset,
@@ -489,10 +247,29 @@ def _fitted(
     kept: BoolArray,
     ratio: float = 0.0,
 ) -> tuple[FloatArray, BoolArray, tuple[Rayset, FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Return the least-squares shapes (G, size) of the points that are kept, from shapes nearby.
+    """Fit shapes to points by least squares, from shapes nearby.
 
-    Then where there is one: none where rays miss it on their way. Last rays, residuals, derivatives by
-    shapes and by origins, and roots of the weights there.
+    Parameters
+    ----------
+    shape : Shape
+    found : (G, size)
+        Shapes nearby.
+    rays : Rayset
+        Of G shots with n points each.
+    reading : (G, n)
+        Without range errors [m].
+    kept : (G, n) of bool
+        Points that count.
+    ratio : float
+        As of `Stated`.
+
+    Returns
+    -------
+    found : (G, size)
+    fits : (G,) of bool
+        Where there is one: none where rays miss it on their way.
+    linear : (Rayset, (G, n), (G, n, size), (G, n, 3), (G, n))
+        Last rays, residuals, derivatives by shapes and by origins, and roots of the weights there.
     """
     at, fits = rays, np.ones(len(found), dtype=bool)
     for step in range(MOST_ROUNDS):
@@ -505,7 +282,7 @@ def _fitted(
         # Noise across the rays counts as noise of the ray where the point most probably was.
         e = np.where(hit, reading - s - slope * (rays.origin[..., 0] - at.origin[..., 0]), 0.0)
         root = hit / np.sqrt(1.0 + (ratio * slope) ** 2)
-        further = _solved(J * root[..., None], e * root)
+        further = solved(J * root[..., None], e * root)
         left = e - (J @ further[..., None])[..., 0]
         small = np.abs(further).max(axis=1) <= RESOLUTION * np.abs(found).max(axis=1)
         # The start is a minimum with the points where they were read: they have to move first.
@@ -528,13 +305,13 @@ def _as_they_are(
     line: FloatArray | None = None,
 ) -> Condensed:
     """Return readings as rows of their own; the shape only serves as a start, where there is one."""
-    rays, d = _rows(rays, kept), reading[kept]
+    rays, d = some_rays(rays, kept), reading[kept]
     n, found, squares, dof = len(d), np.full(shape.size, np.nan), 0.0, 0
     together = np.full(len(DISTANCES), np.nan)
     if n >= shape.size:
-        every = _rows(rays, None)
+        every = some_rays(rays, None)
         all_points = np.ones((1, n), dtype=bool)
-        refined, fits, linear = _fitted(
+        refined, fits, linear = fitted(
             shape, shape.through(every, d[None]), every, d[None], all_points
         )
         if fits[0]:
@@ -556,7 +333,7 @@ def some_of(shot: Condensed, which: BoolArray) -> Condensed:
     kept = shot.kept.copy()
     kept[np.flatnonzero(kept)[~which]] = False
     mix, by_error = shot.mix[which][:, which], shot.by_error[:, which]
-    rays, reading = _rows(shot.rays, which), shot.reading[which]
+    rays, reading = some_rays(shot.rays, which), shot.reading[which]
     return replace(shot, rays=rays, reading=reading, mix=mix, by_error=by_error, kept=kept)
 
 
@@ -614,7 +391,7 @@ def _in_rows(
         rest = U[g][:, some].T @ beside[g]
         shot = Condensed(
             found[g],
-            _rows(_rows(rays, g), nodes[g]),
+            some_rays(some_rays(rays, g), nodes[g]),
             s[g, nodes[g]],
             mix,
             (at @ np.linalg.solve(R[g], along[g])).T,
@@ -696,8 +473,10 @@ def _robust(
     rng = np.random.default_rng(n)
     sets = rng.integers(n, size=(TRIALS, shape.size + 1))
     voters = rng.permutation(n)[:VOTING]
-    trials = shape.through(_rows(rays, (slice(None), sets)), reading[:, sets])
-    e = _misses(reading[:, None, voters], shape.ranges(trials, _rows(rays, (slice(None), voters))))
+    trials = shape.through(some_rays(rays, (slice(None), sets)), reading[:, sets])
+    e = _misses(
+        reading[:, None, voters], shape.ranges(trials, some_rays(rays, (slice(None), voters)))
+    )
     e[_flat(shape, trials, rays, reading)] = np.inf
     share, to_sigma = share_of(n)
     place = int(share * (len(voters) - 1))
@@ -720,7 +499,7 @@ def _robust(
         before, kept = kept, e <= ROUGH_CUT * np.maximum(larger * scale, least)[:, None]
         if sifting and (kept == before)[fits].all():
             break
-        again, good, _ = _fitted(shape, found, rays, reading, kept)
+        again, good, _ = fitted(shape, found, rays, reading, kept)
         fits &= good & (kept.sum(axis=1) > shape.size)
         found = np.where(fits[:, None], again, found)
     return found, fits, kept
@@ -737,7 +516,7 @@ def share_of(points: int) -> tuple[float, float]:
 
 def _flat(shape: Shape, found: FloatArray, rays: Rayset, reading: FloatArray) -> BoolArray:
     """Tell which shapes (G, ..., size) are spheres so large that a wall looks like them."""
-    if not isinstance(shape, _Sphere):
+    if not isinstance(shape, Round):
         return np.zeros(found.shape[:-1], dtype=bool)
     origin = np.abs(rays.origin).reshape(len(reading), -1)
     largest = np.maximum(np.abs(reading).max(axis=1), origin.max(axis=1))
@@ -748,20 +527,6 @@ def _flat(shape: Shape, found: FloatArray, rays: Rayset, reading: FloatArray) ->
 def _misses(reading: FloatArray, s: FloatArray) -> FloatArray:
     """Return by how much readings differ from ranges; infinite where a ray meets nothing."""
     return np.where(np.isfinite(s), np.abs(reading - np.where(np.isfinite(s), s, 0.0)), np.inf)
-
-
-def _rows(
-    rays: Rayset, which: int | IntArray | BoolArray | tuple[slice, IntArray] | None
-) -> Rayset:
-    """Return some of the rays, or all of them as the rays of one shot (1, n)."""
-    parts = rays.origin, rays.direction, rays.origin_by_scale, rays.direction_by_scale
-    return Rayset(*(part[which] for part in parts))
-
-
-def _solved(rows: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the least-squares solutions (..., q) of rows (..., m, q)."""
-    turned = np.swapaxes(rows, -1, -2)
-    return np.asarray((inverse_stack(turned @ rows) @ (turned @ right[..., None]))[..., 0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

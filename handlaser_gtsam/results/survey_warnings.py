@@ -55,6 +55,7 @@ from .lines import NAMES_IN_LINE
 from .messages import Values, warned
 from .survey_misfit import (
     MISREAD,
+    beside_ball,
     contradictions,
     counted_towards,
     implausible,
@@ -90,7 +91,7 @@ def survey_warnings(
     """Yield the warnings of a survey, causes before what they make of the result."""
     yield from contradictions(relations)
     heard = tuple(misheard(found))
-    causes = (*misread(found.rows, found.given), *pulled(found))
+    causes = (*misread(found.rows, found.given), *pulled(found), *beside_ball(found))
     causes += tuple(one for one in heard if one.code in MISREAD)
     causes += tuple(implausible(found.rows, found.estimate.values))
     causes += tuple(mislabelled(found.ended(), found.estimate))

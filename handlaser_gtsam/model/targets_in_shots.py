@@ -1,0 +1,247 @@
+"""Which part of a shot is its target: every ray of a sensor reads what it meets first.
+
+A ball stands before a wall or on a table, a plate before a wall, and a finger of the gripper before
+either. Points that are clearly apart from the others, nearer or farther, are looked at by themselves.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ..data.survey import RAY_ERRORS
+from ..quantities import FAR_SIGMAS
+from .condensed_shots import (
+    MANY,
+    ROUGHEST_SHOT,
+    Condensed,
+    Stated,
+    condensed_alike,
+    fitted,
+    share_of,
+)
+from .sensors.kinds import Kind
+from .shapes import Flat, Round, Shape, shape_of, some_rays
+
+CLEARANCE = 0.2
+"""What is behind a ball is farther from it than this part of its distance: points on it are closer."""
+ENOUGH = 4
+"""This number of balls that are surely some lead to a start, by which others are judged."""
+STRAYS = 0.05
+"""Points on the other side of a plane are strays where they are a smaller part of a shot, or two."""
+
+
+def condensed_shots(
+    kind: Kind,
+    target: str,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    ratio: float = 0.0,
+    sigma: float | None = None,
+    *,
+    sorted_out: bool = False,
+    errors: FloatArray | None = None,
+) -> list[Condensed | None]:
+    """Return shots in a few rows each; None where no shape fits the points of one.
+
+    A shot of so few points that its shape is hardly known is not condensed: each reading is a row.
+    Many points on one ray show no shape. What is clearly before or behind the target does not count.
+
+    Parameters
+    ----------
+    kind : Kind
+    target : "plane" or "sphere"
+    shots : sequence of (across (n, c), reading (n,))
+        What tells the rays apart, and readings [m].
+    ratio : float
+        Standard deviation of `across`, in standard deviations of a reading, for profilers.
+    sigma : float, optional
+        Standard deviation of a reading [m], where it is known.
+    sorted_out : bool
+        Whether points that do not belong to the target have been rejected already.
+    errors : (4,), optional
+        Range errors near the right ones, none where not given: they bend shapes, and rows are of the
+        first order in what is left of them.
+    """
+    errors = np.zeros(len(RAY_ERRORS)) if errors is None else errors
+    shape, stated = shape_of(kind, target), Stated(ratio, sigma, errors, sorted_out)
+    if sorted_out:
+        return condensed_alike(kind, shape, shots, stated)
+    if isinstance(shape, Flat):
+        return _plates(kind, shape, shots, condensed_alike(kind, shape, shots, stated), stated)
+    return _balls(kind, shape, shots, stated)
+
+
+def _balls(
+    kind: Kind, sphere: Round, shots: Sequence[tuple[FloatArray, FloatArray]], stated: Stated
+) -> list[Condensed | None]:
+    """Return the balls of shots, of whose parts several may look like one.
+
+    First come those that are surely no planes, last those that may be planes and have many points, as
+    a finger of the gripper or a wall. Of others those come first that readings are as near to as they
+    are to most balls, by `ROUGHEST_SHOT`, then those with more points. Where `ENOUGH` are sure, those
+    of an array that are not are lost: they count again once mount and ball are known.
+    """
+    parts = _parts(kind, shots, stated.sigma)
+    seen = _of_whole(kind, sphere, shots, parts, stated)
+    balls = [(i, one) for (i, _), one in zip(parts, seen, strict=True) if one is not None]
+    shot = np.array([i for i, _ in balls], dtype=np.intp)
+    dof, many = np.array([(one.dof, one.kept.sum()) for _, one in balls]).reshape(-1, 2).T
+    variance = np.array([one.squares for _, one in balls]) / np.maximum(dof, 1)
+    least = np.full(len(shots), np.inf)
+    np.minimum.at(least, shot[dof > 0], variance[dof > 0])
+    # Of a quarter of the shots a part has errors that are noise alone.
+    typical = float(np.quantile(least[np.isfinite(least)], 0.25)) if (dof > 0).any() else np.inf
+    # One number more lessens the sum of squares by less where there is no ball.
+    flat = _flatter(kind, shots, balls, stated.errors) < FAR_SIGMAS**2 * typical
+    sure, near = np.where(flat, dof <= sphere.size, 2), variance <= ROUGHEST_SHOT * typical
+    best = {int(shot[k]): k for k in np.lexsort((many, near, sure)).tolist()}  # the last counts
+    enough = sum(sure[k] == 2 and near[k] for k in best.values()) >= ENOUGH
+    rivals = np.bincount(shot[sure > 0], minlength=len(shots))
+    found = list[Condensed | None]([None] * len(shots))
+    for i, k in best.items():
+        back = enough and not kind.flat and len(shots[i][1]) < MANY  # it may come back
+        if not back or (near[k] and (sure[k] == 2 or rivals[i] < 2)):
+            found[i] = balls[k][1]
+    rest = [(i, np.arange(len(d))) for i, (_, d) in enumerate(shots) if i not in best]
+    for (i, _), whole in zip(rest, _of_whole(kind, sphere, shots, rest, stated), strict=True):
+        found[i] = whole
+    return found
+
+
+def _flatter(
+    kind: Kind,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    balls: Sequence[tuple[int, Condensed]],
+    errors: FloatArray,
+) -> FloatArray:
+    """Return by how much sums of squares grow where balls of some shots, by number, are planes.
+
+    Zero where they have as few points as a ball has numbers.
+    """
+    plane, grown = Flat(kind.axes, kind.parallel), np.zeros(len(balls))
+    for k, (i, ball) in enumerate(balls):
+        if ball.dof <= 0:
+            continue
+        rays = some_rays(kind.scaled(shots[i][0][ball.kept], float(errors[-1])), None)
+        d = shots[i][1][ball.kept][None]
+        d = d + errors[0] + (errors[1] + errors[2] * d) * d
+        every = np.ones(d.shape, dtype=bool)
+        left = fitted(plane, plane.through(rays, d), rays, d, every)[2][1]
+        grown[k] = float((left**2).sum()) - ball.squares
+    return grown
+
+
+def _of_whole(
+    kind: Kind,
+    shape: Shape,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    parts: Sequence[tuple[int, IntArray]],
+    stated: Stated,
+) -> list[Condensed | None]:
+    """Return shots of which only a part is looked at; which points are kept is said of the whole.
+
+    Parts are the number of a shot with some of its rows.
+    """
+    tables = [(shots[i][0][some], shots[i][1][some]) for i, some in parts]
+    return [
+        shot and replace(shot, kept=np.isin(np.arange(len(shots[i][1])), some[shot.kept]))
+        for (i, some), shot in zip(parts, condensed_alike(kind, shape, tables, stated), strict=True)
+    ]
+
+
+def _parts(
+    kind: Kind, shots: Sequence[tuple[FloatArray, FloatArray]], sigma: float | None
+) -> list[tuple[int, IntArray]]:
+    """Return the parts of shots that may be balls: the number of the shot, and rows of it.
+
+    If most points are on a plane, a ball stands before it, which it may touch, as on a table: few
+    points are behind that, as many are behind a plane through a ball. Parts of the rest, or of the
+    whole, are clearly nearer, or farther, than the others.
+    """
+    plane, found = Flat(kind.axes, kind.parallel), list[tuple[int, IntArray]]()
+    for i, behind in enumerate(condensed_alike(kind, plane, shots, Stated(sigma=sigma))):
+        reading, side = shots[i][1], _sides(kind, plane, shots[i], behind)
+        strays = (side > 0).sum() < max(3, STRAYS * len(side))
+        before = np.flatnonzero(side < 0) if strays else np.zeros(0, dtype=int)
+        rest = np.setdiff1d(np.arange(len(side)), before if len(before) > 2 else ())
+        # Where z of a profile is zero says nothing of distances.
+        length = np.full(len(side), np.ptp(reading)) if kind.parallel else np.abs(reading)
+        parts = [
+            some[rows] for some in (before, rest) for rows in _apart(reading[some], length[some])
+        ]
+        found += [(i, p) for p in parts if len(p) > 2 and _together(kind, shots[i][0], p)]
+    return found
+
+
+def _together(kind: Kind, across: FloatArray, some: IntArray) -> bool:
+    """Tell whether some rays of a shot, by their `across` (n, c), are neighbours: strays lie anywhere.
+
+    Of the rays that are as near to their middle as half of them, at least half are among them: others
+    may lie anywhere, as readings between the gripper and a wall do.
+    """
+    rays = kind.rays(across)
+    place = rays.origin + rays.direction
+    from_middle = np.linalg.norm(place - np.median(place[some], axis=0), axis=1)
+    inside = from_middle <= np.median(from_middle[some])
+    return 2 * int(inside[some].sum()) >= int(inside.sum())
+
+
+def _plates(
+    kind: Kind,
+    plane: Flat,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    found: Sequence[Condensed | None],
+    stated: Stated,
+) -> list[Condensed | None]:
+    """Return the planes of shots, or those before them, as a plate on a table is, with enough points.
+
+    A plate hides what is behind it: where two planes meet at an edge, neither is before the other. Of
+    profiles, whose z may grow towards the sensor, the plane with more points is the plate.
+    """
+    found = list(found)
+    side = [_sides(kind, plane, *one) for one in zip(shots, found, strict=True)]
+    enough = [max(share_of(len(one))[0] * len(one), 1.0) for one in side]
+    parts = [(i, np.flatnonzero(one < 0)) for i, one in enumerate(side)]
+    parts = [(i, before) for i, before in parts if len(before) >= enough[i]]
+    for (i, _), plate in zip(parts, _of_whole(kind, plane, shots, parts, stated), strict=True):
+        now = found[i]
+        if plate is None or now is None or plate.kept.sum() < enough[i]:
+            continue
+        if kind.parallel and plate.kept.sum() < now.kept.sum():
+            continue
+        behind = _sides(kind, plane, shots[i], plate)[side[i] == 0] > 0
+        if behind.mean() >= 1.0 - STRAYS:
+            found[i] = plate
+    return found
+
+
+def _sides(
+    kind: Kind, plane: Flat, shot: tuple[FloatArray, FloatArray], found: Condensed | None
+) -> IntArray:
+    """Return of readings (n,) whether they are on a plane of a shot, 0, before it, -1, or behind, 1."""
+    across, reading = shot
+    if found is None or found.dof <= 0:
+        return np.zeros(len(reading), dtype=int)
+    longer = reading - plane.ranges(found.shape[None], kind.rays(across))[0]
+    # Range errors moved the plane off the readings.
+    longer -= np.median(longer[found.kept])
+    return np.asarray(
+        np.sign(longer) * (np.abs(longer) > np.abs(longer[found.kept]).max()), dtype=int
+    )
+
+
+def _apart(reading: FloatArray, length: FloatArray) -> list[IntArray]:
+    """Return the rows of readings (n,) in parts, nearest first, each clearly apart from the next.
+
+    Clear is what is more than `CLEARANCE` of a length (n,).
+    """
+    order, found = np.argsort(reading), list[IntArray]()
+    while order.size:
+        d = reading[order]
+        gap, span = np.diff(d), d[:-1] - d[0]
+        free = np.flatnonzero((gap > span) & (gap > CLEARANCE * length[order[:-1]]))
+        end = int(free[0]) + 1 if free.size else len(order)
+        found.append(np.sort(order[:end]))
+        order = order[end:]
+    return found
