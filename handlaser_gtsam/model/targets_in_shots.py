@@ -77,14 +77,44 @@ def _balls(
 ) -> list[Condensed | None]:
     """Return the balls of shots, of whose parts several may look like one.
 
+    Where no part is surely a ball, it may stand before two planes: parts are taken apart once more.
+    Where `ENOUGH` are sure, doubtful ones of an array are lost: they count again once mount and ball
+    are known.
+    """
+    parts = [(i, np.arange(len(d))) for i, (_, d) in enumerate(shots)]
+    balls = list[tuple[int, Condensed]]()
+    for _ in range(2):
+        parts = _parts(kind, shots, parts, stated.sigma)
+        seen = _of_whole(kind, sphere, shots, parts, stated)
+        balls += [(i, one) for (i, _), one in zip(parts, seen, strict=True) if one is not None]
+        best, sure, doubtful = _best(kind, sphere, shots, balls, stated.errors)
+        parts = [(i, some) for i, some in parts if i not in sure]
+        if not parts:
+            break
+    found = list[Condensed | None]([None] * len(shots))
+    for i, one in best.items():
+        back = len(sure) >= ENOUGH and not kind.flat and len(shots[i][1]) < MANY  # it may come back
+        if not (back and i in doubtful):
+            found[i] = one
+    rest = [(i, np.arange(len(d))) for i, (_, d) in enumerate(shots) if i not in best]
+    for (i, _), whole in zip(rest, _of_whole(kind, sphere, shots, rest, stated), strict=True):
+        found[i] = whole
+    return found
+
+
+def _best(
+    kind: Kind,
+    sphere: Round,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    balls: Sequence[tuple[int, Condensed]],
+    errors: FloatArray,
+) -> tuple[dict[int, Condensed], set[int], set[int]]:
+    """Choose among balls of shots, by number; tell which shots are sure, and which are doubtful.
+
     First come those that are surely no planes, last those that may be planes and have many points, as
     a finger of the gripper or a wall. Of others those come first that readings are as near to as they
-    are to most balls, by `ROUGHEST_SHOT`, then those with more points. Where `ENOUGH` are sure, those
-    of an array that are not are lost: they count again once mount and ball are known.
+    are to most balls, by `ROUGHEST_SHOT`, then those with more points.
     """
-    parts = _parts(kind, shots, stated.sigma)
-    seen = _of_whole(kind, sphere, shots, parts, stated)
-    balls = [(i, one) for (i, _), one in zip(parts, seen, strict=True) if one is not None]
     shot = np.array([i for i, _ in balls], dtype=np.intp)
     dof, many = np.array([(one.dof, one.kept.sum()) for _, one in balls]).reshape(-1, 2).T
     variance = np.array([one.squares for _, one in balls]) / np.maximum(dof, 1)
@@ -93,20 +123,14 @@ def _balls(
     # Of a quarter of the shots a part has errors that are noise alone.
     typical = float(np.quantile(least[np.isfinite(least)], 0.25)) if (dof > 0).any() else np.inf
     # One number more lessens the sum of squares by less where there is no ball.
-    flat = _flatter(kind, shots, balls, stated.errors) < FAR_SIGMAS**2 * typical
-    sure, near = np.where(flat, dof <= sphere.size, 2), variance <= ROUGHEST_SHOT * typical
-    best = {int(shot[k]): k for k in np.lexsort((many, near, sure)).tolist()}  # the last counts
-    enough = sum(sure[k] == 2 and near[k] for k in best.values()) >= ENOUGH
-    rivals = np.bincount(shot[sure > 0], minlength=len(shots))
-    found = list[Condensed | None]([None] * len(shots))
-    for i, k in best.items():
-        back = enough and not kind.flat and len(shots[i][1]) < MANY  # it may come back
-        if not back or (near[k] and (sure[k] == 2 or rivals[i] < 2)):
-            found[i] = balls[k][1]
-    rest = [(i, np.arange(len(d))) for i, (_, d) in enumerate(shots) if i not in best]
-    for (i, _), whole in zip(rest, _of_whole(kind, sphere, shots, rest, stated), strict=True):
-        found[i] = whole
-    return found
+    flat = _flatter(kind, shots, balls, errors) < FAR_SIGMAS**2 * typical
+    round_, near = np.where(flat, dof <= sphere.size, 2), variance <= ROUGHEST_SHOT * typical
+    best = {int(shot[k]): k for k in np.lexsort((many, near, round_)).tolist()}  # the last counts
+    sure = {i for i, k in best.items() if round_[k] == 2 and near[k]}
+    rivals = np.bincount(shot[round_ > 0], minlength=len(shots))
+    several = {i for i, k in best.items() if round_[k] < 2 and rivals[i] > 1}
+    doubtful = several | {i for i, k in best.items() if not near[k]}
+    return {i: balls[k][1] for i, k in best.items()}, sure, doubtful
 
 
 def _flatter(
@@ -151,7 +175,10 @@ def _of_whole(
 
 
 def _parts(
-    kind: Kind, shots: Sequence[tuple[FloatArray, FloatArray]], sigma: float | None
+    kind: Kind,
+    shots: Sequence[tuple[FloatArray, FloatArray]],
+    of: Sequence[tuple[int, IntArray]],
+    sigma: float | None,
 ) -> list[tuple[int, IntArray]]:
     """Return the parts of shots that may be balls: the number of the shot, and rows of it.
 
@@ -160,8 +187,10 @@ def _parts(
     whole, are clearly nearer, or farther, than the others.
     """
     plane, found = Flat(kind.axes, kind.parallel), list[tuple[int, IntArray]]()
-    for i, behind in enumerate(condensed_alike(kind, plane, shots, Stated(sigma=sigma))):
-        reading, side = shots[i][1], _sides(kind, plane, shots[i], behind)
+    tables = [(shots[i][0][some], shots[i][1][some]) for i, some in of]
+    behind = condensed_alike(kind, plane, tables, Stated(sigma=sigma))
+    for (i, whole), (across, reading), flat in zip(of, tables, behind, strict=True):
+        side = _sides(kind, plane, (across, reading), flat)
         strays = (side > 0).sum() < max(3, STRAYS * len(side))
         before = np.flatnonzero(side < 0) if strays else np.zeros(0, dtype=int)
         rest = np.setdiff1d(np.arange(len(side)), before if len(before) > 2 else ())
@@ -170,7 +199,7 @@ def _parts(
         parts = [
             some[rows] for some in (before, rest) for rows in _apart(reading[some], length[some])
         ]
-        found += [(i, p) for p in parts if len(p) > 2 and _together(kind, shots[i][0], p)]
+        found += [(i, whole[p]) for p in parts if len(p) > 2 and _together(kind, across, p)]
     return found
 
 
