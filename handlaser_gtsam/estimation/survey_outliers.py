@@ -298,7 +298,7 @@ def of_others(rows: SurveyRows, member: int) -> float:
     return 1.0 - kept / many if many else 0.0
 
 
-def beside_balls(rows: SurveyRows, values: Values, used: BoolArray, member: int) -> float:
+def beside_balls(rows: SurveyRows, values: Values, member: int) -> float:
     """Return the part of the readings of an array whose rays meet a ball that are of something else.
 
     Parameters
@@ -306,19 +306,14 @@ def beside_balls(rows: SurveyRows, values: Values, used: BoolArray, member: int)
     rows : SurveyRows
     values : mapping
         Of a minimum.
-    used : (items,) of bool
     member : int
         Number of the sensor.
     """
-    shots = list(_small_shots(rows, member, SPHERE.name))
-    misses = [misses_of(rows, values, member, target, table) for _, target, table in shots]
-    met, small = sum(int(np.isfinite(e).sum()) for e in misses), {station for station, *_ in shots}
-    kept = sum(
-        len(item.points)
-        for item in rows.counted(used)
-        if item.points is not None and item.member == member and item.station in small
-    )
-    return 1.0 - kept / met if met else 0.0
+    if not any(_small_shots(rows, member, SPHERE.name)):
+        return 0.0
+    misses, reach = _misses_and_reach(rows, values, member, SPHERE.name)
+    met = np.abs(np.concatenate(misses))
+    return float((met[np.isfinite(met)] > reach).mean()) if np.isfinite(met).any() else 0.0
 
 
 def slackness(rows: SurveyRows, values: Values, member: int) -> float:

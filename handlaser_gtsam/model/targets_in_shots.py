@@ -82,12 +82,17 @@ def _balls(
     are known.
     """
     parts = [(i, np.arange(len(d))) for i, (_, d) in enumerate(shots)]
-    balls = list[tuple[int, Condensed]]()
+    balls, known = list[tuple[int, Condensed]](), set[tuple[int, bytes]]()
     for _ in range(2):
-        parts = _parts(kind, shots, parts, stated.sigma)
+        parts = [
+            (i, some)
+            for i, some in _parts(kind, shots, parts, stated.sigma)
+            if (i, some.tobytes()) not in known
+        ]
         seen = _of_whole(kind, sphere, shots, parts, stated)
         balls += [(i, one) for (i, _), one in zip(parts, seen, strict=True) if one is not None]
         best, sure, doubtful = _best(kind, sphere, shots, balls, stated.errors)
+        known |= {(i, some.tobytes()) for i, some in parts}
         parts = [(i, some) for i, some in parts if i not in sure]
         if not parts:
             break

@@ -251,7 +251,7 @@ def beside_ball(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     more one.
     """
     for member, shots in enumerate(found.rows.survey.shots):
-        part = beside_balls(found.rows, found.values, found.used, member)
+        part = beside_balls(found.rows, found.values, member)
         if found.estimate.status == "converged" and part > MOST_LEFT_OUT:
             yield warned(BESIDE_BALL, {"sensor": shots.name, "part": part})
 
