@@ -220,6 +220,31 @@ def test_a_finger_of_the_gripper_is_neither_the_ball_nor_makes_a_plane_round(kin
     assert error @ np.linalg.solve(covariance, error) < BY_CHANCE
 
 
+def test_a_ball_may_stand_before_two_planes():
+    """Of a depth camera the floor and the wall show beside it, and 3 % of the readings are anywhere."""
+    rig = rigs_by_scene.points(2, scene="planes and ball", strays=0.03)
+    found = hl.calibrate(rigs.survey_of(rig), rigs.EXACT)
+    assert found.usable, found.verdict.sentence
+
+
+@pytest.mark.parametrize("kind", ["array", "points"])
+def test_shots_of_few_rays_on_a_ball_count_beside_larger_ones(kind):
+    """Nothing else is in view, so that nothing else may be the ball."""
+    rng = np.random.default_rng(5)
+    x, y = np.meshgrid(np.linspace(-0.08, 0.08, 8), np.linspace(-0.05, 0.05, 4))
+    across = np.stack((x.ravel(), y.ravel(), np.ones(x.size)), axis=1)
+    u = across / np.linalg.norm(across, axis=1)[:, None]
+    shots = []
+    for k in range(10):
+        centre = np.array([*rng.uniform(-0.005, 0.005, 2), 0.3])
+        b = u @ centre
+        d = b - np.sqrt(b**2 - centre @ centre + 0.04**2) + 1e-4 * rng.standard_normal(len(u))
+        on = (k < 6) | np.isin(np.arange(len(u)), [11, 12, 19, 20])
+        shots.append((across[on], d[on]))
+    found = condensed_shots(KINDS[kind], "sphere", shots)
+    assert [int(one.kept.sum()) for one in found[6:]] == [4] * 4
+
+
 @pytest.mark.parametrize("seed", [1, 16])
 def test_what_mostly_reads_something_else_than_its_ball_is_not_usable(seed):
     """With half of the zones at edges between two things, mounts were 20 and 40 mm off, and usable."""

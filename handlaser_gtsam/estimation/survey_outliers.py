@@ -301,6 +301,8 @@ def of_others(rows: SurveyRows, member: int) -> float:
 def beside_balls(rows: SurveyRows, values: Values, member: int) -> float:
     """Return the part of the readings of an array whose rays meet a ball that are of something else.
 
+    Where there are planes, they tell which readings are of what, and it is zero.
+
     Parameters
     ----------
     rows : SurveyRows
@@ -309,7 +311,8 @@ def beside_balls(rows: SurveyRows, values: Values, member: int) -> float:
     member : int
         Number of the sensor.
     """
-    if not any(_small_shots(rows, member, SPHERE.name)):
+    planes, balls = (any(_small_shots(rows, member, one.name)) for one in (PLANE, SPHERE))
+    if planes or not balls:
         return 0.0
     misses, reach = _misses_and_reach(rows, values, member, SPHERE.name)
     met = np.abs(np.concatenate(misses))

@@ -16,7 +16,7 @@ from ..model.sensor_limits import Sensor
 from .checked_text import in_file
 from .logs.bags import is_bag
 from .logs.columns import columns_of
-from .logs.format import LogFormat
+from .logs.format import NO_HALF_ANGLE, LogFormat
 from .logs.format_checks import convention_of
 from .logs.motion import Way
 from .logs.poses import hand_poses
@@ -84,6 +84,8 @@ def read_survey(path: Path | str, rig: Rig | Path | str) -> Survey:
         raise InputError(found, expected, path)
     with in_file(path):
         survey = _survey(stations, ranges, beams, rig, shots=shots, lines=lines)
+    cones = np.count_nonzero(survey.cones)
+    coded = tuple(one for one in coded if one.code != NO_HALF_ANGLE or cones < one.values["beams"])
     warnings = coded if rows is None else (*rows.warnings, *coded)
     if shots and not is_bag(path):
         with in_file(path):

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..data.survey import RAY_ERRORS
-from ..quantities import FAR_SIGMAS
+from ..quantities import FAR_SIGMAS, RESOLUTION
 from .condensed_shots import (
     MANY,
     ROUGHEST_SHOT,
@@ -60,8 +60,8 @@ def condensed_shots(
     sorted_out : bool
         Whether points that do not belong to the target have been rejected already.
     errors : (4,), optional
-        Range errors near the right ones, none where not given: they bend shapes, and rows are of the
-        first order in what is left of them.
+        Range errors near the right ones of points that are `sorted_out`, none where not given: they
+        bend shapes, and rows are of the first order in what is left of them.
     """
     errors = np.zeros(len(RAY_ERRORS)) if errors is None else errors
     shape, stated = shape_of(kind, target), Stated(ratio, sigma, errors, sorted_out)
@@ -91,14 +91,14 @@ def _balls(
         ]
         seen = _of_whole(kind, sphere, shots, parts, stated)
         balls += [(i, one) for (i, _), one in zip(parts, seen, strict=True) if one is not None]
-        best, sure, doubtful = _best(kind, sphere, shots, balls, stated.errors)
+        best, sure, doubtful = _best(kind, sphere, shots, balls)
         known |= {(i, some.tobytes()) for i, some in parts}
         parts = [(i, some) for i, some in parts if i not in sure]
         if not parts:
             break
     found = list[Condensed | None]([None] * len(shots))
     for i, one in best.items():
-        back = len(sure) >= ENOUGH and not kind.flat and len(shots[i][1]) < MANY  # it may come back
+        back = len(sure) >= ENOUGH and kind.zones and len(shots[i][1]) < MANY  # it may come back
         if not (back and i in doubtful):
             found[i] = one
     rest = [(i, np.arange(len(d))) for i, (_, d) in enumerate(shots) if i not in best]
@@ -112,29 +112,32 @@ def _best(
     sphere: Round,
     shots: Sequence[tuple[FloatArray, FloatArray]],
     balls: Sequence[tuple[int, Condensed]],
-    errors: FloatArray,
 ) -> tuple[dict[int, Condensed], set[int], set[int]]:
     """Choose among balls of shots, by number; tell which shots are sure, and which are doubtful.
 
     First come those that are surely no planes, last those that may be planes and have many points, as
     a finger of the gripper or a wall. Of others those come first that readings are as near to as they
-    are to most balls, by `ROUGHEST_SHOT`, then those with more points.
+    are to most balls, by `ROUGHEST_SHOT`, then those with more points. Sure are those that are first in
+    both. Doubtful are shots whose readings are far from any ball, and those of which several parts may
+    be one and none is surely.
     """
     shot = np.array([i for i, _ in balls], dtype=np.intp)
     dof, many = np.array([(one.dof, one.kept.sum()) for _, one in balls]).reshape(-1, 2).T
     variance = np.array([one.squares for _, one in balls]) / np.maximum(dof, 1)
-    least = np.full(len(shots), np.inf)
-    np.minimum.at(least, shot[dof > 0], variance[dof > 0])
+    # Rounded readings that are equal say nothing of the noise.
+    finest = RESOLUTION * np.array([np.median(np.abs(shots[i][1])) for i in shot.tolist()])
+    tells, least = (dof > 0) & (variance > finest**2), np.full(len(shots), np.inf)
+    np.minimum.at(least, shot[tells], variance[tells])
     # Of a quarter of the shots a part has errors that are noise alone.
-    typical = float(np.quantile(least[np.isfinite(least)], 0.25)) if (dof > 0).any() else np.inf
+    typical = float(np.quantile(least[np.isfinite(least)], 0.25)) if tells.any() else np.inf
     # One number more lessens the sum of squares by less where there is no ball.
-    flat = _flatter(kind, shots, balls, errors) < FAR_SIGMAS**2 * typical
-    round_, near = np.where(flat, dof <= sphere.size, 2), variance <= ROUGHEST_SHOT * typical
-    best = {int(shot[k]): k for k in np.lexsort((many, near, round_)).tolist()}  # the last counts
-    sure = {i for i, k in best.items() if round_[k] == 2 and near[k]}
-    rivals = np.bincount(shot[round_ > 0], minlength=len(shots))
-    several = {i for i, k in best.items() if round_[k] < 2 and rivals[i] > 1}
-    doubtful = several | {i for i, k in best.items() if not near[k]}
+    ball = _flatter(kind, shots, balls) >= FAR_SIGMAS**2 * typical
+    plane, near = ~ball & (dof > sphere.size), variance <= ROUGHEST_SHOT * typical
+    order = np.lexsort((many, near, ~plane, ball)).tolist()
+    best = {int(shot[k]): k for k in order}  # the last counts
+    rivals = np.bincount(shot[~plane], minlength=len(shots))
+    sure = {i for i, k in best.items() if ball[k] and near[k]}
+    doubtful = {i for i, k in best.items() if not near[k] or (not ball[k] and rivals[i] > 1)}
     return {i: balls[k][1] for i, k in best.items()}, sure, doubtful
 
 
@@ -142,7 +145,6 @@ def _flatter(
     kind: Kind,
     shots: Sequence[tuple[FloatArray, FloatArray]],
     balls: Sequence[tuple[int, Condensed]],
-    errors: FloatArray,
 ) -> FloatArray:
     """Return by how much sums of squares grow where balls of some shots, by number, are planes.
 
@@ -150,14 +152,11 @@ def _flatter(
     """
     plane, grown = Flat(kind.axes, kind.parallel), np.zeros(len(balls))
     for k, (i, ball) in enumerate(balls):
-        if ball.dof <= 0:
-            continue
-        rays = some_rays(kind.scaled(shots[i][0][ball.kept], float(errors[-1])), None)
-        d = shots[i][1][ball.kept][None]
-        d = d + errors[0] + (errors[1] + errors[2] * d) * d
-        every = np.ones(d.shape, dtype=bool)
-        left = fitted(plane, plane.through(rays, d), rays, d, every)[2][1]
-        grown[k] = float((left**2).sum()) - ball.squares
+        if ball.dof > 0:
+            rays = some_rays(kind.rays(shots[i][0][ball.kept]), None)
+            d, every = shots[i][1][ball.kept][None], np.ones((1, ball.kept.sum()), dtype=bool)
+            left = fitted(plane, plane.through(rays, d), rays, d, every)[2][1]
+            grown[k] = float((left**2).sum()) - ball.squares
     return grown
 
 

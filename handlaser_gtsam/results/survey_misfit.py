@@ -520,21 +520,19 @@ def _bent(shots: Shots, labels: Sequence[str], label: str, as_plane: Cost) -> bo
 
 
 def _much_better(sensors: Iterable[tuple[Cost, Cost, float]]) -> bool:
-    """Tell whether the other way costs far less, and fits nearly all readings, and most of all.
+    """Tell whether the other way costs far less, and fits nearly all readings.
 
     Each sensor has the way as stated, the other, and the variance of a reading [m^2]: zero where no
-    shot of it has a shape, and it says nothing. A shape that few shots know says nothing of the others.
+    shot of it has a shape, and it says nothing.
     """
     now = changed = 0.0
-    many, gone, total = 0.0, 0, 0.0
+    many, gone = 0.0, 0
     for stated, other, variance in sensors:
         if variance > 0.0:
             now += stated[0] / variance + ROUGH_CUT**2 * stated[2]
             changed += other[0] / variance + ROUGH_CUT**2 * other[2]
             many, gone = many + other[1], gone + other[2]
-            total += stated[1] + stated[2]
-    fits = gone <= OF_OTHERS * (many + gone) and many > 0.5 * total
-    return fits and now > MUCH_DEARER * changed
+    return many > 0 and gone <= OF_OTHERS * (many + gone) and now > MUCH_DEARER * changed
 
 
 def _squares(

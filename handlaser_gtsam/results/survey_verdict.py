@@ -73,21 +73,19 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     harmful, excess = _most_harmful(result)
     named = [one.message for one in _range_errors(result, harmful)]
     moved = [one.message for one in result.warnings if one.code == DISPLACED]
-    # Of each code why it holds: the first is said first.
+    false = [one.message for one in result.warnings if one.code == FALSE_RELATION]
+    unsure = [one.message for one in result.warnings if one.code == TOO_FEW]
+    unsure += ambiguous(result.warnings)
+    moves = moves_the_spot(result.warnings)
+    holds = bool(false), moves or excess > 1.0, bool(unsure), bool(failed), bool(result.warnings)
+    code = code_of(*holds)
     why = {
-        "contradicted": [one.message for one in result.warnings if one.code == FALSE_RELATION],
-        "systematic-error": [
-            *(moved if moves_the_spot(result.warnings) else ()),
-            *(named if excess > 1.0 else ()),
-        ],
-        "undetermined": [
-            *(one.message for one in result.warnings if one.code == TOO_FEW),
-            *ambiguous(result.warnings),
-        ],
-        "outside-limits": [failures(checks)] if failed else [],
+        "contradicted": false,
+        "systematic-error": moved if moves else named,
+        "undetermined": unsure,
+        "outside-limits": [failures(checks)],
     }
-    code = code_of(*map(bool, why.values()), bool(result.warnings))
-    first = next((words[0] for words in why.values() if words), "")
+    first = next(iter(why.get(code, ())), "")
     findings = [clause(first)] if first else []
     findings += [some(list(_located(result)), NAMES_IN_LINE)]
     if code == "usable-with-care":

@@ -1,8 +1,8 @@
 """The verdict on a calibration: whether to use it, what it is good for, what would improve it most.
 
-Its code is the first of these that holds, of surveys too: no calibration; a contradiction, or a mount
-that no sensor has; a systematic error that moves a laser spot by more than the radius that holds the
-spot with 95 %; another mount that is as probable; outside the limits of the user; a warning, or a
+Its code is the first of these that holds, of surveys too: no calibration; a contradiction (of beams a
+mount that no sensor has); a systematic error that moves a laser spot by more than the radius that holds
+the spot with 95 %; another mount that is as probable; outside the limits of the user; a warning, or a
 systematic error that was found or may hide (usable with care); usable.
 
 Of improvements, what makes the stated numbers wrong comes first: a mistake of the file, a beam that was
@@ -396,7 +396,7 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     if found.code == "outside-limits":
         yield failures(found.limits)
     moved = moved_beam_of(calibration.warnings)
-    if found.code == "systematic-error" and moved is not None:
+    if found.code == "systematic-error" and moved and moves_the_spot(calibration.warnings):
         yield clause(moved.message)
     elif found.code == "systematic-error" and found.harmful is not None:
         yield clause(found.harmful.message)

@@ -5,6 +5,7 @@ are one shot.
 """
 
 from array import array
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -170,7 +171,7 @@ def read_bag_points(
     poses = read_messages(path, given, readers)
     messages = points.rows(path)
     single = None if beams is None else beams.rows(path)
-    readings, order = _together(messages, single)
+    readings, order = _in_time(messages, single)
     log = by_time(poses, readings, replace(given, stands=not given.interpolate))
     labels, chosen, warnings = targets_of(log, given)
     seen = np.zeros(len(log.names), dtype=bool)
@@ -207,7 +208,7 @@ def read_bag_points(
     )
 
 
-def _together(messages: LogRows, single: LogRows | None) -> tuple[LogRows, IntArray]:
+def _in_time(messages: LogRows, single: LogRows | None) -> tuple[LogRows, IntArray]:
     """Return the rows of all messages and of single beams in the order of time, and that order.
 
     A row has the readings of one message, or of beams at one moment.
@@ -250,13 +251,13 @@ def _typical(
 ) -> FloatArray:
     """Return the median reading of each of M messages (M, sensors), which tells whether it moves.
 
-    Zones differ: of each sensor messages of one topic count, and all others are NaN.
+    Zones differ: of each sensor messages of the topic with most of them count, and others are NaN.
     """
     found = np.full((sum(map(len, topic_of)), len(topic_of)), np.nan)
     begin = 0
     for sensor, (messages, topics) in enumerate(zip(points, topic_of, strict=True)):
-        first = min(topics)
-        some = [i for i, topic in enumerate(topics) if topic == first]
+        often = Counter(topics).most_common(1)[0][0]
+        some = [i for i, topic in enumerate(topics) if topic == often]
         found[[begin + i for i in some], sensor] = [np.median(messages[i][:, -1]) for i in some]
         begin += len(topics)
     return found

@@ -76,11 +76,14 @@ class Kind:
         Axes of the sensor's frame that its rays span: two of a profile or a scan.
     parallel : bool
         Whether they are parallel; else they go through the origin of the sensor.
+    zones : bool
+        Whether they are the same few at every station, whose readings all stations sort.
     """
 
     rays: Callable[[FloatArray], Rayset]
     axes: tuple[int, ...]
     parallel: bool
+    zones: bool = False
 
     def scaled(self, across: FloatArray, scale: float) -> Rayset:
         """Return the rays where what tells them apart is larger by a part; derivatives by that part."""
@@ -105,7 +108,7 @@ class Kind:
 KINDS = {
     "profiler": Kind(profile_rays, (0, 2), parallel=True),
     "scanner": Kind(scan_rays, (0, 1), parallel=False),
-    "array": Kind(zone_rays, (0, 1, 2), parallel=False),
+    "array": Kind(zone_rays, (0, 1, 2), parallel=False, zones=True),
     "points": Kind(zone_rays, (0, 1, 2), parallel=False),
 }
 """By the word that a rig file has for it."""
