@@ -144,7 +144,7 @@ class Stated(NamedTuple):
 def condensed_alike(
     kind: Kind, shape: Shape, shots: Sequence[tuple[FloatArray, FloatArray]], stated: Stated
 ) -> list[Condensed | None]:
-    """Return shots in a few rows each, those of equal length together; None where no shape fits one.
+    """Return shots in a few rows each, equally long ones together; None where no shape fits one.
 
     Parameters
     ----------

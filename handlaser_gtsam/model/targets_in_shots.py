@@ -118,8 +118,8 @@ def _best(
     First come those that are surely no planes, last those that may be planes and have many points, as
     a finger of the gripper or a wall. Of others those come first that readings are as near to as they
     are to most balls, by `ROUGHEST_SHOT`, then those with more points. Sure are those that are first in
-    both. Doubtful are shots whose readings are far from any ball, and those of which several parts may
-    be one and none is surely.
+    both. Doubtful is a shot whose readings are far from any ball, or of which several parts may be one
+    and none is surely.
     """
     shot = np.array([i for i, _ in balls], dtype=np.intp)
     dof, many = np.array([(one.dof, one.kept.sum()) for _, one in balls]).reshape(-1, 2).T

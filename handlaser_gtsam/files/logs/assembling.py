@@ -149,7 +149,7 @@ def left_out(stations: BoolArray, what: str) -> CalibrationWarning:
 def odd_readings(
     d: FloatArray, station: IntArray, names: Sequence[str], how: Average, sigma: float | None = None
 ) -> tuple[CalibrationWarning, ...]:
-    """Return warnings of single readings, or pairs, that spoil what is made of those of a station.
+    """Return warnings of single readings, or pairs, that spoil what is made of a station.
 
     Parameters
     ----------
