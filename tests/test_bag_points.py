@@ -204,6 +204,27 @@ def test_a_scanner_and_a_laser_of_one_bag_are_one_survey(tmp_path, average):
         hl.read_survey(bag, file)
 
 
+@pytest.mark.parametrize("stated", [False, True])
+def test_cones_beside_a_scanner_are_warned_of_where_no_half_angle_is_stated(tmp_path, stated):
+    rig = rigs_by_rays.mixed(3, sensors=("scanner", "beam"), stations=10)
+    laser = rig.tables.pop("beam")
+
+    def messages(make):
+        yield from published(rig, make, scans)
+        for number, d in zip(laser["station"].tolist(), laser["reading"].tolist(), strict=True):
+            time = (STAND + WAY) * number + 0.5 * STAND
+            yield "sonar", time, make.range(time, d, kind=0, view=0.5)
+
+    file = rig_file(tmp_path, rig, "scanner", ["scanner"])
+    cone = '[sensor]\nkind = "ultrasonic"\nhalf_angle_deg = 14.3\n\n' if stated else ""
+    file.write_text(
+        file.read_text().replace("[log]\n", f'{cone}[log]\nrange_columns = ["sonar"]\n')
+    )
+    survey = hl.read_survey(write_bag(tmp_path, "mcap", messages), file)
+    assert (survey.cones > 0.0).all() == stated
+    assert ("no-half-angle" in {one.code for one in survey.warnings}) != stated
+
+
 @pytest.mark.parametrize("kind", ["scanner", "array"])
 @pytest.mark.parametrize("late", [0.0, 0.3])
 def test_readings_that_still_move_when_the_hand_stands_are_said(tmp_path, kind, late):
