@@ -53,6 +53,10 @@ TRIES = 4000
 """How often a station is drawn before its scene is given up."""
 
 
+class UnseenError(Exception):
+    """No station is found that shows a scene as it should be."""
+
+
 @dataclass(frozen=True)
 class Rig:
     """Measurements of one rig with the truth behind them.
@@ -301,7 +305,7 @@ def make_finger(sensor: Sensor, most: float, rng: np.random.Generator) -> Thing:
         read = (reach[hidden] > sensor.near) & (cosine[hidden] > GRAZING)
         if 0.05 <= hidden.mean() <= most and hidden[border.ravel()].any() and read.mean() > 0.8:
             return finger
-    raise RuntimeError("found no finger")
+    raise UnseenError("found no finger")
 
 
 # ------------------------------------------------------------------------------------------ scenes
@@ -544,7 +548,7 @@ def visit(
         if least <= share <= target.share[1] and target.hidden[0] <= hidden <= target.hidden[1]:
             seen = {"reach": reach, "which": which, "wrong": which != target.thing}
             return at, seen | {"share": share, "hidden": hidden}
-    raise RuntimeError(f"found no place from which the {sensor.kind} sees {target.label}")
+    raise UnseenError(f"found no place from which the {sensor.kind} sees {target.label}")
 
 
 # ---------------------------------------------------------------------------------------- readings
@@ -606,24 +610,35 @@ def tabulate(
     return table, (wrong | stray)[keep]
 
 
-def build(seed: int, kind: str, options: Options) -> Rig:
-    """Build a rig with one sensor from a seed."""
-    streams = np.random.SeedSequence(seed).spawn(4)
-    rng, noise, shake, bad = (np.random.default_rng(stream) for stream in streams)
+def draw(
+    kind: str, options: Options, rng: np.random.Generator
+) -> tuple[Sensor, list[Thing], list[Target], np.ndarray, list[tuple[Target, np.ndarray, Any]]]:
+    """Draw a sensor, a scene, the place of that scene, and what is seen at each station of the hand."""
     gripper = options.scene.startswith("gripper")
     if options.scene == "gripper before a ball" and not options.zones:
         options = replace(options, zones=8)
     sensor = make_sensor(kind, options, rng)
     finger = make_finger(sensor, 0.12 if "ball" in options.scene else 0.2, rng) if gripper else None
     things, targets = SCENES[options.scene](sensor, rng)
-    hands, visits, labels = [], [], []
-    world = pose(any_turn(rng), rng.uniform(-1.0, 1.0, 3))
+    world, visits = pose(any_turn(rng), rng.uniform(-1.0, 1.0, 3)), []
     for target in targets:
         for _ in range(options.stations or int(rng.integers(10, 17))):
-            at, seen = visit(sensor, things, target, finger, rng)
-            hands.append(world @ at @ np.linalg.inv(sensor.mount))
-            visits.append(seen)
-            labels.append(target.label)
+            visits.append((target, *visit(sensor, things, target, finger, rng)))
+    return sensor, things, targets, world, visits
+
+
+def build(seed: int, kind: str, options: Options) -> Rig:
+    """Build a rig with one sensor from a seed: of scenes that cannot be seen the next one is drawn."""
+    streams = np.random.SeedSequence(seed).spawn(4)
+    rng, noise, shake, bad = (np.random.default_rng(stream) for stream in streams)
+    for _ in range(TRIES):
+        try:
+            sensor, things, targets, world, drawn = draw(kind, options, rng)
+            break
+        except UnseenError:
+            continue
+    hands = [world @ at @ np.linalg.inv(sensor.mount) for _, at, _ in drawn]
+    visits, labels = [seen for *_, seen in drawn], [target.label for target, *_ in drawn]
     hand = np.array(hands)
     steps, twists = (size * shake.normal(size=(len(hand), 3)) for size in options.hand_sigma)
     table, wrong = tabulate(sensor, visits, options, noise, bad)
