@@ -23,6 +23,7 @@ from handlaser_gtsam.files.points_table import COLUMNS
 from handlaser_gtsam.model import reduction as reduction_module
 from handlaser_gtsam.model import relation as relations
 from handlaser_gtsam.model.block import whitened
+from handlaser_gtsam.model.condensed_shots import Stated
 from handlaser_gtsam.model.families import FAMILIES, PLANE
 from handlaser_gtsam.model.range_blocks import PoseVariables, Ranges
 from handlaser_gtsam.model.reduction import Reduction, damped_step
@@ -284,8 +285,10 @@ def test_many_shots_at_once_are_as_one_by_one(ratio):
         z = 0.2 + rng.normal() * x + 1e-4 * rng.normal(size=150) - 0.02 * (rng.random(150) < 0.1)
         shots.append((x[:, None] + 1e-4 * ratio * rng.normal(size=(150, 1)), z))
     kind = KINDS["profiler"]
-    for one, (across, z) in zip(condensed_shots(kind, "plane", shots, ratio), shots, strict=True):
-        (other,) = condensed_shots(kind, "plane", [(across, z)], ratio)
+    for one, (across, z) in zip(
+        condensed_shots(kind, "plane", shots, Stated(ratio)), shots, strict=True
+    ):
+        (other,) = condensed_shots(kind, "plane", [(across, z)], Stated(ratio))
         assert (one.kept == other.kept).all()
         assert one.shape == pytest.approx(other.shape, rel=1e-9, abs=1e-9)
         assert (one.squares, one.dof) == (pytest.approx(other.squares, rel=1e-6), other.dof)
@@ -315,7 +318,7 @@ def test_noise_across_a_profile_pulls_no_slope():
     for _ in range(200):
         noise = rng.normal(scale=5e-4, size=(2, 100))
         profile = (x + noise[0])[:, None], 0.1 + 0.5 * x + noise[1]
-        (shot,) = condensed_shots(KINDS["profiler"], "plane", [profile], 1.0)
+        (shot,) = condensed_shots(KINDS["profiler"], "plane", [profile], Stated(1.0))
         off.append(shot.shape[1] - 0.5)
     assert abs(np.mean(off)) < 4.0 * np.std(off) / np.sqrt(200)
 
@@ -689,10 +692,14 @@ def test_shots_condensed_at_range_errors_have_the_unit_and_the_derivatives_of_re
     x, rng = np.linspace(-0.03, 0.03, 40), np.random.default_rng(0)
     z = 0.2 + 0.4 * x + 1e-4 * rng.normal(size=40)
     kind, shots = KINDS["profiler"], [(x[:, None], z)]
+
+    def at_errors(*errors):
+        return Stated(errors=np.array(errors), sorted_out=True)
+
     (plain,) = condensed_shots(kind, "plane", shots)
-    (longer,) = condensed_shots(kind, "plane", shots, errors=np.array([0.0, 1.0, 0.0, 0.0]))
+    (longer,) = condensed_shots(kind, "plane", shots, at_errors(0.0, 1.0, 0.0, 0.0))
     assert longer.squares == pytest.approx(plain.squares)
     scale = 0.25
-    (wider,) = condensed_shots(kind, "plane", shots, errors=np.array([0.0, 0.0, 0.0, scale]))
+    (wider,) = condensed_shots(kind, "plane", shots, at_errors(0.0, 0.0, 0.0, scale))
     at, slope = wider.rays.origin[:, 0], np.polyfit(x, z, 1)[0] / (1.0 + scale)
     assert wider.by_error[3] == pytest.approx(-slope * at / (1.0 + scale), rel=1e-6)

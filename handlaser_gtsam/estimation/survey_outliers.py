@@ -22,9 +22,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..data.survey import kind_of, normal_label
+from ..data.survey import RAY_ERRORS, kind_of, normal_label
 from ..model.block import Values
-from ..model.condensed_shots import MANY
+from ..model.condensed_shots import MANY, Stated
 from ..model.distributions import FAMILY_LEVEL, chi2_sf, f_sf
 from ..model.equation import corrected
 from ..model.families import PLANE, POSE, pose_of
@@ -257,8 +257,9 @@ def sorted_again(
                 some.append((station, target, table[near], at, before))
         every = [(shots.across[points], shots.reading[points]) for _, _, points, _, _ in some]
         kind = KINDS[shots.kind]
-        errors = None if rows.errors is None else rows.errors[member]
-        again = condensed_shots(kind, family, every, sorted_out=True, errors=errors)
+        errors = np.zeros(len(RAY_ERRORS)) if rows.errors is None else rows.errors[member]
+        stated = Stated(errors=errors, sorted_out=True)
+        again = condensed_shots(kind, family, every, stated)
         for (station, target, points, at, before), shot in zip(some, again, strict=True):
             if shot is None:
                 continue
@@ -366,7 +367,7 @@ def alike_by_zone(
         for item in rows.counted(used)
         if item.points is not None and item.mount == (SENSOR.name, member)
     ]
-    if shots.kind != "array" or not own:
+    if not KINDS[shots.kind].zones or not own:
         return 0.0, 1.0
     e = np.concatenate([misses_of(rows, values, member, *one) for one in own])
     across = shots.across[np.concatenate([points for _, points in own])][np.isfinite(e)]
@@ -430,7 +431,7 @@ def _small_shots(
     """Yield station, target and rows (n,) of the table of each small shot of an array."""
     shots, labels = rows.survey.shots[member], rows.survey.stations.plane_labels
     number = {label: i for i, label in enumerate(rows.targets.get(family, ()))}
-    if shots.kind != "array" or not number:
+    if not KINDS[shots.kind].zones or not number:
         return
     for station in np.unique(shots.station).tolist():
         table = np.flatnonzero(shots.station == station)

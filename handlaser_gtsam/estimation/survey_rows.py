@@ -16,6 +16,7 @@ from ..model.condensed_shots import (
     MOST_SLANTED,
     Condensed,
     Mixed,
+    Stated,
     Unexplained,
     grown,
     some_of,
@@ -359,8 +360,8 @@ def about_errors(rows: SurveyRows, values: Values) -> SurveyRows | None:
         for target, some_items in condensed.items():
             seen = [np.asarray(items[i].points) for i in some_items]
             tables = [(shots.across[points], shots.reading[points]) for points in seen]
-            how = {"sorted_out": True, "errors": errors[member]}
-            again = condensed_shots(kind, target, tables, ratio, **how)
+            stated = Stated(ratio, errors=errors[member], sorted_out=True)
+            again = condensed_shots(kind, target, tables, stated)
             for i, shot, points in zip(some_items, again, seen, strict=True):
                 now = items[i].shot
                 if shot is not None and now is not None:
@@ -376,7 +377,7 @@ def _condensed(shots: Shots, parts: Sequence[tuple[int, str, IntArray]]) -> list
     for target in TARGETS:
         seen = [i for i, (_, label, _) in enumerate(parts) if kind_of(label) == target]
         tables = [(shots.across[parts[i][2]], shots.reading[parts[i][2]]) for i in seen]
-        some = condensed_shots(KINDS[shots.kind], target, tables, ratio, shots.sigma)
+        some = condensed_shots(KINDS[shots.kind], target, tables, Stated(ratio, shots.sigma))
         if len(KINDS[shots.kind].axes) == 2:
             some = with_own_noise(some)
         for i, shot in zip(seen, some, strict=True):

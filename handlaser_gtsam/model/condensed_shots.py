@@ -40,7 +40,7 @@ from .range_blocks import Ranges
 from .reduced_information import inverse_stack
 from .sensors.kinds import Kind, Rayset
 from .sensors.mounted import LEAST_SLOPE, SENSOR
-from .shapes import Round, Shape, solved, some_rays
+from .shapes import HARDLY, Round, Shape, solved, some_rays
 
 TRIALS = 32
 """Trial shapes through few points each: of good points alone with near certainty, if a third is bad."""
@@ -117,7 +117,7 @@ class Condensed:
     @property
     def hardly_known(self) -> bool:
         """Whether it has so few points that its shape may be anything near them."""
-        return self.single and len(self.reading) <= 4 * len(self.shape)
+        return self.single and len(self.reading) <= HARDLY * len(self.shape)
 
 
 class Stated(NamedTuple):
@@ -130,7 +130,8 @@ class Stated(NamedTuple):
     sigma : float, optional
         Standard deviation of a reading [m], where it is known.
     errors : (4,)
-        Range errors near the right ones.
+        Range errors near the right ones of points that are `sorted_out`: they bend shapes, and rows
+        are of the first order in what is left of them.
     sorted_out : bool
         Whether points that do not belong to the target have been rejected already.
     """
@@ -139,6 +140,9 @@ class Stated(NamedTuple):
     sigma: float | None = None
     errors: FloatArray = np.zeros(len(RAY_ERRORS))
     sorted_out: bool = False
+
+
+NOTHING_STATED = Stated()
 
 
 def condensed_alike(

@@ -9,6 +9,9 @@ from ..quantities import NEGLIGIBLE, TINY
 from .reduced_information import inverse_stack
 from .sensors.kinds import Kind, Rayset
 
+HARDLY = 4
+"""A ball is hardly known from fewer points than this multiple of its numbers, or as many."""
+
 
 @dataclass(frozen=True, slots=True)
 class Flat:
@@ -74,7 +77,7 @@ class Round:
     @property
     def few(self) -> int:
         """Points up to that number hardly tell it."""
-        return 4 * self.size
+        return HARDLY * self.size
 
     def through(self, rays: Rayset, reading: FloatArray) -> FloatArray:
         """Return shapes (..., size) through sets of readings (..., m), linear least squares each."""

@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ..data.survey import RAY_ERRORS
 from ..quantities import FAR_SIGMAS, RESOLUTION
 from .condensed_shots import (
     MANY,
+    NOTHING_STATED,
     ROUGHEST_SHOT,
     Condensed,
     Stated,
@@ -36,11 +36,7 @@ def condensed_shots(
     kind: Kind,
     target: str,
     shots: Sequence[tuple[FloatArray, FloatArray]],
-    ratio: float = 0.0,
-    sigma: float | None = None,
-    *,
-    sorted_out: bool = False,
-    errors: FloatArray | None = None,
+    stated: Stated = NOTHING_STATED,
 ) -> list[Condensed | None]:
     """Return shots in a few rows each; None where no shape fits the points of one.
 
@@ -53,19 +49,10 @@ def condensed_shots(
     target : "plane" or "sphere"
     shots : sequence of (across (n, c), reading (n,))
         What tells the rays apart, and readings [m].
-    ratio : float
-        Standard deviation of `across`, in standard deviations of a reading, for profilers.
-    sigma : float, optional
-        Standard deviation of a reading [m], where it is known.
-    sorted_out : bool
-        Whether points that do not belong to the target have been rejected already.
-    errors : (4,), optional
-        Range errors near the right ones of points that are `sorted_out`, none where not given: they
-        bend shapes, and rows are of the first order in what is left of them.
+    stated : Stated
     """
-    errors = np.zeros(len(RAY_ERRORS)) if errors is None else errors
-    shape, stated = shape_of(kind, target), Stated(ratio, sigma, errors, sorted_out)
-    if sorted_out:
+    shape = shape_of(kind, target)
+    if stated.sorted_out:
         return condensed_alike(kind, shape, shots, stated)
     if isinstance(shape, Flat):
         return _plates(kind, shape, shots, condensed_alike(kind, shape, shots, stated), stated)
@@ -257,8 +244,6 @@ def _sides(
     if found is None or found.dof <= 0:
         return np.zeros(len(reading), dtype=int)
     longer = reading - plane.ranges(found.shape[None], kind.rays(across))[0]
-    # Range errors moved the plane off the readings.
-    longer -= np.median(longer[found.kept])
     return np.asarray(
         np.sign(longer) * (np.abs(longer) > np.abs(longer[found.kept]).max()), dtype=int
     )

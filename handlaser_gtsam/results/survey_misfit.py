@@ -40,7 +40,7 @@ from ..estimation.survey_outliers import (
 )
 from ..estimation.survey_rows import Entity, SurveyRows, rows_of
 from ..estimation.survey_state import SurveyState
-from ..model.condensed_shots import LARGEST_BALL
+from ..model.condensed_shots import LARGEST_BALL, Stated
 from ..model.distributions import FAMILY_LEVEL, f_sf, p_words
 from ..model.equation import plausible_factors
 from ..model.families import BEAM, FAMILIES, OF_RANGE_ERROR, PLANE
@@ -118,7 +118,7 @@ def counted_towards(rows: SurveyRows) -> Iterator[str]:
             continue
         turned = float(shots.reading.min() + shots.reading.max()) - shots.reading
         tables = [(shots.across[shots.station == s], turned[shots.station == s]) for s in before]
-        shown = condensed_shots(KINDS[shots.kind], SPHERE.name, tables, sigma=shots.sigma)
+        shown = condensed_shots(KINDS[shots.kind], SPHERE.name, tables, Stated(sigma=shots.sigma))
         if sum(shot is not None for shot in shown) > 0.5 * len(before):
             yield f"if z of {shots.name} grows towards the sensor, reverse its sign"
 
@@ -247,8 +247,8 @@ def pulled(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
 def beside_ball(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     """Warn of arrays of which more than `MOST_LEFT_OUT` of the rays at a ball read anything else.
 
-    Simulated, half of the zones at edges between: of 24 mounts with less 23 were right, of five with
-    more one.
+    Of simulated arrays with half of the zones at edges, all of 16 mounts with less were right, and one
+    of five with more.
     """
     for member, shots in enumerate(found.rows.survey.shots):
         part = beside_balls(found.rows, found.values, member)
@@ -564,9 +564,8 @@ def _squares(
         # because those at even steps of an image may lie on one line.
         each = [rng.permutation(rows)[:64] for rows in each]
         tables = [(shots.across[rows], reading[rows]) for rows in each]
-        for (_, d), shot in zip(
-            tables, condensed_shots(KINDS[shots.kind], target, tables, sigma=sigma), strict=True
-        ):
+        seen_in = condensed_shots(KINDS[shots.kind], target, tables, Stated(sigma=sigma))
+        for (_, d), shot in zip(tables, seen_in, strict=True):
             if shot is None:
                 lost += len(d)
                 continue

@@ -31,9 +31,9 @@ from .verdict import (
     code_of,
     failures,
     failures_of,
+    far_moved_beam_of,
     improvement_of,
     more_stations,
-    moves_the_spot,
 )
 from .warnings import DISPLACED, RIVAL, ambiguous
 
@@ -72,16 +72,15 @@ def survey_verdict(result: "SurveyCalibration", limits: Limits | None = None) ->
     failed = tuple(one for one in checks if not one.held)
     harmful, excess = _most_harmful(result)
     named = [one.message for one in _range_errors(result, harmful)]
-    moved = [one.message for one in result.warnings if one.code == DISPLACED]
     false = [one.message for one in result.warnings if one.code == FALSE_RELATION]
     unsure = [one.message for one in result.warnings if one.code == TOO_FEW]
     unsure += ambiguous(result.warnings)
-    moves = moves_the_spot(result.warnings)
-    holds = bool(false), moves or excess > 1.0, bool(unsure), bool(failed), bool(result.warnings)
-    code = code_of(*holds)
+    moved = far_moved_beam_of(result.warnings)
+    harms = moved is not None or excess > 1.0
+    code = code_of(bool(false), harms, bool(unsure), bool(failed), bool(result.warnings))
     why = {
         "contradicted": false,
-        "systematic-error": moved if moves else named,
+        "systematic-error": named if moved is None else [moved.message],
         "undetermined": unsure,
         "outside-limits": [failures(checks)],
     }

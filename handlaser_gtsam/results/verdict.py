@@ -150,10 +150,10 @@ def moved_beam_of(warnings: tuple[CalibrationWarning, ...]) -> CalibrationWarnin
     return next((one for one in warnings if one.code == DISPLACED), None)
 
 
-def moves_the_spot(warnings: tuple[CalibrationWarning, ...]) -> bool:
-    """Tell whether a beam was moved amid the recording by more than its spot is unsure."""
+def far_moved_beam_of(warnings: tuple[CalibrationWarning, ...]) -> CalibrationWarning | None:
+    """Return the same of a beam that was moved by more than its spot is unsure."""
     moved = moved_beam_of(warnings)
-    return moved is not None and float(moved.values["times"]) > 1.0
+    return moved if moved is not None and float(moved.values["times"]) > 1.0 else None
 
 
 def code_of(*holds: bool) -> str:
@@ -325,7 +325,7 @@ def verdict(
     doubtful = hidden if hides else None
     code = code_of(
         any(one.code in IMPOSSIBLE for one in calibration.warnings),
-        excess > 1.0 or moves_the_spot(calibration.warnings),
+        excess > 1.0 or far_moved_beam_of(calibration.warnings) is not None,
         any(ambiguous(calibration.warnings)),
         bool(failed),
         bool(harmful or calibration.warnings or doubtful),
@@ -395,8 +395,8 @@ def _findings(found: Verdict, calibration: CalibrationData) -> Iterator[str]:
     warnings = len(calibration.warnings) - len(_mistakes(calibration))
     if found.code == "outside-limits":
         yield failures(found.limits)
-    moved = moved_beam_of(calibration.warnings)
-    if found.code == "systematic-error" and moved and moves_the_spot(calibration.warnings):
+    moved = far_moved_beam_of(calibration.warnings)
+    if found.code == "systematic-error" and moved is not None:
         yield clause(moved.message)
     elif found.code == "systematic-error" and found.harmful is not None:
         yield clause(found.harmful.message)
