@@ -82,6 +82,7 @@ SCENE_ROWS: dict[str, tuple[str, dict[str, Any], hl.Noise]] = {
         f"{kind}, {scene}": (kind, {"scene": scene}, EXACT)
         for scene in rigs_by_scene.SCENES
         for kind in ("profiler", "scanner", "array", "points")
+        if scene != "room" or kind == "scanner"
     },
     **{
         f"{kind}, {scene}, hand {word}": (kind, {"scene": scene, "hand_sigma": HAND}, noise)

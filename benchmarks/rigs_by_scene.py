@@ -13,6 +13,8 @@ Scenes (the option ``scene``), each turned and placed in the world at random:
 * ball on a table: it rests on an endless floor; ball on a stand: it rests on a post on that floor;
 * plate before a wall: three tilted plates, 0.05 to 0.5 m before a wall, that fill 55 to 95 % of rays;
 * plates on a table: three tilted tables, each with a plate of 5 to 30 mm that fills 55 to 90 %;
+* small plates before a wall, small plates on a table: likewise, but they fill 25 to 50 %;
+* room: 3 to 6 m long and wide and 2.5 to 3 m high, of which two walls and the floor are targets;
 * plane with clutter: one to three planes, each with one to four small things hiding 5 to 25 %;
 * gripper before planes, gripper before a ball: a finger that is fixed to the hand hides 5 to 20 %;
 * planes and ball: a floor, a wall and a ball on the floor, each seen behind and beside the others.
@@ -21,7 +23,8 @@ A ball is met by 12 % of the rays at each of its stations, and by six zones of a
 plane is met by half of the rays at least.  Geometry of the sensors, each in its own frame:
 
 * profiler: 200 to 600 parallel rays from (x, 0, 0) along +z over 60 to 100 mm; reads (x, 0, z);
-* scanner: 361 rays from the origin along (sin a, 0, cos a), a within 45 degrees; radial reading;
+* scanner: 361 rays from the origin along (sin a, 0, cos a), a within 45 degrees, and in a room 541
+  rays within 135 degrees that read up to 10 m; radial reading;
 * array: 4x4 or 8x8 zones over 45 degrees, one ray a zone; radial or perpendicular (z) reading;
 * points: 20x15 rays over 40 by 30 degrees, or 30x20 over 60 by 40; (x, y, z), noise along the ray.
 
@@ -265,10 +268,11 @@ def make_sensor(kind: str, options: Options, rng: np.random.Generator) -> Sensor
         origins = marks[:, None] * [1.0, 0.0, 0.0]
         return Sensor(kind, mount, near, far, origins, rays, marks, (1, count), (0.0, 0.0))
     if kind == "scanner":
-        half = float(np.radians(45.0))
-        marks = np.linspace(-half, half, 361)
+        room = options.scene == "room"
+        far, half = (10.0, np.radians(135.0)) if room else (far, np.radians(45.0))
+        marks = np.linspace(-half, half, 541 if room else 361)
         rays = np.column_stack([np.sin(marks), 0.0 * marks, np.cos(marks)])
-        return Sensor(kind, mount, near, far, 0.0 * rays, rays, marks, (1, 361), (half, 0.0))
+        return Sensor(kind, mount, near, far, 0.0 * rays, rays, marks, (1, len(marks)), (half, 0.0))
     if kind == "array":
         columns = rows = options.zones or int(rng.choice([4, 8]))
         convention = options.convention or str(rng.choice(["radial", "perpendicular"]))
@@ -399,27 +403,37 @@ def tilts(count: int, rng: np.random.Generator) -> list[np.ndarray]:
     ]
 
 
-def plate_before_wall(sensor: Sensor, rng: np.random.Generator) -> Scene:
-    """Make three tilted plates before a wall z = 0."""
+def plate_before_wall(
+    sensor: Sensor,
+    rng: np.random.Generator,
+    view: tuple[float, float] = (0.7, 0.95),
+    share: tuple[float, float] = (0.55, 0.95),
+) -> Scene:
+    """Make three tilted plates before a wall z = 0, each about a part of the view wide."""
     things, targets = [Thing("plane", np.eye(4))], []
     for number, tilt in enumerate(tilts(3, rng)):
         middle, distance = plane_distance(sensor, rng)
-        half = sensor.half_view(middle, rng.uniform(0.7, 0.95)) * rng.uniform(0.95, 1.1, 2)
+        half = sensor.half_view(middle, rng.uniform(*view)) * rng.uniform(0.95, 1.1, 2)
         lowest = float(np.abs(tilt[2, :2]) @ half)
         frame = pose(tilt, [3.0 * number, 0.0, lowest + rng.uniform(0.05, 0.5)])
         things.append(Thing("plate", frame, tuple(half)))
         label = f"plane:{'ABC'[number]}"
-        targets.append(Target(label, number + 1, frame, 0.3 * half.min(), distance, (0.55, 0.95)))
+        targets.append(Target(label, number + 1, frame, 0.3 * half.min(), distance, share))
     return things, targets
 
 
-def plates_on_table(sensor: Sensor, rng: np.random.Generator) -> Scene:
+def plates_on_table(
+    sensor: Sensor,
+    rng: np.random.Generator,
+    view: tuple[float, float] = (0.7, 0.95),
+    share: tuple[float, float] = (0.55, 0.9),
+) -> Scene:
     """Make three tilted tables with a plate on each; its top is 0.1 um above the box that it covers."""
     things: list[Thing] = []
     targets = []
     for number, tilt in enumerate(tilts(3, rng)):
         middle, distance = plane_distance(sensor, rng)
-        half = sensor.half_view(middle, rng.uniform(0.7, 0.95)) * rng.uniform(0.95, 1.1, 2)
+        half = sensor.half_view(middle, rng.uniform(*view)) * rng.uniform(0.95, 1.1, 2)
         thick = rng.uniform(0.005, 0.03)
         table = pose(tilt, [5.0 * number, 0.0, 0.0])
         top, body = (
@@ -430,7 +444,7 @@ def plates_on_table(sensor: Sensor, rng: np.random.Generator) -> Scene:
         things.append(Thing("box", body, (*half, thick / 2 - 1e-7)))
         things.append(Thing("plate", table, (1.5, 1.5)))
         label = f"plane:{'ABC'[number]}"
-        targets.append(Target(label, 3 * number, top, 0.3 * half.min(), distance, (0.55, 0.9)))
+        targets.append(Target(label, 3 * number, top, 0.3 * half.min(), distance, share))
     return things, targets
 
 
@@ -489,16 +503,50 @@ def planes_and_ball(sensor: Sensor, rng: np.random.Generator) -> Scene:
     ]
 
 
+def small_plates_before_wall(sensor: Sensor, rng: np.random.Generator) -> Scene:
+    """Make three plates before a wall that are smaller than the rest of the view."""
+    return plate_before_wall(sensor, rng, (0.4, 0.6), (0.25, 0.5))
+
+
+def small_plates_on_table(sensor: Sensor, rng: np.random.Generator) -> Scene:
+    """Make three plates on tables that are smaller than the rest of the view."""
+    return plates_on_table(sensor, rng, (0.4, 0.6), (0.25, 0.5))
+
+
+def room(_: Sensor, rng: np.random.Generator) -> Scene:
+    """Make a room; each of its six sides looks inwards, and is seen from 0.5 m to half a side away."""
+    size = np.array([*rng.uniform(3.0, 6.0, 2), rng.uniform(2.5, 3.0)])
+    things, targets = [], []
+    names = {0: "plane:west", 2: "plane:south", 4: "plane:floor"}
+    for side in range(6):
+        axis, end = side // 2, side % 2
+        inwards = (
+            turn(1, np.pi / 2) if axis == 0 else turn(0, -np.pi / 2) if axis == 1 else np.eye(3)
+        )
+        inwards = inwards @ turn(0, np.pi) if end else inwards
+        middle = size / 2.0
+        middle[axis] = end * size[axis]
+        frame = pose(inwards, middle)
+        things.append(Thing("plane", frame))
+        if side in names:
+            distance = 0.5, 0.5 * float(size[axis])
+            targets.append(Target(names[side], side, frame, 0.8, distance, (0.15, 0.9)))
+    return things, targets
+
+
 SCENES: dict[str, Callable[..., Scene]] = {
     "ball before a wall": ball_before_wall,
     "ball on a table": ball_on_table,
     "ball on a stand": ball_on_stand,
     "plate before a wall": plate_before_wall,
     "plates on a table": plates_on_table,
+    "small plates before a wall": small_plates_before_wall,
+    "small plates on a table": small_plates_on_table,
     "plane with clutter": plane_with_clutter,
     "gripper before planes": large_planes,
     "gripper before a ball": ball_beyond,
     "planes and ball": planes_and_ball,
+    "room": room,
 }
 
 
@@ -727,6 +775,8 @@ def check(rigs: int = 3) -> None:
     print("share on the label, share hidden, part not plain, noise, seconds a rig")
     makers = {"profiler": profiler, "scanner": scanner, "array": array, "points": points}
     for scene, (name, maker) in itertools.product(SCENES, makers.items()):
+        if scene == "room" and name != "scanner":
+            continue
         begin = time.perf_counter()
         made = [maker(seed, scene=scene) for seed in range(rigs)]
         seconds = (time.perf_counter() - begin) / rigs

@@ -42,7 +42,6 @@ from .survey_outliers import (
     agreement,
     alike_by_zone,
     leave_out_gross,
-    misfits,
     most_contradicted,
     of_others,
     slackness,
@@ -51,6 +50,7 @@ from .survey_outliers import (
     started_from_halves,
     worst_changed,
 )
+from .survey_planes import with_planes_ahead
 from .survey_rows import (
     AIMING_SIGMA,
     Entity,
@@ -343,9 +343,10 @@ def first_state(
 ) -> SurveyState:
     """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
 
-    Where shots do not surely fit the start of a quick search, a thorough one follows, and where most do
-    not fit that either, one from halves of the shots: wrong labels pull a start of all to where none
-    fits well. No start is sought where most agree beside an `earlier` estimate of the same sensors.
+    Where shots do not surely fit the start of a quick search, a thorough one follows. Where most do not
+    fit that either, shots that see several planes may begin with wrong ones, and wrong labels pull a
+    start of all to where none fits well: planes in the middle of the view are tried, then halves of the
+    shots. No start is sought where most agree beside an `earlier` estimate of the same sensors.
 
     Raises
     ------
@@ -358,7 +359,7 @@ def first_state(
         if values is not None:
             beside = replace(state, values=values)
             leave_out_gross(beside)
-            if beside.minimize() and np.median(misfits(beside)) <= GROSS:
+            if beside.minimize() and np.median(beside.misfits()) <= GROSS:
                 return beside
     quick = replace(state)
     if all_redundant(rows) and begin_quickly(quick, GROSS) and _surely_fits(quick):
@@ -369,17 +370,31 @@ def first_state(
         raise InputError(f"no start of {names}", "more stations, or other turns between them")
     leave_out_gross(state)
     rough = _roughened(state)
-    if rough is not None and np.median(misfits(rough)) <= GROSS:
+    if rough is not None and np.median(rough.misfits()) <= GROSS:
         return rough
-    if np.median(misfits(state)) <= GROSS:
+    if np.median(state.misfits()) <= GROSS:
         return state
     free = _begun_without_relations(state)
     if free is not None and _some_relation_is_contradicted(
         replace(free, relations=state.relations)
     ):
         state.values, state.used = free.values, free.used
-    elif started_from_halves(state):
-        leave_out_gross(state)
+        return state
+    others = []
+    ahead = with_planes_ahead(rows)
+    if ahead is not None:
+        other = state_of(ahead, noise)
+        other.values, without = start_of(ahead, other.sigmas())
+        if not without:
+            leave_out_gross(other)
+            if np.median(other.misfits()) <= GROSS:
+                return other
+            others.append(other)
+    for begun in (*others, state):
+        if started_from_halves(begun):
+            leave_out_gross(begun)
+            if np.median(begun.misfits()) <= GROSS:
+                return begun
     return state
 
 
@@ -390,7 +405,7 @@ def _roughened(state: SurveyState) -> SurveyState | None:
     thousand times the noise of triangulating lasers. It is at most the part `ROUGHEST` of the range.
     None where readings fit as they are, misfit by more, or their noise is stated.
     """
-    sigma, misfit, sources = state.sizes.sigma.copy(), misfits(state), state.rows.sources
+    sigma, misfit, sources = state.sizes.sigma.copy(), state.misfits(), state.rows.sources
     of_beam = [i.family == BEAM.name and i.target[0] != POINT.name for i in state.rows.items]
     source = np.where(of_beam, [sources[i.mount] for i in state.rows.items], -1)
     for one in np.unique(source[source >= 0]).tolist():
@@ -435,7 +450,7 @@ def _typical_misfits(state: SurveyState) -> list[tuple[float, str, list[Item]]]:
     """
     own = defaultdict[str, list[tuple[float, Item]]](list)
     used = state.used.tolist()
-    for item, one, counts in zip(state.rows.items, misfits(state).tolist(), used, strict=True):
+    for item, one, counts in zip(state.rows.items, state.misfits().tolist(), used, strict=True):
         parts = _name(state.rows, item.mount), state.rows.label(item.target)
         for of in ("", f" of {parts[0]}", f" before {parts[1]}") if counts else ("",):
             own[of].append((one, item))
@@ -452,7 +467,7 @@ def begin_quickly(state: SurveyState, most: float = np.inf) -> bool:
     Tell whether there is one, whose typical misfit is at `most` that [standard deviations].
     """
     state.values, without = start_of(state.rows, state.sigmas(), last_resort=False)
-    if without or np.median(misfits(state)) > most:
+    if without or np.median(state.misfits()) > most:
         return False
     leave_out_gross(state)
     return True

@@ -33,11 +33,11 @@ from ..model.sensors.mounted import SENSOR
 from ..model.targets.sphere import SPHERE, continued
 from ..model.targets_in_shots import condensed_shots
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, TINY
-from .dense import dense_rows, tests_of, with_pose_errors
-from .estimate import BlockProblem
+from .dense import tests_of
 from .joint_solution import STEPS_IN_VAIN
 from .survey_mirror import numbers_of
-from .survey_rows import TARGETS, Entity, Item, SurveyRows, blocks_of
+from .survey_planes import Planes, other_planes_taken
+from .survey_rows import TARGETS, Entity, Item, SurveyRows
 from .survey_starts import TRIMMED, search_again, start_of
 from .survey_state import SurveyState, grazing
 
@@ -50,15 +50,19 @@ MOST_LEFT_OUT = 0.4
 def leave_out_gross(state: SurveyState) -> None:
     """Leave out shots that are far from what most agree on, before sizes are learned.
 
-    While most shots misfit, those that fit worst are rejected and the rest is solved again (the
+    Another plane of such a shot counts that agrees with the others (`other_planes_taken`). While most
+    shots misfit, those that fit worst are rejected and the rest is solved again (the
     concentration steps of least trimmed squares: Rousseeuw and Van Driessen, 2006).
     """
-    different = numbers_of(state.rows)
-    target = np.array([different[item.target] for item in state.rows.items])
+    planes: Planes = {}
     for _ in range(MOST_ROUNDS):
         if not state.minimize():
             return
-        misfit = misfits(state)
+        if other_planes_taken(state, GROSS, planes):
+            continue
+        different = numbers_of(state.rows)
+        target = np.array([different[item.target] for item in state.rows.items])
+        misfit = state.misfits()
         typical = float(np.median(misfit))
         kept = misfit <= GROSS * max(typical, 1.0)
         if kept.all() and typical > GROSS:
@@ -91,7 +95,7 @@ def started_from_halves(state: SurveyState) -> bool:
     first = np.array([item.family == SENSOR.name for item in items])
     if len(np.unique(target[first])) < len(numbers):  # some targets are seen by beams alone
         first[:] = True
-    least, values, nearest = float(np.median(misfits(state)[first])), None, np.inf
+    least, values, nearest = float(np.median(state.misfits()[first])), None, np.inf
     # Of eighteen shots with two wrong ones a fifth of the halves has none, and one of twelve with 93 %;
     # with two of ten wrong before each of two planes a fifth of the thirds, and a twentieth of halves.
     for parts in (2,) * 12 + (3,) * 24:
@@ -107,15 +111,15 @@ def started_from_halves(state: SurveyState) -> bool:
         if without:
             continue
         trial = replace(state, values=begun, used=some)
-        start = float(np.median(misfits(trial)[first]))
+        start = float(np.median(trial.misfits()[first]))
         # One without wrong labels starts nearer than all with some.
         if start >= nearest or not trial.minimize(STEPS_IN_VAIN):
             continue
         nearest = start
         # What most agree on is known better from all of these.
-        each = misfits(trial)
+        each = trial.misfits()
         trial.used = first & (each <= np.quantile(each[first], TRIMMED))
-        each = misfits(trial) if trial.minimize(STEPS_IN_VAIN) else each
+        each = trial.misfits() if trial.minimize(STEPS_IN_VAIN) else each
         misfit = float(np.median(each[first]))
         if misfit < least:
             least, values = misfit, trial.values
@@ -124,26 +128,15 @@ def started_from_halves(state: SurveyState) -> bool:
     if values is None:
         return False
     state.values = values
-    good = misfits(state) <= GROSS * max(least, 1.0)
+    good = state.misfits() <= GROSS * max(least, 1.0)
     if not first.all():
         there = np.isin(station, station[first & good]) & ~first
         rest = tuple(item for item, right in zip(items, there, strict=True) if right)
         for mount in dict.fromkeys(item.mount for item in rest):
             search_again(replace(state.rows, items=rest), mount, values, state.sigmas())
-        good = misfits(state) <= GROSS * max(least, 1.0)
+        good = state.misfits() <= GROSS * max(least, 1.0)
     state.used = good
     return True
-
-
-def misfits(state: SurveyState) -> FloatArray:
-    """Return the root mean square misfit of every item, used or not, in standard deviations."""
-    blocks, owner = blocks_of(state.rows.items, state.sigmas(), state.values)
-    own = state.own_covariance() if state.sizes.again else None
-    blocks = with_pose_errors(blocks, state.values, state.pose_covariance(), own)
-    rows = dense_rows(blocks, state.values, BlockProblem([], state.values, {}).places())
-    square = rows.whitened()[1] ** 2
-    total, count = (np.bincount(owner, x, len(state.used)) for x in (square, square > 0.0))
-    return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
 
 
 def worst_changed(state: SurveyState) -> bool:
@@ -153,7 +146,7 @@ def worst_changed(state: SurveyState) -> bool:
     if p[worst] < FAMILY_LEVEL / len(p) and state.used.mean() > 1.0 - MOST_LEFT_OUT:
         state.used = state.used & (np.arange(len(state.used)) != tested[worst])
         return True
-    misfit = np.where(state.used | grazing(state.rows), np.inf, misfits(state))
+    misfit = np.where(state.used | grazing(state.rows), np.inf, state.misfits())
     for best in np.argsort(misfit)[: np.isfinite(misfit).sum()]:
         # How far it may be off depends on how well the others predict it: one that agrees counts again.
         trial = replace(state, used=state.used | (np.arange(len(state.used)) == best))

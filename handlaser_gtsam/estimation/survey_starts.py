@@ -619,6 +619,8 @@ def _searched(
     ties = [r for known, r in relations_of(rows) if seen.issuperset(known.of)]
     sought = {entity[0]} if held is not None else set(rows.counts()) - {"body"}
     unknown = {f: u for f, u in rows.unknown().items() if f in sought}
+    if SENSOR.name in unknown:  # with free range errors a search may end at absurd ones
+        unknown[SENSOR.name] = np.arange(SENSOR.dim) < OF_MOUNT[SENSOR.name]
     every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
     task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))

@@ -13,7 +13,7 @@ from ..model.relation import BODY, Relation, held
 from ..model.sensors.mounted import SENSOR
 from ..model.targets.point import POINT
 from ..model.targets.sphere import SPHERE
-from .dense import DenseRows, with_pose_errors
+from .dense import DenseRows, dense_rows, with_pose_errors
 from .estimate import BlockProblem, descended, minimum
 from .joint_solution import STEPS_IN_VAIN
 from .survey_noise import Components
@@ -69,6 +69,16 @@ class SurveyState:
         """Return the sum of squares of all that counts, in standard deviations."""
         _, e = self.dense()[0].whitened()
         return float(e @ e)
+
+    def misfits(self) -> FloatArray:
+        """Return the root mean square misfit of every item, used or not, in standard deviations."""
+        blocks, owner = blocks_of(self.rows.items, self.sigmas(), self.values)
+        own = self.own_covariance() if self.sizes.again else None
+        blocks = with_pose_errors(blocks, self.values, self.pose_covariance(), own)
+        rows = dense_rows(blocks, self.values, BlockProblem([], self.values, {}).places())
+        square = rows.whitened()[1] ** 2
+        total, count = (np.bincount(owner, x, len(self.used)) for x in (square, square > 0.0))
+        return np.asarray(np.sqrt(total / np.maximum(count, 1.0)))
 
     def take(self, other: "SurveyState") -> None:
         """Go to where another state of the same survey stands."""

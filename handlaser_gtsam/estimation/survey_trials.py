@@ -116,8 +116,8 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
 
     Where a target may be what was moved, it is: a hand of which all targets seem to move takes more.
     Stations of one stop may lie before and after: what was moved between two rounds of a program shows
-    best where its poses repeat. Where shots do not fit each other, all count, and it is what was moved
-    only if most that misfit do no more.
+    best where its poses repeat. Where shots do not fit each other, or were rejected, all count, and it
+    is what was moved only if most that misfit do no more.
 
     Returns
     -------
@@ -128,10 +128,38 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
         Of the coordinates of `PLACES_OF`, or of the shift in the hand frame; its p-value counts all
         displacements that were looked for.
     """
-    converged, looked_for = found.estimate.status == "converged", 0
-    state = found.learning() if converged else _with_all_shots(found)
-    if state is None:
-        return None
+    if found.estimate.status != "converged":
+        state = _with_all_shots(found, found.first.noise)
+        return None if state is None else _displacement_in(state, fits=False)
+    moved = _displacement_in(found.learning(), fits=True)
+    if moved is None and (~found.used & ~grazing(found.rows)).any():
+        # Shots that a displacement makes misfit may have been rejected.
+        state = _with_all_shots(found, found.noise)
+        moved = None if state is None else _displacement_in(state, fits=False)
+        if state is not None and moved is not None and _rather_rejected(found, state, moved):
+            return None
+    return moved
+
+
+def _rather_rejected(
+    found: SurveyEstimate, state: SurveyState, moved: tuple[Entity, int, Tried]
+) -> bool:
+    """Tell whether what was rejected, each row an unknown, explains more than a displacement does.
+
+    Both are compared by Schwarz's criterion, with the noise that was found.
+    """
+    entity, station, _ = moved
+    rows, owner = state.dense()
+    late = state.stations(owner) >= station
+    tried = _Trial(rows)(_columns(state, rows, entity) * late[:, None])
+    rejected, price = (owner >= 0) & ~found.used[owner], math.log(len(owner))
+    by_rejection = found.ended().chi2() + price * float(rejected.sum())
+    return by_rejection < float(tried.left @ tried.left) + price * tried.rank
+
+
+def _displacement_in(state: SurveyState, *, fits: bool) -> tuple[Entity, int, Tried] | None:
+    """Do as `displacement` with the shots that count in a state, which fit each other or may not."""
+    looked_for = 0
     rows, owner = state.dense()
     trial, stations = _Trial(rows), state.stations(owner)
     best: list[tuple[Entity, int, Tried]] = []
@@ -147,7 +175,7 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
         best.append((entity, splits[which], tried))
     moves = []
     for entity, station, one in best:
-        if not (converged or _explained(owner, trial.residuals, one.left)):
+        if not (fits or _explained(owner, trial.residuals, one.left)):
             continue
         if chi2_sf(one.chi2, max(one.rank, 1)) < FAMILY_LEVEL:
             free = try_free(state, partial(_since, entity, station))
@@ -161,9 +189,9 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
     return next((move for move in alike if move[0][0] in (PLANE.name, SPHERE.name)), alike[0])
 
 
-def _with_all_shots(found: SurveyEstimate) -> SurveyState | None:
+def _with_all_shots(found: SurveyEstimate, noise: Components) -> SurveyState | None:
     """Return the state of an estimate with all shots that may count; None without a minimum."""
-    state = replace(found.learning(), used=~grazing(found.rows), sizes=found.first.noise)
+    state = replace(found.learning(), used=~grazing(found.rows), sizes=noise)
     return state if state.minimize(STEPS_IN_VAIN) else None
 
 
@@ -287,7 +315,7 @@ def _without(found: SurveyEstimate, sigmas: list[int]) -> tuple[Survey, Noise]:
 
 def _explained_otherwise(found: SurveyEstimate) -> bool:
     """Tell whether range errors, or what was moved, explain most of the misfit of all shots."""
-    moved, state = displacement(found), _with_all_shots(found)
+    moved, state = displacement(found), _with_all_shots(found, found.first.noise)
     if state is None:
         return False
     explained = []

@@ -9,12 +9,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
-from ..quantities import FAR_SIGMAS, RESOLUTION
+from ..arrays import FloatArray, IntArray, evenly
+from ..quantities import (
+    FAR_SIGMAS,
+    MAJORITY,
+    MOST_ROUNDS,
+    NUMBERS_AT_ONCE,
+    RESOLUTION,
+    ROUGH_CUT,
+)
 from .condensed_shots import (
     MANY,
     NOTHING_STATED,
     ROUGHEST_SHOT,
+    TRIALS,
     Condensed,
     Stated,
     condensed_alike,
@@ -30,6 +38,8 @@ ENOUGH = 4
 """This number of balls that are surely some lead to a start, by which others are judged."""
 STRAYS = 0.05
 """Points on the other side of a plane are strays where they are a smaller part of a shot, or two."""
+LEAST_PLANE = 0.1
+"""Each of several planes in one shot has at least this part of its points."""
 
 
 def condensed_shots(
@@ -263,3 +273,53 @@ def _apart(reading: FloatArray, length: FloatArray) -> list[IntArray]:
         found.append(np.sort(order[:end]))
         order = order[end:]
     return found
+
+
+def planes_in(
+    kind: Kind, shot: tuple[FloatArray, FloatArray], stated: Stated = NOTHING_STATED
+) -> list[Condensed]:
+    """Return the planes in one shot, as walls and floor of a room, or the faces of a block.
+
+    Each begins with neighbouring points, and grows by all that are as near to it as these are. None
+    count where most points are on none, as on a ball, of which short pieces look flat.
+
+    Parameters
+    ----------
+    kind : Kind
+    shot : (across (n, c), reading (n,))
+        As of `condensed_shots`.
+    stated : Stated
+    """
+    plane, (across, reading) = Flat(kind.axes, kind.parallel), shot
+    rays, n = kind.rays(across), len(reading)
+    place, free = rays.origin + rays.direction, np.ones(n, dtype=bool)
+    parts, rng = list[tuple[int, IntArray]](), np.random.default_rng(n)
+    while free.sum() >= LEAST_PLANE * n:
+        left = np.flatnonzero(free)
+        left = left[evenly(len(left), NUMBERS_AT_ONCE // (4 * TRIALS))]
+        near = max(4 * plane.size, int(0.5 * LEAST_PLANE * len(left)))
+        if len(left) < near:
+            break
+        begins = place[left[rng.integers(len(left), size=TRIALS)]]
+        away = np.linalg.norm(place[left] - begins[:, None], axis=2)
+        sets = np.argpartition(away, near - 1, axis=1)[:, :near]
+        trials = plane.through(some_rays(rays, left[sets]), reading[left[sets]])
+        e = np.abs(reading[left] - plane.ranges(trials, some_rays(rays, left)))
+        noise = np.sqrt((np.take_along_axis(e, sets, axis=1) ** 2).mean(axis=1))
+        cut = ROUGH_CUT * float(np.quantile(noise, LEAST_PLANE))
+        best = int((e <= cut).sum(axis=1).argmax())
+        found, kept = trials[best][None], np.isin(np.arange(n), left[e[best] <= cut])
+        for _ in range(MOST_ROUNDS):
+            found = fitted(plane, found, some_rays(rays, None), reading[None], kept[None])[0]
+            before = kept
+            kept = free & (np.abs(reading - plane.ranges(found, rays)[0]) <= cut)
+            if (kept == before).all() or kept.sum() < near:
+                break
+        if kept.sum() < max(LEAST_PLANE * n, near):
+            break
+        parts.append((0, np.flatnonzero(kept)))
+        free &= ~kept
+    if free.mean() > 1.0 - MAJORITY:
+        return []
+    planes = _of_whole(kind, plane, [shot], parts, stated)
+    return [one for one in planes if one is not None]

@@ -35,7 +35,6 @@ from ..estimation.survey_outliers import (
     MOST_LEFT_OUT,
     OF_OTHERS,
     beside_balls,
-    misfits,
     misses_of,
 )
 from ..estimation.survey_rows import Entity, SurveyRows, rows_of
@@ -349,7 +348,7 @@ def mislabelled(state: SurveyState, found: Estimate) -> Iterator[CalibrationWarn
             if other[0] == target[0] and stations[other] > stations[target]:
                 items = [replace(i, target=other) if i.target == target else i for i in rows.items]
                 renamed = replace(state, rows=replace(rows, items=tuple(items)))
-                misfit[rows.label(other)] = float(np.median(misfits(renamed)[own]))
+                misfit[rows.label(other)] = float(np.median(renamed.misfits()[own]))
         best = min(misfit, key=lambda label: misfit[label], default="")
         if best and misfit[best] < GROSS:
             label = rows.label(target)
@@ -455,7 +454,7 @@ def better_kinds(survey: Survey, noise: Noise) -> dict[str, str]:
     if not begin_quickly(state):
         return {}
     each = defaultdict[str, dict[Entity, list[float]]](lambda: defaultdict(list))
-    for item, misfit in zip(state.rows.items, misfits(state).tolist(), strict=True):
+    for item, misfit in zip(state.rows.items, state.misfits().tolist(), strict=True):
         each[labels[item.station]][item.mount].append(misfit)
     flat = {
         label

@@ -1,0 +1,68 @@
+"""Shots that see several planes: which of them a label means."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import handlaser_gtsam as hl
+from benchmarks import rigs_by_scene
+from benchmarks.rigs import FAR, errors_of, survey_of
+from handlaser_gtsam.model.sensors.kinds import KINDS
+from handlaser_gtsam.model.targets_in_shots import planes_in
+
+NOISE = 1e-3
+
+
+def corner(part, rng):
+    """Return angles and ranges of a scan with a part of its points on a wall x = 1, others on y = 1."""
+    angle = np.radians(45.0 - 100.0 * part + np.linspace(0.0, 100.0, 400))
+    reading = 1.0 / np.maximum(np.cos(angle), np.sin(angle))
+    return angle[:, None], reading + rng.normal(scale=NOISE, size=400)
+
+
+@pytest.mark.parametrize("part", [0.3, 0.5, 0.7])
+def test_the_planes_of_a_corner_are_found(part):
+    across, reading = corner(part, np.random.default_rng(0))
+    planes = planes_in(KINDS["scanner"], (across, reading))
+    assert len(planes) == 2
+    # 1 / range = q . (cos, sin), with q the foot of the plane over its squared distance.
+    found = sorted((one.shape for one in planes), key=lambda q: q[1])
+    np.testing.assert_allclose(found, [[1.0, 0.0], [0.0, 1.0]], atol=6.0 * NOISE)
+    assert sum(one.kept.sum() for one in planes) > 0.95 * len(reading)
+    assert not (planes[0].kept & planes[1].kept).any()
+
+
+def test_an_arc_is_no_planes_although_short_pieces_of_it_look_flat():
+    angle, rng = np.linspace(-0.3, 0.3, 300), np.random.default_rng(1)
+    aside = 0.5 * np.sin(angle)
+    reading = 0.5 * np.cos(angle) - np.sqrt(0.16**2 - aside**2) + rng.normal(scale=1e-5, size=300)
+    assert planes_in(KINDS["scanner"], (angle[:, None], reading)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["room", "small plates on a table", "small plates before a wall"])
+def test_the_plane_of_the_label_needs_not_fill_most_of_the_view(scene):
+    """What all shots agree on tells which of the walls, or of plate and table, is meant."""
+    rig = rigs_by_scene.scanner(1, scene=scene, hand_sigma=(5e-5, 1e-4))
+    share = np.median(rig.truth["share"])
+    found = hl.calibrate(survey_of(rig))
+    assert share < 0.5
+    assert found.usable
+    ((error, C),) = errors_of(rig, found)
+    assert (np.abs(error) < FAR * np.sqrt(np.diagonal(C))).all()
+
+
+@pytest.mark.slow
+def test_wrong_labels_do_no_harm_where_a_scan_sees_several_walls():
+    """Where the wall that is named is in view it counts, and else the shot is rejected."""
+    rig = rigs_by_scene.scanner(1, scene="room", hand_sigma=(5e-5, 1e-4))
+    survey = survey_of(rig)
+    labels = np.array(survey.stations.plane_labels, dtype=object)
+    wrong = [int(np.flatnonzero(labels == name)[0]) for name in np.unique(labels)]
+    labels[wrong] = labels[np.roll(wrong, 1)]
+    stations = replace(survey.stations, plane_labels=tuple(labels))
+    found = hl.calibrate(replace(survey, stations=stations))
+    assert found.usable
+    ((error, C),) = errors_of(rig, found)
+    assert (np.abs(error) < FAR * np.sqrt(np.diagonal(C))).all()
