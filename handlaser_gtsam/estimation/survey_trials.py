@@ -128,17 +128,22 @@ def displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
         Of the coordinates of `PLACES_OF`, or of the shift in the hand frame; its p-value counts all
         displacements that were looked for.
     """
-    if found.estimate.status != "converged":
-        state = _with_all_shots(found, found.first.noise)
-        return None if state is None else _displacement_in(state, fits=False)
-    moved = _displacement_in(found.learning(), fits=True)
-    if moved is None and (~found.used & ~grazing(found.rows)).any():
+    moved, out = _clear_displacement(found), ~found.used & ~grazing(found.rows)
+    if moved is None and found.estimate.status == "converged" and out.any():
         # Shots that a displacement makes misfit may have been rejected.
         state = _with_all_shots(found, found.noise)
         moved = None if state is None else _displacement_in(state, fits=False)
         if state is not None and moved is not None and _rather_rejected(found, state, moved):
             return None
     return moved
+
+
+def _clear_displacement(found: SurveyEstimate) -> tuple[Entity, int, Tried] | None:
+    """Do as `displacement` with shots that fit each other, or with all if they do not."""
+    if found.estimate.status == "converged":
+        return _displacement_in(found.learning(), fits=True)
+    state = _with_all_shots(found, found.first.noise)
+    return None if state is None else _displacement_in(state, fits=False)
 
 
 def _rather_rejected(
@@ -315,7 +320,7 @@ def _without(found: SurveyEstimate, sigmas: list[int]) -> tuple[Survey, Noise]:
 
 def _explained_otherwise(found: SurveyEstimate) -> bool:
     """Tell whether range errors, or what was moved, explain most of the misfit of all shots."""
-    moved, state = displacement(found), _with_all_shots(found, found.first.noise)
+    moved, state = _clear_displacement(found), _with_all_shots(found, found.first.noise)
     if state is None:
         return False
     explained = []
