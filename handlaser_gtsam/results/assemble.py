@@ -63,6 +63,7 @@ from .warnings import (
     IMPLAUSIBLE,
     fit_warnings,
     implausible_mounts,
+    large_range_errors,
     lost_of_beams,
     misfit,
     poor_fit,
@@ -136,7 +137,10 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
             # Scales of range errors are not learned then, and count in chi2.
             of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
         misspelt = _misspelt_labels(problem, solution, fit)
-        signs = (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit)
+        large: tuple[CalibrationWarning, ...] = ()
+        if solution.prior is not None and not determined.undetermined:
+            large = tuple(large_range_errors(used, solution.best, beams, problem.sensor.linearity))
+        signs = (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit, *large)
     whole = joint if determined.rank == determined.unknowns else None
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None

@@ -192,6 +192,22 @@ def large_pose_errors(learned: Iterable[NoiseComponent]) -> Iterator[Calibration
             yield warned(f"large-pose-errors:{which}", values, times=one.sigma / one.usual)
 
 
+def large_range_errors(
+    readings: Readings, parameters: Parameters, names: Sequence[str], linearity: float
+) -> Iterator[CalibrationWarning]:
+    """Warn of a range error that no sensor of such a linearity has: it stands for another form.
+
+    Readings that are too short beyond some range, for one, fit k1 and k2 that are far too large, and a
+    wrong mount, with hardly larger residuals. `names` are in the order of the readings.
+    """
+    powers = readings.typical_range() ** np.arange(2.0)
+    size = np.abs(parameters.range_errors * powers).max(axis=1)
+    beam = int(size.argmax())
+    if size[beam] > TEN_TIMES * linearity:
+        values: Values = {"beam": names[beam], "size": float(size[beam]), "expected": linearity}
+        yield warned("large-range-error", values)
+
+
 def _same_mounts(
     parameters: Parameters, fit: Fit, names: Sequence[str]
 ) -> Iterator[CalibrationWarning]:
