@@ -175,3 +175,18 @@ def test_one_beam_of_few_readings_mostly_has_no_other_mount(seed):
     if found.status == "converged":
         (beam,) = found.beams.values()
         assert np.abs((beam.location - r) / beam.location_sigma).max() < 5.0
+
+
+def test_a_beam_with_a_steep_reading_has_no_square_to_compare():
+    """At 86 degrees a beam is no candidate; of infinity less itself NumPy warned."""
+    _, truth, readings = solved(29)
+    along = np.sign(model.cosines(model.scene(truth, readings))[0]) * truth.normals[0]
+    towards = Rotation.align_vectors(along[None], truth.directions[:1])[0]
+    away = Rotation.from_rotvec(np.radians(86.0) * model.tangent_basis(along[None])[0, :, 0])
+    R = readings.world_R_hand.copy()
+    R[0] = (away * towards).as_matrix()
+    steep = replace(readings, world_R_hand=R)
+    assert np.isinf(beam_minima(truth, steep)[3][0])
+    with np.errstate(all="raise"):
+        others = list(warnings._other_mounts(truth, steep, SIGMA))
+    assert all(np.isfinite(one.directions).all() for one in others)

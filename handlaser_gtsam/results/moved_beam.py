@@ -9,9 +9,9 @@ with q the rank of A'A. A plate that was moved and a tool frame that changed are
 test, and so are systematic errors that were found: a beam has moved only if it explains more, by
 Schwarz's criterion (Annals of Statistics 6(2), 1978). Readings that were rejected count again, because
 readings before a large move do not fit the readings after it; as gross errors, an unknown each, they
-are a rival by the same criterion. Where what a move leaves is correlated in
-time, N readings tell what N / g independent ones do, with g the growth of the variance of a mean: what
-varies slowly looks like a step, too.
+are a rival by the same criterion, and so are the largest residuals of a tenth of the readings. Where
+what a move leaves is correlated in time, N readings tell what N / g independent ones do, with g the
+growth of the variance of a mean: what varies slowly looks like a step, too.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -277,7 +277,22 @@ def _likely_move(rows: LinearRows, dof: int, known: bool) -> Move | None:
     best_move = min(moves, key=lambda move: move.criterion)
     together = dependence(rows, projection, known=known, found=best_move.columns)
     best_move = best_move._replace(dof=dof / together.plane_growth**2)
-    return best_move if best_move.clear else None
+    if not best_move.clear or _few_explain(best_move, rest[0] ** 2 / weight / rest[1]):
+        return None
+    return best_move
+
+
+def _few_explain(move: Move, shares: FloatArray) -> bool:
+    """Tell whether gross errors of a few readings, each an unknown, explain better than a move.
+
+    `shares` (N,) are the parts of the squares of the residuals that an error of each reading explains.
+    More than a tenth of all would follow a move, too.
+    """
+    shares = np.sort(shares)[::-1][: int(0.1 * move.dof)].cumsum()
+    return any(
+        _criterion(share, move.dof, count) < move.criterion
+        for count, share in enumerate(shares.tolist(), 1)
+    )
 
 
 def _beams(rows: LinearRows) -> Iterator[Suspect]:

@@ -321,8 +321,10 @@ def _other_mounts(at: Parameters, used: Readings, sigma: float) -> Iterator[Para
     locations, directions, squares, now = beam_minima(at, used)
     turned = np.linalg.norm(directions - at.directions[:, None], axis=2)
     each = np.bincount(used.beam, minlength=used.beams)
-    worse = each[:, None] * (squares - now[:, None]) / sigma**2
-    worse = np.where(turned > SAME_DIRECTION, worse, np.inf)
+    # A mount that grazes a plane has no square, neither another one nor, with steep readings, this one.
+    worse, other = np.full(squares.shape, np.inf), np.isfinite(squares) & (turned > SAME_DIRECTION)
+    np.subtract(squares, now[:, None], out=worse, where=other)
+    worse *= each[:, None] / sigma**2
     # Each takes a solution of all unknowns.
     for beam in np.argsort(worse.min(axis=1))[:4].tolist():
         one = int(np.argmin(worse[beam]))
