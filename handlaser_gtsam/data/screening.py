@@ -416,7 +416,7 @@ def _averaged(
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
     """Return mean and worth (K,), which values (n,) it is of, and which (K,) are one sample.
 
-    Values (n,) [m], means of so many samples, are sorted by their key, 0 to K - 1, and then by
+    Values (n,) [m], each the mean of some samples, are sorted by their key, 0 to K - 1, and then by
     themselves. By as much as the hand has `moved` (n,) [m] they may differ besides.
     """
     start = np.flatnonzero(np.diff(key, prepend=-1) != 0)

@@ -2,7 +2,7 @@
 
 The error of the robot is common to all readings of a stop: the differences of their residuals from the
 mean of the stop and the beam do not have it, and tell more of what changes with time than anything else
-does. With e these differences, and A those of the derivatives by the mount of a beam, by the place of a
+does. With e these differences, and A the same of the derivatives by the mount of a beam, the place of a
 plane or by an offset of all beams in the rows from some station on, an F test asks whether A explains
 e. Which of them it was is left to the tests of single stations, before anything is averaged.
 """
