@@ -111,6 +111,21 @@ def of_a_robot(errors, seed=3):
     return simulate(truth, stations, errors, rng)
 
 
+@pytest.mark.parametrize("part", [0.0, 0.2])
+def test_readings_that_are_compressed_far_out_are_asked_about(part):
+    """They fit range errors and a mount that are wrong, with hardly larger residuals."""
+    recording = of_a_robot(Errors(SIGMA, 1e-4, 1e-4))
+    d = recording.ranges
+    far = np.quantile(d, 0.6)
+    short = replace(recording, ranges=d - part * np.maximum(d - far, 0.0))
+    found = hl.calibrate(short)
+    (warning,) = [one for one in found.warnings if one.code == "large-range-error"] or [None]
+    assert (warning is None) == (part == 0.0)
+    if warning is not None:
+        assert warning.values["size"] > 10.0 * warning.values["expected"] == 0.1
+        assert found.verdict.code == "usable-with-care"
+
+
 @pytest.mark.slow
 def test_errors_that_no_robot_has_are_asked_about():
     """They stand for something else, as for gross errors, and nothing else says so."""

@@ -132,3 +132,51 @@ def test_a_profiler_both_of_whose_axes_err_alike_is_named():
 def test_nothing_is_found_where_nothing_was_moved(seed, noise):
     found = hl.calibrate(rigs.survey_of(rig_of(seed)), noise)
     assert not {"displaced", "range-error"} & {one.code for one in found.warnings}
+
+
+def beside_a_profiler(seed):
+    """Return a rig and its survey: two beams and a profiler before three planes."""
+    sensors = "profiler", "beam", "beam"
+    options = {"targets": "planes", "planes": 3, "stations": 6, "hand_sigma": rigs.HAND}
+    rig = rigs_by_rays.mixed(seed, sensors=sensors, **options)
+    return rig, rigs.survey_of(rig)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [29, 31])
+def test_a_beam_that_was_moved_is_named_although_its_readings_are_rejected(seed):
+    rig, survey = beside_a_profiler(seed)
+    planes = survey.stations.plane_labels
+    normals = [rig.truth["targets"][label]["normal"] for label in planes]
+    n = np.einsum("ni,nij->nj", normals, survey.stations.world_R_hand)
+    move = np.random.default_rng(seed).normal(size=3)
+    move *= 8e-4 / np.linalg.norm(move)
+    longer = -(n @ move) / (n @ rig.truth[survey.beam_names[0]]["direction"])
+    longer[: len(planes) // 2] = 0.0
+    ranges = survey.ranges + longer[:, None] * [1.0, 0.0]
+    found = hl.calibrate(replace(survey, ranges=ranges, range_sigma=1e-4), rigs.STATED)
+    (warning,) = [one for one in found.warnings if one.code == "displaced"]
+    assert warning.values["target"] == f"beam {survey.beam_names[0]}"
+    assert found.rejected
+    assert found.verdict.code != "usable"
+
+
+@pytest.mark.parametrize("sigma", [0.0, 5e-4])
+def test_a_beam_that_is_rougher_than_the_others_is_named(sigma):
+    _, survey = beside_a_profiler(0)
+    rough = np.random.default_rng(0).normal(scale=sigma, size=len(survey.ranges))
+    found = hl.calibrate(replace(survey, ranges=survey.ranges + rough[:, None] * [1.0, 0.0]))
+    named = [one.values["beam"] for one in found.warnings if one.code == "rough-beam"]
+    assert named == [survey.beam_names[0]] * (sigma > 0.0)
+    assert found.verdict.code == ("usable-with-care" if sigma else "usable")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_free_range_errors_do_not_lead_a_start_astray(seed):
+    rig = rigs_by_rays.profiler(seed, targets="planes", planes=3, stations=6, hand_sigma=rigs.HAND)
+    survey = rigs.survey_of(rig)
+    (shots,) = survey.shots
+    found = hl.calibrate(replace(survey, shots=(replace(shots, free=("k1", "scale")),)))
+    assert found.usable
+    ((error, C),) = rigs.errors_of(rig, found)
+    assert (np.abs(error) < rigs.FAR * np.sqrt(np.diagonal(C))).all()

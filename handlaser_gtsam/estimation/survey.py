@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.noise import Noise
 from ..data.survey import Known, Survey
 from ..data.value import Value
@@ -189,14 +189,21 @@ class SurveyEstimate:
         A row has the part of one that the unknowns leave of it; readings inside shots count, too.
         """
         state = self.ended()
-        rows, owner = state.dense()
-        J, _ = rows.whitened()
-        scale = np.sqrt((J**2).sum(axis=0))
-        U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
-        left = 1.0 - (U[:, size > NEGLIGIBLE * size[0]] ** 2).sum(axis=1)
+        _, left, owner = self.residuals()
         source, inside = state.sources(owner), _beside_rows(state)[1]
         own = np.bincount(source[source >= 0], left[source >= 0], len(inside))
         return np.asarray(own + inside)
+
+    def residuals(self) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return the residuals (R,) of all rows, what part of one the unknowns leave, and their items.
+
+        Residuals are in standard deviations; a row of no item has the number -1.
+        """
+        rows, owner = self.ended().dense()
+        J, e = rows.whitened()
+        scale = np.sqrt((J**2).sum(axis=0))
+        U, size, _ = np.linalg.svd(J / np.where(scale > 0.0, scale, 1.0), full_matrices=False)
+        return e, 1.0 - (U[:, size > NEGLIGIBLE * size[0]] ** 2).sum(axis=1), owner
 
     def learning(self) -> "SurveyState":
         """Return the state where the estimate ended, whose sizes of the noise may be learned again."""

@@ -31,6 +31,7 @@ from ..model.distributions import (
     UNLIKELY_EXCESS,
     chi2_cdf,
     chi2_sf,
+    f_sf,
     gaussian_sf,
     p_words,
 )
@@ -45,6 +46,7 @@ from ..model.families import (
 )
 from ..model.sensor_limits import Rejected
 from ..model.sensors.mounted import SENSOR
+from ..model.targets.point import POINT
 from ..observability.wording import open_sentence
 from ..quantities import FAR_SIGMAS, IN_MM, MAJORITY, MANY_OUTLIERS
 from ..starts.beam_minima import MINIMUM_READINGS, MINIMUM_STARTS
@@ -112,6 +114,7 @@ def survey_warnings(
     yield from _zones_that_miss(found)
     yield from _zones_that_err(found)
     yield from _sigmas(found)
+    yield from _rough_beam(found)
     if found.fits:
         usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
         of_hand = zip((ROTATION, TRANSLATION), found.noise.pose, usual, stated, strict=True)
@@ -140,6 +143,37 @@ def survey_warnings(
         yield from many_rejected(found, rejected)
     yield from (one for one in unread if one not in gone)
     yield from found.rows.survey.warnings
+
+
+def _rough_beam(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
+    """Warn of the beam that is rougher than others whose noise was learned as one.
+
+    The squares of its residuals, over what the unknowns leave of its readings, are compared with those
+    of the others by an F test.
+    """
+    rows, (e, left, owner) = found.rows, found.residuals()
+    own: dict[int, dict[str, FloatArray]] = {}
+    for (family, member), source in rows.sources.items():
+        if family == BEAM.name and np.isnan(found.stated.sigma[source]):
+            mount = family, member
+            items = [i.mount == mount and i.target[0] != POINT.name for i in rows.items]
+            of = np.isin(owner, np.flatnonzero(items))
+            squares = np.array([e[of] @ e[of], left[of].sum()])
+            own.setdefault(source, {})[rows.mounts[mount]] = squares
+    for source, beams in own.items():
+        total = np.sum(list(beams.values()), axis=0)
+        for name, (squares, dof) in beams.items():
+            rest, rest_dof = total - beams[name]
+            if not (min(dof, rest_dof) >= 1.0 and rest > 0.0):
+                continue
+            times = squares / dof / (rest / rest_dof)
+            p = float(f_sf(times, dof, rest_dof)) * len(rows.survey.beam_names)
+            if p < SINGLE_LEVEL:
+                sigma = found.noise.sigma[source] * np.sqrt(
+                    np.array([squares / dof, rest / rest_dof])
+                )
+                values: Values = {"beam": name, "sigma": float(sigma[0]), "others": float(sigma[1])}
+                yield warned("rough-beam", values, likely=p_words(p, 1))
 
 
 def rejected_of(found: SurveyEstimate | SurveyState) -> Iterator[Rejected]:
