@@ -190,7 +190,8 @@ def screened(
     """Merge repeated stations, take out readings that are codes, and refuse repeated columns.
 
     The recording that is returned has the stations, beams and planes of the one that was screened.
-    Readings that repeat others, or are none, are missing; means stand in place of repeated ones.
+    Readings that repeat others, or are none, are missing; means stand in place of repeated ones. What
+    was screened stays the same when it is screened again.
 
     Parameters
     ----------
