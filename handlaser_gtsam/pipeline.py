@@ -22,7 +22,6 @@ from .progress import LOGGER, Listener, told_to
 from .quantities import MAJORITY
 from .results.assemble import assemble
 from .results.calibration import Calibration
-from .results.changed_stops import changed_stops
 from .results.problem import Problem
 from .results.warnings import DISPLACED, contradicted_sigmas
 
@@ -205,23 +204,15 @@ def _solved(
 ) -> Calibration:
     """Do as `calibrate_from`, without a word in the log about the result."""
     options = _checked(recording, noise, options)
-    still = options.standstill(noise)
-    stop: tuple[float, float] | None = still
-    result = _calibrated(start, recording, noise, options, progress, stop)
-    averaged = "repeated-poses" in {one.code for one in result.warnings}
-    change = changed_stops(result, recording, still) if averaged else None
-    if change is not None:
-        stop = None
-        result = _calibrated(start, recording, noise, options, progress, stop)
-        result = replace(result, warnings=(change, *result.warnings))
-    _, stated = still
+    result = _calibrated(start, recording, noise, options, progress)
+    stated = 0.0 if options.poses == "exact" else noise.standstill[1]
     learned = [one.sigma for one in result.noise_estimate if one.name == ROTATION]
     for error in (stated, *learned):
         fits = result.status in ("converged", "unobservable") and not result.interrupted
         flat = steady(recording, error) if fits else None
         if flat is not None:
             # What turns within the errors of the poses seem to say is undetermined.
-            without = _calibrated(start, flat, noise, options, progress, stop)
+            without = _calibrated(start, flat, noise, options, progress)
             return without if without.status == "unobservable" else result
     return result
 
@@ -232,14 +223,10 @@ def _calibrated(
     noise: Noise,
     options: CalibrationOptions,
     progress: Listener | None,
-    still: tuple[float, float] | None,
 ) -> Calibration:
-    """Do as `calibrate_from` with arguments that are checked, and poses as they are.
-
-    Poses up to `still` apart are of one stop, whose readings are averaged; none are where it is None.
-    """
+    """Do as `calibrate_from` with arguments that are checked, and poses as they are."""
     # 1. What the readings are: repeated stations, codes for "no reading", columns logged twice.
-    recording, warnings = screened(recording, noise.range_sigma, still)
+    recording, warnings = screened(recording, noise.range_sigma)
     options.require_readings((~np.isnan(recording.ranges)).sum(axis=0), recording.beam_names)
     # 2. An order that only the content decides, and every plane in a frame amid its stations.
     readings, order = sorted_readings(recording)

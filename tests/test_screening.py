@@ -5,17 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import codes, recording_of, simulated
+from helpers import codes, simulated
 from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.odd_readings import logged
-from handlaser_gtsam import model
 from handlaser_gtsam.data.screening import (
     RepeatedColumnError,
     merged_stations,
+    pose_groups,
     refuse_repeated_columns,
-    stops_of,
     without_codes,
 )
 from handlaser_gtsam.validation.scenes import SCENES, Layout
@@ -23,7 +22,6 @@ from handlaser_gtsam.validation.simulate import Errors, simulate
 
 SIGMA = 3e-5
 NOISE = hl.Noise(SIGMA, 1e-4, 1e-4)
-EXACT = (0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +77,7 @@ def test_samples_of_one_pose_are_averaged_and_weigh_as_many(recording):
     without_noise = recording.ranges + hl.calibrate(recording, exact).fit.residuals
     rows = np.repeat(np.arange(len(recording.plane_labels)), 5)
     many = repeated(replace(recording, ranges=without_noise), rows, noise=SIGMA)
-    merged, warnings = merged_stations(many, SIGMA, EXACT)
+    merged, warnings = merged_stations(many, SIGMA)
     assert [one.code for one in warnings] == ["repeated-poses"]
     first = np.arange(0, len(rows), 5)
     assert np.isnan(np.delete(merged.ranges, first, axis=0)).all()
@@ -97,7 +95,7 @@ def test_samples_of_one_pose_are_averaged_and_weigh_as_many(recording):
 def test_scatter_below_the_sigma_leaves_what_the_samples_share(recording):
     rows = np.repeat(np.arange(len(recording.plane_labels)), 8)
     many = repeated(recording, rows, noise=0.5 * SIGMA)
-    worth = merged_stations(many, SIGMA, EXACT)[0].samples[0, 0]
+    worth = merged_stations(many, SIGMA)[0].samples[0, 0]
     assert worth == pytest.approx(1.0 / (0.75 + 0.25 / 8.0), rel=0.05)
 
 
@@ -106,104 +104,19 @@ def test_a_gross_error_among_samples_is_not_averaged(recording):
     many = repeated(recording, rows, noise=SIGMA)
     ranges = many.ranges.copy()
     ranges[7, 1] += 0.01
-    left = merged_stations(replace(many, ranges=ranges), SIGMA, EXACT)[0].ranges
+    left = merged_stations(replace(many, ranges=ranges), SIGMA)[0].ranges
     assert left[7, 1] == ranges[7, 1]
     assert left[5, 1] == pytest.approx(np.delete(ranges[5:10, 1], 2).mean())
 
 
-def test_what_was_averaged_is_averaged_again_with_its_weight(recording):
-    rows = np.repeat(np.arange(len(recording.plane_labels)), 4)
-    many = repeated(recording, rows, noise=SIGMA)
-    pairs = replace(many, ranges=many.ranges, samples=np.full(many.ranges.shape, 2.0))
-    merged, _ = merged_stations(pairs, None, EXACT)
-    assert merged_stations(merged, None, EXACT) == (merged, ())
-    assert merged.samples[0, 0] == 8.0
-
-
-def test_poses_before_different_planes_stay_apart(recording):
+def test_poses_before_different_planes_and_poses_that_move_stay_apart(recording):
     labels = tuple(str(j) for j in range(len(recording.plane_labels)))
     twice = repeated(recording, np.tile(np.arange(len(labels)), 2))
     apart = replace(twice, plane_labels=(*labels, *(f"again {one}" for one in labels)))
-    assert len(np.unique(stops_of(apart, NOISE.standstill))) == 2 * len(labels)
-
-
-def creeping(pace, stations=200):
-    """A hand that moves by `pace` [m, 3 rad] a station, and the truth; nothing else errs."""
-    _, truth = simulated("paper", Layout(1, 2, 8), SIGMA)
-    first, _ = simulated("paper", Layout(1, 2, 8), SIGMA)
-    along = pace * np.arange(stations)[:, None]
-    turn = Rotation.from_rotvec(3.0 * along * [0.6, 0.8, 0.0]).as_matrix()
-    t = first.world_t_hand[0] + along * [0.0, 0.6, 0.8]
-    return recording_of(truth, turn @ first.world_R_hand[0], t, [0] * stations, 1e-12), truth
-
-
-def test_a_hand_that_creeps_is_of_many_stops():
-    """To first order nothing is lost: a stop is 2e-4 m and 7e-4 rad wide, whose squares are 1e-7 m."""
-    many, truth = creeping(2e-5)
-    still = hl.Noise().standstill
-    merged, _ = merged_stations(many, 1e-9, still)
-    left = merged.part(~np.isnan(merged.ranges).all(axis=1))
-    reach = np.linalg.norm(many.world_t_hand[-1] - many.world_t_hand[0])
-    stops = stops_of(many, still)
-    wide = [np.ptp(many.world_t_hand[stops == one], axis=0) for one in np.unique(stops)]
-    assert 0.5 * reach / still[0] <= len(left.plane_labels) < 100
-    assert np.linalg.norm(wide, axis=1).max() <= 2.0 * still[0]
-    readings = left.readings()
-    assert np.abs(model.residuals(model.scene(truth, readings), readings.distance)).max() < 2e-7
-
-
-def passes(recording, seed, flicker, times=4, step=0.0):
-    """A programme run several times: the error of the hand is common to all, recorded poses flicker.
-
-    From the second half on the first beam reads `step` more.
-    """
-    rng = np.random.default_rng(seed)
-    M = len(recording.plane_labels)
-    error = 1e-4 * rng.standard_normal((2, M, 3))
-    rows = np.tile(np.arange(M), times)
-    many = repeated(recording, rows, noise=SIGMA, seed=seed)
-    ranges = many.ranges.copy()
-    ranges[len(rows) // 2 :, 0] += step
-    off = flicker * rng.standard_normal((2, len(rows), 3)) + np.tile(error, (1, times, 1))
-    return replace(
-        many,
-        ranges=ranges,
-        world_R_hand=many.world_R_hand @ Rotation.from_rotvec(off[0]).as_matrix(),
-        world_t_hand=many.world_t_hand + off[1],
-    )
-
-
-@pytest.mark.parametrize("noise", [hl.Noise(), NOISE], ids=["learned", "stated"])
-def test_a_programme_that_runs_again_tells_no_more_of_the_error_of_the_hand(noise):
-    """Recorded poses flicker: as stations of their own these gave a chi2 of 7.6 and 4.2 an unknown."""
-    chi2 = []
-    for seed in range(4):
-        clean, truth = simulated("paper", Layout(3, 3, 8), 1e-9, seed)
-        found = hl.calibrate(passes(clean, seed, 5e-6), noise)
-        assert codes(found) == ["repeated-poses"]
-        for i, beam in enumerate(found.beams.values()):
-            error = beam.location - truth.locations[i]
-            chi2.append(error @ np.linalg.solve(beam.covariance[:3, :3], error) / 3.0)
-    # Beams of a recording share its errors of the hand: about three unknowns of each of four recordings
-    # are independent, and a chi2 of 12 is beyond 24 once in 50.
-    assert np.mean(chi2) < 2.0
-
-
-def test_poses_that_flicker_are_as_good_as_those_that_do_not():
-    clean, _ = simulated("paper", Layout(3, 3, 8), 1e-9)
-    exactly, flickering = (hl.calibrate(passes(clean, 1, size), NOISE) for size in (0.0, 1e-6))
-    for name, beam in exactly.beams.items():
-        apart = np.abs(flickering.beams[name].location - beam.location)
-        # The mean of four poses is 0.5 um off each, where the hand errs by 100 um at 24 of them.
-        assert (apart < 1e-2 * beam.location_sigma).all()
-
-
-@pytest.mark.parametrize("flicker", [0.0, 5e-6])
-def test_a_beam_that_moves_between_runs_of_a_programme_is_not_averaged(flicker):
-    clean, _ = simulated("paper", Layout(3, 3, 8), 1e-9)
-    found = hl.calibrate(passes(clean, 1, flicker, 2, step=3e-4), NOISE)
-    assert {"changed-stops", "displaced"} <= set(codes(found))
-    assert "repeated-poses" not in codes(found)
+    assert len(np.unique(pose_groups(apart))) == 2 * len(labels)
+    creeping = repeated(recording, np.zeros(20, dtype=int))
+    t = creeping.world_t_hand + 5e-7 * np.arange(20)[:, None]
+    assert len(np.unique(pose_groups(replace(creeping, world_t_hand=t)))) == 20
 
 
 @pytest.mark.parametrize(

@@ -19,12 +19,10 @@ where, at nearly all stations at which both read, d' = a d to within the smaller
 an agreement that two sensors could never reach. The recording does not show whose readings they are: it
 is refused.
 
-Stations before one plane whose poses agree to the errors of the hand are of one stop, whether the robot
-stayed there or came back: its error is common to all their readings. They are merged into the first of
-them: it keeps the mean of the readings of each beam and the mean of the poses, and the others keep
-nothing. A hand that creeps makes a new stop where it has left the last one by more than these errors.
-Poses without errors are of one stop up to `FINEST_STEP`. The weight of the mean depends on how the
-readings scatter:
+Stations whose poses agree to `FINEST_STEP`, before the same plane, have one pose: the robot did not
+move between them, so its error is common to all their readings. They are merged into the first of them:
+it keeps the mean of the readings of each beam, and the others keep nothing. The weight of the mean
+depends on how the readings scatter:
 
 - Readings that are equal, or differ by less than any sensor's noise, are one sample logged more than
   once (a held value, a file pasted twice). They count as one.
@@ -43,9 +41,8 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import CalibrationWarning, InputError
-from ..quantities import MEDIAN_TO_SIGMA, ROWS_AT_ONCE
+from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, ROWS_AT_ONCE
 from .recording import Recording, typical_range
-from .station_list import StationList
 
 BY_CHANCE = 3
 """Fewer coincidences, of columns at a station or of a number in a table, may be chance: among numbers
@@ -185,7 +182,7 @@ def rounding(d: FloatArray) -> float:
 
 
 def screened(
-    recording: Recording, sigma: float | None, still: tuple[float, float] | None
+    recording: Recording, sigma: float | None
 ) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
     """Merge repeated stations, take out readings that are codes, and refuse repeated columns.
 
@@ -198,8 +195,6 @@ def screened(
     recording : Recording
     sigma : float, optional
         Standard deviation of a reading, if given [m].
-    still : (float, float), optional
-        As for `merged_stations`.
 
     Raises
     ------
@@ -208,7 +203,7 @@ def screened(
     InputError
         A beam or a plane is left without readings.
     """
-    left, repeated = merged_stations(recording, sigma, still)
+    left, repeated = merged_stations(recording, sigma)
     left, codes = without_codes(left)
     refuse_repeated_columns(left, sigma)
     warnings = (*recording.warnings, *repeated, *codes)
@@ -315,110 +310,81 @@ def coded_numbers(d: FloatArray, impossible: BoolArray) -> BoolArray:
 
 
 def merged_stations(
-    recording: Recording, sigma: float | None, still: tuple[float, float] | None
+    recording: Recording, sigma: float | None
 ) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
-    """Return a recording in which every stop before a plane stands once, and the warnings.
+    """Return a recording in which every pose before a plane stands once, and the warnings.
 
     Parameters
     ----------
     recording : Recording
     sigma : float, optional
         Standard deviation of a reading, if given [m].
-    still : (float, float), optional
-        Shift [m] and turn [rad] up to which poses are of one stop; None to average nothing.
     """
-    group = stops_of(recording, still or (0.0, 0.0))
+    group = pose_groups(recording)
     shared = np.bincount(group)[group] > 1
     if not shared.any():
         return recording, ()
-    # Readings at shared poses, sorted by (stop, beam) and value: a number for each (stop, beam).
+    # Readings at shared poses, sorted by (pose, beam) and value: a number for each (pose, beam).
     row, beam = np.nonzero(~np.isnan(recording.ranges) & shared[:, None])
     value = recording.ranges[row, beam]
     _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
     order = np.lexsort((row, value, key))
     row, beam, key, value = row[order], beam[order], key[order], value[order]
+    mean, worth, agree, held = _averaged(key, value, sigma)
     ranges = recording.ranges.copy()
     count = np.ones(ranges.shape) if recording.samples is None else recording.samples.copy()
-    moved = _moved(recording, group)[row]
-    mean, worth, agree, held = _averaged(key, value, moved, count[row, beam], sigma)
-    if still is None:
-        agree &= held[key]
     ranges[row[agree], beam[agree]] = np.nan
-    kept = np.flatnonzero(agree)
+    kept = np.flatnonzero(agree)  # the mean stands at the earliest station of those that agree
     kept = kept[np.lexsort((row[kept], key[kept]))]
     first = kept[np.diff(key[kept], prepend=-1) != 0]
-    # The mean stands at the first station of the stop that keeps no reading of its own.
-    keeps = np.zeros(len(group), dtype=bool)
-    keeps[row[~agree]] = True
-    order = np.lexsort((keeps, group))
-    stop = order[np.unique(group[order], return_index=True)[1]][group]
-    at, of = stop[row[first]], beam[first]
-    at = np.where(np.isnan(ranges[at, of]), at, row[first])
-    ranges[at, of], count[at, of] = mean[key[first]], worth[key[first]]
-    R, t = _mean_poses(recording, stop, np.bincount(row[agree], minlength=len(group)))
-    left = replace(
-        recording,
-        world_R_hand=R,
-        world_t_hand=t,
-        ranges=ranges,
-        samples=count if (count != 1.0).any() else None,
-    )
+    ranges[row[first], beam[first]] = mean[key[first]]
+    count[row[first], beam[first]] = worth[key[first]]
+    left = replace(recording, ranges=ranges, samples=count if (count != 1.0).any() else None)
     same = np.zeros(len(group), dtype=bool)  # stations all whose readings are those of another
     same[row] = True
     same[row[~held[key]]] = False
     return left, _warnings(recording, left, group, same)
 
 
-def stops_of(recording: Recording, still: tuple[float, float]) -> IntArray:
-    """Return a number (M,) that stations with readings share where they are of one stop and plane.
+def pose_groups(recording: Recording) -> IntArray:
+    """Return a number (M,) that stations of one plane share where their poses are one.
 
-    Poses are of one stop up to `still`, a shift [m] and a turn [rad], and in any case to `FINEST_STEP`.
+    Stations are split at every gap above `FINEST_STEP` of every coordinate in turn, until nothing
+    splits any more: sorting is all that it costs, and whoever is alone is not sorted again.
     """
-    R, t, number = recording.world_R_hand, recording.world_t_hand, np.arange(len(recording.ranges))
-    shift, turn = (max(size, FINEST_STEP) for size in still)
-    stop = StationList(R, t, recording.plane_labels).stops(shift, turn)
-    alone = np.where(np.isnan(recording.ranges).all(axis=1), number, -1)
-    stops = np.stack((stop, recording.plane_of_station, alone))
-    return np.asarray(np.unique(stops, axis=1, return_inverse=True)[1].reshape(-1))
-
-
-def _moved(recording: Recording, group: IntArray) -> FloatArray:
-    """Return how far readings (M,) [m] of a stop may be apart as the poses of its stations are."""
-    R, t = recording.world_R_hand, recording.world_t_hand
-    first = np.unique(group, return_index=True)[1][group]
-    away = np.linalg.norm(t - t[first], axis=1)
-    # Rotations an angle a apart differ by sqrt(8) sin(a / 2) in the norm of their entries.
-    turn = np.linalg.norm(R - R[first], axis=(1, 2)) / np.sqrt(2.0)
-    size = typical_range(recording.ranges[~np.isnan(recording.ranges)])
-    most = np.zeros(len(group))
-    np.maximum.at(most, group, away + turn * size)
-    return np.asarray(2.0 * most[group])
-
-
-def _mean_poses(
-    recording: Recording, stop: IntArray, readings: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return R, t: the station of every `stop` (M,) has the mean pose of the readings averaged.
-
-    The mean of readings at poses so near is the reading at their mean pose, to first order.
-    """
-    R, t = recording.world_R_hand.copy(), recording.world_t_hand.copy()
-    share = readings / np.maximum(np.bincount(stop, readings, len(stop)), 1.0)[stop]
-    np.add.at(t, stop, share[:, None] * (t - t[stop]))
-    np.add.at(R, stop, share[:, None, None] * (R - R[stop]))
-    turned = np.flatnonzero((R - recording.world_R_hand).any(axis=(1, 2)))
-    U, _, V = np.linalg.svd(R[turned])
-    R[turned] = U @ V
-    return R, t
+    R = recording.world_R_hand.reshape(-1, 9)
+    coordinates = np.hstack((recording.world_t_hand, R)).T
+    group = np.arange(R.shape[0])
+    rows, part, count = group, recording.plane_of_station, 0
+    for _ in range(MOST_ROUNDS):
+        for x in coordinates:
+            order = np.lexsort((x[rows], part))
+            rows, part = rows[order], part[order]
+            first = (part[1:] != part[:-1]) | (np.diff(x[rows]) > FINEST_STEP)
+            first = np.concatenate(([True], first, [True]))
+            shared = ~(first[:-1] & first[1:])
+            rows, part = rows[shared], np.cumsum(first[:-1])[shared]
+            if not rows.size:
+                return group
+        start = np.flatnonzero(np.diff(part, prepend=-1))
+        if len(start) == count:
+            break
+        count = len(start)
+    index = np.repeat(np.arange(count), np.diff(start, append=len(rows)))
+    x = coordinates[:, rows]
+    extent = np.maximum.reduceat(x, start, axis=1) - np.minimum.reduceat(x, start, axis=1)
+    # Poses that extend over more of these steps move, if slowly.
+    wide = np.any(extent > 4.0 * FINEST_STEP, axis=0)
+    group[rows] = np.where(wide[index], rows, len(group) + index)
+    return group
 
 
 def _averaged(
-    key: IntArray, value: FloatArray, moved: FloatArray, samples: FloatArray, sigma: float | None
+    key: IntArray, value: FloatArray, sigma: float | None
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray]:
-    """Return mean and worth (K,), which values (n,) it is of, and which (K,) are one sample.
+    """Return mean and worth (K,), which samples (n,) it is of, and which (K,) are one sample.
 
-    Values (n,) [m], each the mean of some samples, are sorted by their key, 0 to K - 1, and then by
-    themselves. By as much as the hand has `moved` (n,) [m] they may differ besides.
+    Values (n,) are sorted by their key, 0 to K - 1, and then by themselves.
     """
     start = np.flatnonzero(np.diff(key, prepend=-1) != 0)
     count = np.diff(np.append(start, len(key)))
@@ -433,18 +399,16 @@ def _averaged(
         # A sample farther off the others than this part of the typical range is not averaged
         # either.
         most = 0.01 * typical_range(value) if sigma is None else FAR_SAMPLE * sigma
-        agree = off <= moved + (min(FAR_SAMPLE * robust, most) if robust > 0.0 else most)
+        agree = off <= (min(FAR_SAMPLE * robust, most) if robust > 0.0 else most)
     number = np.add.reduceat(agree.astype(np.float64), start)
-    samples = np.where(agree, samples, 0.0)
-    weight = np.add.reduceat(samples, start)
-    total = np.add.reduceat(samples * value, start)
-    mean = np.where(number > 0.0, total / np.maximum(weight, 1.0), median)
-    square = np.add.reduceat(samples * (value - mean[key]) ** 2, start)
+    total = np.add.reduceat(np.where(agree, value, 0.0), start)
+    mean = np.where(number > 0.0, total / np.maximum(number, 1.0), median)
+    square = np.add.reduceat(np.where(agree, value - mean[key], 0.0) ** 2, start)
     some = ~held & (number > 1.0)
-    worth = np.maximum(np.maximum.reduceat(samples, start), 1.0)
+    worth = np.ones(len(mean))
     if some.any():
         w2 = float(square[some].sum() / (number[some] - 1.0).sum())
-        worth[some] = worth_of_mean(weight[some], w2, sigma)
+        worth[some] = worth_of_mean(number[some], w2, sigma)
     return mean, worth, agree, held & (count > 1)
 
 

@@ -108,9 +108,7 @@ class StationList(Value):
         chord = 8.0**0.5 * np.sin(0.5 * min(turn, np.pi))
         R = self.world_R_hand.reshape(-1, 9) / max(chord, TINY)
         x = np.hstack((self.world_t_hand / max(shift, TINY), R))
-        tree = cKDTree(x)
-        distance, _ = tree.query(x, [2], p=np.inf, distance_upper_bound=2.0)
-        first = np.where(np.isfinite(distance)[:, 0], -1, np.arange(len(x)))
+        tree, first = cKDTree(x), np.full(len(x), -1)
         # Stations far from each other in order are looked for at once: they are hardly of one stop.
         blocks = math.ceil(len(x) ** (2.0 / 3.0))
         for block in (np.arange(begin, len(x), blocks) for begin in range(blocks)):

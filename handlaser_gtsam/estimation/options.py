@@ -106,10 +106,6 @@ class CalibrationOptions:
         """Tell whether errors of the hand poses are counted."""
         return self.poses != "exact" and not noise.poses_exact
 
-    def standstill(self, noise: Noise) -> tuple[float, float]:
-        """Return the shift [m] and turn [rad] up to which poses are of one stop: 0 of exact ones."""
-        return (0.0, 0.0) if self.poses == "exact" else noise.standstill
-
     def require_consistent(self, noise: Noise) -> None:
         """Refuse options that contradict each other or the noise.
 

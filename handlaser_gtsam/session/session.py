@@ -162,8 +162,7 @@ class Session:
             raise InputError(
                 f"{type(recording).__name__} to add", "a Recording: hl.read_recording(...)"
             )
-        still = self.options.standstill(self.noise)
-        left, warnings = screened(recording, self.noise.range_sigma, still)
+        left, warnings = screened(recording, self.noise.range_sigma)
         if warnings:
             recording = left.part(~np.isnan(left.ranges).all(axis=1))
         with self._lock:
