@@ -385,7 +385,7 @@ def first_state(
     if free is not None and _some_relation_is_contradicted(
         replace(free, relations=state.relations)
     ):
-        state.values, state.used = free.values, free.used
+        state.rows, state.values, state.used = free.rows, free.values, free.used
         return state
     others = []
     ahead = with_planes_ahead(rows)
@@ -440,7 +440,7 @@ def _begun_without_relations(state: SurveyState) -> SurveyState | None:
     if not (state.relations and begin_quickly(free, GROSS) and _surely_fits(free)):
         return None
     complete_bodies(rows, free.values)
-    free.rows = rows
+    free.rows = replace(free.rows, known=rows.known)
     return free
 
 

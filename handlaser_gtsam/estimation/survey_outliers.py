@@ -55,10 +55,10 @@ def leave_out_gross(state: SurveyState) -> None:
     concentration steps of least trimmed squares: Rousseeuw and Van Driessen, 2006).
     """
     planes: Planes = {}
-    for _ in range(MOST_ROUNDS):
+    for turn in range(MOST_ROUNDS):
         if not state.minimize():
             return
-        if other_planes_taken(state, GROSS, planes):
+        if turn < MOST_ROUNDS // 2 and other_planes_taken(state, GROSS, planes):
             continue
         different = numbers_of(state.rows)
         target = np.array([different[item.target] for item in state.rows.items])

@@ -38,13 +38,12 @@ def other_planes_taken(state: SurveyState, gross: float, planes: Planes) -> bool
     rows, misfit = state.rows, state.misfits()
     least = gross * max(float(np.median(misfit)), 1.0)
     now = {(i.member, i.station): k for k, i in enumerate(rows.items) if i.shot is not None}
-    most = {one: misfit[k] for one, k in now.items() if misfit[k] > least}
-    most |= dict.fromkeys(rows.lost, 2.0 * least)
-    for one in most.keys() - planes.keys():
+    best = {one: 0.5 * misfit[k] for one, k in now.items() if misfit[k] > least}
+    best, taken = best | dict.fromkeys(rows.lost, least), dict[Shot, Item]()
+    for one in best.keys() - planes.keys():
         planes[one] = _several(rows, *one)
-    best, taken = {one: 0.5 * off for one, off in most.items()}, dict[Shot, Item]()
     # One of each shot at a time: errors of the hand are common to all at a station.
-    for some in zip_longest(*(planes[one] for one in most)):
+    for some in zip_longest(*(planes[one] for one in best)):
         seen = tuple(item for item in some if item is not None)
         every = np.ones(len(seen), dtype=bool)
         trial = replace(state, rows=replace(rows, items=seen), used=every)

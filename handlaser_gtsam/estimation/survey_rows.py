@@ -260,7 +260,7 @@ def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
     labels = survey.stations.plane_labels
     stops = survey.stations.stops(*(noise or Noise()).standstill)
     shared = np.bincount(stops, minlength=len(stops))[stops] > 1
-    told: set[tuple[Entity, Entity, int, bytes]] = set()
+    told: set[tuple[Entity, str, int, bytes]] = set()
     repeated: list[tuple[str, int]] = []
     targets: dict[str, dict[str, int]] = defaultdict(dict)
     items: list[Item] = []
@@ -270,11 +270,11 @@ def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
         family = kind_of(label)
         return family, targets[family].setdefault(normal_label(label), len(targets[family]))
 
-    def repeats(name: str, mount: Entity, station: int, at: Entity, *read: FloatArray) -> bool:
+    def repeats(name: str, mount: Entity, station: int, at: str, *read: FloatArray) -> bool:
         """Tell whether what was read stands twice, to the last digit, where the hand stood still."""
         if not shared[station]:
             return False
-        this = mount, at, int(stops[station]), b"".join(one.tobytes() for one in read)
+        this = mount, normal_label(at), int(stops[station]), b"".join(one.tobytes() for one in read)
         if this in told:
             repeated.append((name, station))
             return True
@@ -291,19 +291,19 @@ def rows_of(survey: Survey, noise: Noise | None = None) -> SurveyRows:
             if not own:
                 lost.append((member, station))
         for (station, label, part), shot in zip(parts, _condensed(shots, parts), strict=True):
+            mount, read = (SENSOR.name, member), (shots.across[part], shots.reading[part])
+            if repeats(shots.name, mount, station, label, *read):
+                continue
             if shot is None:
                 lost.append((member, station))
                 continue
-            at, mount = number(label), (SENSOR.name, member)
-            if repeats(shots.name, mount, station, at, shots.across[part], shots.reading[part]):
-                continue
             stop, points = int(stops[station]), part[shot.kept]
-            items.append(Item(SENSOR.name, member, station, stop, at, shot, points))
+            items.append(Item(*mount, station, stop, number(label), shot, points))
     if survey.ranges is not None:
         for station, member in np.argwhere(~np.isnan(survey.ranges)).tolist():
             at, d = number(labels[station]), survey.ranges[station, member]
             name, mount = survey.beam_names[member], (BEAM.name, member)
-            if repeats(name, mount, station, at, np.array(d)):
+            if repeats(name, mount, station, labels[station], np.array(d)):
                 continue
             stop, cone = int(stops[station]), float(survey.cones[member])
             items.append(Item(*mount, station, stop, at, reading=float(d), half_angle=cone))

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import FloatArray, IntArray, evenly
+from ..data.screening import rounding
 from ..quantities import (
     FAR_SIGMAS,
     MAJORITY,
@@ -280,8 +281,9 @@ def planes_in(
 ) -> list[Condensed]:
     """Return the planes in one shot, as walls and floor of a room, or the faces of a block.
 
-    Each begins with neighbouring points, and grows by all that are as near to it as these are. None
-    count where most points are on none, as on a ball, of which short pieces look flat.
+    Each begins with neighbouring points, and grows by all that are as near to it as these are. Of very
+    many points some are taken, evenly. None count where most points are on none, as on a ball, of which
+    short pieces look flat.
 
     Parameters
     ----------
@@ -290,23 +292,21 @@ def planes_in(
         As of `condensed_shots`.
     stated : Stated
     """
-    plane, (across, reading) = Flat(kind.axes, kind.parallel), shot
-    rays, n = kind.rays(across), len(reading)
+    whole = evenly(len(shot[1]), NUMBERS_AT_ONCE // (4 * TRIALS))
+    plane, across, reading = Flat(kind.axes, kind.parallel), shot[0][whole], shot[1][whole]
+    rays, n, step = kind.rays(across), len(reading), 2.0 * rounding(reading)
     place, free = rays.origin + rays.direction, np.ones(n, dtype=bool)
+    near = max(4 * plane.size, int(0.5 * LEAST_PLANE * n))
     parts, rng = list[tuple[int, IntArray]](), np.random.default_rng(n)
-    while free.sum() >= LEAST_PLANE * n:
+    while free.sum() >= max(LEAST_PLANE * n, near):
         left = np.flatnonzero(free)
-        left = left[evenly(len(left), NUMBERS_AT_ONCE // (4 * TRIALS))]
-        near = max(4 * plane.size, int(0.5 * LEAST_PLANE * len(left)))
-        if len(left) < near:
-            break
         begins = place[left[rng.integers(len(left), size=TRIALS)]]
         away = np.linalg.norm(place[left] - begins[:, None], axis=2)
         sets = np.argpartition(away, near - 1, axis=1)[:, :near]
         trials = plane.through(some_rays(rays, left[sets]), reading[left[sets]])
         e = np.abs(reading[left] - plane.ranges(trials, some_rays(rays, left)))
         noise = np.sqrt((np.take_along_axis(e, sets, axis=1) ** 2).mean(axis=1))
-        cut = ROUGH_CUT * float(np.quantile(noise, LEAST_PLANE))
+        cut = max(ROUGH_CUT * float(np.quantile(noise, LEAST_PLANE)), step)
         best = int((e <= cut).sum(axis=1).argmax())
         found, kept = trials[best][None], np.isin(np.arange(n), left[e[best] <= cut])
         for _ in range(MOST_ROUNDS):
@@ -317,7 +317,7 @@ def planes_in(
                 break
         if kept.sum() < max(LEAST_PLANE * n, near):
             break
-        parts.append((0, np.flatnonzero(kept)))
+        parts.append((0, whole[kept]))
         free &= ~kept
     if free.mean() > 1.0 - MAJORITY:
         return []

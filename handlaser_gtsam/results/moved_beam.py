@@ -34,7 +34,7 @@ from ..model.effects.displaced import LEAST_STATIONS, MOST_SPLITS
 from ..model.families import BEAM, MOUNT_DIM, OF_DIRECTION
 from ..model.joint import beam_lifts
 from ..model.weighting import Variances, whitening
-from ..quantities import MOST_ROUNDS, NEGLIGIBLE, TINY
+from ..quantities import MANY_OUTLIERS, MOST_ROUNDS, NEGLIGIBLE, TINY
 from ..solvers.beam_problem import beam_problem
 from .calibration_data import Beam, Fit
 from .dependence import dependence
@@ -286,9 +286,9 @@ def _few_explain(move: Move, shares: FloatArray) -> bool:
     """Tell whether gross errors of a few readings, each an unknown, explain better than a move.
 
     `shares` (N,) are the parts of the squares of the residuals that an error of each reading explains.
-    More than a tenth of all would follow a move, too.
+    More than `MANY_OUTLIERS` of all would follow a move, too.
     """
-    shares = np.sort(shares)[::-1][: int(0.1 * move.dof)].cumsum()
+    shares = np.sort(shares)[::-1][: int(MANY_OUTLIERS * move.dof)].cumsum()
     return any(
         _criterion(share, move.dof, count) < move.criterion
         for count, share in enumerate(shares.tolist(), 1)

@@ -15,6 +15,7 @@ from ..data.noise import POSE_SIGMAS, Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..data.screening import rounding
+from ..data.station_list import StationList
 from ..errors import CalibrationWarning
 from ..estimation.joint_solution import NO_FIT
 from ..estimation.scales import RANGE, ROTATION, TRANSLATION, NoiseComponent
@@ -190,6 +191,31 @@ def large_pose_errors(learned: Iterable[NoiseComponent]) -> Iterator[Calibration
             which = "rotation" if one.quantity == ROTATION else "position"
             values = {"sigma": one.sigma, "expected": one.usual}
             yield warned(f"large-pose-errors:{which}", values, times=one.sigma / one.usual)
+
+
+def returns_to_stops(
+    recording: Recording, still: tuple[float, float]
+) -> Iterator[CalibrationWarning]:
+    """Warn of many stations that come back to a stop, with poses that are not equal in the file.
+
+    Parameters
+    ----------
+    recording : Recording
+        In which equal poses are merged (`data.screening`).
+    still : (float, float)
+        Shift [m] and turn [rad] up to which poses are of one stop.
+    """
+    read = np.flatnonzero(~np.isnan(recording.ranges).all(axis=1))
+    labels = tuple(recording.plane_labels[j] for j in read.tolist())
+    stations = StationList(recording.world_R_hand[read], recording.world_t_hand[read], labels)
+    stop = np.stack((stations.stops(*still), recording.plane_of_station[read]))
+    # What stays at a stop is seen by how neighbouring errors go together.
+    visits = stop[:, (np.diff(stop, axis=1, prepend=-1) != 0).any(axis=0)]
+    stops = np.unique(visits, axis=1).shape[1]
+    again = visits.shape[1] - stops
+    if again > MANY_OUTLIERS * len(read):
+        times = math.sqrt(visits.shape[1] / stops)
+        yield warned("repeated-stops", {"again": again, "stations": len(read), "times": times})
 
 
 def large_range_errors(
