@@ -14,13 +14,15 @@ Scenes (the option ``scene``), each turned and placed in the world at random:
 * plate before a wall: three tilted plates, 0.05 to 0.5 m before a wall, that fill 55 to 95 % of rays;
 * plates on a table: three tilted tables, each with a plate of 5 to 30 mm that fills 55 to 90 %;
 * small plates before a wall, small plates on a table: likewise, but they fill 25 to 50 %;
-* room: 3 to 6 m long and wide and 2.5 to 3 m high, of which two walls and the floor are targets;
+* room: 3 to 6 m long and wide and 2.5 to 3 m high; two walls and the floor, which fill 15 to 90 % of
+  rays, are targets;
 * plane with clutter: one to three planes, each with one to four small things hiding 5 to 25 %;
 * gripper before planes, gripper before a ball: a finger that is fixed to the hand hides 5 to 20 %;
 * planes and ball: a floor, a wall and a ball on the floor, each seen behind and beside the others.
 
 A ball is met by 12 % of the rays at each of its stations, and by six zones of an array; a labelled
-plane is met by half of the rays at least.  Geometry of the sensors, each in its own frame:
+plane is met by half of the rays at least, but in the scenes that say otherwise.  Geometry of the
+sensors, each in its own frame:
 
 * profiler: 200 to 600 parallel rays from (x, 0, 0) along +z over 60 to 100 mm; reads (x, 0, z);
 * scanner: 361 rays from the origin along (sin a, 0, cos a), a within 45 degrees, and in a room 541

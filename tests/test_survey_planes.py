@@ -8,6 +8,7 @@ import pytest
 import handlaser_gtsam as hl
 from benchmarks import rigs_by_scene
 from benchmarks.rigs import FAR, errors_of, survey_of
+from handlaser_gtsam.estimation.survey_rows import rows_of
 from handlaser_gtsam.model.sensors.kinds import KINDS
 from handlaser_gtsam.model.targets_in_shots import planes_in
 
@@ -33,10 +34,15 @@ def test_the_planes_of_a_corner_are_found(part):
     assert not (planes[0].kept & planes[1].kept).any()
 
 
+def test_rounding_makes_no_more_planes():
+    across, reading = corner(0.5, np.random.default_rng(0))
+    assert len(planes_in(KINDS["scanner"], (across, np.round(reading, 2)))) == 2
+
+
 def test_an_arc_is_no_planes_although_short_pieces_of_it_look_flat():
     angle, rng = np.linspace(-0.3, 0.3, 300), np.random.default_rng(1)
     aside = 0.5 * np.sin(angle)
-    reading = 0.5 * np.cos(angle) - np.sqrt(0.16**2 - aside**2) + rng.normal(scale=1e-5, size=300)
+    reading = 0.5 * np.cos(angle) - np.sqrt(0.16**2 - aside**2) + rng.normal(scale=1e-4, size=300)
     assert planes_in(KINDS["scanner"], (angle[:, None], reading)) == []
 
 
@@ -66,3 +72,20 @@ def test_wrong_labels_do_no_harm_where_a_scan_sees_several_walls():
     assert found.usable
     ((error, C),) = errors_of(rig, found)
     assert (np.abs(error) < FAR * np.sqrt(np.diagonal(C))).all()
+
+
+@pytest.mark.slow
+def test_a_false_relation_is_named_beside_shots_that_come_back():
+    """Shots that were lost count again where relations are left out; then there are more of them."""
+    survey = survey_of(rigs_by_scene.scanner(1, scene="room", hand_sigma=(5e-5, 1e-4)))
+    begun, found = rows_of(survey), hl.calibrate(survey)._found
+    ended = {item.station: item.points for item in found.rows.items}
+    right = [i.station for i in begun.items if np.isin(i.points, ended[i.station]).mean() > 0.5]
+    back = [station for _, station in begun.lost if station in ended]
+    assert back
+    stations = survey.stations.plane_labels
+    some = survey.part(np.isin(np.arange(len(stations)), [*right, *back[:2]]))
+    walls = ("plane:west", "plane:south")
+    known = hl.Known("angle", walls, value=np.radians(85.0), sigma_angle=np.radians(1e-3))
+    tied = hl.calibrate(replace(some, known=(known,)))
+    assert [one.code for one in tied.warnings] == ["relation-contradicted"]

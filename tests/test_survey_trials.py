@@ -171,8 +171,9 @@ def test_a_beam_that_is_rougher_than_the_others_is_named(sigma):
     assert found.verdict.code == ("usable-with-care" if sigma else "usable")
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, 5])
 def test_free_range_errors_do_not_lead_a_start_astray(seed):
+    """With seed 5 a search ended where k1 and the scale were far too large, and the mount open."""
     rig = rigs_by_rays.profiler(seed, targets="planes", planes=3, stations=6, hand_sigma=rigs.HAND)
     survey = rigs.survey_of(rig)
     (shots,) = survey.shots

@@ -114,8 +114,9 @@ def survey_warnings(
     yield from _zones_that_miss(found)
     yield from _zones_that_err(found)
     yield from _sigmas(found)
-    yield from _rough_beam(found)
     if found.fits:
+        if len(beams) > 1:
+            yield from _rough_beam(found)
         usual, stated = usual_noise(found.rows, found.given).pose, found.stated.pose
         of_hand = zip((ROTATION, TRANSLATION), found.noise.pose, usual, stated, strict=True)
         yield from large_pose_errors(
