@@ -387,8 +387,7 @@ def first_state(
     ):
         state.rows, state.values, state.used = free.rows, free.values, free.used
         return state
-    others = []
-    ahead = with_planes_ahead(rows)
+    starts, ahead = [state], with_planes_ahead(rows)
     if ahead is not None:
         other = state_of(ahead, noise)
         other.values, without = start_of(ahead, other.sigmas())
@@ -396,8 +395,8 @@ def first_state(
             leave_out_gross(other)
             if np.median(other.misfits()) <= GROSS:
                 return other
-            others.append(other)
-    for begun in (*others, state):
+            starts = [other, state]
+    for begun in starts:
         if started_from_halves(begun):
             leave_out_gross(begun)
             if np.median(begun.misfits()) <= GROSS:
