@@ -111,7 +111,7 @@ def test_scipy_agrees_where_readings_of_which_an_error_is_made_are_rejected(code
 
 @pytest.mark.slow
 def test_scipy_knows_every_error_and_all_of_them_at_once():
-    assert set(ERRORS) == {code for code, effect in EFFECTS.items() if effect.can_show}
+    assert set(ERRORS) == {code for code, effect in EFFECTS.items() if effect.can_be_freed}
     found = freed(recorded(Scene(3), 0, "lag", LARGE_LAG), *ERRORS)
     assert len(found.effects) == 81
     agrees(found)

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
+import handlaser_gtsam as hl
 from handlaser_gtsam import model
 from handlaser_gtsam.data.noise import Noise
 from handlaser_gtsam.data.parameters import Parameters
@@ -16,6 +17,7 @@ from handlaser_gtsam.estimation.options import CalibrationOptions
 from handlaser_gtsam.model.distributions import FAMILY_LEVEL as LEVEL
 from handlaser_gtsam.model.distributions import holm, needed, two_sided
 from handlaser_gtsam.model.effects import EFFECTS
+from handlaser_gtsam.model.effects.effect import SeenStations
 from handlaser_gtsam.model.effects.tool_displaced import directions
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.observability.wording import BeamAndPlaneNames
@@ -28,6 +30,9 @@ SIGMA = 1e-4
 BY_NATURE = {"inverse-cosine", "tilt", "tool-frame", "range-offset"}
 TESTED = tuple(code for code in EFFECTS if code not in BY_NATURE)
 FREE, NONE = (np.inf, np.inf), (0.0, 0.0)
+ORDERS = {"linear": 1, "quadratic": 2, "cubic": 3}
+HELD = ("linear", "quadratic")
+BEAM_ARRAYS = ("locations", "directions", "range_errors")
 
 
 class Scene:
@@ -102,8 +107,9 @@ class Scene:
             s[self.plane == plane, beam] += size
         if code == "carry-over":
             s = s + size * (np.roll(s, 1, axis=1) - s)
-        if code == "cubic":
-            s = third_order(s, size)
+        if code in ORDERS:
+            of = slice(None) if code == "cubic" else slice(beam, beam + 1)
+            s[:, of] = too_long(s, size, ORDERS[code])[:, of]
         return s
 
     def problem(self, ranges):
@@ -127,11 +133,11 @@ class Scene:
         return Parameters(self.r, self.v, np.zeros((self.beams, 2)), self.n, b), readings, station
 
 
-def third_order(s, size):
-    """Return readings d that are too long by size (d / max d)^3."""
+def too_long(s, size, power):
+    """Return readings d that are too long by size (d / max d)^power."""
     d = s
     for _ in range(50):
-        d = s + size * (d / d.max()) ** 3
+        d = s + size * (d / d.max()) ** power
     return d
 
 
@@ -284,6 +290,12 @@ def test_the_blocked_projection_agrees_with_a_dense_one(prior):
             assert prior[0] > 0.0
             continue
         _agree(found[code], 0, by_hand(column, found[code].strained[0]), at)
+    for term, code in enumerate(HELD):
+        column = -slope * (readings.distance / readings.distance.max()) ** (1 + term)
+        assert found[code].beam.tolist() == ([] if prior[term] else [0, 1, 2, -1])
+        for m, beam in enumerate(found[code].beam):
+            own = (readings.beam == beam) | (beam < 0)
+            _agree(found[code], m, by_hand(column * own, found[code].strained[m]), at)
     shifted = found["displaced"]
     assert len(shifted.plane) > 20
     for m in range(0, len(shifted.plane), 5):
@@ -321,7 +333,12 @@ def _agree(found, m, dense_found, at):
 # Injected errors
 
 WHERE = {"plane": 2, "beam": 1, "since": 4 * 5 + 2}
-SUBJECT = {"displaced": "plane p2 from station 23 on", "beam-on-plane": "beam b1 on plane p2"}
+SUBJECT = {
+    "displaced": "plane p2 from station 23 on",
+    "beam-on-plane": "beam b1 on plane p2",
+    "linear": "beam b1",
+    "quadratic": "beam b1",
+}
 
 
 def injected_size(code, problem):
@@ -329,18 +346,17 @@ def injected_size(code, problem):
     found = Detectable(code, problem)
     member = 0
     if code in SUBJECT:
-        member = np.flatnonzero(
-            (found.plane == WHERE["plane"])
-            & ((found.beam == WHERE["beam"]) | (found.position == WHERE["since"]))
-        )[0]
+        plane = -1 if code in HELD else WHERE["plane"]
+        beam_or_time = (found.beam == WHERE["beam"]) | (found.position == WHERE["since"])
+        member = np.flatnonzero((found.plane == plane) & beam_or_time)[0]
     return 2.0 * float(found.detectable[member])
 
 
 @pytest.mark.parametrize("terms", ["none", "k1k2"])
 @pytest.mark.parametrize("code", [code for code in TESTED if code != "tool-displaced"])
 def test_an_injected_error_is_found_named_and_its_effect_is_right(code, terms):
-    if code == "translation-scale" and terms == "k1k2":
-        pytest.skip("confounded with k1: tested below")
+    if code in ("translation-scale", *HELD) and terms == "k1k2":
+        pytest.skip("confounded with k1, or an unknown: tested below")
     scene = Scene()
     noise = SIGMA * np.random.default_rng(7).standard_normal((48, 3))
     clean = solved(scene, scene.ranges() + noise, terms)
@@ -458,6 +474,34 @@ def test_the_scale_of_translations_is_confounded_with_k1():
     assert report((at, readings, how, prior, position))["translation-scale"].confounded
     prior[0] = 0.0
     assert not report((at, readings, how, prior, position))["translation-scale"].confounded
+
+
+def test_range_errors_are_tested_for_where_they_are_held_at_zero():
+    scene = Scene()
+    noise = SIGMA * np.random.default_rng(7).standard_normal((48, 3))
+    at, readings, how, _, position = solved(scene, scene.ranges() + noise)
+    for prior, held in ((FREE, ()), ((0.01, 0.02), ()), ((np.inf, 0.0), HELD[1:]), (NONE, HELD)):
+        found = report((at, readings, how, np.tile(prior, (3, 1)), position))
+        assert {code for code in found if code in HELD} == set(held)
+        assert not any(found[code].confounded for code in held)
+    # Only one of three beams holds k2; and more beams than are tested one by one.
+    prior = np.array([FREE, FREE, (np.inf, 0.0)])
+    one = Detectable("quadratic", (at, readings, how, prior, position))
+    assert one.beam.tolist() == [2]
+    crowd = replace(readings, beam=np.arange(len(readings)) % 17, beams=17)
+    many = replace(at, **{name: getattr(at, name)[np.arange(17) % 3] for name in BEAM_ARRAYS})
+    stations = SeenStations(many, crowd, position, np.arange(17))
+    stations.held[1:] = True
+    column = EFFECTS["linear"].at(stations).columns
+    assert column.shape == (len(crowd), 16)
+    stations.held[0] = True
+    [[column]] = [EFFECTS["linear"].at(stations).columns.T]
+    assert np.allclose(column, stations.longer * crowd.distance / crowd.distance.max())
+
+
+def test_a_range_error_that_is_said_to_be_zero_is_no_code_to_free():
+    with pytest.raises(hl.InputError, match="free linear, which .* range_error lets be estimated"):
+        CalibrationOptions(range_error="none", free=("linear",))
 
 
 def test_what_a_recording_cannot_show_is_confounded():

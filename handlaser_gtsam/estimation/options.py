@@ -82,8 +82,8 @@ class CalibrationOptions:
         require_bool("estimate_noise", self.estimate_noise)
         require_names("codes of free", self.free)
         for code in self.free:
-            if code not in EFFECTS or EFFECTS[code].can_show:
-                require_word("free", code, [code for code in EFFECTS if EFFECTS[code].can_show])
+            if code not in EFFECTS or EFFECTS[code].can_be_freed:
+                require_word("free", code, [code for code in EFFECTS if EFFECTS[code].can_be_freed])
             else:
                 found = f"free {code}, which no recording tells from {EFFECTS[code].confounded}"
                 raise InputError(found, "codes of errors that a recording can show")

@@ -8,9 +8,9 @@
     [sensor]  range_mm = [min, max], max_incidence_deg, linearity_percent, kind: triangulation,
               time-of-flight, confocal, ultrasonic or other; half_angle_deg of cones
     [plausible]  largest plausible sizes of systematic errors, instead of the sizes of the kind:
-              incidence_mm, tilt_mm, cubic_mm, drift_mm, carry_over_percent, beam_on_plane_mm, sag_mm,
-              displaced_mm, tool_displaced_mm, lag_percent, turn_scale_percent,
-              translation_scale_percent
+              incidence_mm, tilt_mm, linear_mm, quadratic_mm, cubic_mm, drift_mm, carry_over_percent,
+              beam_on_plane_mm, sag_mm, displaced_mm, tool_displaced_mm, lag_percent,
+              turn_scale_percent, translation_scale_percent
     [limits]  rms_mm, location_sigma_mm, direction_sigma_deg
     [log]     how logs are written, a field for every one of `LogFormat`
     [[sensors]], [[known]]: sensors of many rays and relations, see `sensor_tables`

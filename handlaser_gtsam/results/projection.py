@@ -83,7 +83,7 @@ class LinearRows(SeenStations):
         super().__init__(
             at, readings, position, np.arange(readings.beams) if channel is None else channel
         )
-        self.how, self.prior = how, prior
+        self.how, self.prior, self.held = how, prior, prior == 0.0
         self.freed = freed or FreedColumns((), np.empty((len(readings), 0)), np.empty(0))
         self.normal, self.centres = linearized(at, readings, 2, how)
         columns = jacobian_columns(at, readings, 2, self.centres)

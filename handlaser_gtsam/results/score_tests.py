@@ -217,7 +217,8 @@ class ScoreTests:
             power = EFFECTS[str(self.codes[member])].power
             if power is not None:
                 largest = self.rows.readings.level.max() ** power
-                spots[number, :, power] += sizes[number] / largest * v
+                concerned = slice(None) if self.beam[member] < 0 else self.beam[member]
+                spots[number, concerned, power] += sizes[number] / largest * v[concerned]
         return x[:, :, LOCATION], turn, spots
 
     def representatives(self) -> IntArray:
@@ -297,8 +298,9 @@ class CommonErrors:
         Derivatives of the residuals.
     mix : (c, m)
         Of which columns each member is the sum.
-    position : (m,)
-        Position in the recording from which on each member counts; -1 for the whole of it.
+    beam, position : (m,)
+        The one beam that each member concerns, and the position in the recording from which on it
+        counts; -1 for all, and for the whole of it.
     """
 
     def __init__(self, rows: LinearRows, kinds: Sequence[tuple[str, Everywhere]]) -> None:
@@ -310,7 +312,8 @@ class CommonErrors:
         self.position = np.concatenate([kind.since for kind in every])
         codes = [code for code, kind in kinds for _ in kind.since]
         self.codes = np.array(codes, dtype=str)
-        self.plane = self.beam = np.full(len(self.codes), -1)
+        self.plane = np.full(len(self.codes), -1)
+        self.beam = np.concatenate([kind.beam for kind in every])
         self.squares = self._squares(rows.how.weighed(self.columns))
 
     def dot(self, y: FloatArray) -> FloatArray:

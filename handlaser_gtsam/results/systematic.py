@@ -183,7 +183,7 @@ def systematic_errors(
     confounded = [
         code
         for code, effect in EFFECTS.items()
-        if code not in (*tested, *rows.freed.codes) and rows.readings.beams >= effect.least_beams
+        if code not in (*tested, *rows.freed.codes) and effect.concerns(rows)
     ]
     return (
         *reports,
@@ -312,6 +312,8 @@ def subject_in_words(
     if plane < 0:
         if "{subject}" not in EFFECTS[code].phrase:
             return ""
+        if EFFECTS[code].term is not None:
+            return "all beams" if beam < 0 else f"beam {names.sorted_beams()[beam]}"
         return "little by little" if position < 0 else f"from station {stations[position]} on"
     words = f"plane {names.sorted_planes()[plane]}"
     if beam >= 0:

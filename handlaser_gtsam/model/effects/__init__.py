@@ -21,11 +21,14 @@ from . import (
 from .carry_over import column as carried_over
 from .cubic import column as cubic
 from .effect import STATED, Effect, Everywhere, OnPlanes, SeenStations
+from .held_range_error import members as held
 from .incidence import column as of_incidence
 
 OF_READINGS = {"incidence": of_incidence, "cubic": cubic, "carry-over": carried_over}
 """Columns of the errors that a reading has by itself, whenever it is taken."""
 MEMBERS: dict[str, Callable[[SeenStations], Everywhere | OnPlanes]] = {
+    "linear": lambda stations: held(stations, 0),
+    "quadratic": lambda stations: held(stations, 1),
     "sag": sag.members,
     "drift": drift.members,
     "displaced": displaced.members,

@@ -52,6 +52,11 @@ class SeenStations:
     plates : (P, 3) and float, optional
         Middle of each plate, and the squared distance from there of the farthest spot [m^2]; taken
         from the spots where not given.
+
+    Attributes
+    ----------
+    held : (B, 2) of bool
+        Which terms of the range errors the model holds at zero.
     """
 
     def __init__(
@@ -65,6 +70,7 @@ class SeenStations:
     ) -> None:
         self.at, self.readings, self.position, self.channel = at, readings, position, channel
         self.given_middle, self.given_plates = middle, plates
+        self.held = np.zeros(at.range_errors.shape, dtype=bool)
 
     @cached_property
     def time(self) -> FloatArray:
@@ -139,6 +145,8 @@ class Everywhere:
     since : (m,), optional
         Position in the recording from which on each member counts; -1 for the whole of it, as where it
         is not given.
+    beam : (m,), optional
+        The one beam that each member concerns; -1 for all, as where it is not given.
     parts : tuple of str, optional
         What each column is of, where there are several.
     """
@@ -149,10 +157,12 @@ class Everywhere:
         mix: FloatArray | None = None,
         since: IntArray | None = None,
         parts: tuple[str, ...] = ("",),
+        beam: IntArray | None = None,
     ) -> None:
         self.columns, self.parts = columns, parts
         self.mix = np.eye(columns.shape[1]) if mix is None else mix
-        self.since = np.full(self.mix.shape[1], -1) if since is None else since
+        every = np.full(self.mix.shape[1], -1)
+        self.since, self.beam = (every if one is None else one for one in (since, beam))
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +210,7 @@ class Effect:
         recorded poses, one a unit of size; its columns follow where there are no `members`.
     phrase, remedy, reveal, confounded, anywhere : str
         The words for it.
-    unit, of_sensor, of_cell, power, least_beams, is_k1, across, in_order, of_mean
+    unit, of_sensor, of_cell, power, least_beams, is_k1, term, across, in_order, of_mean
         As in `effects.toml`, where they are stated.
     """
 
@@ -219,6 +229,7 @@ class Effect:
     power: int | None = None
     least_beams: int = 1
     is_k1: bool = False
+    term: int | None = None
     across: bool = False
     in_order: bool = False
     of_mean: bool = False
@@ -233,9 +244,15 @@ class Effect:
         return None if self.members is None else self.members(stations)
 
     @property
-    def can_show(self) -> bool:
-        """Whether a recording can show it at all."""
-        return any(one is not None for one in (self.members, self.of_readings, self.twists))
+    def can_be_freed(self) -> bool:
+        """Whether a recording can show it, and it is no unknown by another option."""
+        columns = self.members, self.of_readings, self.twists
+        return self.term is None and any(one is not None for one in columns)
+
+    def concerns(self, stations: SeenStations) -> bool:
+        """Tell whether there can be such an error of these beams and this model."""
+        held = self.term is None or bool(stations.held[:, self.term].any())
+        return held and stations.readings.beams >= self.least_beams
 
     def with_size(self, size: float, subject: str | None = None) -> str:
         """Return the phrase with a size, and a subject: any one where none is meant."""

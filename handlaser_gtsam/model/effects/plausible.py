@@ -23,8 +23,9 @@ class Plausible:
     incidence, tilt : float, optional
         Of a reading at an incidence of 45 degrees, growing with the squared tangent, and with the
         tangent to one side [m].
-    cubic : float, optional
-        Of the largest reading, growing with its third power [m].
+    linear, quadratic, cubic : float, optional
+        Of the largest reading, growing with its first, second and third power [m]; the first two
+        where the model has no such range error.
     drift : float, optional
         Of readings over the recording [m].
     carry_over : float, optional
@@ -43,6 +44,8 @@ class Plausible:
 
     incidence: float | None = None
     tilt: float | None = None
+    linear: float | None = None
+    quadratic: float | None = None
     cubic: float | None = None
     drift: float | None = None
     carry_over: float | None = None
