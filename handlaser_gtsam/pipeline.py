@@ -23,7 +23,7 @@ from .quantities import MAJORITY
 from .results.assemble import assemble
 from .results.calibration import Calibration
 from .results.problem import Problem
-from .results.warnings import DISPLACED, contradicted_sigmas, returns_to_stops
+from .results.warnings import DISPLACED, contradicted_sigmas
 
 if TYPE_CHECKING:
     from .estimation.estimate import BlockProblem, Estimate
@@ -205,11 +205,7 @@ def _solved(
     """Do as `calibrate_from`, without a word in the log about the result."""
     options = _checked(recording, noise, options)
     result = _calibrated(start, recording, noise, options, progress)
-    still = (0.0, 0.0) if options.poses == "exact" else noise.standstill
-    if result.status == "converged" and result.recording is not None and still[0] > 0.0:
-        again = returns_to_stops(result.recording, still)
-        result = replace(result, warnings=(*result.warnings, *again))
-    _, stated = still
+    stated = 0.0 if options.poses == "exact" else noise.standstill[1]
     learned = [one.sigma for one in result.noise_estimate if one.name == ROTATION]
     for error in (stated, *learned):
         fits = result.status in ("converged", "unobservable") and not result.interrupted

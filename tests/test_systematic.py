@@ -500,7 +500,7 @@ def test_range_errors_are_tested_for_where_they_are_held_at_zero():
 
 
 def test_a_range_error_that_is_said_to_be_zero_is_no_code_to_free():
-    with pytest.raises(hl.InputError, match="free linear, which .* range_error lets be estimated"):
+    with pytest.raises(hl.InputError, match=r"free linear, which .* range_error lets be estimated"):
         CalibrationOptions(range_error="none", free=("linear",))
 
 

@@ -207,7 +207,7 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     linear = equation.linearize(
         equation.scene(parameters, readings), readings.distance, with_pose=True
     )
-    moved = _moved(linear.pose, variances.pose, readings.station)
+    moved = moved_with_poses(linear.pose, variances.pose, readings.station)
     variance = sensor + (moved**2).sum(axis=1)
     typical = float(np.median(variance))
     if int(station.max()) + 1 == len(station):
@@ -218,7 +218,7 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     return Whitening(root, float(np.sqrt(typical)), station, common)
 
 
-def _moved(pose: FloatArray, covariance: FloatArray, station: IntArray) -> FloatArray:
+def moved_with_poses(pose: FloatArray, covariance: FloatArray, station: IntArray) -> FloatArray:
     """Return derivatives (N, 6) by the hand poses times roots of the covariances of their stations."""
     if (covariance == covariance[0]).all():
         return np.asarray(pose @ covariance_roots(covariance[:1])[0])

@@ -56,6 +56,7 @@ from .messages import Values, said, warned
 from .moved_beam import moved_beam
 from .problem import Problem, fit_of, linear_rows, named_estimates, unit_sigma
 from .projection import LinearRows
+from .shared_errors import SharedErrors, shared_errors
 from .systematic import SystematicError, systematic_errors
 from .warnings import (
     COARSE,
@@ -118,21 +119,28 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         wrong, way = way, None
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
-    together, rows = INDEPENDENT, None
+    together, rows, shared, lost = INDEPENDENT, None, None, 1.0
     if status == "converged" and solution.at.loss == GAUSSIAN:
-        rows, systematic, together = _tested(problem, selection, fit, freed)
+        rows, shared, systematic, together = _tested(problem, selection, fit, freed)
+        lost = 1.0 if shared is None else shared.lost(fit.dof)
     joint, effects = None, tuple[FreedEffect, ...]()
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
     if status == "converged" or partly:
-        joint = joint_covariance(problem, solution, fit, freed)
+        joint = joint_covariance(problem, solution, fit, freed, shared)
         joint = joint.grown(together.growth, together.plane_growth)
+        # An estimated size of the noise lacks what the unknowns took of it.
+        if not fit.range_sigma_given or solution.scales_estimated:
+            joint = joint.scaled(lost)
         effects = () if freed is None else freed.reports(problem, joint, together.growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
-        of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, together))
+        as_one = together.plane_growth**2
+        if shared is not None:
+            as_one *= max(shared.of_means**2, lost)
+        of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, as_one))
         if determined.undetermined:
             # Scales of range errors are not learned then, and count in chi2.
             of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
@@ -221,7 +229,7 @@ def _estimates(
 
 def _tested(
     problem: Problem, selection: Selection, fit: Fit, freed: "Freed | None"
-) -> tuple[LinearRows, tuple[SystematicError, ...], Dependence]:
+) -> tuple[LinearRows, SharedErrors | None, tuple[SystematicError, ...], Dependence]:
     """Test the residuals for errors that the model leaves out, and for correlation in time.
 
     Priors of range errors say nothing of the noise, so that they are no degrees of freedom here.
@@ -232,10 +240,12 @@ def _tested(
     known, stations = fit.range_sigma_given, problem.recording.station_names
     dof = fit.dof if known else min(fit.dof, selection.solution.redundancy)
     plausible = problem.sensor.plausible_sizes(float(rows.readings.distance.max()))
+    shared = shared_errors(problem, selection.solution, rows)
+    again = 1.0 if shared is None else shared.of_means
     found, together = systematic_errors(
-        rows, names, stations, known=known, dof=dof, plausible=plausible
+        rows, names, stations, known=known, dof=dof, plausible=plausible, growth=again
     )
-    return rows, found, together
+    return rows, shared, found, together
 
 
 def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:
@@ -404,11 +414,15 @@ def _status_of(
 
 
 def joint_covariance(
-    problem: Problem, solution: Solution, fit: Fit, freed: "Freed | None" = None
+    problem: Problem,
+    solution: Solution,
+    fit: Fit,
+    freed: "Freed | None" = None,
+    shared: SharedErrors | None = None,
 ) -> JointCovariance:
     """Return the covariance of what is determined, in the order of the recording, world frame.
 
-    Freed errors add theirs.
+    Freed errors add theirs, and errors that stations share.
     """
     at, origins = solution.at, problem.origins
     sigma = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
@@ -424,6 +438,7 @@ def joint_covariance(
             sigma *= solution.whitening.sigma / at.sigma
         none = np.zeros_like(origins)
         joint = covariance_of_determined(solution.observability, solution.parameters, sigma, none)
+    joint = joint if shared is None else shared.grown(joint)
     joint = joint if freed is None else freed.grown(joint)
     joint = replace(joint, origins=joint.origins + origins)
     return joint.arranged(problem.names.beams, problem.names.planes)

@@ -135,6 +135,7 @@ def systematic_errors(
     known: bool,
     dof: int,
     plausible: Mapping[str, float],
+    growth: float = 1.0,
 ) -> tuple[tuple[SystematicError, ...], Dependence]:
     """Test the residuals at a solution for systematic errors, and for correlation in time.
 
@@ -152,6 +153,8 @@ def systematic_errors(
     dof : int
     plausible : mapping
         The largest plausible size by code; of codes that are not there it is not known.
+    growth : float
+        By how much standard deviations of means are larger, because readings share errors of the hand.
 
     Returns
     -------
@@ -163,10 +166,11 @@ def systematic_errors(
     """
     if dof < (1 if known else 2):
         return (), INDEPENDENT
-    tests = ScoreTests(rows, None if known else dof, plausible)
+    tests = ScoreTests(rows, None if known else dof, plausible, growth)
     together = dependence(rows, tests.projection, known=known, found=tests.found_columns())
     if together != INDEPENDENT:
-        tests = ScoreTests(rows, None if known else dof, plausible, together.plane_growth)
+        slowly = growth * together.plane_growth
+        tests = ScoreTests(rows, None if known else dof, plausible, slowly)
     first, reports = tests.representatives(), []
     if first.size:
         rho = tests.correlations(first)

@@ -15,7 +15,6 @@ from ..data.noise import POSE_SIGMAS, Noise
 from ..data.parameters import Parameters
 from ..data.recording import Readings, Recording
 from ..data.screening import rounding
-from ..data.station_list import StationList
 from ..errors import CalibrationWarning
 from ..estimation.joint_solution import NO_FIT
 from ..estimation.scales import RANGE, ROTATION, TRANSLATION, NoiseComponent
@@ -44,7 +43,6 @@ from ..starts.growing import grow
 from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count
 from .calibration_data import Fit
-from .dependence import Dependence
 from .messages import Values, warned
 
 FAR_BEAM = 3.0
@@ -147,11 +145,11 @@ def fit_warnings(
     noise: Noise,
     solution: Solution,
     names: Sequence[str],
-    together: Dependence,
+    as_one: float,
 ) -> Iterator[CalibrationWarning]:
     """Yield the warnings that a fit deserves, beside the warning of `misfit`, the gravest first.
 
-    `names` are the beams' in the order of the readings; `together` says how many readings count as one.
+    `names` are the beams' in the order of the readings; so many readings count `as_one`.
     """
     outliers, total = fit.outliers, fit.readings + fit.outliers
     if outliers > MANY_OUTLIERS * total:
@@ -164,7 +162,7 @@ def fit_warnings(
         yield warned("far-beam", {"distance_m": far})
     yield from _same_mounts(solution.best, fit, names)
     treated = solution.variances is not None and solution.variances.pose is not None
-    yield from _wrong_sigmas(fit, solution.redundancy, together.plane_growth**2, treated=treated)
+    yield from _wrong_sigmas(fit, solution.redundancy, as_one, treated=treated)
     # Of a poor fit, the errors of the poses were not looked at.
     if not treated and fit.rms <= NO_FIT * readings.spread():
         sigmas = _going_together(fit)
@@ -191,31 +189,6 @@ def large_pose_errors(learned: Iterable[NoiseComponent]) -> Iterator[Calibration
             which = "rotation" if one.quantity == ROTATION else "position"
             values = {"sigma": one.sigma, "expected": one.usual}
             yield warned(f"large-pose-errors:{which}", values, times=one.sigma / one.usual)
-
-
-def returns_to_stops(
-    recording: Recording, still: tuple[float, float]
-) -> Iterator[CalibrationWarning]:
-    """Warn of many stations that come back to a stop, with poses that are not equal in the file.
-
-    Parameters
-    ----------
-    recording : Recording
-        In which equal poses are merged (`data.screening`).
-    still : (float, float)
-        Shift [m] and turn [rad] up to which poses are of one stop.
-    """
-    read = np.flatnonzero(~np.isnan(recording.ranges).all(axis=1))
-    labels = tuple(recording.plane_labels[j] for j in read.tolist())
-    stations = StationList(recording.world_R_hand[read], recording.world_t_hand[read], labels)
-    stop = np.stack((stations.stops(*still), recording.plane_of_station[read]))
-    # What stays at a stop is seen by how neighbouring errors go together.
-    visits = stop[:, (np.diff(stop, axis=1, prepend=-1) != 0).any(axis=0)]
-    stops = np.unique(visits, axis=1).shape[1]
-    again = visits.shape[1] - stops
-    if again > MANY_OUTLIERS * len(read):
-        times = math.sqrt(visits.shape[1] / stops)
-        yield warned("repeated-stops", {"again": again, "stations": len(read), "times": times})
 
 
 def large_range_errors(

@@ -10,7 +10,7 @@ tested for an error that all have alike."""
 
 
 def members(stations: SeenStations, term: int) -> Everywhere:
-    """Return the derivatives by the error of the largest reading, of all beams and of each by itself."""
+    """Return the derivatives by the error of the largest reading, of all beams and of each one."""
     readings, held = stations.readings, stations.held[:, term]
     column = stations.longer * (readings.level / readings.level.max()) ** (1 + term)
     beams = np.flatnonzero(held)

@@ -1,0 +1,180 @@
+r"""Errors of the hand that stations of one stop share: put into the covariance.
+
+The error of a robot is the same again where its hand has hardly moved: where a programme is run before
+one plate after another, or several times before one. The estimate x = K e weighs the readings e as if
+each station had an error of its own, and hardly loses by that. But its covariance is K C K', where
+stations i and j of one stop have the covariance U_i U_j' of their common error. With b_i = K_b U_i of
+the beams, and c_i = K_p U_i of the plane p of station i for known beams, these grow:
+
+    cov(beams)                        by sum b_i b_j',   i and j of one stop, i other than j,
+    cov(p, beams), for known beams    by sum c_i b_j',   i before p,
+    cov(p, q), for known beams        by sum c_i c_j',   i before p, j before q.
+
+It takes about the time of one step of a solution. All is counted in units of the covariances for
+independent errors, because these may be integrated over scales of the noise.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky
+from scipy.sparse import coo_array
+
+from ..arrays import FloatArray, IntArray, renumbered
+from ..data.station_list import StationList
+from ..estimation.solution import Solution
+from ..model.families import BEAM, PLANE, POSE
+from ..model.joint import JointCovariance
+from ..model.weighting import moved_with_poses
+from .problem import Problem
+from .projection import LinearRows, Projection
+
+
+class SharedErrors(NamedTuple):
+    """What beams and planes have in common because stations share errors of the hand.
+
+    In the order of the readings, each in units of its standard deviations for independent errors: along
+    the columns of a root of its covariance.
+
+    Attributes
+    ----------
+    beams : (nb, nb)
+        Covariance of the modelled coordinates of all beams, less that for independent errors.
+    across : (P, 3, nb)
+        Of planes, for known beams, with the beams.
+    planes : (P, 3, P, 3)
+        Of planes with each other, for known beams, less that for independent errors.
+    of_means : float
+        By how much standard deviations of planes are larger, because stops are visited again.
+    """
+
+    beams: FloatArray
+    across: FloatArray
+    planes: FloatArray
+    of_means: float
+
+    def lost(self, dof: int) -> float:
+        """Return by how much a variance of the noise is larger than one that residuals say.
+
+        Unknowns follow errors that are shared, and take as much more of chi2.
+        """
+        taken = float(np.trace(self.beams) + np.einsum("papa->", self.planes))
+        return dof / max(dof - taken, 1.0)
+
+    def grown(self, joint: JointCovariance) -> JointCovariance:
+        """Return the covariance with what stations share; `joint` is for independent errors."""
+        L, own = _root(joint.beams), np.linalg.cholesky(joint.planes)
+        beams, across = joint.beams + L @ self.beams @ L.T, own @ self.across @ L.T
+        known = np.linalg.solve(beams, across.reshape(-1, len(L)).T).T.reshape(across.shape)
+        coupling = np.einsum("pab,pbqc,qdc->paqd", own, self.planes, own)
+        coupling -= np.einsum("pai,qbi->paqb", known, across)
+        each = np.arange(len(own))
+        alone = coupling[each, :, each].copy()
+        coupling[each, :, each] = 0.0
+        return replace(
+            joint,
+            beams=beams,
+            response=joint.response - known,
+            planes=joint.planes + alone,
+            coupling=coupling if joint.coupling is None else joint.coupling + coupling,
+        )
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return a lower root of a covariance of numbers of different units."""
+    unit = np.sqrt(np.diagonal(covariance))
+    root: FloatArray = cholesky(covariance / np.outer(unit, unit), lower=True)
+    return unit[:, None] * root
+
+
+def shared_errors(problem: Problem, solution: Solution, rows: LinearRows) -> SharedErrors | None:
+    """Return what follows from errors that stations share; None where each has its own."""
+    pose = None if solution.variances is None else solution.variances.pose
+    if pose is None or not solution.observability.full:
+        return None
+    recording, read = problem.recording, np.unique(rows.position)
+    labels = tuple(recording.plane_labels[j] for j in read.tolist())
+    stations = StationList(recording.world_R_hand[read], recording.world_t_hand[read], labels)
+    found = stations.stops(*problem.noise.standstill)
+    if len(np.unique(found)) == len(found):
+        return None
+    stop = np.zeros(len(recording.plane_labels), dtype=np.intp)
+    stop[read] = found
+    # What stays at a stop is seen by how neighbouring errors go together.
+    at = np.stack((found, recording.plane_of_station[read]))
+    visits = at[:, (np.diff(at, axis=1, prepend=-1) != 0).any(axis=0)]
+    often = visits.shape[1] / np.unique(visits, axis=1).shape[1]
+    moved = moved_with_poses(rows.linear.pose, pose, rows.readings.station)
+    return _shared(rows, moved, stop[rows.position], _of_means(rows, moved, often))
+
+
+def _of_means(rows: LinearRows, moved: FloatArray, visits: float) -> float:
+    """Return by how much standard deviations of planes are larger, where stops are visited again.
+
+    The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
+    """
+    of_pose, variance = (moved**2).sum(axis=1), (rows.how.sigma / rows.how.root) ** 2
+    if rows.how.is_coupled:
+        variance = variance + of_pose
+    return float(np.sqrt(1.0 + (visits - 1.0) * np.median(of_pose / variance)))
+
+
+def _shared(rows: LinearRows, moved: FloatArray, stop: IntArray, of_means: float) -> SharedErrors:
+    """Return what follows from errors that move residuals by `moved` (N, 6), alike at a stop (N,)."""
+    projection = Projection(rows, rows.prior)
+    b, c, plane, stop = _followed(rows, projection, moved, stop)
+    P, nb = rows.readings.planes, b.shape[1]
+    sums = np.zeros((int(stop.max()) + 1, nb, POSE.dim))
+    np.add.at(sums, stop, b)
+    others = sums[stop] - b
+    across = np.zeros((P, PLANE.dim, nb))
+    np.add.at(across, plane, c @ np.swapaxes(others, 1, 2))
+    # Stations before one plane at one stop are in the same blocks, which are summed.
+    blocks = coo_array(
+        (c.ravel(), _places(plane, stop)), shape=(P * PLANE.dim, len(sums) * POSE.dim)
+    ).tocsr()
+    planes = (blocks @ blocks.T).toarray().reshape(P, PLANE.dim, P, PLANE.dim)
+    np.subtract.at(planes, (plane, slice(None), plane), c @ np.swapaxes(c, 1, 2))
+    beams = np.einsum("sia,sja->ij", b, others)
+    return SharedErrors(beams, across, planes, of_means)
+
+
+def _places(plane: IntArray, stop: IntArray) -> tuple[IntArray, IntArray]:
+    """Return rows and columns (18 S,) of blocks (S, 3, 6) of planes and stops (S,)."""
+    row = PLANE.dim * plane[:, None, None] + np.arange(PLANE.dim)[:, None]
+    column = POSE.dim * stop[:, None, None] + np.arange(POSE.dim)
+    row, column = np.broadcast_arrays(row, column)
+    return row.ravel(), column.ravel()
+
+
+def _followed(
+    rows: LinearRows, projection: Projection, moved: FloatArray, stop: IntArray
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+    """Return how beams, and planes for known beams, follow the errors of S stations that share a stop.
+
+    Returns
+    -------
+    beams : (S, nb, 6)
+    planes : (S, 3, 6)
+        Of the own plane.
+    plane, stop : (S,)
+    """
+    readings, sigma = rows.readings, rows.how.sigma
+    _, first, station = np.unique(readings.station, return_index=True, return_inverse=True)
+    shared = np.bincount(stop[first])[stop[first]] > 1
+    some = np.flatnonzero(shared[station])
+    at, plane = renumbered(station[some]), readings.plane[first][shared]
+    products = rows.J[some, :, None] * rows.how.weighed(moved)[some, None]
+    b = np.zeros((len(plane), readings.beams, BEAM.dim, POSE.dim))
+    c = np.zeros((len(plane), PLANE.dim, POSE.dim))
+    np.add.at(b, (at, readings.beam[some]), products[:, : BEAM.dim])
+    np.add.at(c, at, products[:, BEAM.dim :])
+    b = b.reshape(len(plane), -1, POSE.dim)
+    b -= np.einsum("spi,spa->sia", projection.response[plane], c)
+    # With the covariances L L' that there are, inv(L) L L' = L'.
+    used = np.flatnonzero(projection.beam_inverse.any(axis=0))
+    root = _root(projection.beam_inverse[np.ix_(used, used)])
+    of_plane = np.linalg.cholesky(projection.plane_inverse)
+    b, c = root.T @ b[:, used] / sigma, np.swapaxes(of_plane, 1, 2)[plane] @ c / sigma
+    return b, c, plane, renumbered(stop[first][shared])
