@@ -106,7 +106,38 @@ def shared_errors(problem: Problem, solution: Solution, rows: LinearRows) -> Sha
     visits = at[:, (np.diff(at, axis=1, prepend=-1) != 0).any(axis=0)]
     often = visits.shape[1] / np.unique(visits, axis=1).shape[1]
     moved = moved_with_poses(rows.linear.pose, pose, rows.readings.station)
-    return _shared(rows, moved, stop[rows.position], _of_means(rows, moved, often))
+    stop = stop[rows.position]
+    moved *= _part_that_comes_again(rows, moved, stop)
+    return _shared(rows, moved, stop, _of_means(rows, moved, often))
+
+
+def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) -> float:
+    """Return the factor on errors of poses that what a beam reads on its visits to a stop says.
+
+    One where no stop is visited again before the same plane. Few beams hardly tell errors of poses from
+    those of readings, unless a pose comes again: then what differs is of the reading.
+    """
+    readings = rows.readings
+    where = np.stack((stop, readings.plane, readings.beam))
+    _, group, count = np.unique(where, axis=1, return_inverse=True, return_counts=True)
+    more = int((count - 1).sum())
+    some = count[group] > 1
+    of_pose = float((moved[some] ** 2).sum())
+    if more == 0 or of_pose == 0.0:
+        return 1.0
+    e = rows.residual
+    off = e - (np.bincount(group, e) / count)[group]
+    own = float((off**2).sum()) / more
+    return float(
+        np.sqrt(max(float(_variances(rows, moved)[some].mean()) - own, 0.0) * some.sum() / of_pose)
+    )
+
+
+def _variances(rows: LinearRows, moved: FloatArray) -> FloatArray:
+    """Return the variances (N,) of the residuals, those by errors of the poses included."""
+    own = (rows.how.sigma / rows.how.root) ** 2
+    # Of single beams errors of the pose count as noise of the reading.
+    return np.asarray(own + (moved**2).sum(axis=1) if rows.how.is_coupled else own)
 
 
 def _of_means(rows: LinearRows, moved: FloatArray, visits: float) -> float:
@@ -114,10 +145,8 @@ def _of_means(rows: LinearRows, moved: FloatArray, visits: float) -> float:
 
     The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
     """
-    of_pose, variance = (moved**2).sum(axis=1), (rows.how.sigma / rows.how.root) ** 2
-    if rows.how.is_coupled:
-        variance = variance + of_pose
-    return float(np.sqrt(1.0 + (visits - 1.0) * np.median(of_pose / variance)))
+    of_pose = (moved**2).sum(axis=1)
+    return float(np.sqrt(1.0 + (visits - 1.0) * np.median(of_pose / _variances(rows, moved))))
 
 
 def _shared(rows: LinearRows, moved: FloatArray, stop: IntArray, of_means: float) -> SharedErrors:
