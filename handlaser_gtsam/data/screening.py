@@ -328,11 +328,17 @@ def merged_stations(
     row, beam = np.nonzero(~np.isnan(recording.ranges) & shared[:, None])
     value = recording.ranges[row, beam]
     _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
+    count = (
+        np.ones(recording.ranges.shape) if recording.samples is None else recording.samples.copy()
+    )
+    apart = ~_one_sample(key, value, count[row, beam], sigma)[key]
+    key = np.unique(
+        np.stack((key, np.where(apart, _visits(group)[row], -1))), axis=1, return_inverse=True
+    )[1]
     order = np.lexsort((row, value, key))
     row, beam, key, value = row[order], beam[order], key[order], value[order]
     mean, worth, agree, held = _averaged(key, value, sigma)
     ranges = recording.ranges.copy()
-    count = np.ones(ranges.shape) if recording.samples is None else recording.samples.copy()
     ranges[row[agree], beam[agree]] = np.nan
     kept = np.flatnonzero(agree)  # the mean stands at the earliest station of those that agree
     kept = kept[np.lexsort((row[kept], key[kept]))]
@@ -344,6 +350,27 @@ def merged_stations(
     same[row] = True
     same[row[~held[key]]] = False
     return left, _warnings(recording, left, group, same)
+
+
+def _one_sample(
+    key: IntArray, value: FloatArray, count: FloatArray, sigma: float | None
+) -> BoolArray:
+    """Return of which keys (K,) all values (n,), none of them a mean, are one sample."""
+    least, most = np.full(key.max() + 1, np.inf), np.full(key.max() + 1, -np.inf)
+    np.minimum.at(least, key, value)
+    np.maximum.at(most, key, np.where(count > 1.0, np.inf, value))
+    return np.asarray(most - least <= _same(sigma))
+
+
+def _same(sigma: float | None) -> float:
+    """Return by how much readings [m] of one pose differ at most that are one sample."""
+    # A part of a given range sigma that no two samples are likely to stay within.
+    return max(FINEST_STEP, 0.02 * (sigma or 0.0))
+
+
+def _visits(group: IntArray) -> IntArray:
+    """Return a number (M,) for each run of stations of one group."""
+    return np.asarray(np.cumsum(np.diff(group, prepend=-1) != 0))
 
 
 def pose_groups(recording: Recording) -> IntArray:
@@ -390,8 +417,7 @@ def _averaged(
     count = np.diff(np.append(start, len(key)))
     median = 0.5 * (value[start + (count - 1) // 2] + value[start + count // 2])
     off = np.abs(value - median[key])
-    # Readings of one pose that differ by less than this part of a given range sigma are one sample.
-    held = np.maximum.reduceat(off, start) <= max(FINEST_STEP, 0.02 * (sigma or 0.0))
+    held = np.maximum.reduceat(off, start) <= _same(sigma)
     agree = np.ones(len(off), dtype=bool)
     free = ~held[key] & (count[key] > 1)
     if free.any():
