@@ -56,7 +56,7 @@ from .messages import Values, said, warned
 from .moved_beam import moved_beam
 from .problem import Problem, fit_of, linear_rows, named_estimates, unit_sigma
 from .projection import LinearRows
-from .shared_errors import SharedErrors, shared_errors
+from .shared_errors import NOTHING_SHARED, SharedErrors, shared_errors
 from .systematic import SystematicError, systematic_errors
 from .warnings import (
     COARSE,
@@ -119,10 +119,9 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         wrong, way = way, None
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
-    together, rows, shared, lost = INDEPENDENT, None, None, 1.0
+    together, shared, rows = INDEPENDENT, NOTHING_SHARED, None
     if status == "converged" and solution.at.loss == GAUSSIAN:
         rows, shared, systematic, together = _tested(problem, selection, fit, freed)
-        lost = 1.0 if shared is None else shared.lost(fit.dof)
     joint, effects = None, tuple[FreedEffect, ...]()
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
@@ -132,14 +131,12 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         joint = joint.grown(together.growth, together.plane_growth)
         # An estimated size of the noise lacks what the unknowns took of it.
         if not fit.range_sigma_given or solution.scales_estimated:
-            joint = joint.scaled(lost)
+            joint = joint.scaled(shared.lost(fit.dof))
         effects = () if freed is None else freed.reports(problem, joint, together.growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
-        as_one = together.plane_growth**2
-        if shared is not None:
-            as_one *= max(shared.of_means**2, lost)
+        as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.lost(fit.dof))
         of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, as_one))
         if determined.undetermined:
             # Scales of range errors are not learned then, and count in chi2.
@@ -186,7 +183,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         sensor_kind=problem.sensor.kind,
         effects=effects,
     )
-    return with_scales(result, problem, solution, freed)
+    return with_scales(result, problem, solution, freed, is_shared=shared.any)
 
 
 def _estimates(
@@ -229,7 +226,7 @@ def _estimates(
 
 def _tested(
     problem: Problem, selection: Selection, fit: Fit, freed: "Freed | None"
-) -> tuple[LinearRows, SharedErrors | None, tuple[SystematicError, ...], Dependence]:
+) -> tuple[LinearRows, SharedErrors, tuple[SystematicError, ...], Dependence]:
     """Test the residuals for errors that the model leaves out, and for correlation in time.
 
     Priors of range errors say nothing of the noise, so that they are no degrees of freedom here.
@@ -241,11 +238,16 @@ def _tested(
     dof = fit.dof if known else min(fit.dof, selection.solution.redundancy)
     plausible = problem.sensor.plausible_sizes(float(rows.readings.distance.max()))
     shared = shared_errors(problem, selection.solution, rows)
-    again = 1.0 if shared is None else shared.of_means
     found, together = systematic_errors(
-        rows, names, stations, known=known, dof=dof, plausible=plausible, growth=again
+        rows,
+        names,
+        stations,
+        known=known,
+        dof=dof,
+        plausible=plausible,
+        growth=shared.plane_growth,
     )
-    return rows, shared, found, together
+    return rows, shared, found, shared.beyond(together)
 
 
 def _wrong_labels(problem: Problem, why: Reasons) -> tuple[CalibrationWarning, ...]:
@@ -418,7 +420,7 @@ def joint_covariance(
     solution: Solution,
     fit: Fit,
     freed: "Freed | None" = None,
-    shared: SharedErrors | None = None,
+    shared: SharedErrors = NOTHING_SHARED,
 ) -> JointCovariance:
     """Return the covariance of what is determined, in the order of the recording, world frame.
 
@@ -438,7 +440,7 @@ def joint_covariance(
             sigma *= solution.whitening.sigma / at.sigma
         none = np.zeros_like(origins)
         joint = covariance_of_determined(solution.observability, solution.parameters, sigma, none)
-    joint = joint if shared is None else shared.grown(joint)
+    joint = shared.grown(joint)
     joint = joint if freed is None else freed.grown(joint)
     joint = replace(joint, origins=joint.origins + origins)
     return joint.arranged(problem.names.beams, problem.names.planes)
@@ -449,6 +451,8 @@ def with_scales(
     problem: Problem,
     solution: Solution,
     freed: "Freed | None" = None,
+    *,
+    is_shared: bool = False,
 ) -> Calibration:
     """Return a result with the scales of noise and range errors, and what follows from them.
 
@@ -459,6 +463,8 @@ def with_scales(
     solution : Solution
     freed : Freed, optional
         Systematic errors that were unknowns.
+    is_shared : bool
+        Whether the covariance of the result has errors that stations share.
     """
     fit, found, at, prior = result.fit, solution.posterior, solution.at, solution.prior
     unit = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
@@ -474,10 +480,8 @@ def with_scales(
         range_error_prior=prior,
         cost=at.cost * (at.sigma / unit) ** 2 if unit else at.cost,
     )
-    if found is None:
-        return result
-    result = replace(result, learned=found.learned)
-    if result.covariance is None:
+    result = replace(result, learned=None if found is None else found.learned)
+    if result.covariance is None or (found is None and not is_shared):
         return result
     at_scales = ScaledSolution(
         problem.in_world(solution.parameters),

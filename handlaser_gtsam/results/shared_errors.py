@@ -27,6 +27,7 @@ from ..estimation.solution import Solution
 from ..model.families import BEAM, PLANE, POSE
 from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
+from .dependence import INDEPENDENT, Dependence
 from .problem import Problem
 from .projection import LinearRows, Projection
 
@@ -45,14 +46,30 @@ class SharedErrors(NamedTuple):
         Of planes, for known beams, with the beams.
     planes : (P, 3, P, 3)
         Of planes with each other, for known beams, less that for independent errors.
-    of_means : float
-        By how much standard deviations of planes are larger, because stops are visited again.
+    growth : float
+        The largest ratio of a standard deviation of a beam to that for independent errors.
+    plane_growth : float
+        By how much means before a plane are less certain, because its stops are visited again.
     """
 
     beams: FloatArray
     across: FloatArray
     planes: FloatArray
-    of_means: float
+    growth: float = 1.0
+    plane_growth: float = 1.0
+
+    @property
+    def any(self) -> bool:
+        """Whether any stations share errors."""
+        return self.beams.size > 0
+
+    def beyond(self, together: Dependence) -> Dependence:
+        """Return what errors that go together in time are more than this, which explains some of it."""
+        growth = max(together.growth / self.growth, 1.0)
+        of_planes = max(together.plane_growth / self.plane_growth, growth)
+        if of_planes == 1.0:
+            return INDEPENDENT
+        return together._replace(growth=growth, plane_growth=of_planes)
 
     def lost(self, dof: int) -> float:
         """Return by how much a variance of the noise is larger than one that residuals say.
@@ -60,10 +77,12 @@ class SharedErrors(NamedTuple):
         Unknowns follow errors that are shared, and take as much more of chi2.
         """
         taken = float(np.trace(self.beams) + np.einsum("papa->", self.planes))
-        return dof / max(dof - taken, 1.0)
+        return max(dof / max(dof - taken, 1.0), 1.0)
 
     def grown(self, joint: JointCovariance) -> JointCovariance:
         """Return the covariance with what stations share; `joint` is for independent errors."""
+        if not self.any:
+            return joint
         L, own = _root(joint.beams), np.linalg.cholesky(joint.planes)
         beams, across = joint.beams + L @ self.beams @ L.T, own @ self.across @ L.T
         known = np.linalg.solve(beams, across.reshape(-1, len(L)).T).T.reshape(across.shape)
@@ -81,6 +100,9 @@ class SharedErrors(NamedTuple):
         )
 
 
+NOTHING_SHARED = SharedErrors(np.empty((0, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 0, 3)))
+
+
 def _root(covariance: FloatArray) -> FloatArray:
     """Return a lower root of a covariance of numbers of different units."""
     unit = np.sqrt(np.diagonal(covariance))
@@ -88,27 +110,24 @@ def _root(covariance: FloatArray) -> FloatArray:
     return unit[:, None] * root
 
 
-def shared_errors(problem: Problem, solution: Solution, rows: LinearRows) -> SharedErrors | None:
-    """Return what follows from errors that stations share; None where each has its own."""
+def shared_errors(problem: Problem, solution: Solution, rows: LinearRows) -> SharedErrors:
+    """Return what follows from errors that stations share."""
     pose = None if solution.variances is None else solution.variances.pose
     if pose is None or not solution.observability.full:
-        return None
+        return NOTHING_SHARED
     recording, read = problem.recording, np.unique(rows.position)
     labels = tuple(recording.plane_labels[j] for j in read.tolist())
     stations = StationList(recording.world_R_hand[read], recording.world_t_hand[read], labels)
     found = stations.stops(*problem.noise.standstill)
     if len(np.unique(found)) == len(found):
-        return None
+        return NOTHING_SHARED
     stop = np.zeros(len(recording.plane_labels), dtype=np.intp)
     stop[read] = found
-    # What stays at a stop is seen by how neighbouring errors go together.
-    at = np.stack((found, recording.plane_of_station[read]))
-    visits = at[:, (np.diff(at, axis=1, prepend=-1) != 0).any(axis=0)]
-    often = visits.shape[1] / np.unique(visits, axis=1).shape[1]
+    visits = len(read) / np.unique((found, recording.plane_of_station[read]), axis=1).shape[1]
     moved = moved_with_poses(rows.linear.pose, pose, rows.readings.station)
     stop = stop[rows.position]
     moved *= _part_that_comes_again(rows, moved, stop)
-    return _shared(rows, moved, stop, _of_means(rows, moved, often))
+    return _shared(rows, moved, stop, visits)
 
 
 def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) -> float:
@@ -140,23 +159,16 @@ def _variances(rows: LinearRows, moved: FloatArray) -> FloatArray:
     return np.asarray(own + (moved**2).sum(axis=1) if rows.how.is_coupled else own)
 
 
-def _of_means(rows: LinearRows, moved: FloatArray, visits: float) -> float:
-    """Return by how much standard deviations of planes are larger, where stops are visited again.
-
-    The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
-    """
-    of_pose = (moved**2).sum(axis=1)
-    return float(np.sqrt(1.0 + (visits - 1.0) * np.median(of_pose / _variances(rows, moved))))
-
-
-def _shared(rows: LinearRows, moved: FloatArray, stop: IntArray, of_means: float) -> SharedErrors:
+def _shared(rows: LinearRows, moved: FloatArray, stop: IntArray, visits: float) -> SharedErrors:
     """Return what follows from errors that move residuals by `moved` (N, 6), alike at a stop (N,)."""
     projection = Projection(rows, rows.prior)
-    b, c, plane, stop = _followed(rows, projection, moved, stop)
+    root = _root(projection.beam_inverse[np.ix_(*2 * (projection.beam_inverse.any(axis=0),))])
+    b, c, plane, stop = _followed(rows, projection, root, moved, stop)
     P, nb = rows.readings.planes, b.shape[1]
     sums = np.zeros((int(stop.max()) + 1, nb, POSE.dim))
     np.add.at(sums, stop, b)
     others = sums[stop] - b
+    beams = np.einsum("sia,sja->ij", b, others)
     across = np.zeros((P, PLANE.dim, nb))
     np.add.at(across, plane, c @ np.swapaxes(others, 1, 2))
     # Stations before one plane at one stop are in the same blocks, which are summed.
@@ -164,9 +176,16 @@ def _shared(rows: LinearRows, moved: FloatArray, stop: IntArray, of_means: float
         (c.ravel(), _places(plane, stop)), shape=(P * PLANE.dim, len(sums) * POSE.dim)
     ).tocsr()
     planes = (blocks @ blocks.T).toarray().reshape(P, PLANE.dim, P, PLANE.dim)
-    np.subtract.at(planes, (plane, slice(None), plane), c @ np.swapaxes(c, 1, 2))
-    beams = np.einsum("sia,sja->ij", b, others)
-    return SharedErrors(beams, across, planes, of_means)
+    each = np.zeros((P, PLANE.dim, PLANE.dim))
+    np.add.at(each, plane, c @ np.swapaxes(c, 1, 2))
+    planes[np.arange(P), :, np.arange(P)] -= each
+    more = ((root @ beams) * root).sum(axis=1) / (root**2).sum(axis=1)
+    growth = float(np.sqrt(1.0 + max(more.max(), 0.0)))
+    # The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
+    of_pose = np.median((moved**2).sum(axis=1) / _variances(rows, moved))
+    return SharedErrors(
+        beams, across, planes, growth, float(np.sqrt(1.0 + (visits - 1.0) * of_pose))
+    )
 
 
 def _places(plane: IntArray, stop: IntArray) -> tuple[IntArray, IntArray]:
@@ -178,7 +197,11 @@ def _places(plane: IntArray, stop: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _followed(
-    rows: LinearRows, projection: Projection, moved: FloatArray, stop: IntArray
+    rows: LinearRows,
+    projection: Projection,
+    root: FloatArray,
+    moved: FloatArray,
+    stop: IntArray,
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
     """Return how beams, and planes for known beams, follow the errors of S stations that share a stop.
 
@@ -195,15 +218,15 @@ def _followed(
     some = np.flatnonzero(shared[station])
     at, plane = renumbered(station[some]), readings.plane[first][shared]
     products = rows.J[some, :, None] * rows.how.weighed(moved)[some, None]
-    b = np.zeros((len(plane), readings.beams, BEAM.dim, POSE.dim))
+    of_beams = np.zeros((len(plane), readings.beams, BEAM.dim, POSE.dim))
     c = np.zeros((len(plane), PLANE.dim, POSE.dim))
-    np.add.at(b, (at, readings.beam[some]), products[:, : BEAM.dim])
+    np.add.at(of_beams, (at, readings.beam[some]), products[:, : BEAM.dim])
     np.add.at(c, at, products[:, BEAM.dim :])
-    b = b.reshape(len(plane), -1, POSE.dim)
+    b = of_beams.reshape(len(plane), -1, POSE.dim)
     b -= np.einsum("spi,spa->sia", projection.response[plane], c)
-    # With the covariances L L' that there are, inv(L) L L' = L'.
+    # With the covariance L L' of the unknowns, inv(L) L L' = L'. Lower roots of the planes are the same
+    # in these units wherever their offsets are taken.
     used = np.flatnonzero(projection.beam_inverse.any(axis=0))
-    root = _root(projection.beam_inverse[np.ix_(used, used)])
     of_plane = np.linalg.cholesky(projection.plane_inverse)
     b, c = root.T @ b[:, used] / sigma, np.swapaxes(of_plane, 1, 2)[plane] @ c / sigma
     return b, c, plane, renumbered(stop[first][shared])

@@ -169,7 +169,7 @@ def systematic_errors(
     tests = ScoreTests(rows, None if known else dof, plausible, growth)
     together = dependence(rows, tests.projection, known=known, found=tests.found_columns())
     if together != INDEPENDENT:
-        slowly = growth * together.plane_growth
+        slowly = max(growth, together.plane_growth)
         tests = ScoreTests(rows, None if known else dof, plausible, slowly)
     first, reports = tests.representatives(), []
     if first.size:
