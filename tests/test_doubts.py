@@ -111,31 +111,6 @@ def of_a_robot(errors, seed=3):
     return simulate(truth, stations, errors, rng)
 
 
-def run_again(recording, times, flicker):
-    """Return a recording of a programme that is run several times; what the arm errs by is the same."""
-    rng, rows = np.random.default_rng(0), np.tile(np.arange(len(recording.ranges)), times)
-    t = recording.world_t_hand[rows] + rng.normal(scale=flicker, size=(len(rows), 3))
-    ranges = recording.ranges[rows] + rng.normal(scale=SIGMA, size=(len(rows), 3))
-    labels = tuple(recording.plane_labels[j] for j in rows)
-    R, names = recording.world_R_hand[rows], recording.beam_names
-    return hl.Recording(R, t, ranges, plane_labels=labels, beam_names=names)
-
-
-@pytest.mark.parametrize("flicker", [2e-6, 2e-5])
-def test_stations_that_come_back_to_a_stop_are_asked_about(flicker):
-    recording = of_a_robot(Errors(SIGMA, 1e-4, 1e-4))
-    twice = run_again(recording, 2, flicker)
-    found = hl.calibrate(twice)
-    (warning,) = [one for one in found.warnings if one.code == "repeated-stops"]
-    assert warning.values["again"] >= 0.9 * len(recording.ranges)
-    assert found.verdict.code == "usable-with-care"
-    for fine in (
-        hl.calibrate(recording),
-        hl.calibrate(twice, options=hl.CalibrationOptions(poses="exact")),
-    ):
-        assert "repeated-stops" not in codes(fine)
-
-
 @pytest.mark.parametrize("part", [0.0, 0.2])
 def test_readings_that_are_compressed_far_out_are_asked_about(part):
     """They fit range errors and a mount that are wrong, with hardly larger residuals."""

@@ -19,14 +19,16 @@ where, at nearly all stations at which both read, d' = a d to within the smaller
 an agreement that two sensors could never reach. The recording does not show whose readings they are: it
 is refused.
 
-Stations whose poses agree to `FINEST_STEP`, before the same plane, have one pose: the robot did not
-move between them, so its error is common to all their readings. They are merged into the first of them:
-it keeps the mean of the readings of each beam, and the others keep nothing. The weight of the mean
-depends on how the readings scatter:
+Stations one after another whose poses agree to `FINEST_STEP`, before the same plane, have one pose: the
+robot did not move between them, so its error is common to all their readings. They are merged into the
+first of them: it keeps the mean of the readings of each beam, and the others keep nothing. The weight
+of the mean depends on how the readings scatter:
 
 - Readings that are equal, or differ by less than any sensor's noise, are one sample logged more than
-  once (a held value, a file pasted twice). They count as one.
-- Readings that scatter by the noise are separate samples. The mean of n of them has the variance
+  once (a held value, a file pasted twice). They count as one, wherever the stations are in the file.
+- Readings that scatter by the noise are separate samples. Where the robot came back to the pose they
+  stay apart, because the sensor may have been knocked between (`results.shared_errors` counts what the
+  robot errs by once). The mean of n of them has the variance
   sigma^2 / n; where a given sigma^2 exceeds the scatter w^2, the rest is common to all samples, and the
   variance is sigma^2 - w^2 + w^2 / n.
 
@@ -328,13 +330,12 @@ def merged_stations(
     row, beam = np.nonzero(~np.isnan(recording.ranges) & shared[:, None])
     value = recording.ranges[row, beam]
     _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
-    count = (
-        np.ones(recording.ranges.shape) if recording.samples is None else recording.samples.copy()
-    )
-    apart = ~_one_sample(key, value, count[row, beam], sigma)[key]
-    key = np.unique(
-        np.stack((key, np.where(apart, _visits(group)[row], -1))), axis=1, return_inverse=True
-    )[1]
+    count = np.ones(recording.ranges.shape)
+    if recording.samples is not None:
+        count = recording.samples.copy()
+    copies = _copies(group[row], key, np.where(count[row, beam] > 1.0, np.nan, value), sigma)
+    visit = np.where(copies, -1, _visits(group)[row])
+    _, key = np.unique(np.stack((key, visit)), axis=1, return_inverse=True)
     order = np.lexsort((row, value, key))
     row, beam, key, value = row[order], beam[order], key[order], value[order]
     mean, worth, agree, held = _averaged(key, value, sigma)
@@ -352,14 +353,17 @@ def merged_stations(
     return left, _warnings(recording, left, group, same)
 
 
-def _one_sample(
-    key: IntArray, value: FloatArray, count: FloatArray, sigma: float | None
-) -> BoolArray:
-    """Return of which keys (K,) all values (n,), none of them a mean, are one sample."""
+def _copies(group: IntArray, key: IntArray, value: FloatArray, sigma: float | None) -> BoolArray:
+    """Tell which values (n,) are of poses (n,) at which all values of each key (n,) are one sample.
+
+    NaN stands for means, which are none.
+    """
     least, most = np.full(key.max() + 1, np.inf), np.full(key.max() + 1, -np.inf)
     np.minimum.at(least, key, value)
-    np.maximum.at(most, key, np.where(count > 1.0, np.inf, value))
-    return np.asarray(most - least <= _same(sigma))
+    np.maximum.at(most, key, value)
+    differ = np.zeros(group.max() + 1, dtype=bool)
+    np.logical_or.at(differ, group, ~(most - least <= _same(sigma))[key])
+    return np.asarray(~differ[group])
 
 
 def _same(sigma: float | None) -> float:
