@@ -1,7 +1,5 @@
 """Errors of the hand that stations of one stop share: against dense algebra, and over many robots."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -127,6 +125,10 @@ def test_the_covariance_is_that_of_dense_algebra(visits):
     taken = np.trace(information @ (dense - np.linalg.inv(information)))
     assert shared.lost(1000) == pytest.approx(1000.0 / (1000.0 - taken))
     assert taken > 1.0
+    # And how much less certain a score is: that of a column, or of several.
+    heavy = np.random.default_rng(0).standard_normal((count, 3))
+    products = shared.products(heavy)
+    assert np.allclose(products, heavy.T @ (true - alone) @ heavy, atol=1e-12 * np.trace(alone))
 
 
 def test_what_stations_share_is_put_into_the_covariance():
@@ -145,8 +147,8 @@ def test_what_stations_share_is_put_into_the_covariance():
     assert check.largest_sigma < 1e-6
     # Stations that are all elsewhere share nothing, nor do poses without errors.
     assert hl.calibrate(robot.recording(elsewhere), NOISE, options).at_scales is None
-    exact = replace(NOISE, pose_translation_sigma=0.0, pose_rotation_sigma=0.0)
-    assert hl.calibrate(found.recording, exact, options).at_scales is None
+    exact = hl.CalibrationOptions(range_error="none", poses="exact")
+    assert hl.calibrate(found.recording, hl.Noise(SIGMA), exact).at_scales is None
 
 
 @pytest.mark.parametrize(

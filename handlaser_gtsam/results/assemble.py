@@ -237,7 +237,10 @@ def _tested(
     known, stations = fit.range_sigma_given, problem.recording.station_names
     dof = fit.dof if known else min(fit.dof, selection.solution.redundancy)
     plausible = problem.sensor.plausible_sizes(float(rows.readings.distance.max()))
-    shared = shared_errors(problem, selection.solution, rows)
+    solution, shared = selection.solution, NOTHING_SHARED
+    pose = None if solution.variances is None else solution.variances.pose
+    if pose is not None and solution.observability.full:
+        shared = shared_errors(rows, pose, problem.recording, problem.noise.standstill)
     found, together = systematic_errors(
         rows,
         names,
@@ -245,7 +248,7 @@ def _tested(
         known=known,
         dof=dof,
         plausible=plausible,
-        growth=shared.plane_growth,
+        shared=shared,
     )
     return rows, shared, found, shared.beyond(together)
 

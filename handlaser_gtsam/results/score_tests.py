@@ -29,8 +29,9 @@ from ..model.distributions import (
 from ..model.effects import EFFECTS
 from ..model.effects.effect import Everywhere, OnPlanes
 from ..model.families import BEAM, DIRECTION, LOCATION, MOUNT_DIM
-from ..quantities import NEGLIGIBLE
+from ..quantities import NEGLIGIBLE, TINY
 from .projection import SQUARE_ROUNDING, LinearRows, Projection
+from .shared_errors import NOTHING_SHARED, SharedErrors
 
 STRAINED_SHARE = 0.95
 """An error strains the prior where removing the prior lowers the square of its adjusted column below
@@ -72,8 +73,8 @@ class ScoreTests:
         Beside the prior.
     dof : int or None
         Behind the scale of the noise; None where it is given.
-    growth : float
-        Factor on the standard deviations of errors that vary slowly, where the noise does, too.
+    growth : (m,)
+        Factor on the standard deviation of each, where noise goes together in time, or at stops.
     codes : (m,) of str
     plane, beam, position : (m,)
         What each member concerns: a plane, a beam, and the position in the recording of its first
@@ -95,9 +96,10 @@ class ScoreTests:
         dof: int | None,
         plausible: Mapping[str, float] | None = None,
         growth: float = 1.0,
+        shared: SharedErrors = NOTHING_SHARED,
     ) -> None:
-        self.rows, self.dof, self.growth = rows, dof, growth
-        self.kinds = score_members(rows)
+        self.rows, self.dof = rows, dof
+        self.kinds = common, *_ = score_members(rows)
         self.codes = np.concatenate([kind.codes for kind in self.kinds])
         self.plane = np.concatenate([kind.plane for kind in self.kinds])
         self.beam = np.concatenate([kind.beam for kind in self.kinds])
@@ -108,9 +110,12 @@ class ScoreTests:
             free = np.where(rows.prior > 0.0, np.inf, 0.0)
             self._loose = self._adjusted(Projection(rows, free))
         bound, loose = self._bound, self._loose
+        self.growth = np.full(len(self.codes), max(growth, shared.plane_growth))
+        if shared.any:
+            of_common = common.growth_by(shared, self.projection)
+            self.growth[: len(of_common)] = np.maximum(growth, of_common)
         scale = rows.how.sigma if dof is None else float(np.sqrt(bound.square / dof))
-        scale *= growth
-        self.determined = self._determined(scale)
+        self.determined = self._determined(self.growth * scale)
         self.critical, self.delta = needed(FAMILY_LEVEL / max(int(self.determined.sum()), 1), dof)
         self.strained = loose.left < STRAINED_SHARE * bound.left
         self.left = np.where(self.strained, loose.left, bound.left)
@@ -147,8 +152,11 @@ class ScoreTests:
             projection, np.concatenate(left), np.concatenate(moved), score, float(squares[0])
         )
 
-    def _determined(self, scale: float) -> BoolArray:
-        """Tell which members leave enough, even without the prior, to be known at all."""
+    def _determined(self, scale: FloatArray) -> BoolArray:
+        """Tell which members leave enough, even without the prior, to be known at all.
+
+        Given the scale of noise (m,) behind each.
+        """
         left, whole = self._loose.left, np.concatenate([kind.squares for kind in self.kinds])
         share = left / np.where(whole > 0.0, whole, np.inf)
         unit = {"m": self.rows.readings.typical_range(), "1": 1.0}
@@ -173,10 +181,8 @@ class ScoreTests:
             explained = np.where(self.determined, score**2 / left, 0.0)
             priors = int((self._bound.projection.pull > 0.0).sum())
             dof = np.where(self.strained, max(self.dof - priors, 2), self.dof)
-            each = self.growth * np.sqrt(
-                np.maximum(square - explained, SQUARE_ROUNDING * square) / (dof - 1)
-            )
-        self.size, self.sigma = score / left, each / np.sqrt(left)
+            each = np.sqrt(np.maximum(square - explained, SQUARE_ROUNDING * square) / (dof - 1))
+        self.size, self.sigma = score / left, self.growth * each / np.sqrt(left)
         self.z = np.where(
             self.determined, self.size / np.maximum(self.sigma, SQUARE_ROUNDING * scale), 0.0
         )
@@ -185,7 +191,7 @@ class ScoreTests:
         self.p[tested] = holm(two_sided(self.z[tested], self.dof))
         if (self.p < FAMILY_LEVEL).any():
             scale = float(each[tested].min())
-        smallest = self.delta * scale / np.sqrt(left)
+        smallest = self.delta * scale * self.growth / np.sqrt(left)
         self.detectable = np.where(self.determined, smallest, np.inf)
 
     def moves(
@@ -329,6 +335,13 @@ class CommonErrors:
         _, heavy, _, moved = projection.perpendicular(self.columns)
         return (moved @ self.mix).T, self._squares(heavy)
 
+    def growth_by(self, shared: SharedErrors, projection: Projection) -> FloatArray:
+        """Return by how much standard deviations of members (m,) are larger by shared errors."""
+        heavy = projection.perpendicular(self.columns)[1]
+        more = np.einsum("ci,cd,di->i", self.mix, shared.products(heavy), self.mix)
+        left = np.maximum(self._squares(heavy), TINY) * projection.how.sigma**2
+        return np.asarray(np.sqrt(np.maximum(1.0 + more / left, 1.0)))
+
     def _squares(self, heavy: FloatArray) -> FloatArray:
         """Return the squares (m,) of the members, given their weighed columns (N, c)."""
         gram = self.columns.T @ heavy
@@ -410,10 +423,10 @@ class PlaneErrors:
         return np.column_stack((rows.J * heavy[:, None], column * heavy))[self.order]
 
 
-def score_members(rows: LinearRows) -> list[CommonErrors | PlaneErrors]:
+def score_members(rows: LinearRows) -> tuple[CommonErrors, *tuple[PlaneErrors, ...]]:
     """Return all effects that are no unknowns: one of all readings each, or a family."""
     everywhere: list[tuple[str, Everywhere]] = []
-    families: list[CommonErrors | PlaneErrors] = []
+    families: list[PlaneErrors] = []
     for code, effect in EFFECTS.items():
         members = None if code in rows.freed.codes else effect.at(rows)
         if isinstance(members, Everywhere):
@@ -422,7 +435,7 @@ def score_members(rows: LinearRows) -> list[CommonErrors | PlaneErrors]:
             families.append(PlaneErrors(rows, code, members))
     # Those with more members than columns last.
     everywhere.sort(key=lambda one: one[1].mix.shape[1] > len(one[1].mix))
-    return [CommonErrors(rows, everywhere), *families]
+    return CommonErrors(rows, everywhere), *families
 
 
 def _range_sums(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:

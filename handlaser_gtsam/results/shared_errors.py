@@ -19,16 +19,15 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 
 from ..arrays import FloatArray, IntArray, renumbered
+from ..data.recording import Recording
 from ..data.station_list import StationList
-from ..estimation.solution import Solution
 from ..model.families import BEAM, PLANE, POSE
 from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
 from .dependence import INDEPENDENT, Dependence
-from .problem import Problem
 from .projection import LinearRows, Projection
 
 
@@ -50,6 +49,10 @@ class SharedErrors(NamedTuple):
         The largest ratio of a standard deviation of a beam to that for independent errors.
     plane_growth : float
         By how much means before a plane are less certain, because its stops are visited again.
+    moved : (N, 6)
+        How residuals follow errors of unit variance of their poses [m].
+    station, stop : (N,)
+        Where each was read.
     """
 
     beams: FloatArray
@@ -57,11 +60,19 @@ class SharedErrors(NamedTuple):
     planes: FloatArray
     growth: float = 1.0
     plane_growth: float = 1.0
+    moved: FloatArray = np.empty((0, 6))
+    station: IntArray = np.empty(0, np.intp)
+    stop: IntArray = np.empty(0, np.intp)
 
     @property
     def any(self) -> bool:
         """Whether any stations share errors."""
         return self.beams.size > 0
+
+    def products(self, heavy: FloatArray) -> FloatArray:
+        """Return C_s (q, q) for columns (N, q): heavy' C heavy of what stations of a stop share."""
+        each = [_products(heavy, self.moved, at) for at in (self.stop, self.station)]
+        return np.asarray(each[0] - each[1])
 
     def beyond(self, together: Dependence) -> Dependence:
         """Return what errors that go together in time are more than this, which explains some of it."""
@@ -100,6 +111,15 @@ class SharedErrors(NamedTuple):
         )
 
 
+def _products(heavy: FloatArray, moved: FloatArray, at: IntArray) -> FloatArray:
+    """Return heavy' C heavy (q, q) for errors of C that are one for all rows (N,) at the same place."""
+    q = heavy.shape[1]
+    of_place = csr_array((np.ones(len(at)), (at, np.arange(len(at)))))
+    sums = of_place @ (heavy[:, :, None] * moved[:, None]).reshape(len(at), -1)
+    columns = np.asarray(sums).reshape((-1, q, POSE.dim)).swapaxes(0, 1).reshape(q, -1)
+    return np.asarray(columns @ columns.T)
+
+
 NOTHING_SHARED = SharedErrors(np.empty((0, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 0, 3)))
 
 
@@ -110,24 +130,33 @@ def _root(covariance: FloatArray) -> FloatArray:
     return unit[:, None] * root
 
 
-def shared_errors(problem: Problem, solution: Solution, rows: LinearRows) -> SharedErrors:
-    """Return what follows from errors that stations share."""
-    pose = None if solution.variances is None else solution.variances.pose
-    if pose is None or not solution.observability.full:
-        return NOTHING_SHARED
-    recording, read = problem.recording, np.unique(rows.position)
+def shared_errors(
+    rows: LinearRows, pose: FloatArray, recording: Recording, still: tuple[float, float]
+) -> SharedErrors:
+    """Return what follows from errors that stations share.
+
+    Parameters
+    ----------
+    rows : LinearRows
+    pose : (M, 6, 6)
+        Covariances of the hand poses, by the stations of the rows.
+    recording : Recording
+    still : (float, float)
+        Shift [m] and turn [rad] up to which poses are of one stop.
+    """
+    read = np.unique(rows.position)
     labels = tuple(recording.plane_labels[j] for j in read.tolist())
     stations = StationList(recording.world_R_hand[read], recording.world_t_hand[read], labels)
-    found = stations.stops(*problem.noise.standstill)
+    found = stations.stops(*still)
     if len(np.unique(found)) == len(found):
         return NOTHING_SHARED
     stop = np.zeros(len(recording.plane_labels), dtype=np.intp)
     stop[read] = found
-    visits = len(read) / np.unique((found, recording.plane_of_station[read]), axis=1).shape[1]
+    at = np.stack((found, recording.plane_of_station[read]))
     moved = moved_with_poses(rows.linear.pose, pose, rows.readings.station)
     stop = stop[rows.position]
     moved *= _part_that_comes_again(rows, moved, stop)
-    return _shared(rows, moved, stop, visits)
+    return _shared(rows, moved, stop, len(read) / np.unique(at, axis=1).shape[1])
 
 
 def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) -> float:
@@ -159,11 +188,11 @@ def _variances(rows: LinearRows, moved: FloatArray) -> FloatArray:
     return np.asarray(own + (moved**2).sum(axis=1) if rows.how.is_coupled else own)
 
 
-def _shared(rows: LinearRows, moved: FloatArray, stop: IntArray, visits: float) -> SharedErrors:
+def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: float) -> SharedErrors:
     """Return what follows from errors that move residuals by `moved` (N, 6), alike at a stop (N,)."""
     projection = Projection(rows, rows.prior)
     root = _root(projection.beam_inverse[np.ix_(*2 * (projection.beam_inverse.any(axis=0),))])
-    b, c, plane, stop = _followed(rows, projection, root, moved, stop)
+    b, c, plane, stop = _followed(rows, projection, root, moved, row_stop)
     P, nb = rows.readings.planes, b.shape[1]
     sums = np.zeros((int(stop.max()) + 1, nb, POSE.dim))
     np.add.at(sums, stop, b)
@@ -183,9 +212,9 @@ def _shared(rows: LinearRows, moved: FloatArray, stop: IntArray, visits: float) 
     growth = float(np.sqrt(1.0 + max(more.max(), 0.0)))
     # The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
     of_pose = np.median((moved**2).sum(axis=1) / _variances(rows, moved))
-    return SharedErrors(
-        beams, across, planes, growth, float(np.sqrt(1.0 + (visits - 1.0) * of_pose))
-    )
+    of_planes = float(np.sqrt(1.0 + (visits - 1.0) * of_pose))
+    at = rows.readings.station, row_stop
+    return SharedErrors(beams, across, planes, growth, of_planes, moved, *at)
 
 
 def _places(plane: IntArray, stop: IntArray) -> tuple[IntArray, IntArray]:

@@ -30,6 +30,7 @@ from .dependence import INDEPENDENT, Dependence, dependence
 from .messages import Values, said
 from .projection import LinearRows
 from .score_tests import ScoreTests, alike
+from .shared_errors import NOTHING_SHARED, SharedErrors
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
@@ -135,7 +136,7 @@ def systematic_errors(
     known: bool,
     dof: int,
     plausible: Mapping[str, float],
-    growth: float = 1.0,
+    shared: SharedErrors = NOTHING_SHARED,
 ) -> tuple[tuple[SystematicError, ...], Dependence]:
     """Test the residuals at a solution for systematic errors, and for correlation in time.
 
@@ -153,8 +154,8 @@ def systematic_errors(
     dof : int
     plausible : mapping
         The largest plausible size by code; of codes that are not there it is not known.
-    growth : float
-        By how much standard deviations of means are larger, because readings share errors of the hand.
+    shared : SharedErrors
+        What follows from errors of the hand that stations share.
 
     Returns
     -------
@@ -166,11 +167,11 @@ def systematic_errors(
     """
     if dof < (1 if known else 2):
         return (), INDEPENDENT
-    tests = ScoreTests(rows, None if known else dof, plausible, growth)
+    tests = ScoreTests(rows, None if known else dof, plausible, shared=shared)
     together = dependence(rows, tests.projection, known=known, found=tests.found_columns())
     if together != INDEPENDENT:
-        slowly = max(growth, together.plane_growth)
-        tests = ScoreTests(rows, None if known else dof, plausible, slowly)
+        growth = together.plane_growth
+        tests = ScoreTests(rows, None if known else dof, plausible, growth, shared)
     first, reports = tests.representatives(), []
     if first.size:
         rho = tests.correlations(first)
