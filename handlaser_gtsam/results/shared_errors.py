@@ -121,6 +121,7 @@ def _products(heavy: FloatArray, moved: FloatArray, at: IntArray) -> FloatArray:
 
 
 NOTHING_SHARED = SharedErrors(np.empty((0, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 0, 3)))
+"""Of stations that are all elsewhere, or whose poses do not err."""
 
 
 def _root(covariance: FloatArray) -> FloatArray:
@@ -162,8 +163,8 @@ def shared_errors(
 def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) -> float:
     """Return the factor on errors of poses that what a beam reads on its visits to a stop says.
 
-    One where no stop is visited again before the same plane. Few beams hardly tell errors of poses from
-    those of readings, unless a pose comes again: then what differs is of the reading.
+    One where no stop is visited again before the same plane. Few beams hardly show which errors are of
+    poses and which of readings, unless a pose comes again: then what differs is of the reading.
     """
     readings = rows.readings
     where = np.stack((stop, readings.plane, readings.beam))

@@ -149,7 +149,7 @@ def fit_warnings(
 ) -> Iterator[CalibrationWarning]:
     """Yield the warnings that a fit deserves, beside the warning of `misfit`, the gravest first.
 
-    `names` are the beams' in the order of the readings; so many readings count `as_one`.
+    `names` are the beams' in the order of the readings; `as_one` is how many readings count as one.
     """
     outliers, total = fit.outliers, fit.readings + fit.outliers
     if outliers > MANY_OUTLIERS * total:

@@ -4,7 +4,7 @@ import numpy as np
 
 from .effect import Everywhere, SeenStations
 
-MOST_BEAMS = 16
+BEAMS_ALONE = 16
 """Beams that are tested one by one, at most, because each has a column of all readings; more are only
 tested for an error that all have alike."""
 
@@ -14,7 +14,7 @@ def members(stations: SeenStations, term: int) -> Everywhere:
     readings, held = stations.readings, stations.held[:, term]
     column = stations.longer * (readings.level / readings.level.max()) ** (1 + term)
     beams = np.flatnonzero(held)
-    if len(beams) > MOST_BEAMS:
+    if len(beams) > BEAMS_ALONE:
         return Everywhere((column * held[readings.beam])[:, None])
     together = np.ones((len(beams), int(len(beams) > 1)))
     return Everywhere(
