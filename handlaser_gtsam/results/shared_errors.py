@@ -95,17 +95,21 @@ class SharedErrors(NamedTuple):
         if not self.any:
             return joint
         L, own = _root(joint.beams), np.linalg.cholesky(joint.planes)
+        P, nb = len(own), len(L)
         beams, across = joint.beams + L @ self.beams @ L.T, own @ self.across @ L.T
-        known = np.linalg.solve(beams, across.reshape(-1, len(L)).T).T.reshape(across.shape)
-        coupling = np.einsum("pab,pbqc,qdc->paqd", own, self.planes, own)
-        coupling -= np.einsum("pai,qbi->paqb", known, across)
+        flat = across.reshape(-1, nb)
+        known = np.linalg.solve(beams, flat.T).T
+        coupling = (own @ self.planes.reshape(P, PLANE.dim, -1)).reshape(-1, P, PLANE.dim)
+        coupling = np.einsum("nqc,qdc->nqd", coupling, own).reshape(P * PLANE.dim, -1)
+        coupling -= known @ flat.T
+        coupling = coupling.reshape(P, PLANE.dim, P, PLANE.dim)
         each = np.arange(len(own))
         alone = coupling[each, :, each].copy()
         coupling[each, :, each] = 0.0
         return replace(
             joint,
             beams=beams,
-            response=joint.response - known,
+            response=joint.response - known.reshape(across.shape),
             planes=joint.planes + alone,
             coupling=coupling if joint.coupling is None else joint.coupling + coupling,
         )
