@@ -27,6 +27,7 @@ from ..data.station_list import StationList
 from ..model.families import BEAM, PLANE, POSE
 from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
+from ..quantities import TINY
 from .dependence import INDEPENDENT, Dependence
 from .projection import LinearRows, Projection
 
@@ -160,12 +161,12 @@ def shared_errors(
     at = np.stack((found, recording.plane_of_station[read]))
     moved = moved_with_poses(rows.linear.pose, pose, rows.readings.station)
     stop = stop[rows.position]
-    moved *= _part_that_comes_again(rows, moved, stop)
+    moved *= _part_that_comes_again(rows, moved, stop)[:, None]
     return _shared(rows, moved, stop, len(read) / np.unique(at, axis=1).shape[1])
 
 
-def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) -> float:
-    """Return the factor on errors of poses that what a beam reads on its visits to a stop says.
+def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) -> FloatArray:
+    """Return the factor (N,) on errors of poses that what a beam reads on its visits to a stop says.
 
     One where no stop is visited again before the same plane. Few beams hardly show which errors are of
     poses and which of readings, unless a pose comes again: then what differs is of the reading.
@@ -173,17 +174,18 @@ def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) 
     readings = rows.readings
     where = np.stack((stop, readings.plane, readings.beam))
     _, group, count = np.unique(where, axis=1, return_inverse=True, return_counts=True)
-    more = int((count - 1).sum())
-    some = count[group] > 1
-    of_pose = float((moved[some] ** 2).sum())
-    if more == 0 or of_pose == 0.0:
-        return 1.0
+    more, some = int((count - 1).sum()), count[group] > 1
+    of_pose, variance = (moved**2).sum(axis=1), _variances(rows, moved)
+    if more == 0 or not of_pose[some].any():
+        return np.ones(len(readings))
     e = rows.residual
     off = e - (np.bincount(group, e) / count)[group]
-    own = float((off**2).sum()) / more
-    return float(
-        np.sqrt(max(float(_variances(rows, moved)[some].mean()) - own, 0.0) * some.sum() / of_pose)
-    )
+    left = max(float(variance[some].mean()) - float((off**2).sum()) / more, 0.0)
+    # An error of a pose is no larger than all that its station errs by.
+    parts = np.bincount(readings.station, of_pose / np.maximum(variance - of_pose, TINY))
+    most = 1.0 + 1.0 / np.maximum(parts, TINY)
+    square = np.minimum(left / float(of_pose[some].mean()), most)
+    return np.asarray(np.sqrt(square)[readings.station])
 
 
 def _variances(rows: LinearRows, moved: FloatArray) -> FloatArray:
