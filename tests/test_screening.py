@@ -380,3 +380,25 @@ def test_negative_readings_pass_from_file_to_result_where_the_range_has_them(tmp
     assert hl.spot(found, "1", -0.001) is not None
     with pytest.raises(hl.InputError, match="sensor's range_min"):
         replace(shifted, range_min=0.0)
+
+
+def test_stations_of_one_pose_without_readings_are_nothing_to_merge():
+    R, t = np.tile(np.eye(3), (6, 1, 1)), np.arange(6.0)[:, None] * [0.01, 0.0, 0.0]
+    t[3] = t[2]
+    d = np.linspace(0.3, 0.4, 6)[:, None]
+    d[2:4] = np.nan
+    recording = hl.Recording(R, t, d, plane_labels=("a",) * 6, beam_names=("1",))
+    assert merged_stations(recording, None) == (recording, ())
+
+
+def test_a_visit_that_was_averaged_keeps_its_weight_when_it_is_screened_again():
+    R, t = np.tile(np.eye(3), (7, 1, 1)), np.arange(7.0)[:, None] * [0.01, 0.0, 0.0]
+    t[[1, 2, 6]] = t[0]
+    d = np.array([[0.3], [0.3002], [0.3001], [0.4], [0.42], [0.43], [0.3001]])
+    recording = hl.Recording(R, t, d, plane_labels=("a",) * 7, beam_names=("1",))
+    once, _ = merged_stations(recording, None)
+    twice, warnings = merged_stations(once, None)
+    assert not warnings
+    assert once.samples[:, 0].tolist() == twice.samples[:, 0].tolist() == [3, 1, 1, 1, 1, 1, 1]
+    assert np.array_equal(once.ranges, twice.ranges, equal_nan=True)
+    assert once.ranges[6, 0] == 0.3001

@@ -10,7 +10,8 @@ from handlaser_gtsam.model.joint import JointCovariance
 from handlaser_gtsam.model.weighting import Variances, moved_with_poses, whitening
 from handlaser_gtsam.results.dependence import INDEPENDENT, Dependence
 from handlaser_gtsam.results.projection import LinearRows, Projection
-from handlaser_gtsam.results.shared_errors import NOTHING_SHARED, _shared
+from handlaser_gtsam.results.score_tests import ScoreTests
+from handlaser_gtsam.results.shared_errors import NOTHING_SHARED, _part_that_comes_again, _shared
 from handlaser_gtsam.validation.cross_check import cross_check
 
 SIGMA, SHIFT, TURN = 5e-5, 1e-4, 3.5e-4
@@ -184,9 +185,9 @@ def test_an_arm_that_does_not_repeat_is_not_taken_for_one_that_does():
 def test_a_knock_between_two_runs_of_a_programme_is_found(flicker):
     """Readings of two visits are not averaged, though the poses are the same to the last digit."""
     runs = [*ACROSS, *ACROSS]
-    found = hl.calibrate(Robot(2).recording(runs, flicker, knocked=len(ACROSS)))
+    found = hl.calibrate(Robot(2).recording(runs, flicker, knocked=len(ACROSS)), NOISE)
     assert "systematic-tool-displaced" in [one.code for one in found.warnings]
-    fine = hl.calibrate(Robot(2).recording(runs, flicker))
+    fine = hl.calibrate(Robot(2).recording(runs, flicker), NOISE)
     assert fine.verdict.code == "usable"
     assert found.fit.readings == fine.fit.readings == 2 * len(runs)
     # A part of a file that stands twice is no visit, and counts once.
@@ -196,6 +197,72 @@ def test_a_knock_between_two_runs_of_a_programme_is_found(flicker):
     R, t, d = (a[double] for a in (once.world_R_hand, once.world_t_hand, once.ranges))
     copied = hl.calibrate(hl.Recording(R, t, d, plane_labels=labels, beam_names=once.beam_names))
     assert copied.fit.readings == 2 * len(ACROSS)
+
+
+@pytest.mark.parametrize("loss", ["gaussian", "huber"])
+@pytest.mark.parametrize("noise", [NOISE, None])
+def test_stops_that_are_visited_again_are_said_where_they_may_count_too_little(noise, loss):
+    options = hl.CalibrationOptions(loss=loss)
+    for visits, again in ((AGAIN, 96), (ACROSS, 0)):
+        found = hl.calibrate(Robot(3).recording(visits, 5e-6), noise, options)
+        said = [one.values for one in found.warnings if one.code == "repeated-stops"]
+        if again == 0 or (noise and loss == "gaussian"):
+            assert not said
+        else:
+            assert said == [{"again": again, "stations": 144}]
+
+
+def test_an_arm_that_errs_by_more_than_usual_still_comes_back_to_its_stops():
+    """Its recorded poses flicker by more than what is usual."""
+    robot = Robot(5)
+    robot.turn, robot.shift = 6.0 * robot.turn, 6.0 * robot.shift
+    found = hl.calibrate(robot.recording(AGAIN, 1.5e-4))
+    [said] = [one.values for one in found.warnings if one.code == "repeated-stops"]
+    assert said["again"] == 96
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_what_comes_again_is_seen_at_the_stops(repeats):
+    """Where range sigmas are taken twice as large as they are, and errors of poses too small."""
+    robot = Robot(3)
+    recording = robot.recording(AGAIN, repeats=repeats)
+    readings, b = recording.readings(), np.full(4, -0.45)
+    at = Parameters(robot.r, robot.v, np.zeros((2, 2)), robot.n, b)
+    pose = np.tile(0.25 * POSE, (len(AGAIN), 1, 1))
+    how = whitening(at, readings, Variances(np.full(2, 2.0 * SIGMA), pose=pose))
+    rows = LinearRows(at, readings, how, np.zeros((2, 2)), readings.station)
+    stop = np.array([stop for _, stop in AGAIN])[readings.station]
+    moved = moved_with_poses(rows.linear.pose, pose, readings.station)
+    factor = _part_that_comes_again(rows, moved, stop)
+    if repeats:
+        assert factor.min() > 1.0
+        assert 1.1 < factor.mean() < 2.0
+    else:
+        assert (factor < 0.5).all()
+    # No error of a pose is larger than all that its station errs by.
+    shared = _shared(rows, factor[:, None] * moved, stop, 3.0)
+    assert np.linalg.eigvalsh(np.eye(len(shared.beams)) + shared.beams).min() > 0.0
+    # Nothing is learned where nothing comes again, or from a few that scatter as is expected.
+    once = np.arange(len(readings))
+    assert (_part_that_comes_again(rows, moved, once) == 1.0).all()
+
+
+def test_score_tests_count_what_stations_share():
+    rows, moved, stop = at_truth(AGAIN)
+    shared = _shared(rows, moved, stop, 3.0)
+    alone, tests = ScoreTests(rows, None), ScoreTests(rows, None, shared=shared)
+    ratio = tests.sigma / alone.sigma
+    of_planes = tests.plane >= 0
+    assert shared.plane_growth > 1.3
+    assert ratio[of_planes] == pytest.approx(shared.plane_growth)
+    # An error that all stations of a stop have alike is not told from that of the hand; one that grows
+    # with time is.
+    number = {code: np.flatnonzero(tests.codes == code)[0] for code in ("incidence", "drift")}
+    assert ratio[number["incidence"]] > 1.3
+    assert ratio[number["drift"]] < 1.1
+    heavy = tests.projection.perpendicular(tests.column(number["incidence"])[:, None])[1]
+    more = shared.products(heavy)[0, 0] / (rows.how.sigma**2 * tests.left[number["incidence"]])
+    assert ratio[number["incidence"]] == pytest.approx(np.sqrt(1.0 + more))
 
 
 def test_correlation_in_time_that_stops_explain_is_not_counted_twice():

@@ -41,7 +41,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray, renumbered
 from ..errors import CalibrationWarning, InputError
 from ..quantities import MEDIAN_TO_SIGMA, MOST_ROUNDS, ROWS_AT_ONCE
 from .recording import Recording, typical_range
@@ -314,7 +314,7 @@ def coded_numbers(d: FloatArray, impossible: BoolArray) -> BoolArray:
 def merged_stations(
     recording: Recording, sigma: float | None
 ) -> tuple[Recording, tuple[CalibrationWarning, ...]]:
-    """Return a recording in which every pose before a plane stands once, and the warnings.
+    """Return a recording in which copies and the readings of one visit stand once, and the warnings.
 
     Parameters
     ----------
@@ -324,20 +324,26 @@ def merged_stations(
     """
     group = pose_groups(recording)
     shared = np.bincount(group)[group] > 1
-    if not shared.any():
-        return recording, ()
-    # Readings at shared poses, sorted by (pose, beam) and value: a number for each (pose, beam).
     row, beam = np.nonzero(~np.isnan(recording.ranges) & shared[:, None])
+    if not row.size:
+        return recording, ()
     value = recording.ranges[row, beam]
-    _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
     count = np.ones(recording.ranges.shape)
     if recording.samples is not None:
         count = recording.samples.copy()
-    copies = _copies(group[row], key, np.where(count[row, beam] > 1.0, np.nan, value), sigma)
+    # A number for what is one: readings of a beam at one pose if they are copies, else on one visit.
+    _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
+    copies = _copies(group[row], key, value, count[row, beam] > 1.0, sigma)
     visit = np.where(copies, -1, _visits(group)[row])
-    _, key = np.unique(np.stack((key, visit)), axis=1, return_inverse=True)
-    order = np.lexsort((row, value, key))
-    row, beam, key, value = row[order], beam[order], key[order], value[order]
+    _, key, several = np.unique(
+        np.stack((key, visit)), axis=1, return_inverse=True, return_counts=True
+    )
+    some = np.flatnonzero(several[key] > 1)
+    if not some.size:
+        return recording, ()
+    key = renumbered(key[some])
+    order = np.lexsort((row[some], value[some], key))
+    row, beam, key, value = row[some][order], beam[some][order], key[order], value[some][order]
     mean, worth, agree, held = _averaged(key, value, sigma)
     ranges = recording.ranges.copy()
     ranges[row[agree], beam[agree]] = np.nan
@@ -353,16 +359,18 @@ def merged_stations(
     return left, _warnings(recording, left, group, same)
 
 
-def _copies(group: IntArray, key: IntArray, value: FloatArray, sigma: float | None) -> BoolArray:
+def _copies(
+    group: IntArray, key: IntArray, value: FloatArray, means: BoolArray, sigma: float | None
+) -> BoolArray:
     """Tell which values (n,) are of poses (n,) at which all values of each key (n,) are one sample.
 
-    NaN stands for means, which are none.
+    `means` (n,) are none.
     """
     least, most = np.full(key.max() + 1, np.inf), np.full(key.max() + 1, -np.inf)
     np.minimum.at(least, key, value)
     np.maximum.at(most, key, value)
     differ = np.zeros(group.max() + 1, dtype=bool)
-    np.logical_or.at(differ, group, ~(most - least <= _same(sigma))[key])
+    np.logical_or.at(differ, group, means | (most - least > _same(sigma))[key])
     return np.asarray(~differ[group])
 
 

@@ -56,7 +56,7 @@ from .messages import Values, said, warned
 from .moved_beam import moved_beam
 from .problem import Problem, fit_of, linear_rows, named_estimates, unit_sigma
 from .projection import LinearRows
-from .shared_errors import NOTHING_SHARED, SharedErrors, shared_errors
+from .shared_errors import NOTHING_SHARED, SharedErrors, Stops, shared_errors, stops_of
 from .systematic import SystematicError, systematic_errors
 from .warnings import (
     COARSE,
@@ -120,19 +120,21 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     status, message = _status_of(solution, determined, wrong)
     systematic: tuple[SystematicError, ...] = ()
     together, shared, rows = INDEPENDENT, NOTHING_SHARED, None
+    stops = None if solution.variances is None else _stops(problem, used, solution.variances)
     if status == "converged" and solution.at.loss == GAUSSIAN:
-        rows, shared, systematic, together = _tested(problem, selection, fit, freed)
+        rows, shared, systematic, together = _tested(problem, selection, fit, freed, stops)
     joint, effects = None, tuple[FreedEffect, ...]()
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
     if status == "converged" or partly:
-        joint = joint_covariance(problem, solution, fit, freed, shared)
+        less = None if freed is None else freed.less_certain(shared.freed_growth)
+        joint = joint_covariance(problem, solution, fit, less, shared)
         joint = joint.grown(together.growth, together.plane_growth)
         # An estimated size of the noise lacks what the unknowns took of it.
         if not fit.range_sigma_given or solution.scales_estimated:
             joint = joint.scaled(shared.lost(fit.dof))
-        effects = () if freed is None else freed.reports(problem, joint, together.growth)
+        effects = () if less is None else less.reports(problem, joint, together.growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
@@ -145,7 +147,10 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         large: tuple[CalibrationWarning, ...] = ()
         if solution.prior is not None and not determined.undetermined:
             large = tuple(large_range_errors(used, solution.best, beams, problem.sensor.linearity))
-        signs = (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit, *large)
+        learned = solution.scales_estimated or not fit.range_sigma_given
+        unsure = learned or solution.at.loss != GAUSSIAN
+        repeated = stops.warnings if stops is not None and unsure else ()
+        signs = (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit, *large, *repeated)
     whole = joint if determined.rank == determined.unknowns else None
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
@@ -224,8 +229,20 @@ def _estimates(
     )
 
 
+def _stops(problem: Problem, used: Readings, variances: Variances) -> Stops | None:
+    """Return where the hand stood, whose poses err; None where it came to no stop again."""
+    if variances.pose is None:
+        return None
+    read = np.unique(problem.order.stations[used.station])
+    return stops_of(problem.recording, read, problem.noise.standstill, variances.pose)
+
+
 def _tested(
-    problem: Problem, selection: Selection, fit: Fit, freed: "Freed | None"
+    problem: Problem,
+    selection: Selection,
+    fit: Fit,
+    freed: "Freed | None",
+    stops: Stops | None,
 ) -> tuple[LinearRows, SharedErrors, tuple[SystematicError, ...], Dependence]:
     """Test the residuals for errors that the model leaves out, and for correlation in time.
 
@@ -239,8 +256,8 @@ def _tested(
     plausible = problem.sensor.plausible_sizes(float(rows.readings.distance.max()))
     solution, shared = selection.solution, NOTHING_SHARED
     pose = None if solution.variances is None else solution.variances.pose
-    if pose is not None and solution.observability.full:
-        shared = shared_errors(rows, pose, problem.recording, problem.noise.standstill)
+    if pose is not None and stops is not None and solution.observability.full:
+        shared = shared_errors(rows, pose, stops)
     found, together = systematic_errors(
         rows,
         names,

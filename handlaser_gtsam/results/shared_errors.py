@@ -10,10 +10,11 @@ the beams, and c_i = K_p U_i of the plane p of station i for known beams, these 
     cov(p, beams), for known beams    by sum c_i b_j',   i before p,
     cov(p, q), for known beams        by sum c_i c_j',   i before p, j before q.
 
-It takes about the time of one step of a solution. All is counted in units of the covariances for
+All is counted in units of the covariances for
 independent errors, because these may be integrated over scales of the noise.
 """
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -24,12 +25,21 @@ from scipy.sparse import coo_array, csr_array
 from ..arrays import FloatArray, IntArray, renumbered
 from ..data.recording import Recording
 from ..data.station_list import StationList
+from ..errors import CalibrationWarning
 from ..model.families import BEAM, PLANE, POSE
 from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
-from ..quantities import TINY
+from ..quantities import MANY_OUTLIERS, TINY
 from .dependence import INDEPENDENT, Dependence
+from .messages import warned
 from .projection import LinearRows, Projection
+
+COUPLED_PLANES = 100
+"""With more planes their covariance with each other for known beams, which grows with the square of
+their number, stays that for independent errors."""
+FLICKER = 3.0
+"""Poses that differ by less than this multiple of the errors of the hand are of one stop: an arm errs
+alike over centimetres, and recorded poses flicker by less than it errs."""
 
 
 class SharedErrors(NamedTuple):
@@ -44,12 +54,17 @@ class SharedErrors(NamedTuple):
         Covariance of the modelled coordinates of all beams, less that for independent errors.
     across : (P, 3, nb)
         Of planes, for known beams, with the beams.
-    planes : (P, 3, P, 3)
-        Of planes with each other, for known beams, less that for independent errors.
+    planes : (P, 3, 3)
+        Of each plane, for known beams, less that for independent errors.
+    coupling : (P, 3, P, 3) or None
+        The same, and of planes with each other; None where there are more than `COUPLED_PLANES`.
     growth : float
         The largest ratio of a standard deviation of a beam to that for independent errors.
     plane_growth : float
-        By how much means before a plane are less certain, because its stops are visited again.
+        By how much means before a plane are less certain, because its stops are visited again: of all
+        stops together, by the typical part of the hand in the errors.
+    freed_growth : float
+        As `growth`, of systematic errors that are unknowns.
     moved : (N, 6)
         How residuals follow errors of unit variance of their poses [m].
     station, stop : (N,)
@@ -59,8 +74,10 @@ class SharedErrors(NamedTuple):
     beams: FloatArray
     across: FloatArray
     planes: FloatArray
+    coupling: FloatArray | None = None
     growth: float = 1.0
     plane_growth: float = 1.0
+    freed_growth: float = 1.0
     moved: FloatArray = np.empty((0, 6))
     station: IntArray = np.empty(0, np.intp)
     stop: IntArray = np.empty(0, np.intp)
@@ -88,7 +105,7 @@ class SharedErrors(NamedTuple):
 
         Unknowns follow errors that are shared, and take as much more of chi2.
         """
-        taken = float(np.trace(self.beams) + np.einsum("papa->", self.planes))
+        taken = float(np.trace(self.beams) + np.einsum("paa->", self.planes))
         return max(dof / max(dof - taken, 1.0), 1.0)
 
     def grown(self, joint: JointCovariance) -> JointCovariance:
@@ -98,21 +115,22 @@ class SharedErrors(NamedTuple):
         L, own = _root(joint.beams), np.linalg.cholesky(joint.planes)
         P, nb = len(own), len(L)
         beams, across = joint.beams + L @ self.beams @ L.T, own @ self.across @ L.T
-        flat = across.reshape(-1, nb)
-        known = np.linalg.solve(beams, flat.T).T
-        coupling = (own @ self.planes.reshape(P, PLANE.dim, -1)).reshape(-1, P, PLANE.dim)
-        coupling = np.einsum("nqc,qdc->nqd", coupling, own).reshape(P * PLANE.dim, -1)
-        coupling -= known @ flat.T
-        coupling = coupling.reshape(P, PLANE.dim, P, PLANE.dim)
-        each = np.arange(len(own))
-        alone = coupling[each, :, each].copy()
-        coupling[each, :, each] = 0.0
+        known = np.linalg.solve(beams, across.reshape(-1, nb).T).T.reshape(across.shape)
+        alone = own @ self.planes @ np.swapaxes(own, 1, 2) - known @ np.swapaxes(across, 1, 2)
+        coupling = joint.coupling
+        if self.coupling is not None:
+            mixed = (own @ self.coupling.reshape(P, PLANE.dim, -1)).reshape(-1, P, PLANE.dim)
+            mixed = np.einsum("nqc,qdc->nqd", mixed, own).reshape(P * PLANE.dim, -1)
+            mixed -= known.reshape(-1, nb) @ across.reshape(-1, nb).T
+            mixed = mixed.reshape(P, PLANE.dim, P, PLANE.dim)
+            mixed[np.arange(P), :, np.arange(P)] = 0.0
+            coupling = mixed if coupling is None else coupling + mixed
         return replace(
             joint,
             beams=beams,
-            response=joint.response - known.reshape(across.shape),
+            response=joint.response - known,
             planes=joint.planes + alone,
-            coupling=coupling if joint.coupling is None else joint.coupling + coupling,
+            coupling=coupling,
         )
 
 
@@ -125,7 +143,7 @@ def _products(heavy: FloatArray, moved: FloatArray, at: IntArray) -> FloatArray:
     return np.asarray(columns @ columns.T)
 
 
-NOTHING_SHARED = SharedErrors(np.empty((0, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 0, 3)))
+NOTHING_SHARED = SharedErrors(np.empty((0, 0)), np.empty((0, 3, 0)), np.empty((0, 3, 3)))
 """Of stations that are all elsewhere, or whose poses do not err."""
 
 
@@ -136,33 +154,70 @@ def _root(covariance: FloatArray) -> FloatArray:
     return unit[:, None] * root
 
 
-def shared_errors(
-    rows: LinearRows, pose: FloatArray, recording: Recording, still: tuple[float, float]
-) -> SharedErrors:
-    """Return what follows from errors that stations share.
+class Stops(NamedTuple):
+    """Where the hand stood.
+
+    Attributes
+    ----------
+    stop : (M,)
+        Number of the stop of each station of a recording that was read; zero for others.
+    again : int
+        How many stations come back to a stop before the same plane.
+    stations : int
+        How many were read.
+    """
+
+    stop: IntArray
+    again: int
+    stations: int
+
+    @property
+    def visits(self) -> float:
+        """How often the hand came to a stop before one plane, on average."""
+        return self.stations / (self.stations - self.again)
+
+    @property
+    def warnings(self) -> tuple[CalibrationWarning, ...]:
+        """What to say where the size of errors that come again was learned, or they are not counted."""
+        if self.again <= MANY_OUTLIERS * self.stations:
+            return ()
+        return (warned("repeated-stops", {"again": self.again, "stations": self.stations}),)
+
+
+def stops_of(
+    recording: Recording, read: IntArray, errors: tuple[float, float], pose: FloatArray
+) -> Stops | None:
+    """Return where the hand stood; None where it came to no stop again.
 
     Parameters
     ----------
-    rows : LinearRows
-    pose : (M, 6, 6)
-        Covariances of the hand poses, by the stations of the rows.
     recording : Recording
-    still : (float, float)
-        Shift [m] and turn [rad] up to which poses are of one stop.
+    read : (S,)
+        Stations with readings.
+    errors : (float, float)
+        Shift [m] and turn [rad] by which the hand errs, as stated or as is usual.
+    pose : (M, 6, 6)
+        Covariances of its poses, which may be learned.
     """
-    read = np.unique(rows.position)
     labels = tuple(recording.plane_labels[j] for j in read.tolist())
     stations = StationList(recording.world_R_hand[read], recording.world_t_hand[read], labels)
-    found = stations.stops(*still)
+    variances = np.diagonal(pose, axis1=1, axis2=2).reshape(-1, 2, 3).mean(axis=(0, 2))
+    turn, shift = np.sqrt(variances).tolist()
+    found = stations.stops(FLICKER * max(errors[0], shift), FLICKER * max(errors[1], turn))
     if len(np.unique(found)) == len(found):
-        return NOTHING_SHARED
+        return None
     stop = np.zeros(len(recording.plane_labels), dtype=np.intp)
     stop[read] = found
     at = np.stack((found, recording.plane_of_station[read]))
+    return Stops(stop, len(read) - np.unique(at, axis=1).shape[1], len(read))
+
+
+def shared_errors(rows: LinearRows, pose: FloatArray, stops: Stops) -> SharedErrors:
+    """Return what follows from errors that stations share; `pose` (M, 6, 6) by stations of the rows."""
     moved = moved_with_poses(rows.linear.pose, pose, rows.readings.station)
-    stop = stop[rows.position]
+    stop = stops.stop[rows.position]
     moved *= _part_that_comes_again(rows, moved, stop)[:, None]
-    return _shared(rows, moved, stop, len(read) / np.unique(at, axis=1).shape[1])
+    return _shared(rows, moved, stop, stops.visits)
 
 
 def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) -> FloatArray:
@@ -180,7 +235,12 @@ def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) 
         return np.ones(len(readings))
     e = rows.residual
     off = e - (np.bincount(group, e) / count)[group]
-    left = max(float(variance[some].mean()) - float((off**2).sum()) / more, 0.0)
+    own = float((off**2).sum()) / more
+    expected = float((variance - of_pose)[some].mean())
+    # A variance of `more` degrees of freedom is known to this part of itself.
+    if abs(own - expected) < 2.0 * math.sqrt(2.0 / more) * max(own, expected):
+        return np.ones(len(readings))
+    left = max(float(variance[some].mean()) - own, 0.0)
     # An error of a pose is no larger than all that its station errs by.
     parts = np.bincount(readings.station, of_pose / np.maximum(variance - of_pose, TINY))
     most = 1.0 + 1.0 / np.maximum(parts, TINY)
@@ -204,24 +264,38 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
     sums = np.zeros((int(stop.max()) + 1, nb, POSE.dim))
     np.add.at(sums, stop, b)
     others = sums[stop] - b
-    beams = np.einsum("sia,sja->ij", b, others)
+    flat, other = (one.swapaxes(0, 1).reshape(nb, -1) for one in (b, others))
+    beams = flat @ other.T
     across = np.zeros((P, PLANE.dim, nb))
     np.add.at(across, plane, c @ np.swapaxes(others, 1, 2))
-    # Stations before one plane at one stop are in the same blocks, which are summed.
-    blocks = coo_array(
-        (c.ravel(), _places(plane, stop)), shape=(P * PLANE.dim, len(sums) * POSE.dim)
-    ).tocsr()
-    planes = (blocks @ blocks.T).toarray().reshape(P, PLANE.dim, P, PLANE.dim)
-    each = np.zeros((P, PLANE.dim, PLANE.dim))
-    np.add.at(each, plane, c @ np.swapaxes(c, 1, 2))
-    planes[np.arange(P), :, np.arange(P)] -= each
+    # Stations before one plane at one stop go together.
+    number, place = np.unique(plane * len(sums) + stop, return_inverse=True)
+    of_plane, at_stop = number // len(sums), number % len(sums)
+    together = np.zeros((len(number), PLANE.dim, POSE.dim))
+    np.add.at(together, place, c)
+    planes = np.zeros((P, PLANE.dim, PLANE.dim))
+    np.add.at(planes, of_plane, together @ np.swapaxes(together, 1, 2))
+    np.add.at(planes, plane, -c @ np.swapaxes(c, 1, 2))
+    coupling = None
+    if P <= COUPLED_PLANES:
+        shape = P * PLANE.dim, len(sums) * POSE.dim
+        blocks = coo_array((together.ravel(), _places(of_plane, at_stop)), shape=shape).tocsr()
+        coupling = (blocks @ blocks.T).toarray().reshape(P, PLANE.dim, P, PLANE.dim)
+        coupling[np.arange(P), :, np.arange(P)] = planes
     more = ((root @ beams) * root).sum(axis=1) / (root**2).sum(axis=1)
     growth = float(np.sqrt(1.0 + max(more.max(), 0.0)))
     # The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
     of_pose = np.median((moved**2).sum(axis=1) / _variances(rows, moved))
     of_planes = float(np.sqrt(1.0 + (visits - 1.0) * of_pose))
     at = rows.readings.station, row_stop
-    return SharedErrors(beams, across, planes, growth, of_planes, moved, *at)
+    of_freed = 1.0
+    if rows.freed.codes:
+        inverse, heavy = projection.freed_inverse, projection.freed_heavy
+        differ = _products(heavy, moved, row_stop) - _products(heavy, moved, at[0])
+        ratios = np.diagonal(inverse @ differ @ inverse) / np.diagonal(inverse)
+        of_freed = float(np.sqrt(1.0 + max(ratios.max() / rows.how.sigma**2, 0.0)))
+    parts = beams, across, planes, coupling, growth, of_planes, of_freed
+    return SharedErrors(*parts, moved, *at)
 
 
 def _places(plane: IntArray, stop: IntArray) -> tuple[IntArray, IntArray]:
