@@ -203,7 +203,7 @@ def test_a_knock_between_two_runs_of_a_programme_is_found(flicker):
 @pytest.mark.parametrize("noise", [NOISE, None])
 def test_stops_that_are_visited_again_are_said_where_they_may_count_too_little(noise, loss):
     options = hl.CalibrationOptions(loss=loss)
-    for visits, again in ((AGAIN, 96), (ACROSS, 0)):
+    for visits, again in ((AGAIN, 96), (ACROSS, 0), (STAYS, 0)):
         found = hl.calibrate(Robot(3).recording(visits, 5e-6), noise, options)
         said = [one.values for one in found.warnings if one.code == "repeated-stops"]
         if again == 0 or (noise and loss == "gaussian"):

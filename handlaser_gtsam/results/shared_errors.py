@@ -161,20 +161,18 @@ class Stops(NamedTuple):
     ----------
     stop : (M,)
         Number of the stop of each station of a recording that was read; zero for others.
+    visits : float
+        How many stations there are at a stop before one plane, on average.
     again : int
-        How many stations come back to a stop before the same plane.
+        How often the hand comes back to a stop before the same plane.
     stations : int
         How many were read.
     """
 
     stop: IntArray
+    visits: float
     again: int
     stations: int
-
-    @property
-    def visits(self) -> float:
-        """How often the hand came to a stop before one plane, on average."""
-        return self.stations / (self.stations - self.again)
 
     @property
     def warnings(self) -> tuple[CalibrationWarning, ...]:
@@ -209,7 +207,9 @@ def stops_of(
     stop = np.zeros(len(recording.plane_labels), dtype=np.intp)
     stop[read] = found
     at = np.stack((found, recording.plane_of_station[read]))
-    return Stops(stop, len(read) - np.unique(at, axis=1).shape[1], len(read))
+    stops = np.unique(at, axis=1).shape[1]
+    comes = int((np.diff(at, axis=1, prepend=-1) != 0).any(axis=0).sum())
+    return Stops(stop, len(read) / stops, comes - stops, len(read))
 
 
 def shared_errors(rows: LinearRows, pose: FloatArray, stops: Stops) -> SharedErrors:

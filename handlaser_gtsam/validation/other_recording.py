@@ -174,7 +174,12 @@ def hold_out(
         A beam grazes the plane that its readings would have.
     """
     noise = Noise() if noise is None else noise
-    require_kind("mounts", mounts, Mounts, "Mounts: hl.Mounts.of(calibration)")
+    require_kind(
+        "mounts",
+        mounts,
+        Mounts,
+        "Mounts: hl.Mounts.of(calibration); of a survey, hl.validation.hold_out_survey",
+    )
     require_kind("recording", recording, Recording)
     require_kind("noise", noise, Noise)
     tell("hold-out")
