@@ -11,7 +11,7 @@ from handlaser_gtsam.model.weighting import Variances, moved_with_poses, whiteni
 from handlaser_gtsam.results.dependence import INDEPENDENT, Dependence
 from handlaser_gtsam.results.projection import LinearRows, Projection
 from handlaser_gtsam.results.score_tests import ScoreTests
-from handlaser_gtsam.results.shared_errors import NOTHING_SHARED, _part_that_comes_again, _shared
+from handlaser_gtsam.results.shared_errors import NOTHING_SHARED, _pose_factor, _shared
 from handlaser_gtsam.validation.cross_check import cross_check
 
 SIGMA, SHIFT, TURN = 5e-5, 1e-4, 3.5e-4
@@ -124,11 +124,11 @@ def test_the_covariance_is_that_of_dense_algebra(visits):
     assert shared.growth == pytest.approx(np.sqrt(ratios.max()))
     # What the unknowns take of chi2, beside one for each of them.
     taken = np.trace(information @ (dense - np.linalg.inv(information)))
-    assert shared.lost(1000) == pytest.approx(1000.0 / (1000.0 - taken))
+    assert shared.understated(1000) == pytest.approx(1000.0 / (1000.0 - taken))
     assert taken > 1.0
     # And how much less certain a score is: that of a column, or of several.
     heavy = np.random.default_rng(0).standard_normal((count, 3))
-    products = shared.products(heavy)
+    products = shared.variances(heavy)
     assert np.allclose(products, heavy.T @ (true - alone) @ heavy, atol=1e-12 * np.trace(alone))
 
 
@@ -233,7 +233,7 @@ def test_what_comes_again_is_seen_at_the_stops(repeats):
     rows = LinearRows(at, readings, how, np.zeros((2, 2)), readings.station)
     stop = np.array([stop for _, stop in AGAIN])[readings.station]
     moved = moved_with_poses(rows.linear.pose, pose, readings.station)
-    factor = _part_that_comes_again(rows, moved, stop)
+    factor = _pose_factor(rows, moved, stop)
     if repeats:
         assert factor.min() > 1.0
         assert 1.1 < factor.mean() < 2.0
@@ -244,7 +244,7 @@ def test_what_comes_again_is_seen_at_the_stops(repeats):
     assert np.linalg.eigvalsh(np.eye(len(shared.beams)) + shared.beams).min() > 0.0
     # Nothing is learned where nothing comes again, or from a few that scatter as is expected.
     once = np.arange(len(readings))
-    assert (_part_that_comes_again(rows, moved, once) == 1.0).all()
+    assert (_pose_factor(rows, moved, once) == 1.0).all()
 
 
 def test_score_tests_count_what_stations_share():
@@ -261,7 +261,7 @@ def test_score_tests_count_what_stations_share():
     assert ratio[number["incidence"]] > 1.3
     assert ratio[number["drift"]] < 1.1
     heavy = tests.projection.perpendicular(tests.column(number["incidence"])[:, None])[1]
-    more = shared.products(heavy)[0, 0] / (rows.how.sigma**2 * tests.left[number["incidence"]])
+    more = shared.variances(heavy)[0, 0] / (rows.how.sigma**2 * tests.left[number["incidence"]])
     assert ratio[number["incidence"]] == pytest.approx(np.sqrt(1.0 + more))
 
 

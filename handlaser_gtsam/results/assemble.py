@@ -131,14 +131,14 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         less = None if freed is None else freed.less_certain(shared.freed_growth)
         joint = joint_covariance(problem, solution, fit, less, shared)
         joint = joint.grown(together.growth, together.plane_growth)
-        # An estimated size of the noise lacks what the unknowns took of it.
+        # Of an estimated noise the unknowns took more than one degree of freedom each.
         if not fit.range_sigma_given or solution.scales_estimated:
-            joint = joint.scaled(shared.lost(fit.dof))
+            joint = joint.scaled(shared.understated(fit.dof))
         effects = () if less is None else less.reports(problem, joint, together.growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         beams = names.sorted_beams()
-        as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.lost(fit.dof))
+        as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
         of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, as_one))
         if determined.undetermined:
             # Scales of range errors are not learned then, and count in chi2.

@@ -130,7 +130,7 @@ class ScoreTests:
         codes, which = np.unique(self.codes, return_inverse=True)
         return np.array([value(code) for code in codes.tolist()], dtype=float)[which]
 
-    def products(self, y: FloatArray) -> FloatArray:
+    def variances(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
         return np.concatenate([kind.dot(y) for kind in self.kinds])
 
@@ -338,7 +338,7 @@ class CommonErrors:
     def growth_by(self, shared: SharedErrors, projection: Projection) -> FloatArray:
         """Return by how much standard deviations of members (m,) are larger by shared errors."""
         heavy = projection.perpendicular(self.columns)[1]
-        more = np.einsum("ci,cd,di->i", self.mix, shared.products(heavy), self.mix)
+        more = np.einsum("ci,cd,di->i", self.mix, shared.variances(heavy), self.mix)
         left = np.maximum(self._squares(heavy), TINY) * projection.how.sigma**2
         return np.asarray(np.sqrt(np.maximum(1.0 + more / left, 1.0)))
 

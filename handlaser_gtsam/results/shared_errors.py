@@ -87,8 +87,8 @@ class SharedErrors(NamedTuple):
         """Whether any stations share errors."""
         return self.beams.size > 0
 
-    def products(self, heavy: FloatArray) -> FloatArray:
-        """Return C_s (q, q) for columns (N, q): heavy' C heavy of what stations of a stop share."""
+    def variances(self, heavy: FloatArray) -> FloatArray:
+        """Return heavy' C heavy (q, q) for columns (N, q); C is what stations of a stop share."""
         each = [_products(heavy, self.moved, at) for at in (self.stop, self.station)]
         return np.asarray(each[0] - each[1])
 
@@ -100,7 +100,7 @@ class SharedErrors(NamedTuple):
             return INDEPENDENT
         return together._replace(growth=growth, plane_growth=of_planes)
 
-    def lost(self, dof: int) -> float:
+    def understated(self, dof: int) -> float:
         """Return by how much a variance of the noise is larger than one that residuals say.
 
         Unknowns follow errors that are shared, and take as much more of chi2.
@@ -216,15 +216,16 @@ def shared_errors(rows: LinearRows, pose: FloatArray, stops: Stops) -> SharedErr
     """Return what follows from errors that stations share; `pose` (M, 6, 6) by stations of the rows."""
     moved = moved_with_poses(rows.linear.pose, pose, rows.readings.station)
     stop = stops.stop[rows.position]
-    moved *= _part_that_comes_again(rows, moved, stop)[:, None]
+    moved *= _pose_factor(rows, moved, stop)[:, None]
     return _shared(rows, moved, stop, stops.visits)
 
 
-def _part_that_comes_again(rows: LinearRows, moved: FloatArray, stop: IntArray) -> FloatArray:
+def _pose_factor(rows: LinearRows, moved: FloatArray, stop: IntArray) -> FloatArray:
     """Return the factor (N,) on errors of poses that what a beam reads on its visits to a stop says.
 
-    One where no stop is visited again before the same plane. Few beams hardly show which errors are of
-    poses and which of readings, unless a pose comes again: then what differs is of the reading.
+    One where no stop is visited again before the same plane, and where readings scatter there as is
+    expected. Single beams do not show which errors are of poses and which of readings; on several
+    visits to a stop, those of the pose are the same.
     """
     readings = rows.readings
     where = np.stack((stop, readings.plane, readings.beam))
