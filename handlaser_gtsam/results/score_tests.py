@@ -130,7 +130,7 @@ class ScoreTests:
         codes, which = np.unique(self.codes, return_inverse=True)
         return np.array([value(code) for code in codes.tolist()], dtype=float)[which]
 
-    def variances(self, y: FloatArray) -> FloatArray:
+    def products(self, y: FloatArray) -> FloatArray:
         """Return the products (m, q) of all members with columns y (N, q)."""
         return np.concatenate([kind.dot(y) for kind in self.kinds])
 
