@@ -271,3 +271,16 @@ def test_correlation_in_time_that_stops_explain_is_not_counted_twice():
     assert shared.beyond(Dependence(0.5, 2.0, 1.4, 1.9)) == INDEPENDENT
     more = shared.beyond(Dependence(0.5, 2.0, 1.8, 2.0))
     assert (more.growth, more.plane_growth) == pytest.approx((1.2, 1.2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("visits", [ACROSS, AGAIN])
+def test_planes_that_are_left_out_agree_with_the_rest(visits):
+    """Where all is right: what is read on several visits to a stop says less than as many stations."""
+    planes, codes = [], []
+    for seed in range(8):
+        found = hl.validate(Robot(seed).recording(visits, 5e-6), NOISE)
+        planes += [one.p_value for one in found.targets]
+        codes.append(found.verdict.code)
+    assert codes.count("contradicted") <= 1
+    assert np.mean(np.array(planes) < 0.01) < 0.06

@@ -45,6 +45,7 @@ from ..results.file_mistakes import ALL_LENGTHS, HYPOTHESES
 from ..results.messages import Values, warned
 from ..results.mounts import Mounts
 from ..results.rereading import Change
+from ..results.shared_errors import stops_of
 from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
 
@@ -211,6 +212,8 @@ def _held_out(mounts: Mounts, recording: Recording, noise: Noise, each_beam: boo
         pose = noise.pose_covariances(stations)
     elif not noise.poses_exact and mounts.pose_covariance is not None:
         pose = np.broadcast_to(mounts.pose_covariance, (stations, 6, 6))
+    if pose is not None:
+        pose = _of_visits(recording, noise, pose)
     variances = Variances(np.full(readings.beams, sigma), noise.incidence_sigma, pose)
     beams = (mounts.locations, mounts.directions, mounts.range_errors)
     at, how = fit_planes(beams, readings, variances)
@@ -457,6 +460,23 @@ def _hand_moved(
                 turn = float(Rotation.from_matrix(turned).magnitude())
                 yield warned("explained:hand", {"shift": shift, "turn": turn})
                 return
+
+
+def _of_visits(recording: Recording, noise: Noise, pose: FloatArray) -> FloatArray:
+    """Return covariances (M, 6, 6) for independent errors of which n visits to a stop say as much.
+
+    What n stations of one stop read has the mean error p of the hand; so has the mean of n independent
+    errors of variance n p^2.
+    """
+    read = np.flatnonzero(~np.isnan(recording.ranges).all(axis=1))
+    stops = stops_of(recording, read, noise.standstill, pose)
+    if stops is None:
+        return pose
+    at = np.stack((stops.stop[read], recording.plane_of_station[read]))
+    _, number, count = np.unique(at, axis=1, return_inverse=True, return_counts=True)
+    often = np.ones(len(recording.plane_labels))
+    often[read] = count[number]
+    return pose * often[:, None, None]
 
 
 def fit_planes(
