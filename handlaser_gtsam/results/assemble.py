@@ -137,20 +137,9 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         effects = () if less is None else less.reports(problem, joint, together.growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
-        beams = names.sorted_beams()
         as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
-        of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, as_one))
-        if determined.undetermined:
-            # Scales of range errors are not learned then, and count in chi2.
-            of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
-        misspelt = _misspelt_labels(problem, solution, fit)
-        large: tuple[CalibrationWarning, ...] = ()
-        if solution.prior is not None and not determined.undetermined:
-            large = tuple(large_range_errors(used, solution.best, beams, problem.sensor.linearity))
-        learned = solution.scales_estimated or not fit.range_sigma_given
-        unsure = learned or solution.at.loss != GAUSSIAN
-        repeated = stops.warnings if stops is not None and unsure else ()
-        signs = (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit, *large, *repeated)
+        known = not determined.undetermined
+        signs = _signs(problem, used, fit, solution, why, stops, as_one, known=known)
     whole = joint if determined.rank == determined.unknowns else None
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
@@ -189,6 +178,37 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         effects=effects,
     )
     return with_scales(result, problem, solution, freed, is_shared=shared.any)
+
+
+def _signs(
+    problem: Problem,
+    used: Readings,
+    fit: Fit,
+    solution: Solution,
+    why: Reasons,
+    stops: Stops | None,
+    as_one: float,
+    *,
+    known: bool,
+) -> tuple[CalibrationWarning, ...]:
+    """Return what single readings, and the residuals of all, are signs of.
+
+    As many readings as `as_one` tell as much as one that is independent; `known` says whether
+    everything is determined.
+    """
+    beams = problem.names.sorted_beams()
+    of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, as_one))
+    if not known:
+        # Scales of range errors are not learned then, and count in chi2.
+        of_fit = tuple(one for one in of_fit if one.code not in OF_NOISE)
+    misspelt = _misspelt_labels(problem, solution, fit)
+    large: tuple[CalibrationWarning, ...] = ()
+    if solution.prior is not None and known:
+        large = tuple(large_range_errors(used, solution.best, beams, problem.sensor.linearity))
+    learned = solution.scales_estimated or not fit.range_sigma_given
+    unsure = learned or solution.at.loss != GAUSSIAN
+    repeated = stops.warnings if stops is not None and unsure else ()
+    return (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit, *large, *repeated)
 
 
 def _estimates(

@@ -225,7 +225,7 @@ def _pose_factor(rows: LinearRows, moved: FloatArray, stop: IntArray) -> FloatAr
 
     One where no stop is visited again before the same plane, and where readings scatter there as is
     expected. Single beams do not show which errors are of poses and which of readings; on several
-    visits to a stop, those of the pose are the same.
+    visits to a stop, errors of the pose are the same.
     """
     readings = rows.readings
     where = np.stack((stop, readings.plane, readings.beam))
