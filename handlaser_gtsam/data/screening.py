@@ -334,10 +334,9 @@ def merged_stations(
     # A number for what is one: readings of a beam at one pose if they are copies, else on one visit.
     _, key = np.unique(group[row] * len(recording.beam_names) + beam, return_inverse=True)
     copies = _copies(group[row], key, value, count[row, beam] > 1.0, sigma)
-    visit = np.where(copies, -1, _visits(group)[row])
-    _, key, several = np.unique(
-        np.stack((key, visit)), axis=1, return_inverse=True, return_counts=True
-    )
+    visit = np.where(copies, 0, _visits(group)[row])
+    one = key * (len(group) + 1) + visit
+    _, key, several = np.unique(one, return_inverse=True, return_counts=True)
     some = np.flatnonzero(several[key] > 1)
     if not some.size:
         return recording, ()

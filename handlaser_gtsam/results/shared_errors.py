@@ -228,8 +228,8 @@ def _pose_factor(rows: LinearRows, moved: FloatArray, stop: IntArray) -> FloatAr
     visits to a stop, errors of the pose are the same.
     """
     readings = rows.readings
-    where = np.stack((stop, readings.plane, readings.beam))
-    _, group, count = np.unique(where, axis=1, return_inverse=True, return_counts=True)
+    where = (stop * readings.planes + readings.plane) * readings.beams + readings.beam
+    _, group, count = np.unique(where, return_inverse=True, return_counts=True)
     more, some = int((count - 1).sum()), count[group] > 1
     of_pose, variance = (moved**2).sum(axis=1), _variances(rows, moved)
     if more == 0 or not of_pose[some].any():

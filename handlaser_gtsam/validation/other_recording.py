@@ -472,8 +472,8 @@ def _of_visits(recording: Recording, noise: Noise, pose: FloatArray) -> FloatArr
     stops = stops_of(recording, read, noise.standstill, pose)
     if stops is None:
         return pose
-    at = np.stack((stops.stop[read], recording.plane_of_station[read]))
-    _, number, count = np.unique(at, axis=1, return_inverse=True, return_counts=True)
+    at = stops.stop[read] * len(recording.plane_names) + recording.plane_of_station[read]
+    _, number, count = np.unique(at, return_inverse=True, return_counts=True)
     often = np.ones(len(recording.plane_labels))
     often[read] = count[number]
     return pose * often[:, None, None]
