@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
+from benchmarks.repeated_programme import ACROSS, AGAIN, NOISE, SHIFT, SIGMA, STAYS, TURN, Robot
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.model.joint import JointCovariance
 from handlaser_gtsam.model.weighting import Variances, moved_with_poses, whitening
@@ -14,67 +14,7 @@ from handlaser_gtsam.results.score_tests import ScoreTests
 from handlaser_gtsam.results.shared_errors import NOTHING_SHARED, _pose_factor, _shared
 from handlaser_gtsam.validation.cross_check import cross_check
 
-SIGMA, SHIFT, TURN = 5e-5, 1e-4, 3.5e-4
 POSE = np.diag([TURN**2] * 3 + [SHIFT**2] * 3)
-NOISE = hl.Noise(SIGMA, pose_translation_sigma=SHIFT, pose_rotation_sigma=TURN)
-TILTS = np.radians([[0, 0, 0], [22, 0, 0], [-12, 20, 0], [-10, -20, 0]])
-
-
-class Robot:
-    """A hand with some beams that goes through one programme, whose errors are those of its stops.
-
-    Nothing of the simulation is shared with the package.
-    """
-
-    def __init__(self, seed, beams=2, stops=12):
-        rng = self.rng = np.random.default_rng(seed)
-        self.r = rng.uniform(-0.05, 0.05, (beams, 3))
-        v = np.array([0.0, 0.0, 1.0]) + rng.normal(0.0, 0.15, (beams, 3))
-        self.v = v / np.linalg.norm(v, axis=1)[:, None]
-        self.n = Rotation.from_rotvec(TILTS + rng.uniform(-0.1, 0.1, (4, 3))).apply([0.0, 0.0, 1.0])
-        turns = rng.uniform([-0.4, -0.4, -1.3], [0.4, 0.4, 1.3], (stops, 3))
-        self.R, self.t = Rotation.from_euler("xyz", turns), rng.uniform(-0.12, 0.12, (stops, 3))
-        self.turn, self.shift = (
-            rng.normal(0.0, TURN, (stops, 3)),
-            rng.normal(0.0, SHIFT, (stops, 3)),
-        )
-
-    def recording(self, visits, flicker=0.0, knocked=None, repeats=True):
-        """Return what is read at visits, (plane, stop) each; `knocked` is the first after a knock."""
-        rng, d, R, t = self.rng, [], [], []
-        for number, (plane, stop) in enumerate(visits):
-            at = self.R[stop] * Rotation.from_rotvec(rng.normal(0.0, 2.0 * flicker, 3))
-            where = self.t[stop] + rng.normal(0.0, flicker, 3)
-            turn, shift = self.turn[stop], self.shift[stop]
-            if not repeats:
-                turn, shift = rng.normal(0.0, TURN, 3), rng.normal(0.0, SHIFT, 3)
-            hand = at * Rotation.from_rotvec(turn)
-            r = self.r + (np.array([6e-4, 8e-4, 0.0]) if knocked and number >= knocked else 0.0)
-            spots = hand.apply(r) + where + at.apply(shift)
-            d.append((0.45 - spots @ self.n[plane]) / (hand.apply(self.v) @ self.n[plane]))
-            R.append(at.as_matrix())
-            t.append(where)
-        d = np.array(d) + rng.normal(0.0, SIGMA, (len(d), len(self.r)))
-        names = tuple(f"b{i}" for i in range(len(self.r)))
-        labels = tuple(f"p{plane}" for plane, _ in visits)
-        return hl.Recording(np.array(R), np.array(t), d, plane_labels=labels, beam_names=names)
-
-    def squares(self, found, joint=None):
-        """Return the mean square of the errors of the mounts, in standard deviations."""
-        squares = []
-        for i, (beam, r, v) in enumerate(zip(found.beams.values(), self.r, self.v, strict=True)):
-            S = (joint or found.covariance).all_beams()[i][:6, :6]
-            e = np.concatenate((beam.location - r, beam.direction - v))
-            squares.append(e @ np.linalg.pinv(S, rcond=1e-9) @ e / 5.0)
-        return float(np.mean(squares))
-
-
-ACROSS = [(plane, stop) for plane in range(4) for stop in range(12)]
-"""One programme before each plate."""
-AGAIN = [(plane, stop) for plane in range(4) for _ in range(3) for stop in range(12)]
-"""Three times before each."""
-STAYS = [(plane, stop) for plane in range(4) for stop in range(12) for _ in range(3)]
-"""Once, three readings a stop."""
 
 
 def at_truth(visits):
@@ -163,7 +103,7 @@ def test_standard_deviations_are_right_where_a_programme_is_repeated(visits, fli
         robot = Robot(seed)
         found = hl.calibrate(robot.recording(visits, flicker), noise)
         assert found.verdict.code in ("usable", "usable-with-care"), seed
-        squares.append(robot.squares(found))
+        squares.append(robot.squares(found, found.covariance))
         if found.at_scales is not None:
             alone.append(robot.squares(found, found.at_scales.covariance))
     # Of 24 x 10 squares of mean 1, the mean of Gaussian errors is within 0.3 of it; learned scales are
@@ -174,10 +114,10 @@ def test_standard_deviations_are_right_where_a_programme_is_repeated(visits, fli
 
 @pytest.mark.slow
 def test_an_arm_that_does_not_repeat_is_not_taken_for_one_that_does():
-    squares = [
-        robot.squares(hl.calibrate(robot.recording(AGAIN, 5e-6, repeats=False), NOISE))
-        for robot in map(Robot, range(16))
-    ]
+    squares = []
+    for robot in map(Robot, range(16)):
+        found = hl.calibrate(robot.recording(AGAIN, 5e-6, repeats=False), NOISE)
+        squares.append(robot.squares(found, found.covariance))
     assert 0.5 < np.mean(squares) < 1.3
 
 
@@ -284,3 +224,27 @@ def test_planes_that_are_left_out_agree_with_the_rest(visits):
         codes.append(found.verdict.code)
     assert codes.count("contradicted") <= 1
     assert np.mean(np.array(planes) < 0.01) < 0.06
+
+
+@pytest.mark.parametrize(("visits", "seed"), [(AGAIN, 1), (AGAIN, 5), (STAYS, 1), (STAYS, 5)])
+def test_what_stations_share_contradicts_no_sigma_and_is_no_correlation_in_time(visits, seed):
+    assert not hl.calibrate(Robot(seed).recording(visits, 5e-6), NOISE).warnings
+
+
+def test_covariances_of_single_stations_go_with_their_stations():
+    recording = Robot(2).recording(ACROSS)
+    scale = np.array([1.0 + stop % 3 for _, stop in ACROSS])[:, None, None]
+    order = np.random.default_rng(0).permutation(len(ACROSS))
+    other = hl.Recording(
+        recording.world_R_hand[order],
+        recording.world_t_hand[order],
+        recording.ranges[order],
+        plane_labels=tuple(recording.plane_labels[j] for j in order),
+        beam_names=recording.beam_names,
+    )
+    options = hl.CalibrationOptions(range_error="none")
+    pairs = ((recording, scale * POSE), (other, scale[order] * POSE))
+    found = [hl.calibrate(one, hl.Noise(SIGMA, pose_covariance=S), options) for one, S in pairs]
+    assert all(one.at_scales is not None for one in found)
+    sigmas = [np.array([beam.sigma for beam in one.beams.values()]) for one in found]
+    assert np.allclose(*sigmas, rtol=1e-6)

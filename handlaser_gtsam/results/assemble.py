@@ -3,6 +3,7 @@
 The covariance grows here by what errors that are correlated in time make of it.
 """
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -124,6 +125,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     if status == "converged" and solution.at.loss == GAUSSIAN:
         rows, shared, systematic, together = _tested(problem, selection, fit, freed, stops)
     joint, effects = None, tuple[FreedEffect, ...]()
+    learned = solution.scales_estimated or not fit.range_sigma_given
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
@@ -132,14 +134,15 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         joint = joint_covariance(problem, solution, fit, less, shared)
         joint = joint.grown(together.growth, together.plane_growth)
         # Of an estimated noise the unknowns took more than one degree of freedom each.
-        if not fit.range_sigma_given or solution.scales_estimated:
-            joint = joint.scaled(shared.understated(fit.dof))
-        effects = () if less is None else less.reports(problem, joint, together.growth)
+        times = shared.understated(fit.dof) if learned else 1.0
+        joint, growth = joint.scaled(times), together.growth * math.sqrt(times)
+        effects = () if less is None else less.reports(problem, joint, growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
         known = not determined.undetermined
-        signs = _signs(problem, used, fit, solution, why, stops, as_one, known=known)
+        again = stops if learned or solution.at.loss != GAUSSIAN else None
+        signs = _signs(problem, used, fit, solution, why, again, as_one, known=known)
     whole = joint if determined.rank == determined.unknowns else None
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
@@ -193,8 +196,8 @@ def _signs(
 ) -> tuple[CalibrationWarning, ...]:
     """Return what single readings, and the residuals of all, are signs of.
 
-    As many readings as `as_one` tell as much as one that is independent; `known` says whether
-    everything is determined.
+    Stops are given where what comes again there may count too little. As many readings as `as_one` tell
+    as much as one that is independent; `known` says whether everything is determined.
     """
     beams = problem.names.sorted_beams()
     of_fit = tuple(fit_warnings(used, fit, problem.noise, solution, beams, as_one))
@@ -205,9 +208,7 @@ def _signs(
     large: tuple[CalibrationWarning, ...] = ()
     if solution.prior is not None and known:
         large = tuple(large_range_errors(used, solution.best, beams, problem.sensor.linearity))
-    learned = solution.scales_estimated or not fit.range_sigma_given
-    unsure = learned or solution.at.loss != GAUSSIAN
-    repeated = stops.warnings if stops is not None and unsure else ()
+    repeated = () if stops is None else stops.warnings
     return (*_wrong_labels(problem, why), *misspelt, *why.warnings, *of_fit, *large, *repeated)
 
 
