@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,12 +53,19 @@ from .calibration_data import (
     Status,
 )
 from .dependence import INDEPENDENT, Dependence
+from .errors_by_pose import errors_by_pose
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
 from .moved_beam import moved_beam
 from .problem import Problem, fit_of, linear_rows, named_estimates, unit_sigma
 from .projection import LinearRows
-from .shared_errors import NOTHING_SHARED, SharedErrors, Stops, shared_errors, stops_of
+from .shared_errors import (
+    NOTHING_SHARED,
+    SharedErrors,
+    Stops,
+    shared_errors,
+    stops_of,
+)
 from .systematic import SystematicError, systematic_errors
 from .warnings import (
     COARSE,
@@ -161,6 +169,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
             *rival_warnings(used, solution, fit, joint, names),
             *filter(None, (moved,)),
             *together.warnings,
+            *shared.warnings,
             *(() if freed is None else freed.warnings(effects)),
             *(
                 CalibrationWarning(f"systematic-{s.code}", s.warning, s.values)
@@ -279,7 +288,11 @@ def _tested(
     pose = None if solution.variances is None else solution.variances.pose
     if pose is not None and stops is not None and solution.observability.full:
         shared = shared_errors(rows, pose, stops)
-    found, together = systematic_errors(
+    learn = None
+    learned = None if solution.posterior is None else solution.posterior.learned
+    if learned is not None and solution.observability.full and learned.scales.of_hand:
+        learn = partial(errors_by_pose, rows, problem.recording, learned, dof)
+    found, together, shared = systematic_errors(
         rows,
         names,
         stations,
@@ -287,6 +300,7 @@ def _tested(
         dof=dof,
         plausible=plausible,
         shared=shared,
+        learn=learn,
     )
     return rows, shared, found, shared.beyond(together)
 

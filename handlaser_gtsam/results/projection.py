@@ -133,7 +133,7 @@ class Projection:
         self.response[:, :, used] = plane_unit[:, None] * reduced.local_response / unit[used]
         # Of the freed errors: what beams and planes leave of them, weighed, and their own information.
         self.freed, freed = rows.freed, rows.freed.columns
-        self.freed_rest, self.freed_pulled, self.freed_moved = self._beside(freed)
+        self.freed_rest, self.freed_pulled, self.freed_moved = self.beside(freed)
         self.freed_heavy = self.how.weighed(self.freed_rest)
         self.freed_information = (
             self.freed_rest.T @ self.freed_heavy + self.freed_pulled.T @ self.freed_pulled
@@ -141,6 +141,12 @@ class Projection:
         self.freed_inverse = np.linalg.inv(
             self.freed_information + self.how.sigma**2 * np.eye(freed.shape[1])
         )
+
+    def log_det_inverse(self) -> float:
+        """Return log det of the covariance of all unknowns but freed errors, in units of sigma^2."""
+        used = np.flatnonzero(self.beam_inverse.any(axis=0))
+        of_beams = np.linalg.slogdet(self.beam_inverse[np.ix_(used, used)])[1]
+        return float(of_beams + np.linalg.slogdet(self.plane_inverse)[1].sum())
 
     def prior_residuals(self, at: Parameters) -> FloatArray:
         """Return the rows (7 B + q, 1) of the priors of range errors and of freed errors."""
@@ -159,7 +165,7 @@ class Projection:
         own = self.pull.size
         if pulled is None:
             pulled = np.zeros((own + len(self.freed.size), columns.shape[1]))
-        rest, of_beams, moved = self._beside(columns, pulled[:own])
+        rest, of_beams, moved = self.beside(columns, pulled[:own])
         if not len(self.freed.size):
             return rest, of_beams, moved
         sigma = self.how.sigma
@@ -172,7 +178,7 @@ class Projection:
             moved - self.freed_moved @ freed,
         )
 
-    def _beside(
+    def beside(
         self, columns: FloatArray, pulled: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Do as `rest`, but for what freed errors explain.

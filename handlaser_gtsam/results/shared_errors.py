@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky
+from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import coo_array, csr_array
 
 from ..arrays import FloatArray, IntArray, renumbered
@@ -31,6 +31,7 @@ from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
 from ..quantities import MANY_OUTLIERS, TINY
 from .dependence import INDEPENDENT, Dependence
+from .errors_by_pose import ErrorsByPose
 from .messages import warned
 from .projection import LinearRows, Projection
 
@@ -69,6 +70,10 @@ class SharedErrors(NamedTuple):
         How residuals follow errors of unit variance of their poses [m].
     station, stop : (N,)
         Where each was read.
+    taken : float
+        How many degrees of freedom more the unknowns take of chi2, because they follow errors of stops.
+    by_pose : ErrorsByPose or None
+        Errors that change with the pose, which are counted here, too.
     """
 
     beams: FloatArray
@@ -81,11 +86,18 @@ class SharedErrors(NamedTuple):
     moved: FloatArray = np.empty((0, 6))
     station: IntArray = np.empty(0, np.intp)
     stop: IntArray = np.empty(0, np.intp)
+    taken: float = 0.0
+    by_pose: ErrorsByPose | None = None
 
     @property
     def any(self) -> bool:
         """Whether any stations share errors."""
         return self.beams.size > 0
+
+    @property
+    def warnings(self) -> tuple[CalibrationWarning, ...]:
+        """What to say of errors that change with the pose."""
+        return () if self.by_pose is None else self.by_pose.warnings(self.growth)
 
     def variances(self, heavy: FloatArray) -> FloatArray:
         """Return heavy' C heavy (q, q) for columns (N, q); C is what stations of a stop share."""
@@ -105,8 +117,7 @@ class SharedErrors(NamedTuple):
 
         Unknowns follow errors that are shared, and take as much more of chi2.
         """
-        taken = float(np.trace(self.beams) + np.einsum("paa->", self.planes))
-        return max(dof / max(dof - taken, 1.0), 1.0)
+        return max(dof / max(dof - self.taken, 1.0), 1.0)
 
     def grown(self, joint: JointCovariance) -> JointCovariance:
         """Return the covariance with what stations share; `joint` is for independent errors."""
@@ -283,8 +294,6 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
         blocks = coo_array((together.ravel(), _places(of_plane, at_stop)), shape=shape).tocsr()
         coupling = (blocks @ blocks.T).toarray().reshape(P, PLANE.dim, P, PLANE.dim)
         coupling[np.arange(P), :, np.arange(P)] = planes
-    more = ((root @ beams) * root).sum(axis=1) / (root**2).sum(axis=1)
-    growth = float(np.sqrt(1.0 + max(more.max(), 0.0)))
     # The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
     of_pose = np.median((moved**2).sum(axis=1) / _variances(rows, moved))
     of_planes = float(np.sqrt(1.0 + (visits - 1.0) * of_pose))
@@ -295,8 +304,52 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
         differ = _products(heavy, moved, row_stop) - _products(heavy, moved, at[0])
         ratios = np.diagonal(inverse @ differ @ inverse) / np.diagonal(inverse)
         of_freed = float(np.sqrt(1.0 + max(ratios.max() / rows.how.sigma**2, 0.0)))
-    parts = beams, across, planes, coupling, growth, of_planes, of_freed
-    return SharedErrors(*parts, moved, *at)
+    parts = beams, across, planes, coupling, _growth(root, beams), of_planes, of_freed
+    taken = float(np.trace(beams) + np.einsum("paa->", planes))
+    return SharedErrors(*parts, moved, *at, taken)
+
+
+def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPose) -> SharedErrors:
+    """Return what stations share, errors that change with the pose of the hand included."""
+    projection, sigma = Projection(rows, rows.prior), rows.how.sigma
+    used = np.flatnonzero(projection.beam_inverse.any(axis=0))
+    root = _root(projection.beam_inverse[np.ix_(used, used)])
+    own, P = np.linalg.cholesky(projection.plane_inverse), rows.readings.planes
+    moved = np.concatenate([projection.beside(F)[2] for F in more.columns], axis=1)
+    x, y = np.split(moved, [projection.pull.size])
+    y = y.reshape(P, PLANE.dim, -1) + projection.response @ x
+    b = solve_triangular(root, x[used], lower=True) / sigma
+    c = np.linalg.solve(own, y) / sigma
+    beams, across, planes = b @ b.T, c @ b.T, c @ np.swapaxes(c, 1, 2)
+    coupling = None
+    if P <= COUPLED_PLANES:
+        flat = c.reshape(P * PLANE.dim, -1)
+        coupling = (flat @ flat.T).reshape(P, PLANE.dim, P, PLANE.dim)
+    if shared.any:
+        beams, across, planes = shared.beams + beams, shared.across + across, shared.planes + planes
+        if coupling is not None and shared.coupling is not None:
+            coupling = coupling + shared.coupling
+    of_freed = shared.freed_growth
+    if rows.freed.codes:
+        inverse, heavy = projection.freed_inverse, projection.freed_heavy
+        gains = np.concatenate([inverse @ (heavy.T @ F) for F in more.columns], axis=1)
+        ratios = (gains**2).sum(axis=1) / np.diagonal(inverse) / sigma**2
+        of_freed = float(np.sqrt(of_freed**2 + ratios.max()))
+    return shared._replace(
+        beams=beams,
+        across=across,
+        planes=planes,
+        coupling=coupling,
+        growth=_growth(root, beams),
+        freed_growth=of_freed,
+        by_pose=more,
+    )
+
+
+def _growth(root: FloatArray, more: FloatArray) -> float:
+    """Return the largest ratio of standard deviations, one without and one with `more` (nb, nb)."""
+    ratios = ((root @ more) * root).sum(axis=1) / (root**2).sum(axis=1)
+    return float(np.sqrt(1.0 + max(ratios.max(), 0.0)))
 
 
 def _places(plane: IntArray, stop: IntArray) -> tuple[IntArray, IntArray]:
