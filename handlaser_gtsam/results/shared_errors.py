@@ -26,12 +26,12 @@ from ..arrays import FloatArray, IntArray, renumbered
 from ..data.recording import Recording
 from ..data.station_list import StationList
 from ..errors import CalibrationWarning
+from ..estimation.errors_by_pose import ErrorsByPose
 from ..model.families import BEAM, PLANE, POSE
 from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
 from ..quantities import MANY_OUTLIERS, TINY
 from .dependence import INDEPENDENT, Dependence
-from .errors_by_pose import ErrorsByPose
 from .messages import warned
 from .projection import LinearRows, Projection
 
@@ -97,7 +97,7 @@ class SharedErrors(NamedTuple):
     @property
     def warnings(self) -> tuple[CalibrationWarning, ...]:
         """What to say of errors that change with the pose."""
-        return () if self.by_pose is None else self.by_pose.warnings(self.growth)
+        return warnings_of(self.by_pose)
 
     def variances(self, heavy: FloatArray) -> FloatArray:
         """Return heavy' C heavy (q, q) for columns (N, q); C is what stations of a stop share."""
@@ -143,6 +143,14 @@ class SharedErrors(NamedTuple):
             planes=joint.planes + alone,
             coupling=coupling,
         )
+
+
+def warnings_of(errors: ErrorsByPose | None) -> tuple[CalibrationWarning, ...]:
+    """Return what to say of errors by pose that are seen."""
+    if errors is None or not errors.is_seen:
+        return ()
+    values = {"shift": errors.shift, "turn": errors.turn, "growth": errors.growth}
+    return (warned("errors-by-pose", values),)
 
 
 def _products(heavy: FloatArray, moved: FloatArray, at: IntArray) -> FloatArray:
@@ -321,6 +329,7 @@ def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPo
     b = solve_triangular(root, x[used], lower=True) / sigma
     c = np.linalg.solve(own, y) / sigma
     beams, across, planes = b @ b.T, c @ b.T, c @ np.swapaxes(c, 1, 2)
+    more = more._replace(growth=_growth(root, beams))
     coupling = None
     if P <= COUPLED_PLANES:
         flat = c.reshape(P * PLANE.dim, -1)

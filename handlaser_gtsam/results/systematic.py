@@ -23,11 +23,11 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
+from ..estimation.errors_by_pose import ErrorsByPose
 from ..model.distributions import FAMILY_LEVEL
 from ..model.effects import EFFECTS, may_also_be
 from ..observability.wording import BeamAndPlaneNames
 from .dependence import INDEPENDENT, Dependence, dependence
-from .errors_by_pose import ErrorsByPose
 from .messages import Values, said
 from .projection import LinearRows
 from .score_tests import ScoreTests, alike

@@ -1,0 +1,177 @@
+r"""Errors of the hand that change with its pose: learned where nobody states how the robot errs.
+
+Joints, links and gears of an arm err by the same wherever they are, so that the error of its hand
+changes smoothly with the pose. The unknowns explain most of that, and residuals show the rest only:
+errors that are learned as if each station had its own are too small. Here the error of the hand at
+station i is
+
+    e_i = B x_i,    x_i its pose from the mean one, in metres and radians,
+
+and the columns of B are unknown, with the standard deviations s_r of turns and s_t of shifts, by metre
+and radian. Their half-Cauchy priors are those of errors that stations have of their own. What B does to
+the readings are 36 columns F; with residuals e of n degrees of freedom, V the noise that was learned
+without them, of which a factor is free, and Q of `survey_noise`,
+
+    log p(e | s) = -log det(I + S F'Q F S) / 2 - n / 2 log min_w (|e - F S w|^2 + |w|^2),
+
+with |e|^2 = e'Q e, which is integrated over s as scales of the noise are. What was learned as errors of
+single stations may be of those that change with the pose: V is tried with less of them, too.
+
+The constant part of the error nobody can see. It belongs to the mount, which is of the hand as the
+robot reports it.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
+
+from ..arrays import FloatArray, IntArray
+from ..data.recording import Recording
+from ..data.station_list import StationList
+from ..model.distributions import UNLIKELY_EXCESS
+from ..model.families import POSE
+from ..quantities import TINY
+from .scales import AXES, Scale, design, find_mode
+
+OF_STATIONS = (1.0, 0.3, 0.0)
+"""Parts of the learned errors of single stations that are tried beside errors by pose."""
+
+
+class ErrorsByPose(NamedTuple):
+    """Errors of the hand that change with its pose, as N rows see them.
+
+    Attributes
+    ----------
+    pose : (N, 6)
+        Of each row its hand's pose, from the mean one: turn [rad], shift [m].
+    moved : (N, 6)
+        How residuals follow errors of one standard deviation by metre and radian.
+    shift, turn : float
+        These standard deviations [m], [rad].
+    excess : float
+        By how much twice the logarithm of the likelihood is larger than without them.
+    growth : float
+        The largest ratio of a standard deviation of an unknown to that without them.
+    """
+
+    pose: FloatArray
+    moved: FloatArray
+    shift: float = 1.0
+    turn: float = 1.0
+    excess: float = 0.0
+    growth: float = 1.0
+
+    @property
+    def columns(self) -> Iterator[FloatArray]:
+        """What errors that change with one coordinate of the pose do to the rows: six of (N, 6)."""
+        return (along[:, None] * self.moved for along in self.pose.T)
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether the readings show them."""
+        return self.excess > UNLIKELY_EXCESS
+
+    def products(self, y: FloatArray) -> FloatArray:
+        """Return the products (36, c) of all columns with columns y (N, c)."""
+        return np.concatenate([F.T @ y for F in self.columns])
+
+    def independent(self, rows: FloatArray) -> FloatArray:
+        """Return rows (N, c) of unit variance, which these errors couple, as independent ones."""
+        F = np.concatenate(list(self.columns), axis=1)
+        U, size, _ = np.linalg.svd(F, full_matrices=False)
+        return rows - (U * (1.0 - 1.0 / np.sqrt(1.0 + size**2))) @ (U.T @ rows)
+
+    def of_sizes(self, size: FloatArray, excess: float) -> "ErrorsByPose":
+        """Return the same with standard deviations (6,) of turns and shifts, where they were one."""
+        turn, shift = size[:: POSE.dim // 2].tolist()
+        return self._replace(moved=self.moved * size, shift=shift, turn=turn, excess=excess)
+
+
+def poses_from_mean(stations: Recording | StationList, station: IntArray) -> FloatArray:
+    """Return the poses (N, 6) of some stations from the mean of all: turn [rad], shift [m]."""
+    turns = Rotation.from_matrix(stations.world_R_hand)
+    shift = stations.world_t_hand - stations.world_t_hand.mean(axis=0)
+    return np.hstack(((turns.mean().inv() * turns).as_rotvec(), shift))[station]
+
+
+class Likelihood(NamedTuple):
+    """How likely sizes of errors by pose are, where the noise beside them is known but for a factor.
+
+    Attributes
+    ----------
+    G : (36, 36)
+        F' Q F for sizes of one.
+    q : (36,)
+        F' Q e.
+    square : float
+        e' Q e.
+    dof : int
+        Numbers in it.
+    constant : float
+        Logarithm of the likelihood without them, but for what depends on `square`.
+    """
+
+    G: FloatArray
+    q: FloatArray
+    square: float
+    dof: int
+    constant: float
+
+    def at(self, size: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return logarithms (J,) of the likelihood, and the most probable factor (J,) on the noise.
+
+        Sizes (J, 6) are relative to the noise.
+        """
+        S = np.tile(size, POSE.dim)
+        root = np.linalg.cholesky(np.eye(S.shape[1]) + S[:, :, None] * self.G * S[:, None])
+        explained = np.linalg.solve(root, (S * self.q)[:, :, None])[:, :, 0]
+        square = max(self.square, TINY)
+        left = np.maximum(square - (explained**2).sum(axis=1), TINY * square)
+        log_det = np.log(np.einsum("jii->ji", root)).sum(axis=1)
+        return self.constant - log_det - 0.5 * self.dof * np.log(left), left / self.dof
+
+
+def sizes_by_pose(
+    likelihoods: Sequence[Likelihood], unknown: Sequence[Scale]
+) -> tuple[FloatArray, float]:
+    """Return the standard deviations (6,) of errors by metre and radian, and their `excess`.
+
+    Parameters
+    ----------
+    likelihoods : sequence of Likelihood
+        For parts of the noise beside them that are tried.
+    unknown : sequence of Scale
+        Of errors of the hand: those that are not among them are zero.
+    """
+    bounds = np.array([scale.bounds for scale in unknown])
+    start = np.log([scale.prior for scale in unknown])
+
+    def sizes(points: FloatArray) -> FloatArray:
+        found = np.zeros((len(points), POSE.dim))
+        for scale, u in zip(unknown, points.T, strict=True):
+            found[:, AXES[scale.name]] = scale.unit * np.exp(u)[:, None]
+        return found
+
+    squares, weights, most, without = [], [], [], []
+    for likelihood in likelihoods:
+
+        def posterior(points: FloatArray, of: Likelihood = likelihood) -> FloatArray:
+            density, factor = of.at(sizes(points))
+            for scale, u in zip(unknown, points.T, strict=True):
+                density = density + scale.log_prior(u + 0.5 * np.log(factor))
+            return density
+
+        mode = find_mode(posterior, start, bounds)
+        points, log_weight, _ = design(posterior, mode, bounds, 0.0)
+        factor = likelihood.at(sizes(points))[1]
+        squares.append(factor[:, None] * sizes(points) ** 2)
+        weights.append(log_weight + posterior(points))
+        most.append(likelihood.at(sizes(mode[None]))[0][0])
+        without.append(likelihood.at(np.zeros((1, POSE.dim)))[0][0])
+    log_weight = np.concatenate(weights)
+    weight = np.exp(log_weight - logsumexp(log_weight))
+    excess = 2.0 * float(max(most) - max(without))
+    return np.sqrt(weight @ np.concatenate(squares)), excess
