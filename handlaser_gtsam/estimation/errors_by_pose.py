@@ -17,11 +17,14 @@ without them, of which a factor is free, and Q of `survey_noise`,
 with |e|^2 = e'Q e, which is integrated over s as scales of the noise are. What was learned as errors of
 single stations may be of those that change with the pose: V is tried with less of them, too.
 
+Where errors of the hand are stated, part of them may change with the pose: then their variance is that
+stated, on average over the stations, and the residuals tell which part it is.
+
 The constant part of the error nobody can see. It belongs to the mount, which is of the hand as the
 robot reports it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +41,35 @@ from .scales import AXES, Scale, design, find_mode
 
 OF_STATIONS = (1.0, 0.3, 0.0)
 """Parts of the learned errors of single stations that are tried beside errors by pose."""
+OF_STATED = (1.0, 0.8, 0.55, 0.3, 0.1)
+"""Parts of stated errors that are tried as those of single stations."""
+
+
+class SizesByPose(NamedTuple):
+    """How large errors of the hand are that change with its pose, and what they do.
+
+    Attributes
+    ----------
+    shift, turn : float
+        Standard deviations by metre and radian [m], [rad].
+    excess : float
+        By how much twice the logarithm of the likelihood is larger than without them.
+    learned : bool
+        Whether errors of the hand were learned; else they are stated.
+    growth : float
+        The largest ratio of a standard deviation of an unknown to that without them.
+    """
+
+    shift: float
+    turn: float
+    excess: float
+    learned: bool
+    growth: float = 1.0
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether the readings show them."""
+        return self.excess > UNLIKELY_EXCESS
 
 
 class ErrorsByPose(NamedTuple):
@@ -49,30 +81,18 @@ class ErrorsByPose(NamedTuple):
         Of each row its hand's pose, from the mean one: turn [rad], shift [m].
     moved : (N, 6)
         How residuals follow errors of one standard deviation by metre and radian.
-    shift, turn : float
-        These standard deviations [m], [rad].
-    excess : float
-        By how much twice the logarithm of the likelihood is larger than without them.
-    growth : float
-        The largest ratio of a standard deviation of an unknown to that without them.
+    sizes : SizesByPose, optional
+        These standard deviations; one where not given.
     """
 
     pose: FloatArray
     moved: FloatArray
-    shift: float = 1.0
-    turn: float = 1.0
-    excess: float = 0.0
-    growth: float = 1.0
+    sizes: SizesByPose | None = None
 
     @property
     def columns(self) -> Iterator[FloatArray]:
         """What errors that change with one coordinate of the pose do to the rows: six of (N, 6)."""
         return (along[:, None] * self.moved for along in self.pose.T)
-
-    @property
-    def is_seen(self) -> bool:
-        """Whether the readings show them."""
-        return self.excess > UNLIKELY_EXCESS
 
     def products(self, y: FloatArray) -> FloatArray:
         """Return the products (36, c) of all columns with columns y (N, c)."""
@@ -84,10 +104,15 @@ class ErrorsByPose(NamedTuple):
         U, size, _ = np.linalg.svd(F, full_matrices=False)
         return rows - (U * (1.0 - 1.0 / np.sqrt(1.0 + size**2))) @ (U.T @ rows)
 
-    def of_sizes(self, size: FloatArray, excess: float) -> "ErrorsByPose":
+    def of_sizes(self, size: FloatArray, excess: float, *, learned: bool) -> "ErrorsByPose":
         """Return the same with standard deviations (6,) of turns and shifts, where they were one."""
         turn, shift = size[:: POSE.dim // 2].tolist()
-        return self._replace(moved=self.moved * size, shift=shift, turn=turn, excess=excess)
+        return ErrorsByPose(self.pose, self.moved * size, SizesByPose(shift, turn, excess, learned))
+
+    def grown(self, growth: float) -> "ErrorsByPose":
+        """Return the same, which make standard deviations larger by a factor."""
+        assert self.sizes is not None, "they have sizes"
+        return self._replace(sizes=self.sizes._replace(growth=growth))
 
 
 def poses_from_mean(stations: Recording | StationList, station: IntArray) -> FloatArray:
@@ -125,23 +150,33 @@ class Likelihood(NamedTuple):
 
         Sizes (J, 6) are relative to the noise.
         """
+        log_det, left = self._explained(size)
+        return self.constant - log_det - 0.5 * self.dof * np.log(left), left / self.dof
+
+    def of_known_noise(self, size: FloatArray) -> float:
+        """Return the logarithm of the likelihood of sizes (6,), without a factor on the noise."""
+        log_det, left = self._explained(size[None])
+        return self.constant - float(log_det[0] + 0.5 * left[0])
+
+    def _explained(self, size: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return log det (I + S F'Q F S) / 2, and what is left of e'Q e (J,)."""
         S = np.tile(size, POSE.dim)
         root = np.linalg.cholesky(np.eye(S.shape[1]) + S[:, :, None] * self.G * S[:, None])
         explained = np.linalg.solve(root, (S * self.q)[:, :, None])[:, :, 0]
         square = max(self.square, TINY)
         left = np.maximum(square - (explained**2).sum(axis=1), TINY * square)
         log_det = np.log(np.einsum("jii->ji", root)).sum(axis=1)
-        return self.constant - log_det - 0.5 * self.dof * np.log(left), left / self.dof
+        return log_det, left
 
 
 def sizes_by_pose(
-    likelihoods: Sequence[Likelihood], unknown: Sequence[Scale]
+    likelihoods: Iterable[Likelihood], unknown: Sequence[Scale]
 ) -> tuple[FloatArray, float]:
     """Return the standard deviations (6,) of errors by metre and radian, and their `excess`.
 
     Parameters
     ----------
-    likelihoods : sequence of Likelihood
+    likelihoods : iterable of Likelihood
         For parts of the noise beside them that are tried.
     unknown : sequence of Scale
         Of errors of the hand: those that are not among them are zero.
@@ -175,3 +210,40 @@ def sizes_by_pose(
     weight = np.exp(log_weight - logsumexp(log_weight))
     excess = 2.0 * float(max(most) - max(without))
     return np.sqrt(weight @ np.concatenate(squares)), excess
+
+
+def sizes_as_stated(
+    likelihoods: Iterable[Likelihood], variance: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return the standard deviations (6,) of errors by metre and radian, and their `excess`.
+
+    Errors of the hand are stated: what is not of single stations changes with the pose, and is zero
+    where the readings do not show any.
+
+    Parameters
+    ----------
+    likelihoods : iterable of Likelihood
+        With `OF_STATED` of the stated errors as those of single stations.
+    variance : (6,)
+        By metre and radian, of errors that all change with the pose.
+    """
+    squares = np.array([(1.0 - part**2) * variance for part in OF_STATED])
+    values: list[float] = []
+    for one, square in zip(likelihoods, squares, strict=True):
+        values.append(one.of_known_noise(np.sqrt(square)))
+        if values[-1] < values[0]:  # where errors change with the pose, residuals are too small
+            break
+    excess = 2.0 * (max(values) - values[0])
+    if excess < UNLIKELY_EXCESS:
+        return np.zeros(POSE.dim), excess
+    weight = np.exp(np.array(values) - logsumexp(values))
+    return np.sqrt(weight @ squares[: len(values)]), excess
+
+
+def by_metre_and_radian(covariance: FloatArray, pose: FloatArray) -> FloatArray:
+    """Return the variances (6,) of errors that all change with poses (M, 6) from their mean.
+
+    On average over the stations they have the covariances (M, 6, 6) of their poses.
+    """
+    mean = np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)
+    return np.asarray(mean / max(float((pose**2).sum(axis=1).mean()), TINY))

@@ -149,8 +149,7 @@ class SurveyEstimate:
     spread : (n,)
         By what the standard deviation of each unknown of `estimate` was multiplied (`_spread`).
     by_pose : ErrorsByPose, optional
-        Errors of the hand that change with its pose, of the whitened rows; None where it is stated how
-        the hand errs.
+        Errors of the hand that change with its pose, of the whitened rows; None where it does not err.
     contradicted : (Survey, Noise), optional
         What was stated, where the readings contradict sigmas of it: those were learned.
     """
@@ -305,7 +304,7 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         if learned is not None:
             by_pose, more = learned
             growth = np.sqrt(1.0 + np.diagonal(more) / np.diagonal(covariance))
-            by_pose = by_pose._replace(growth=float(growth.max()))
+            by_pose = by_pose.grown(float(growth.max()))
             spread, covariance = spread * growth, covariance + more
     found = replace(found, covariance=covariance)
     found, images = with_images(found, others)

@@ -7,10 +7,13 @@ import numpy as np
 from ..arrays import FloatArray
 from ..quantities import NEGLIGIBLE
 from .errors_by_pose import (
+    OF_STATED,
     OF_STATIONS,
     ErrorsByPose,
     Likelihood,
+    by_metre_and_radian,
     poses_from_mean,
+    sizes_as_stated,
     sizes_by_pose,
 )
 from .scales import ROTATION, TRANSLATION, Scale
@@ -30,19 +33,28 @@ def survey_errors_by_pose(
     covariance : (n, n)
         By which that of the unknowns is larger.
     None
-        Where it is stated how the hand errs.
+        Where the hand does not err.
     """
     learned = np.isnan(state.stated.pose)
+    if not any(state.sizes.pose):
+        return None
     names = zip((ROTATION, TRANSLATION), usual, learned.tolist(), strict=True)
     unknown = [Scale(name, None, 1.0, prior) for name, prior, one in names if one]
-    if not unknown:
-        return None
-    likelihoods = []
-    for part in OF_STATIONS:
-        turn, shift = np.where(learned, part, 1.0) * state.sizes.pose
+
+    def likelihood(part: float) -> Likelihood:
+        turn, shift = (np.where(learned | (not unknown), part, 1.0) * state.sizes.pose).tolist()
         sizes = replace(state.sizes, pose=(turn, shift), again=part * state.sizes.again)
-        likelihoods.append(_likelihood(replace(state, sizes=sizes), inside))
-    errors = _unit(state).of_sizes(*sizes_by_pose(likelihoods, unknown))
+        return _likelihood(replace(state, sizes=sizes), inside)
+
+    likelihoods = map(likelihood, OF_STATIONS if unknown else OF_STATED)
+    if unknown:
+        found = sizes_by_pose(likelihoods, unknown)
+    else:
+        read = np.unique([item.station for item in state.rows.counted(state.used)])
+        pose = poses_from_mean(state.rows.survey.stations, read)
+        variance = by_metre_and_radian(state.pose_covariance()[read], pose)
+        found = sizes_as_stated(likelihoods, variance)
+    errors = _unit(state).of_sizes(*found, learned=bool(unknown))
     J, _ = state.dense()[0].whitened()
     scale = _scale(J)
     F = np.concatenate(list(errors.columns), axis=1)
@@ -70,7 +82,7 @@ def _likelihood(state: SurveyState, inside: Inside) -> Likelihood:
     rest -= known @ (known.T @ rest)
     left = e - known @ (known.T @ e)
     squares, dof = inside
-    log_det = rows.how.log_det() + 2.0 * float(np.log(size[some]).sum())
+    log_det = rows.how.log_det() + 2.0 * float(np.log(size[some]).sum() + np.log(scale).sum())
     return Likelihood(
         rest.T @ rest,
         rest.T @ left,

@@ -1,26 +1,32 @@
 """Errors of the hand that change with its pose, at a solution of beams."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..arrays import FloatArray
 from ..data.recording import Recording
 from ..estimation.errors_by_pose import (
+    OF_STATED,
     OF_STATIONS,
     ErrorsByPose,
     Likelihood,
+    by_metre_and_radian,
     poses_from_mean,
+    sizes_as_stated,
     sizes_by_pose,
 )
-from ..estimation.learning_scales import LearnedScales
-from ..estimation.scales import RANGE, with_scales
+from ..estimation.scales import AXES
+from ..estimation.solution import Solution
+from ..model.families import POSE
 from ..model.weighting import whitening
 from .projection import LinearRows, Projection
 
 
 def errors_by_pose(
     rows: LinearRows,
-    recording: Recording,
-    learned: LearnedScales,
+    stations: Recording,
+    solution: Solution,
     dof: int,
     found: FloatArray,
 ) -> ErrorsByPose:
@@ -29,26 +35,40 @@ def errors_by_pose(
     Parameters
     ----------
     rows : LinearRows
-    recording : Recording
-    learned : LearnedScales
-        Of the noise, of errors of the hand among others.
+    stations : Recording
+    solution : Solution
+        With errors of the hand, learned or stated.
     dof : int
         Degrees of freedom of the residuals.
     found : (N, q)
         Columns of systematic errors that were found, which are taken out before.
     """
-    unit = ErrorsByPose(poses_from_mean(recording, rows.position), rows.linear.pose)
-    of_hand = [scale.name != RANGE for scale in learned.scales.unknown]
-    likelihoods = []
-    for part in OF_STATIONS:
-        with np.errstate(divide="ignore"):
-            sizes = learned.mode + np.log(np.where(of_hand, part, 1.0))
-        variances = with_scales(learned.scales, learned.base, sizes)
-        how = whitening(rows.at, rows.readings, variances)
+    variances = solution.variances
+    assert variances is not None, "there is noise"
+    assert variances.pose is not None, "the hand errs"
+    unit = ErrorsByPose(poses_from_mean(stations, rows.position), rows.linear.pose)
+    learned = None if solution.posterior is None else solution.posterior.learned
+    unknown = () if learned is None else learned.scales.of_hand
+    tried = np.full(POSE.dim, not unknown)
+    for scale in unknown:
+        tried[AXES[scale.name]] = True
+    pose = variances.pose
+
+    def likelihood(part: float) -> Likelihood:
+        if part == 1.0:
+            return _likelihood(rows, unit, found, dof)
+        root = np.where(tried, part, 1.0)
+        fewer = replace(variances, pose=pose * np.outer(root, root))
+        how = whitening(rows.at, rows.readings, fewer)
         of = rows.prior, rows.position, rows.channel, rows.freed
-        one = rows if part == 1.0 else LinearRows(rows.at, rows.readings, how, *of)
-        likelihoods.append(_likelihood(one, unit, found, dof))
-    return unit.of_sizes(*sizes_by_pose(likelihoods, learned.scales.of_hand))
+        return _likelihood(LinearRows(rows.at, rows.readings, how, *of), unit, found, dof)
+
+    likelihoods = map(likelihood, OF_STATIONS if unknown else OF_STATED)
+    if unknown:
+        return unit.of_sizes(*sizes_by_pose(likelihoods, unknown), learned=True)
+    read, first = np.unique(rows.readings.station, return_index=True)
+    variance = by_metre_and_radian(variances.pose[read], unit.pose[first])
+    return unit.of_sizes(*sizes_as_stated(likelihoods, variance), learned=False)
 
 
 def _likelihood(rows: LinearRows, unit: ErrorsByPose, found: FloatArray, dof: int) -> Likelihood:
@@ -59,12 +79,15 @@ def _likelihood(rows: LinearRows, unit: ErrorsByPose, found: FloatArray, dof: in
     _, beside, _, _ = projection.perpendicular(found)
     inverse, along = np.linalg.inv(found.T @ beside), unit.products(beside)
     size = inverse @ (found.T @ heavy)
-    G = [unit.products(projection.perpendicular(F)[1]) for F in unit.columns]
+    weighed = [projection.how.weighed(F) for F in unit.columns]
+    gradient = np.concatenate([projection.J.T @ F for F in weighed], axis=1)
+    G = np.concatenate([unit.products(F) for F in weighed], axis=1)
+    G -= gradient.T @ projection.following(gradient) + along @ inverse @ along.T
     left = float(square[0] - (found.T @ heavy * size).sum())
     constant = projection.log_det_inverse() - rows.how.log_det()
     constant += float(np.linalg.slogdet(inverse)[1] - dof * 2.0 * np.log(sigma))
     return Likelihood(
-        (np.concatenate(G, axis=1) - along @ inverse @ along.T) / sigma**2,
+        G / sigma**2,
         (unit.products(heavy) - along @ size)[:, 0] / sigma**2,
         left / sigma**2,
         dof,

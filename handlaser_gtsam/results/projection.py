@@ -190,19 +190,29 @@ class Projection:
         moved = np.zeros((self.J.shape[1], columns.shape[1]))
         if not columns.shape[1]:
             return rest, pulled, moved
-        pull, response = self.pull.reshape(-1, 1), self.response.reshape(-1, self.pull.size)
+        pull = self.pull.reshape(-1, 1)
         for _ in range(2):
             gradient = self.J.T @ self.how.weighed(rest)
-            beams, planes = np.split(gradient, [self.pull.size])
-            planes = planes.reshape(self.readings.planes, PLANE.dim, -1)
-            beams = beams + pull * pulled - response.T @ planes.reshape(len(response), -1)
-            x = self.beam_inverse @ beams
-            y = (self.plane_inverse @ planes).reshape(len(response), -1) - response @ x
-            step = np.concatenate((x, y))
+            gradient[: self.pull.size] += pull * pulled
+            step = self.following(gradient)
             rest -= self.J @ step
-            pulled -= pull * x
+            pulled -= pull * step[: self.pull.size]
             moved += step
         return rest, pulled, moved
+
+    def following(self, gradient: FloatArray) -> FloatArray:
+        """Return the beams and planes (7 B + 3 P, c) that follow from gradients by them."""
+        response = self.response.reshape(-1, self.pull.size)
+        beams, planes = np.split(gradient, [self.pull.size])
+        planes = planes.reshape(self.readings.planes, PLANE.dim, -1)
+        x = self.beam_inverse @ (beams - response.T @ planes.reshape(len(response), -1))
+        y = (self.plane_inverse @ planes).reshape(len(response), -1) - response @ x
+        return np.concatenate((x, y))
+
+    def weighed_rest(self, columns: FloatArray) -> FloatArray:
+        """Return what beams and planes leave of columns (N, c), times sigma^2 inv(C)."""
+        step = self.following(self.J.T @ self.how.weighed(columns))
+        return self.how.weighed(columns - self.J @ step)
 
     def perpendicular(
         self, columns: FloatArray, pulled: FloatArray | None = None

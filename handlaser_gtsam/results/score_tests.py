@@ -129,10 +129,10 @@ class ScoreTests:
         if shared.stop.size:
             of_common = self.common.growth_by(shared, self.projection)
             self.growth[: len(of_common)] = np.maximum(growth, of_common)
-        if shared.by_pose is not None:
+        if shared.by_pose is not None and shared.by_pose.moved.any():
             more = np.zeros(len(self.codes))
             for columns in shared.by_pose.columns:
-                heavy = self.projection.perpendicular(columns)[1]
+                heavy = self.projection.weighed_rest(columns)
                 more += (self.products(heavy) ** 2).sum(axis=1)
             left = np.maximum(bound.left, TINY) * rows.how.sigma**2
             self.growth = np.sqrt(self.growth**2 + more / left)

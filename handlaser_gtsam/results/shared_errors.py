@@ -26,7 +26,7 @@ from ..arrays import FloatArray, IntArray, renumbered
 from ..data.recording import Recording
 from ..data.station_list import StationList
 from ..errors import CalibrationWarning
-from ..estimation.errors_by_pose import ErrorsByPose
+from ..estimation.errors_by_pose import ErrorsByPose, SizesByPose
 from ..model.families import BEAM, PLANE, POSE
 from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
@@ -95,9 +95,9 @@ class SharedErrors(NamedTuple):
         return self.beams.size > 0
 
     @property
-    def warnings(self) -> tuple[CalibrationWarning, ...]:
-        """What to say of errors that change with the pose."""
-        return warnings_of(self.by_pose)
+    def sizes_by_pose(self) -> SizesByPose | None:
+        """How large errors that change with the pose are; None where the hand does not err."""
+        return None if self.by_pose is None else self.by_pose.sizes
 
     def variances(self, heavy: FloatArray) -> FloatArray:
         """Return heavy' C heavy (q, q) for columns (N, q); C is what stations of a stop share."""
@@ -145,11 +145,11 @@ class SharedErrors(NamedTuple):
         )
 
 
-def warnings_of(errors: ErrorsByPose | None) -> tuple[CalibrationWarning, ...]:
-    """Return what to say of errors by pose that are seen."""
-    if errors is None or not errors.is_seen:
+def warnings_of(sizes: SizesByPose | None) -> tuple[CalibrationWarning, ...]:
+    """Return what to say of errors by pose that are seen, and were learned: few of them show."""
+    if sizes is None or not (sizes.learned and sizes.is_seen):
         return ()
-    values = {"shift": errors.shift, "turn": errors.turn, "growth": errors.growth}
+    values = {"shift": sizes.shift, "turn": sizes.turn, "growth": sizes.growth}
     return (warned("errors-by-pose", values),)
 
 
@@ -319,17 +319,20 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
 
 def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPose) -> SharedErrors:
     """Return what stations share, errors that change with the pose of the hand included."""
+    if not more.moved.any():
+        return shared._replace(by_pose=more)
     projection, sigma = Projection(rows, rows.prior), rows.how.sigma
     used = np.flatnonzero(projection.beam_inverse.any(axis=0))
     root = _root(projection.beam_inverse[np.ix_(used, used)])
     own, P = np.linalg.cholesky(projection.plane_inverse), rows.readings.planes
-    moved = np.concatenate([projection.beside(F)[2] for F in more.columns], axis=1)
+    gradient = [projection.J.T @ projection.how.weighed(F) for F in more.columns]
+    moved = projection.following(np.concatenate(gradient, axis=1))
     x, y = np.split(moved, [projection.pull.size])
     y = y.reshape(P, PLANE.dim, -1) + projection.response @ x
     b = solve_triangular(root, x[used], lower=True) / sigma
     c = np.linalg.solve(own, y) / sigma
     beams, across, planes = b @ b.T, c @ b.T, c @ np.swapaxes(c, 1, 2)
-    more = more._replace(growth=_growth(root, beams))
+    more = more.grown(_growth(root, beams))
     coupling = None
     if P <= COUPLED_PLANES:
         flat = c.reshape(P * PLANE.dim, -1)

@@ -125,7 +125,8 @@ def survey_warnings(
             for name, sigma, expected, known in of_hand
             if np.isnan(known)
         )
-    yield from warnings_of(found.by_pose)
+    if found.by_pose is not None:
+        yield from warnings_of(found.by_pose.sizes)
     yield from _too_few(found)
     yield from _few(found)
     yield from rival_mounts(found)

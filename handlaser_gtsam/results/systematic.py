@@ -180,7 +180,8 @@ def systematic_errors(
     if learn is not None:
         found = tests.found_columns()
         by_pose = learn(found)
-        if found.size and by_pose.is_seen:
+        seen = by_pose.sizes is not None and by_pose.sizes.is_seen
+        if found.size and seen:
             by_pose = learn(found[:, :0])
         shared = with_errors_by_pose(shared, rows, by_pose)
         tests = tests.judged_by(shared)
