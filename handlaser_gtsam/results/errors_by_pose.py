@@ -18,7 +18,7 @@ from ..estimation.errors_by_pose import (
 )
 from ..estimation.scales import AXES
 from ..estimation.solution import Solution
-from ..model.families import POSE
+from ..model.families import PLANE, POSE
 from ..model.weighting import whitening
 from .projection import LinearRows, Projection
 
@@ -85,7 +85,9 @@ def _likelihood(rows: LinearRows, unit: ErrorsByPose, found: FloatArray, dof: in
     G -= gradient.T @ projection.following(gradient) + along @ inverse @ along.T
     left = float(square[0] - (found.T @ heavy * size).sum())
     constant = projection.log_det_inverse() - rows.how.log_det()
-    constant += float(np.linalg.slogdet(inverse)[1] - dof * 2.0 * np.log(sigma))
+    unknowns = projection.beam_inverse.any(axis=0).sum() + PLANE.dim * rows.readings.planes
+    constant -= 2.0 * float(len(rows.residual) - unknowns) * np.log(sigma)
+    constant += float(np.linalg.slogdet(inverse)[1])
     return Likelihood(
         G / sigma**2,
         (unit.products(heavy) - along @ size)[:, 0] / sigma**2,
