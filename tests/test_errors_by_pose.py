@@ -14,9 +14,8 @@ from benchmarks.robot_cell import cell
 from handlaser_gtsam.data.parameters import Parameters
 from handlaser_gtsam.estimation.errors_by_pose import (
     ErrorsByPose,
-    Likelihood,
     poses_from_mean,
-    sizes_as_stated,
+    sizes_by_pose,
 )
 from handlaser_gtsam.model.weighting import Variances, whitening
 from handlaser_gtsam.results.errors_by_pose import _likelihood
@@ -111,18 +110,20 @@ def test_score_tests_count_them():
 def test_stated_errors_change_with_the_pose_only_where_readings_say_so():
     rows, unit, _ = at_truth()
     found = np.empty((len(rows.residual), 0))
-    one = _likelihood(rows, unit, found, 70)
-    size, excess = sizes_as_stated([one] * 5, SIZE**2)
-    assert not size.any()
-    assert excess < 13.0
-    # Smooth errors of the same size as stated leave hardly any residuals.
-    quiet = Likelihood(one.G, 0.0 * one.q, 0.0, 70, one.constant)
-    likely = [quiet._replace(constant=one.constant + 20.0 * step) for step in range(5)]
-    size, excess = sizes_as_stated(likely, SIZE**2)
-    assert excess > 13.0
-    assert size == pytest.approx(
-        0.995 * SIZE, rel=0.01
-    )  # nine tenths of all that is stated, and more
+    one = _likelihood(rows, unit, found, 70)._replace(dof=int(1e6))
+    assert not sizes_by_pose(lambda _: one, (), SIZE**2)[0].any()
+
+    def quiet(part):
+        """Smooth errors leave hardly any residuals, which less noise of single stations suits."""
+        return one._replace(q=0.0 * one.q, square=0.0, constant=-20.0 * part)
+
+    size, excess = sizes_by_pose(quiet, (), SIZE**2)
+    assert size == pytest.approx(0.99 * SIZE, rel=0.02)
+    assert excess < 13.0  # they may be stated too large as well
+    # Large residuals are of other errors.
+    assert not sizes_by_pose(lambda part: quiet(part)._replace(square=71.0, dof=70), (), SIZE**2)[
+        0
+    ].any()
 
 
 @pytest.mark.slow

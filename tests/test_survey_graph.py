@@ -51,7 +51,7 @@ def with_hand_stated():
 
 
 CASES = [
-    pytest.param(with_hand_stated, id="learned"),
+    pytest.param(with_hand_stated, id="hand stated"),
     pytest.param(lambda: calibrated(3), id="several shots a stop"),
     pytest.param(lambda: mixed(True), id="mixed", marks=pytest.mark.slow),
 ]

@@ -24,7 +24,7 @@ The constant part of the error nobody can see. It belongs to the mount, which is
 robot reports it.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -53,11 +53,13 @@ class SizesByPose(NamedTuple):
     shift, turn : float
         Standard deviations by metre and radian [m], [rad].
     excess : float
-        By how much twice the logarithm of the likelihood is larger than without them.
+        By how much twice the logarithm of the likelihood is larger than without them, each with the
+        part of the noise beside that suits best.
     learned : bool
-        Whether errors of the hand were learned; else they are stated.
+        Whether errors of the hand were learned, of a kind at least; else they are stated.
     growth : float
-        The largest ratio of a standard deviation of an unknown to that without them.
+        The largest ratio of a standard deviation of a beam, or of any unknown of a survey, to that
+        without them.
     """
 
     shift: float
@@ -106,7 +108,7 @@ class ErrorsByPose(NamedTuple):
 
     def of_sizes(self, size: FloatArray, excess: float, *, learned: bool) -> "ErrorsByPose":
         """Return the same with standard deviations (6,) of turns and shifts, where they were one."""
-        turn, shift = size[:: POSE.dim // 2].tolist()
+        turn, shift = np.sqrt((size**2).reshape(2, -1).mean(axis=1)).tolist()
         return ErrorsByPose(self.pose, self.moved * size, SizesByPose(shift, turn, excess, learned))
 
     def grown(self, growth: float) -> "ErrorsByPose":
@@ -170,30 +172,35 @@ class Likelihood(NamedTuple):
 
 
 def sizes_by_pose(
-    likelihoods: Iterable[Likelihood], unknown: Sequence[Scale]
+    likelihood: Callable[[float], Likelihood], unknown: Sequence[Scale], stated: FloatArray
 ) -> tuple[FloatArray, float]:
     """Return the standard deviations (6,) of errors by metre and radian, and their `excess`.
 
     Parameters
     ----------
-    likelihoods : iterable of Likelihood
-        For parts of the noise beside them that are tried.
+    likelihood : callable
+        Returns it for a part of the errors of the hand, as those of single stations, beside them.
     unknown : sequence of Scale
-        Of errors of the hand: those that are not among them are zero.
+        Of errors of the hand that are not stated.
+    stated : (6,)
+        Variances by metre and radian of those that are, if all of them change with the pose; zero for
+        others. Of a part of single stations the rest of the variance changes with the pose.
     """
+    if not unknown:
+        return _sizes_as_stated(likelihood, stated)
     bounds = np.array([scale.bounds for scale in unknown])
     start = np.log([scale.prior for scale in unknown])
-
-    def sizes(points: FloatArray) -> FloatArray:
-        found = np.zeros((len(points), POSE.dim))
-        for scale, u in zip(unknown, points.T, strict=True):
-            found[:, AXES[scale.name]] = scale.unit * np.exp(u)[:, None]
-        return found
-
     squares, weights, most, without = [], [], [], []
-    for likelihood in likelihoods:
+    for part in OF_STATIONS:
+        of, known = likelihood(part), np.sqrt((1.0 - part**2) * stated)
 
-        def posterior(points: FloatArray, of: Likelihood = likelihood) -> FloatArray:
+        def sizes(points: FloatArray, known: FloatArray = known) -> FloatArray:
+            found = np.tile(known, (len(points), 1))
+            for scale, u in zip(unknown, points.T, strict=True):
+                found[:, AXES[scale.name]] = scale.unit * np.exp(u)[:, None]
+            return found
+
+        def posterior(points: FloatArray, of: Likelihood = of) -> FloatArray:
             density, factor = of.at(sizes(points))
             for scale, u in zip(unknown, points.T, strict=True):
                 density = density + scale.log_prior(u + 0.5 * np.log(factor))
@@ -201,49 +208,50 @@ def sizes_by_pose(
 
         mode = find_mode(posterior, start, bounds)
         points, log_weight, _ = design(posterior, mode, bounds, 0.0)
-        factor = likelihood.at(sizes(points))[1]
+        factor = of.at(sizes(points))[1]
         squares.append(factor[:, None] * sizes(points) ** 2)
         weights.append(log_weight + posterior(points))
-        most.append(likelihood.at(sizes(mode[None]))[0][0])
-        without.append(likelihood.at(np.zeros((1, POSE.dim)))[0][0])
+        most.append(of.at(sizes(mode[None]))[0][0])
+        without.append(of.at(np.zeros((1, POSE.dim)))[0][0])
     log_weight = np.concatenate(weights)
     weight = np.exp(log_weight - logsumexp(log_weight))
-    excess = 2.0 * float(max(most) - max(without))
-    return np.sqrt(weight @ np.concatenate(squares)), excess
+    return np.sqrt(weight @ np.concatenate(squares)), 2.0 * float(max(most) - max(without))
 
 
-def sizes_as_stated(
-    likelihoods: Iterable[Likelihood], variance: FloatArray
+def _sizes_as_stated(
+    likelihood: Callable[[float], Likelihood], stated: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return the standard deviations (6,) of errors by metre and radian, and their `excess`.
+    """Do as `sizes_by_pose` where all errors of the hand are stated.
 
-    Errors of the hand are stated: what is not of single stations changes with the pose, and is zero
-    where the readings do not show any.
-
-    Parameters
-    ----------
-    likelihoods : iterable of Likelihood
-        With `OF_STATED` of the stated errors as those of single stations.
-    variance : (6,)
-        By metre and radian, of errors that all change with the pose.
+    Where residuals are small, and smaller errors of single stations clearly more likely, the rest of
+    what is stated is taken to change with the pose, seen or not: who states errors knows of them.
     """
-    squares = np.array([(1.0 - part**2) * variance for part in OF_STATED])
-    values: list[float] = []
-    for one, square in zip(likelihoods, squares, strict=True):
-        values.append(one.of_known_noise(np.sqrt(square)))
-        if values[-1] < values[0]:  # where errors change with the pose, residuals are too small
+    squares = np.array([(1.0 - part**2) * stated for part in OF_STATED])
+    values, without = list[float](), list[float]()
+    for part, square in zip(OF_STATED, squares, strict=True):
+        of = likelihood(part)
+        if part == 1.0 and of.square > of.dof:
+            return np.zeros(POSE.dim), 0.0  # errors that change with the pose leave small residuals
+        values.append(of.of_known_noise(np.sqrt(square)))
+        without.append(of.of_known_noise(np.zeros(POSE.dim)))
+        if values[-1] < values[0]:
             break
-    excess = 2.0 * (max(values) - values[0])
-    if excess < UNLIKELY_EXCESS:
+    excess = 2.0 * (max(values) - max(without))
+    if 2.0 * (max(values) - values[0]) < UNLIKELY_EXCESS:
         return np.zeros(POSE.dim), excess
     weight = np.exp(np.array(values) - logsumexp(values))
     return np.sqrt(weight @ squares[: len(values)]), excess
 
 
-def by_metre_and_radian(covariance: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return the variances (6,) of errors that all change with poses (M, 6) from their mean.
+def by_metre_and_radian(
+    covariance: FloatArray, pose: FloatArray, unknown: Sequence[Scale]
+) -> FloatArray:
+    """Return the variances (6,) of stated errors that all change with poses (M, 6) from their mean.
 
-    On average over the stations they have the covariances (M, 6, 6) of their poses.
+    On average over the stations they have the covariances (M, 6, 6) of their poses; they are zero where
+    errors are `unknown`.
     """
-    mean = np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0)
+    mean = np.diagonal(covariance, axis1=1, axis2=2).mean(axis=0).copy()
+    for scale in unknown:
+        mean[AXES[scale.name]] = 0.0
     return np.asarray(mean / max(float((pose**2).sum(axis=1).mean()), TINY))

@@ -7,13 +7,10 @@ import numpy as np
 from ..arrays import FloatArray
 from ..quantities import NEGLIGIBLE
 from .errors_by_pose import (
-    OF_STATED,
-    OF_STATIONS,
     ErrorsByPose,
     Likelihood,
     by_metre_and_radian,
     poses_from_mean,
-    sizes_as_stated,
     sizes_by_pose,
 )
 from .scales import ROTATION, TRANSLATION, Scale
@@ -42,19 +39,15 @@ def survey_errors_by_pose(
     unknown = [Scale(name, None, 1.0, prior) for name, prior, one in names if one]
 
     def likelihood(part: float) -> Likelihood:
-        turn, shift = (np.where(learned | (not unknown), part, 1.0) * state.sizes.pose).tolist()
+        turn, shift = (part * size for size in state.sizes.pose)
         sizes = replace(state.sizes, pose=(turn, shift), again=part * state.sizes.again)
         return _likelihood(replace(state, sizes=sizes), inside)
 
-    likelihoods = map(likelihood, OF_STATIONS if unknown else OF_STATED)
-    if unknown:
-        found = sizes_by_pose(likelihoods, unknown)
-    else:
-        read = np.unique([item.station for item in state.rows.counted(state.used)])
-        pose = poses_from_mean(state.rows.survey.stations, read)
-        variance = by_metre_and_radian(state.pose_covariance()[read], pose)
-        found = sizes_as_stated(likelihoods, variance)
-    errors = _unit(state).of_sizes(*found, learned=bool(unknown))
+    read = np.unique([item.station for item in state.rows.counted(state.used)])
+    pose = poses_from_mean(state.rows.survey.stations, read)
+    stated = by_metre_and_radian(state.pose_covariance()[read], pose, unknown)
+    sizes = sizes_by_pose(likelihood, unknown, stated)
+    errors = _unit(state).of_sizes(*sizes, learned=bool(unknown))
     J, _ = state.dense()[0].whitened()
     scale = _scale(J)
     F = np.concatenate(list(errors.columns), axis=1)

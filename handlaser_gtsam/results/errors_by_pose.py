@@ -7,18 +7,14 @@ import numpy as np
 from ..arrays import FloatArray
 from ..data.recording import Recording
 from ..estimation.errors_by_pose import (
-    OF_STATED,
-    OF_STATIONS,
     ErrorsByPose,
     Likelihood,
     by_metre_and_radian,
     poses_from_mean,
-    sizes_as_stated,
     sizes_by_pose,
 )
-from ..estimation.scales import AXES
 from ..estimation.solution import Solution
-from ..model.families import PLANE, POSE
+from ..model.families import PLANE
 from ..model.weighting import whitening
 from .projection import LinearRows, Projection
 
@@ -49,26 +45,21 @@ def errors_by_pose(
     unit = ErrorsByPose(poses_from_mean(stations, rows.position), rows.linear.pose)
     learned = None if solution.posterior is None else solution.posterior.learned
     unknown = () if learned is None else learned.scales.of_hand
-    tried = np.full(POSE.dim, not unknown)
-    for scale in unknown:
-        tried[AXES[scale.name]] = True
+    if not unknown:  # residuals that systematic errors make large are none of smooth ones
+        found = found[:, :0]
     pose = variances.pose
 
     def likelihood(part: float) -> Likelihood:
         if part == 1.0:
             return _likelihood(rows, unit, found, dof)
-        root = np.where(tried, part, 1.0)
-        fewer = replace(variances, pose=pose * np.outer(root, root))
-        how = whitening(rows.at, rows.readings, fewer)
+        how = whitening(rows.at, rows.readings, replace(variances, pose=part**2 * pose))
         of = rows.prior, rows.position, rows.channel, rows.freed
         return _likelihood(LinearRows(rows.at, rows.readings, how, *of), unit, found, dof)
 
-    likelihoods = map(likelihood, OF_STATIONS if unknown else OF_STATED)
-    if unknown:
-        return unit.of_sizes(*sizes_by_pose(likelihoods, unknown), learned=True)
     read, first = np.unique(rows.readings.station, return_index=True)
-    variance = by_metre_and_radian(variances.pose[read], unit.pose[first])
-    return unit.of_sizes(*sizes_as_stated(likelihoods, variance), learned=False)
+    stated = by_metre_and_radian(pose[read], unit.pose[first], unknown)
+    sizes = sizes_by_pose(likelihood, unknown, stated)
+    return unit.of_sizes(*sizes, learned=bool(unknown))
 
 
 def _likelihood(rows: LinearRows, unit: ErrorsByPose, found: FloatArray, dof: int) -> Likelihood:
@@ -79,13 +70,12 @@ def _likelihood(rows: LinearRows, unit: ErrorsByPose, found: FloatArray, dof: in
     _, beside, _, _ = projection.perpendicular(found)
     inverse, along = np.linalg.inv(found.T @ beside), unit.products(beside)
     size = inverse @ (found.T @ heavy)
-    weighed = [projection.how.weighed(F) for F in unit.columns]
-    gradient = np.concatenate([projection.J.T @ F for F in weighed], axis=1)
-    G = np.concatenate([unit.products(F) for F in weighed], axis=1)
-    G -= gradient.T @ projection.following(gradient) + along @ inverse @ along.T
+    rest = [projection.weighed_rest(F) for F in unit.columns]
+    G = np.concatenate([unit.products(F) for F in rest], axis=1) - along @ inverse @ along.T
     left = float(square[0] - (found.T @ heavy * size).sum())
     constant = projection.log_det_inverse() - rows.how.log_det()
     unknowns = projection.beam_inverse.any(axis=0).sum() + PLANE.dim * rows.readings.planes
+    unknowns += found.shape[1]
     constant -= 2.0 * float(len(rows.residual) - unknowns) * np.log(sigma)
     constant += float(np.linalg.slogdet(inverse)[1])
     return Likelihood(

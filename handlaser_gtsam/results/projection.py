@@ -143,10 +143,11 @@ class Projection:
         )
 
     def log_det_inverse(self) -> float:
-        """Return log det of the covariance of all unknowns but freed errors, in units of sigma^2."""
+        """Return log det of the covariance of all unknowns: of beams and planes in units of sigma^2."""
         used = np.flatnonzero(self.beam_inverse.any(axis=0))
         of_beams = np.linalg.slogdet(self.beam_inverse[np.ix_(used, used)])[1]
-        return float(of_beams + np.linalg.slogdet(self.plane_inverse)[1].sum())
+        of_freed = np.linalg.slogdet(self.how.sigma**2 * self.freed_inverse)[1]
+        return float(of_beams + np.linalg.slogdet(self.plane_inverse)[1].sum() + of_freed)
 
     def prior_residuals(self, at: Parameters) -> FloatArray:
         """Return the rows (7 B + q, 1) of the priors of range errors and of freed errors."""
@@ -210,7 +211,9 @@ class Projection:
         return np.concatenate((x, y))
 
     def weighed_rest(self, columns: FloatArray) -> FloatArray:
-        """Return what beams and planes leave of columns (N, c), times sigma^2 inv(C)."""
+        """Return what the unknowns leave of columns (N, c), times sigma^2 inv(C), but for rounding."""
+        if self.freed.codes:
+            return self.perpendicular(columns)[1]
         step = self.following(self.J.T @ self.how.weighed(columns))
         return self.how.weighed(columns - self.J @ step)
 

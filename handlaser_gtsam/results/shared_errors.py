@@ -333,6 +333,7 @@ def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPo
     c = np.linalg.solve(own, y) / sigma
     beams, across, planes = b @ b.T, c @ b.T, c @ np.swapaxes(c, 1, 2)
     more = more.grown(_growth(root, beams))
+    seen = more.sizes is not None and more.sizes.is_seen
     coupling = None
     if P <= COUPLED_PLANES:
         flat = c.reshape(P * PLANE.dim, -1)
@@ -352,7 +353,7 @@ def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPo
         across=across,
         planes=planes,
         coupling=coupling,
-        growth=_growth(root, beams),
+        growth=_growth(root, beams) if seen else shared.growth,
         freed_growth=of_freed,
         by_pose=more,
     )

@@ -304,6 +304,11 @@ class SurveyCalibration(Result):
         """All sensors, then all beams."""
         return *self.sensors.values(), *self.beams.values()
 
+    @property
+    def errors_by_pose(self) -> "SizesByPose | None":
+        """Errors of the hand that change with its pose; None where it does not err, or nothing is sure."""
+        return None if self._found.by_pose is None else self._found.by_pose.sizes
+
     def judged(self, limits: Limits | None = None, reading: float | None = None) -> Verdict:
         """Return the verdict by what a user demands.
 
