@@ -13,6 +13,7 @@ from ..data.survey import RAY_ERRORS, Survey
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
 from ..estimation.dense import unknowns_of
+from ..estimation.errors_by_pose import SizesByPose
 from ..estimation.estimate import (
     MOST_REJECTED,
     TestedEffect,
@@ -305,8 +306,8 @@ class SurveyCalibration(Result):
         return *self.sensors.values(), *self.beams.values()
 
     @property
-    def errors_by_pose(self) -> "SizesByPose | None":
-        """Errors of the hand that change with its pose; None where it does not err, or nothing is sure."""
+    def errors_by_pose(self) -> SizesByPose | None:
+        """Errors of the hand that change with its pose; None where it does not err."""
         return None if self._found.by_pose is None else self._found.by_pose.sizes
 
     def judged(self, limits: Limits | None = None, reading: float | None = None) -> Verdict:

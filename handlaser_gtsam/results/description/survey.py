@@ -159,8 +159,7 @@ def facts(result: "SurveyCalibration", verdict: Verdict) -> Facts:
     if math.isfinite(turn):
         how = " (estimated)" if result.pose_sigma_estimated else ""
         noise.append(said("noise:hand", shift=shift, turn=turn, how=how))
-    if result._found.by_pose is not None:
-        noise += by_pose_words(result._found.by_pose.sizes)
+    noise += by_pose_words(result.errors_by_pose)
     found.append(("noise, one standard deviation", ", ".join(noise)))
     for sensor in result.sensors.values():
         if sensor.range_error:
