@@ -8,8 +8,8 @@ station i is
     e_i = B x_i,    x_i its pose from the mean one, in metres and radians,
 
 and the columns of B are unknown, with the standard deviations s_r of turns and s_t of shifts, by metre
-and radian. Their half-Cauchy priors are those of errors that stations have of their own. What B does to
-the readings are 36 columns F; with residuals e of n degrees of freedom, V the noise that was learned
+and radian. Their half-Cauchy priors are as of errors that single stations have. What B does to the
+readings are 36 columns F; with residuals e of n degrees of freedom, V the noise that was learned
 without them, of which a factor is free, and Q of `survey_noise`,
 
     log p(e | s) = -log det(I + S F'Q F S) / 2 - n / 2 log min_w (|e - F S w|^2 + |w|^2),
@@ -42,7 +42,7 @@ from .scales import AXES, Scale, design, find_mode
 OF_STATIONS = (1.0, 0.3, 0.0)
 """Parts of the learned errors of single stations that are tried beside errors by pose."""
 OF_STATED = (1.0, 0.8, 0.55, 0.3, 0.1)
-"""Parts of stated errors that are tried as those of single stations."""
+"""Parts of stated errors that are tried as errors of single stations."""
 
 
 class SizesByPose(NamedTuple):
@@ -179,7 +179,7 @@ def sizes_by_pose(
     Parameters
     ----------
     likelihood : callable
-        Returns it for a part of the errors of the hand, as those of single stations, beside them.
+        Returns it for a part of the errors of the hand, as errors of single stations, beside them.
     unknown : sequence of Scale
         Of errors of the hand that are not stated.
     stated : (6,)

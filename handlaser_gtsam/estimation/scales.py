@@ -165,7 +165,7 @@ class Scales(Value):
 
     @property
     def of_hand(self) -> tuple[Scale, ...]:
-        """Those of errors of the hand that are unknown."""
+        """Scales of errors of the hand that are unknown."""
         return tuple(scale for scale in self.unknown if scale.name != RANGE)
 
     @property

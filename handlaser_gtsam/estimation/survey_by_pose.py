@@ -28,7 +28,7 @@ def survey_errors_by_pose(
     ErrorsByPose
         Of the whitened rows of the state.
     covariance : (n, n)
-        By which that of the unknowns is larger.
+        By which the covariance of the unknowns is larger.
     None
         Where the hand does not err.
     """

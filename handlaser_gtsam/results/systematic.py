@@ -162,7 +162,7 @@ def systematic_errors(
     shared : SharedErrors
         What follows from errors of the hand that stations share.
     learn : callable, optional
-        Learns errors that change with the pose, beside those of some columns (N, q).
+        Learns errors that change with the pose, beside errors of some columns (N, q).
 
     Returns
     -------
