@@ -5,11 +5,11 @@
 Two beams, a profiler or a depth camera on an arm go through a programme before each of four plates,
 the same or another one each time. Lengths and twists of its links, zeros of its joints and the
 eccentricity of its gears differ from what it believes, so that the errors of its hand are smooth in its
-pose; of what was recorded nothing else errs but readings. The constant part of the errors of the hand
-nobody can see: it is counted to the mount. Each line has the mean square of the errors of a mount in
-standard deviations (1 is right), its median over the recordings, how many are beyond three and five
-standard deviations, and how many are usable, usable with care, and neither. Nothing of the simulation
-is shared with the package.
+pose. Beside that only readings err. The constant part of the errors of the hand belongs to the mount,
+because no reading shows it. Each line has the mean square of the errors of a mount in standard
+deviations (1 is right), the median of the recordings, how many of them have a location beyond three and
+five standard deviations, and how many are usable, usable with care, and neither. Nothing of the
+simulation is shared with the package.
 """
 
 import argparse
@@ -31,7 +31,10 @@ LENGTH, ANGLE, GEAR = 2e-4, 2e-4, 1e-4
 """What links [m], twists and zeros [rad], and each of two harmonics of a gear [rad] err by."""
 REACH = np.radians([8.0, 6.0, 8.0, 20.0, 20.0, 70.0])
 """How far the joints go from their posture."""
+STOPS = 12
+"""Of a programme."""
 TILTS = np.radians([[0, 0, 0], [22, 0, 0], [-12, 20, 0], [-10, -20, 0]])
+"""Of the plates, by about which they lean from the middle of the programme."""
 DISTANCE, STEEP = 0.55, 0.5
 """From the middle of the programme to the plates [m]; least cosine of incidence."""
 SIGMA = {"beams": 5e-5, "profiler": 5e-5, "camera": 2e-4}
@@ -51,7 +54,6 @@ class Case:
     is_same: bool
     is_stated: bool
     scale: float = 1.0
-    stops: int = 12
 
     @property
     def name(self) -> str:
@@ -72,12 +74,9 @@ class Arm:
 
     def hands(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return where the hand is believed to be, and is, at joints (N, 6): (N, 4, 4)."""
-        off = self.zero + sum(g * np.sin((k + 1) * q + p) for k, g, p in self._harmonics())
+        off = self.zero + sum(self.gear[k] * np.sin((k + 1) * q + self.phase[k]) for k in range(2))
         true = _hands(q + off, DH_A + self.a, DH_D + self.d, DH_ALPHA + self.alpha)
         return _hands(q, DH_A, DH_D, DH_ALPHA), true
-
-    def _harmonics(self) -> list[tuple[int, FloatArray, FloatArray]]:
-        return [(k, self.gear[k], self.phase[k]) for k in range(2)]
 
 
 def _hands(q: FloatArray, a: FloatArray, d: FloatArray, alpha: FloatArray) -> FloatArray:
@@ -108,7 +107,7 @@ class Scene:
         normals = (ahead * Rotation.from_rotvec(tilts)).apply([0.0, 0.0, 1.0])
         offsets = normals @ middle[:3, 3] + DISTANCE
         joints: list[FloatArray] = []
-        while len(joints) < (1 if case.is_same else 4) * case.stops:
+        while len(joints) < (1 if case.is_same else 4) * STOPS:
             q = POSTURE + REACH * rng.uniform(-1.0, 1.0, 6)
             axes = arm.hands(q[None])[1][0, :3, :3] @ self.R.apply([0.0, 0.0, 1.0]).T
             if (normals @ axes > STEEP).all():
@@ -116,7 +115,7 @@ class Scene:
         if case.is_same:
             joints *= 4
         self.believed, hands = arm.hands(np.array(joints))
-        self.plate = np.repeat(np.arange(4), case.stops)
+        self.plate = np.repeat(np.arange(4), STOPS)
         errors = np.linalg.inv(self.believed) @ hands
         turns = Rotation.from_matrix(errors[:, :3, :3]).as_rotvec()
         self.turn, self.shift = turns.std(axis=0).mean(), errors[:, :3, 3].std(axis=0).mean()
@@ -166,7 +165,7 @@ class Scene:
         return hl.Noise(pose_translation_sigma=self.shift, pose_rotation_sigma=self.turn)
 
     def squares(self) -> tuple[float, float, str]:
-        """Return the mean square error of the mounts, the largest of r, and the verdict."""
+        """Return the mean square error of the mounts, the largest error of r, and the verdict."""
         R, t = self.believed[:, :3, :3], self.believed[:, :3, 3]
         turns, r = self.truth
         if self.case.sensor == "beams":
@@ -201,7 +200,7 @@ class Scene:
 
 
 def run_once(case: Case, seed: int) -> tuple[float, float, str]:
-    """Return the mean square error of the mounts of one recording, the largest, and the verdict."""
+    """Return the `squares` of one recording."""
     return Scene(case, seed).squares()
 
 
