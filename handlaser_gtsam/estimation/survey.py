@@ -27,6 +27,7 @@ from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import tests_of
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
+from .survey_cones import aim_freely
 from .survey_mirror import (
     best_image,
     images_of,
@@ -266,8 +267,9 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         settled, doubtful = True, _doubtful(state)
         first = min(first, first_fit(state), key=lambda one: one.misfit)
         again, others = best_image(state, _settle_near)
-    problem, _ = state.problem()
-    found = judged(problem, problem.blocks, dict(state.values))
+    found = _judged(state)
+    if found.status == "undetermined" and aim_freely(state):
+        found = _judged(state)
     found = replace(found, dof=max(found.dof - round(float(_twice(state).sum())), 0))
     # A mirror image that fits better than the first state is none of its misfit.
     misfit = not first.fits and (not settled or (again is None and found.status != "converged"))
@@ -298,6 +300,12 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
     return SurveyEstimate(
         state.rows, state.noise, found, sizes, stated, used, tests, images, first, spread
     )
+
+
+def _judged(state: SurveyState) -> Estimate:
+    """Return the estimate where a state stands."""
+    problem, _ = state.problem()
+    return judged(problem, problem.blocks, dict(state.values))
 
 
 def first_image(state: SurveyState) -> list[Mapping[str, FloatArray]]:
@@ -693,8 +701,7 @@ def _hidden_left_out(state: SurveyState) -> bool:
 def _settle_near(state: SurveyState) -> bool:
     """Settle, where something is undetermined at the minimum near the hand; tell whether it rests."""
     settled = _settle_sorted(state)
-    problem, _ = state.problem()
-    if judged(problem, problem.blocks, dict(state.values)).status == "undetermined":
+    if _judged(state).status == "undetermined":
         state.draw_to_the_hand()
     return settled
 

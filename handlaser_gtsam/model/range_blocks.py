@@ -160,6 +160,12 @@ class Ranges:
         parts = self.sensor, self.target, self.robot
         return slots_of(*((part.family, part.member) for part in parts))
 
+    def nearest(self, values: Values) -> FloatArray:
+        """Return the directions (3, K, G, S) of the hand in which the target is nearest to rays."""
+        R, t = self.robot.pose(values)
+        origin = turned(R, self.sensor.rays(values, self.reading).origin) + t
+        return turned_back(R, self.target.nearest(values, origin))
+
     def evaluate(self, values: Values) -> Rows:
         """Return the rows of all readings [m]."""
         d = self.reading
@@ -167,8 +173,7 @@ class Ranges:
         R, t = self.robot.pose(values)
         origin = turned(R, rays.origin) + t
         if rays.towards is not None:
-            nearest = turned_back(R, self.target.nearest(values, origin))
-            rays = replace(rays, direction=rays.towards(rays.direction, nearest))
+            rays = replace(rays, direction=rays.towards(rays.direction, self.nearest(values)))
         hits = self.target.hit(values, origin, turned(R, rays.direction))
         a = turned_back(R, hits.covector)
         s = hits.range
