@@ -27,6 +27,8 @@ MEDIAN_TO_SIGMA = 1.4826
 """Standard deviation of a Gaussian over the median of its absolute values."""
 TEN_TIMES = 10.0
 """A noise ten times what was stated or is expected is no noise, but a mistake such as a wrong unit."""
+NO_GROWTH = 1.02
+"""No digit that is shown of a standard deviation changes by a smaller factor."""
 MANY_OUTLIERS = 0.1
 """More outliers than this part of the readings are no accident, but have a cause."""
 MAJORITY = 0.6

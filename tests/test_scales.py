@@ -424,10 +424,10 @@ def test_a_perfect_robot_gets_small_sigmas_and_says_how_sure_it_is():
     assert by_name["range"].sigma == pytest.approx(RANGE, rel=0.2)
     assert by_name["pose translation"].sigma < 0.5 * RANGE
     assert 0.0 < by_name["range"].error < 0.2 * RANGE
-    # Beside errors of the robot, which may be there, little is known worse.
+    # Beside errors of the robot, which may be there and change with the pose, little is known worse.
     exact = hl.calibrate(recording, options=hl.CalibrationOptions("none", poses="exact"))
     for name, beam in found.beams.items():
-        assert (beam.location_sigma < 1.4 * exact.beams[name].location_sigma).all()
+        assert (beam.location_sigma < 1.5 * exact.beams[name].location_sigma).all()
 
 
 def test_each_beam_may_have_its_own_sigma():

@@ -164,6 +164,11 @@ class Scales(Value):
         return ranges, pose
 
     @property
+    def of_hand(self) -> tuple[Scale, ...]:
+        """Scales of errors of the hand that are unknown."""
+        return tuple(scale for scale in self.unknown if scale.name != RANGE)
+
+    @property
     def common(self) -> bool:
         """Whether all beams have one range sigma."""
         return not np.ptp(self.range_sigma) and all(scale.beam is None for scale in self.unknown)
@@ -289,7 +294,8 @@ def design(
     log_weight = np.log(weight) + 0.5 * (z**2).sum(axis=1)
     side = np.where(z > 0.0, stretch[0], np.where(z < 0.0, stretch[1], stretch.mean(axis=0)))
     points = np.clip(mode + (side * z) @ axes.T, bounds[:, 0], bounds[:, 1])
-    return points, log_weight + np.log(side).sum(axis=1), left
+    log_weight += np.log(side).sum(axis=1) + np.log(np.linalg.norm(axes, axis=0)).sum()
+    return points, log_weight, left
 
 
 def _points(size: int) -> tuple[FloatArray, FloatArray]:

@@ -26,7 +26,9 @@ from ..model.targets.point import POINT
 from ..model.weighting import covariance_roots
 from ..quantities import IN_PERCENT, MEDIAN_TO_SIGMA, MM, MOST_ROUNDS, NEGLIGIBLE, SAME_OPTIMUM
 from .dense import tests_of
+from .errors_by_pose import ErrorsByPose
 from .estimate import MOST_REJECTED, BlockProblem, Estimate, judged
+from .survey_by_pose import survey_errors_by_pose
 from .survey_cones import aim_freely
 from .survey_mirror import (
     best_image,
@@ -147,6 +149,8 @@ class SurveyEstimate:
     first : FirstFit
     spread : (n,)
         By what the standard deviation of each unknown of `estimate` was multiplied (`_spread`).
+    by_pose : ErrorsByPose, optional
+        Errors of the hand that change with its pose, of the whitened rows; None where it does not err.
     contradicted : (Survey, Noise), optional
         What was stated, where the readings contradict sigmas of it: those were learned.
     """
@@ -161,6 +165,7 @@ class SurveyEstimate:
     images: Mapping[tuple[str, int], float]
     first: FirstFit
     spread: FloatArray
+    by_pose: ErrorsByPose | None = None
     contradicted: tuple[Survey, Noise] | None = None
 
     @property
@@ -294,11 +299,30 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         message = f"{most} contradict the others"
         found = replace(found, status="contradicted", message=message)
     tests, spread = _tested(state), _spread(state, found)
-    found = replace(found, covariance=found.covariance * np.outer(spread, spread))
+    covariance, by_pose = found.covariance * np.outer(spread, spread), None
+    if found.status in ("converged", "contradicted"):
+        usual = usual_noise(state.rows, state.noise).pose
+        learned = survey_errors_by_pose(state, usual, _beside_rows(state))
+        if learned is not None:
+            by_pose, more = learned
+            growth = np.sqrt(1.0 + np.diagonal(more) / np.diagonal(covariance))
+            by_pose = by_pose.grown(float(growth.max()))
+            spread, covariance = spread * growth, covariance + more
+    found = replace(found, covariance=covariance)
     found, images = with_images(found, others)
     sizes, stated, used = state.sizes, state.stated, state.used
     return SurveyEstimate(
-        state.rows, state.noise, found, sizes, stated, used, tests, images, first, spread
+        state.rows,
+        state.noise,
+        found,
+        sizes,
+        stated,
+        used,
+        tests,
+        images,
+        first,
+        spread,
+        by_pose,
     )
 
 

@@ -78,11 +78,14 @@ def _of_beams(calibration: Calibration, reading: float) -> Record:
         "fit": record(
             fit,
             "readings rms_m max_m max_at chi2 dof sigma0 range_sigma_m range_sigma_given poses "
-            "pose_covariance noise_estimate rejected",
+            "pose_covariance noise_estimate errors_by_pose rejected",
             max_m=fit.max_residual,
             max_at=record(fit.max_residual_at, "station beam"),
             pose_covariance=calibration.pose_covariance,
             noise_estimate=records(calibration.noise_estimate, "name sigma error prior_carries"),
+            errors_by_pose=None
+            if calibration.errors_by_pose is None
+            else calibration.errors_by_pose._asdict(),
             rejected=[
                 record(one, "station beam target reason residual_m", beam=one.sensor)
                 for one in fit.rejected

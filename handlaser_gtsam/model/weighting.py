@@ -136,6 +136,13 @@ class Whitening(Value):
         weighed: FloatArray = self.root[:, None] * (scaled - self._V @ (self._V.T @ scaled))
         return weighed
 
+    def log_det(self) -> float:
+        """Return log det of C, in units of sigma^2."""
+        own = -2.0 * float(np.log(self.root).sum())
+        return (
+            own if self.common is None else own - float(np.log1p(-self._squares_of_common[0]).sum())
+        )
+
     def squares(self) -> FloatArray:
         """Return what a reading (N,) weighs by itself: the diagonal of sigma^2 inv(C)."""
         squares: FloatArray = self.root**2
@@ -159,13 +166,20 @@ class Whitening(Value):
     @cached_property
     def _E(self) -> csr_array:
         assert self.common is not None
+        values, axes = self._squares_of_common
+        axes = axes / np.sqrt(1.0 + np.sqrt(1.0 - values))[:, None]
+        return self._sparse((self.common[:, None] @ axes[self.station])[:, 0])
+
+    @cached_property
+    def _squares_of_common(self) -> tuple[FloatArray, FloatArray]:
+        """Eigenvalues (S, 6) and eigenvectors (S, 6, 6) of V'V of every station."""
+        assert self.common is not None
         V = self.common
         order = np.argsort(self.station, kind="stable")
         first = np.flatnonzero(np.diff(self.station[order], prepend=-1))
         outer = V[order, :, None] * V[order, None, :]
         values, axes = np.linalg.eigh(np.add.reduceat(outer, first))
-        axes /= np.sqrt(1.0 + np.sqrt(1.0 - np.clip(values, 0.0, 1.0)))[:, None]
-        return self._sparse((V[:, None] @ axes[self.station])[:, 0])
+        return np.clip(values, 0.0, 1.0), axes
 
     def _sparse(self, common: FloatArray) -> csr_array:
         """Return columns (N, 6) as (N, 6 S), in which each station has six columns of its own."""

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..estimation.errors_by_pose import SizesByPose as SizesByPose
     from ..estimation.scales import NoiseComponent as NoiseComponent
     from ..estimation.survey import RelationTest as RelationTest
     from ..model.joint import Coordinate as Coordinate

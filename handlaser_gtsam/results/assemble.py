@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -52,12 +53,20 @@ from .calibration_data import (
     Status,
 )
 from .dependence import INDEPENDENT, Dependence
+from .errors_by_pose import errors_by_pose
 from .lines import NAMES_IN_LINE
 from .messages import Values, said, warned
 from .moved_beam import moved_beam
 from .problem import Problem, fit_of, linear_rows, named_estimates, unit_sigma
 from .projection import LinearRows
-from .shared_errors import NOTHING_SHARED, SharedErrors, Stops, shared_errors, stops_of
+from .shared_errors import (
+    NOTHING_SHARED,
+    SharedErrors,
+    Stops,
+    shared_errors,
+    stops_of,
+    warnings_of,
+)
 from .systematic import SystematicError, systematic_errors
 from .warnings import (
     COARSE,
@@ -124,7 +133,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     stops = None if solution.variances is None else _stops(problem, used, solution.variances)
     if status == "converged" and solution.at.loss == GAUSSIAN:
         rows, shared, systematic, together = _tested(problem, selection, fit, freed, stops)
-    joint, effects = None, tuple[FreedEffect, ...]()
+    joint, effects, by_pose = None, tuple[FreedEffect, ...](), shared.sizes_by_pose
     learned = solution.scales_estimated or not fit.range_sigma_given
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
@@ -140,6 +149,8 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
+        if by_pose is not None and by_pose.is_seen:
+            as_one = max(as_one, by_pose.growth**2)
         known = not determined.undetermined
         again = stops if learned or solution.at.loss != GAUSSIAN else None
         signs = _signs(problem, used, fit, solution, why, again, as_one, known=known)
@@ -161,6 +172,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
             *rival_warnings(used, solution, fit, joint, names),
             *filter(None, (moved,)),
             *together.warnings,
+            *warnings_of(by_pose),
             *(() if freed is None else freed.warnings(effects)),
             *(
                 CalibrationWarning(f"systematic-{s.code}", s.warning, s.values)
@@ -179,6 +191,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         systematic=systematic,
         sensor_kind=problem.sensor.kind,
         effects=effects,
+        errors_by_pose=by_pose,
     )
     return with_scales(result, problem, solution, freed, is_shared=shared.any)
 
@@ -279,7 +292,10 @@ def _tested(
     pose = None if solution.variances is None else solution.variances.pose
     if pose is not None and stops is not None and solution.observability.full:
         shared = shared_errors(rows, pose, stops)
-    found, together = systematic_errors(
+    learn = None
+    if pose is not None and solution.observability.full:
+        learn = partial(errors_by_pose, rows, problem.recording, solution, dof)
+    found, together, shared = systematic_errors(
         rows,
         names,
         stations,
@@ -287,6 +303,7 @@ def _tested(
         dof=dof,
         plausible=plausible,
         shared=shared,
+        learn=learn,
     )
     return rows, shared, found, shared.beyond(together)
 

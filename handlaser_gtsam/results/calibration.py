@@ -56,6 +56,9 @@ class Calibration(CalibrationData, Result):
         Unknowns of the beams that the recording hardly tells apart.
     at_scales : ScaledSolution or None
         The solution at the most probable scales, where they were.
+    errors_by_pose : SizesByPose or None
+        Errors of the hand that change with its pose; None where it does not err, the loss is robust, or
+        not everything is determined.
     learned : LearnedScales or None
         The scales of noise and range errors that were integrated over.
     systematic : tuple of SystematicError

@@ -17,6 +17,7 @@ from ..data.parameters import Parameters, RangeErrorPrior
 from ..data.recording import Recording
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
+from ..estimation.errors_by_pose import SizesByPose
 from ..estimation.learning_scales import LearnedScales
 from ..estimation.scales import NoiseComponent
 from ..model.distributions import CONFIDENCE, chi2_sf, gaussian_quantile, student_quantile
@@ -343,6 +344,7 @@ class CalibrationData(Value):
     correlations: tuple[Correlation, ...] = ()
     at_scales: ScaledSolution | None = None
     learned: LearnedScales | None = None
+    errors_by_pose: SizesByPose | None = None
     systematic: tuple[SystematicError, ...] = ()
     recording: Recording | None = None
     range_error_prior: RangeErrorPrior | None = None

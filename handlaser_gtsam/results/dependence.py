@@ -35,7 +35,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.families import BEAM
-from ..quantities import FAR_SIGMAS, NUMBERS_AT_ONCE
+from ..quantities import FAR_SIGMAS, NO_GROWTH, NUMBERS_AT_ONCE
 from .messages import warned
 from .projection import LinearRows, Projection
 
@@ -132,8 +132,7 @@ def dependence(
     of_means = 1.0 + 2.0 * np.exp(-lags / lengths[:, None]) @ (1.0 - lags / chains.longest)
     means_growth = float(parts @ [1.0, *of_means])
     growth, plane_growth = np.sqrt([lost * growth, lost * means_growth]).tolist()
-    # No digit that is shown changes by less.
-    if max(growth, plane_growth) < 1.02:
+    if max(growth, plane_growth) < NO_GROWTH:
         return INDEPENDENT
     together = parts[1:] / max(parts[1:].sum(), np.finfo(float).tiny)
     return Dependence(

@@ -133,7 +133,7 @@ class Projection:
         self.response[:, :, used] = plane_unit[:, None] * reduced.local_response / unit[used]
         # Of the freed errors: what beams and planes leave of them, weighed, and their own information.
         self.freed, freed = rows.freed, rows.freed.columns
-        self.freed_rest, self.freed_pulled, self.freed_moved = self._beside(freed)
+        self.freed_rest, self.freed_pulled, self.freed_moved = self.beside(freed)
         self.freed_heavy = self.how.weighed(self.freed_rest)
         self.freed_information = (
             self.freed_rest.T @ self.freed_heavy + self.freed_pulled.T @ self.freed_pulled
@@ -141,6 +141,13 @@ class Projection:
         self.freed_inverse = np.linalg.inv(
             self.freed_information + self.how.sigma**2 * np.eye(freed.shape[1])
         )
+
+    def log_det_inverse(self) -> float:
+        """Return log det of the covariance of all unknowns: of beams and planes in units of sigma^2."""
+        used = np.flatnonzero(self.beam_inverse.any(axis=0))
+        of_beams = np.linalg.slogdet(self.beam_inverse[np.ix_(used, used)])[1]
+        of_freed = np.linalg.slogdet(self.how.sigma**2 * self.freed_inverse)[1]
+        return float(of_beams + np.linalg.slogdet(self.plane_inverse)[1].sum() + of_freed)
 
     def prior_residuals(self, at: Parameters) -> FloatArray:
         """Return the rows (7 B + q, 1) of the priors of range errors and of freed errors."""
@@ -159,7 +166,7 @@ class Projection:
         own = self.pull.size
         if pulled is None:
             pulled = np.zeros((own + len(self.freed.size), columns.shape[1]))
-        rest, of_beams, moved = self._beside(columns, pulled[:own])
+        rest, of_beams, moved = self.beside(columns, pulled[:own])
         if not len(self.freed.size):
             return rest, of_beams, moved
         sigma = self.how.sigma
@@ -172,7 +179,7 @@ class Projection:
             moved - self.freed_moved @ freed,
         )
 
-    def _beside(
+    def beside(
         self, columns: FloatArray, pulled: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Do as `rest`, but for what freed errors explain.
@@ -184,19 +191,31 @@ class Projection:
         moved = np.zeros((self.J.shape[1], columns.shape[1]))
         if not columns.shape[1]:
             return rest, pulled, moved
-        pull, response = self.pull.reshape(-1, 1), self.response.reshape(-1, self.pull.size)
+        pull = self.pull.reshape(-1, 1)
         for _ in range(2):
             gradient = self.J.T @ self.how.weighed(rest)
-            beams, planes = np.split(gradient, [self.pull.size])
-            planes = planes.reshape(self.readings.planes, PLANE.dim, -1)
-            beams = beams + pull * pulled - response.T @ planes.reshape(len(response), -1)
-            x = self.beam_inverse @ beams
-            y = (self.plane_inverse @ planes).reshape(len(response), -1) - response @ x
-            step = np.concatenate((x, y))
+            gradient[: self.pull.size] += pull * pulled
+            step = self.following(gradient)
             rest -= self.J @ step
-            pulled -= pull * x
+            pulled -= pull * step[: self.pull.size]
             moved += step
         return rest, pulled, moved
+
+    def following(self, gradient: FloatArray) -> FloatArray:
+        """Return the beams and planes (7 B + 3 P, c) that follow from gradients by them."""
+        response = self.response.reshape(-1, self.pull.size)
+        beams, planes = np.split(gradient, [self.pull.size])
+        planes = planes.reshape(self.readings.planes, PLANE.dim, -1)
+        x = self.beam_inverse @ (beams - response.T @ planes.reshape(len(response), -1))
+        y = (self.plane_inverse @ planes).reshape(len(response), -1) - response @ x
+        return np.concatenate((x, y))
+
+    def weighed_rest(self, columns: FloatArray) -> FloatArray:
+        """Return what the unknowns leave of columns (N, c), times sigma^2 inv(C), but for rounding."""
+        if self.freed.codes:
+            return self.perpendicular(columns)[1]
+        step = self.following(self.J.T @ self.how.weighed(columns))
+        return self.how.weighed(columns - self.J @ step)
 
     def perpendicular(
         self, columns: FloatArray, pulled: FloatArray | None = None

@@ -10,6 +10,7 @@ by plane, beam and time (`PlaneErrors`).
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -95,11 +96,10 @@ class ScoreTests:
         rows: LinearRows,
         dof: int | None,
         plausible: Mapping[str, float] | None = None,
-        growth: float = 1.0,
         shared: SharedErrors = NOTHING_SHARED,
     ) -> None:
         self.rows, self.dof = rows, dof
-        self.kinds = common, *_ = score_members(rows)
+        self.kinds = self.common, *_ = score_members(rows)
         self.codes = np.concatenate([kind.codes for kind in self.kinds])
         self.plane = np.concatenate([kind.plane for kind in self.kinds])
         self.beam = np.concatenate([kind.beam for kind in self.kinds])
@@ -110,20 +110,38 @@ class ScoreTests:
             free = np.where(rows.prior > 0.0, np.inf, 0.0)
             self._loose = self._adjusted(Projection(rows, free))
         bound, loose = self._bound, self._loose
-        self.growth = np.full(len(self.codes), max(growth, shared.plane_growth))
-        if shared.any:
-            of_common = common.growth_by(shared, self.projection)
-            self.growth[: len(of_common)] = np.maximum(growth, of_common)
-        scale = rows.how.sigma if dof is None else float(np.sqrt(bound.square / dof))
-        self.determined = self._determined(self.growth * scale)
-        self.critical, self.delta = needed(FAMILY_LEVEL / max(int(self.determined.sum()), 1), dof)
         self.strained = loose.left < STRAINED_SHARE * bound.left
         self.left = np.where(self.strained, loose.left, bound.left)
         self.moved = np.where(self.strained[:, None], loose.moved, bound.moved)
+        self.plausible = self._by_code(lambda code: (plausible or {}).get(code, np.inf))
+        self._judge(1.0, shared)
+
+    def judged_by(self, shared: SharedErrors, growth: float = 1.0) -> "ScoreTests":
+        """Return the same tests where stations share errors, and with a factor on all sigmas."""
+        tests = copy(self)
+        tests._judge(growth, shared)
+        return tests
+
+    def _judge(self, growth: float, shared: SharedErrors) -> None:
+        """Set what follows from the noise."""
+        rows, bound = self.rows, self._bound
+        self.growth = np.full(len(self.codes), max(growth, shared.plane_growth))
+        if shared.stop.size:
+            of_common = self.common.growth_by(shared, self.projection)
+            self.growth[: len(of_common)] = np.maximum(growth, of_common)
+        if shared.by_pose is not None and shared.by_pose.moved.any():
+            more = np.zeros(len(self.codes))
+            for columns in shared.by_pose.columns:
+                heavy = self.projection.weighed_rest(columns)
+                more += (self.products(heavy) ** 2).sum(axis=1)
+            left = np.maximum(bound.left, TINY) * rows.how.sigma**2
+            self.growth = np.sqrt(self.growth**2 + more / left)
+        scale = rows.how.sigma if self.dof is None else float(np.sqrt(bound.square / self.dof))
+        self.determined = self._determined(self.growth * scale)
+        tested = max(int(self.determined.sum()), 1)
+        self.critical, self.delta = needed(FAMILY_LEVEL / tested, self.dof)
         self._test(scale)
-        plausible = plausible or {}
-        most = self._by_code(lambda code: plausible.get(code, np.inf))
-        self.unnoticed = np.minimum(self.detectable, most)
+        self.unnoticed = np.minimum(self.detectable, self.plausible)
 
     def _by_code(self, value: Callable[[str], float]) -> FloatArray:
         """Return what every member (m,) has by its code."""

@@ -19,13 +19,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky
+from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import coo_array, csr_array
 
 from ..arrays import FloatArray, IntArray, renumbered
 from ..data.recording import Recording
 from ..data.station_list import StationList
 from ..errors import CalibrationWarning
+from ..estimation.errors_by_pose import ErrorsByPose, SizesByPose
 from ..model.families import BEAM, PLANE, POSE
 from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
@@ -69,6 +70,10 @@ class SharedErrors(NamedTuple):
         How residuals follow errors of unit variance of their poses [m].
     station, stop : (N,)
         Where each was read.
+    taken : float
+        How many degrees of freedom more the unknowns take of chi2, because they follow errors of stops.
+    by_pose : ErrorsByPose or None
+        Errors that change with the pose, which are counted here, too.
     """
 
     beams: FloatArray
@@ -81,11 +86,18 @@ class SharedErrors(NamedTuple):
     moved: FloatArray = np.empty((0, 6))
     station: IntArray = np.empty(0, np.intp)
     stop: IntArray = np.empty(0, np.intp)
+    taken: float = 0.0
+    by_pose: ErrorsByPose | None = None
 
     @property
     def any(self) -> bool:
         """Whether any stations share errors."""
         return self.beams.size > 0
+
+    @property
+    def sizes_by_pose(self) -> SizesByPose | None:
+        """How large errors that change with the pose are; None where the hand does not err."""
+        return None if self.by_pose is None else self.by_pose.sizes
 
     def variances(self, heavy: FloatArray) -> FloatArray:
         """Return heavy' C heavy (q, q) for columns (N, q); C is what stations of a stop share."""
@@ -105,8 +117,7 @@ class SharedErrors(NamedTuple):
 
         Unknowns follow errors that are shared, and take as much more of chi2.
         """
-        taken = float(np.trace(self.beams) + np.einsum("paa->", self.planes))
-        return max(dof / max(dof - taken, 1.0), 1.0)
+        return max(dof / max(dof - self.taken, 1.0), 1.0)
 
     def grown(self, joint: JointCovariance) -> JointCovariance:
         """Return the covariance with what stations share; `joint` is for independent errors."""
@@ -132,6 +143,14 @@ class SharedErrors(NamedTuple):
             planes=joint.planes + alone,
             coupling=coupling,
         )
+
+
+def warnings_of(sizes: SizesByPose | None) -> tuple[CalibrationWarning, ...]:
+    """Return what to say of errors by pose that are seen, and were learned: few of them show."""
+    if sizes is None or not (sizes.learned and sizes.is_seen):
+        return ()
+    values = {"shift": sizes.shift, "turn": sizes.turn, "growth": sizes.growth}
+    return (warned("errors-by-pose", values),)
 
 
 def _products(heavy: FloatArray, moved: FloatArray, at: IntArray) -> FloatArray:
@@ -283,8 +302,6 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
         blocks = coo_array((together.ravel(), _places(of_plane, at_stop)), shape=shape).tocsr()
         coupling = (blocks @ blocks.T).toarray().reshape(P, PLANE.dim, P, PLANE.dim)
         coupling[np.arange(P), :, np.arange(P)] = planes
-    more = ((root @ beams) * root).sum(axis=1) / (root**2).sum(axis=1)
-    growth = float(np.sqrt(1.0 + max(more.max(), 0.0)))
     # The mean of n visits has the variance s^2 / n + p^2 of reading and pose, not (s^2 + p^2) / n.
     of_pose = np.median((moved**2).sum(axis=1) / _variances(rows, moved))
     of_planes = float(np.sqrt(1.0 + (visits - 1.0) * of_pose))
@@ -295,8 +312,57 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
         differ = _products(heavy, moved, row_stop) - _products(heavy, moved, at[0])
         ratios = np.diagonal(inverse @ differ @ inverse) / np.diagonal(inverse)
         of_freed = float(np.sqrt(1.0 + max(ratios.max() / rows.how.sigma**2, 0.0)))
-    parts = beams, across, planes, coupling, growth, of_planes, of_freed
-    return SharedErrors(*parts, moved, *at)
+    parts = beams, across, planes, coupling, _growth(root, beams), of_planes, of_freed
+    taken = float(np.trace(beams) + np.einsum("paa->", planes))
+    return SharedErrors(*parts, moved, *at, taken)
+
+
+def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPose) -> SharedErrors:
+    """Return what stations share, errors that change with the pose of the hand included."""
+    if not more.moved.any():
+        return shared._replace(by_pose=more)
+    projection, sigma = Projection(rows, rows.prior), rows.how.sigma
+    used = np.flatnonzero(projection.beam_inverse.any(axis=0))
+    root = _root(projection.beam_inverse[np.ix_(used, used)])
+    own, P = np.linalg.cholesky(projection.plane_inverse), rows.readings.planes
+    gradient = [projection.J.T @ projection.how.weighed(F) for F in more.columns]
+    moved = projection.following(np.concatenate(gradient, axis=1))
+    x, y = np.split(moved, [projection.pull.size])
+    y = y.reshape(P, PLANE.dim, -1) + projection.response @ x
+    b = solve_triangular(root, x[used], lower=True) / sigma
+    c = np.linalg.solve(own, y) / sigma
+    beams, across, planes = b @ b.T, c @ b.T, c @ np.swapaxes(c, 1, 2)
+    more = more.grown(_growth(root, beams))
+    seen = more.sizes is not None and more.sizes.is_seen
+    coupling = None
+    if P <= COUPLED_PLANES:
+        flat = c.reshape(P * PLANE.dim, -1)
+        coupling = (flat @ flat.T).reshape(P, PLANE.dim, P, PLANE.dim)
+    if shared.any:
+        beams, across, planes = shared.beams + beams, shared.across + across, shared.planes + planes
+        if coupling is not None and shared.coupling is not None:
+            coupling = coupling + shared.coupling
+    of_freed = shared.freed_growth
+    if rows.freed.codes:
+        inverse, heavy = projection.freed_inverse, projection.freed_heavy
+        gains = np.concatenate([inverse @ (heavy.T @ F) for F in more.columns], axis=1)
+        ratios = (gains**2).sum(axis=1) / np.diagonal(inverse) / sigma**2
+        of_freed = float(np.sqrt(of_freed**2 + ratios.max()))
+    return shared._replace(
+        beams=beams,
+        across=across,
+        planes=planes,
+        coupling=coupling,
+        growth=_growth(root, beams) if seen else shared.growth,
+        freed_growth=of_freed,
+        by_pose=more,
+    )
+
+
+def _growth(root: FloatArray, more: FloatArray) -> float:
+    """Return the largest ratio of standard deviations, one without and one with `more` (nb, nb)."""
+    ratios = ((root @ more) * root).sum(axis=1) / (root**2).sum(axis=1)
+    return float(np.sqrt(1.0 + max(ratios.max(), 0.0)))
 
 
 def _places(plane: IntArray, stop: IntArray) -> tuple[IntArray, IntArray]:

@@ -12,7 +12,8 @@ from ..arrays import FloatArray
 from ..data.survey import RAY_ERRORS, Survey
 from ..data.value import Value
 from ..errors import CalibrationWarning, InputError
-from ..estimation.dense import dense_rows, unknowns_of
+from ..estimation.dense import unknowns_of
+from ..estimation.errors_by_pose import SizesByPose
 from ..estimation.estimate import (
     MOST_REJECTED,
     TestedEffect,
@@ -304,6 +305,11 @@ class SurveyCalibration(Result):
         """All sensors, then all beams."""
         return *self.sensors.values(), *self.beams.values()
 
+    @property
+    def errors_by_pose(self) -> SizesByPose | None:
+        """Errors of the hand that change with its pose; None where it does not err."""
+        return None if self._found.by_pose is None else self._found.by_pose.sizes
+
     def judged(self, limits: Limits | None = None, reading: float | None = None) -> Verdict:
         """Return the verdict by what a user demands.
 
@@ -527,9 +533,11 @@ def _effects(found: SurveyEstimate) -> dict[int, dict[str, TestedEffect]]:
     problem = found.problem()
     if SENSOR.name not in problem.start:
         return {}
-    blocks = kept_blocks(problem, found.estimate)
     whole = unknowns_of(problem.counts(), {**problem.unknown, SENSOR.name: True})
-    J, e = dense_rows(blocks, problem.start, whole).whitened()
+    J, e = found.ended().dense(range_errors=True)[0].whitened()
+    if found.by_pose is not None:
+        rows = found.by_pose.independent(np.column_stack((J, e)))
+        J, e = rows[:, :-1], rows[:, -1]
     own = problem.places()
     columns: dict[tuple[int, str], FloatArray] = {}
     for member, shots in enumerate(found.rows.survey.shots):

@@ -55,6 +55,7 @@ from ..starts.rounds import LAST_STEPS, SAME_DIRECTION
 from ..text import count, some
 from .lines import NAMES_IN_LINE
 from .messages import Values, warned
+from .shared_errors import warnings_of
 from .survey_misfit import (
     MISREAD,
     beside_ball,
@@ -124,6 +125,8 @@ def survey_warnings(
             for name, sigma, expected, known in of_hand
             if np.isnan(known)
         )
+    if found.by_pose is not None:
+        yield from warnings_of(found.by_pose.sizes)
     yield from _too_few(found)
     yield from _few(found)
     yield from rival_mounts(found)

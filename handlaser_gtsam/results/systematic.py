@@ -15,7 +15,7 @@ and a t distribution.
 All members of all effects are tested together with Holm's correction, which needs no independence.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,7 @@ import numpy as np
 from .. import model
 from ..arrays import FloatArray, IntArray
 from ..data.value import Value
+from ..estimation.errors_by_pose import ErrorsByPose
 from ..model.distributions import FAMILY_LEVEL
 from ..model.effects import EFFECTS, may_also_be
 from ..observability.wording import BeamAndPlaneNames
@@ -30,7 +31,7 @@ from .dependence import INDEPENDENT, Dependence, dependence
 from .messages import Values, said
 from .projection import LinearRows
 from .score_tests import ScoreTests, alike
-from .shared_errors import NOTHING_SHARED, SharedErrors
+from .shared_errors import NOTHING_SHARED, SharedErrors, with_errors_by_pose
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
@@ -137,8 +138,12 @@ def systematic_errors(
     dof: int,
     plausible: Mapping[str, float],
     shared: SharedErrors = NOTHING_SHARED,
-) -> tuple[tuple[SystematicError, ...], Dependence]:
+    learn: Callable[[FloatArray], ErrorsByPose] | None = None,
+) -> tuple[tuple[SystematicError, ...], Dependence, SharedErrors]:
     """Test the residuals at a solution for systematic errors, and for correlation in time.
+
+    Errors that change with the pose are learned beside systematic errors that were found. Where they
+    are seen nevertheless, they may be what was found, and are learned alone.
 
     Where neighbouring residuals go together, errors that vary slowly are judged by as much noise as
     those have in common.
@@ -156,6 +161,8 @@ def systematic_errors(
         The largest plausible size by code; of codes that are not there it is not known.
     shared : SharedErrors
         What follows from errors of the hand that stations share.
+    learn : callable, optional
+        Learns errors that change with the pose, beside errors of some columns (N, q).
 
     Returns
     -------
@@ -164,14 +171,23 @@ def systematic_errors(
         first, the clearest before all others, then those confounded, and those that no recording can
         show come last.
     Dependence
+    SharedErrors
+        With errors that change with the pose.
     """
     if dof < (1 if known else 2):
-        return (), INDEPENDENT
+        return (), INDEPENDENT, shared
     tests = ScoreTests(rows, None if known else dof, plausible, shared=shared)
+    if learn is not None:
+        found = tests.found_columns()
+        by_pose = learn(found)
+        seen = by_pose.sizes is not None and by_pose.sizes.is_seen
+        if found.size and seen:
+            by_pose = learn(found[:, :0])
+        shared = with_errors_by_pose(shared, rows, by_pose)
+        tests = tests.judged_by(shared)
     together = dependence(rows, tests.projection, known=known, found=tests.found_columns())
     if together != INDEPENDENT:
-        growth = together.plane_growth
-        tests = ScoreTests(rows, None if known else dof, plausible, growth, shared)
+        tests = tests.judged_by(shared, together.plane_growth)
     first, reports = tests.representatives(), []
     if first.size:
         rho = tests.correlations(first)
@@ -190,10 +206,11 @@ def systematic_errors(
         for code, effect in EFFECTS.items()
         if code not in (*tested, *rows.freed.codes) and effect.concerns(rows)
     ]
-    return (
+    found_errors = (
         *reports,
         *(_confounded(tests, code, names, plausible) for code in confounded),
-    ), together
+    )
+    return found_errors, together, shared
 
 
 def _report(

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...estimation.errors_by_pose import SizesByPose
 from ...estimation.scales import NoiseComponent
 from ...model.effects.effect import size_in_words
 from ...model.families import BEAM, OF_RANGE_ERROR, RANGE_ERROR
 from ...model.joint import STRONG
-from ...quantities import IN_DEG, IN_MM, IN_PERCENT
+from ...quantities import IN_DEG, IN_MM, IN_PERCENT, NO_GROWTH
 from ...text import count, some
 from ..calibration_data import CalibrationData
 from ..lines import NAMES_IN_LINE, small_mm
@@ -235,7 +236,14 @@ def noise_words(result: CalibrationData) -> str:
         how = "given" if result.fit.range_sigma_given else "estimated"
         parts = [f"a reading {small_mm(result.fit.range_sigma)} ({how})"]
     parts += [_estimate(component) for component in estimated if component.quantity != "range"]
-    return ", ".join([*parts, *_fixed_poses(result)])
+    return ", ".join([*parts, *_fixed_poses(result), *by_pose_words(result.errors_by_pose)])
+
+
+def by_pose_words(sizes: SizesByPose | None) -> list[str]:
+    """Return how large errors of the hand are that change with its pose, where they are counted."""
+    if sizes is None or sizes.growth < NO_GROWTH:
+        return []
+    return [said("noise:by-pose", shift=sizes.shift, turn=sizes.turn, growth=sizes.growth)]
 
 
 def _estimate(one: NoiseComponent) -> str:

@@ -20,6 +20,7 @@ from ..messages import said
 from ..survey_warnings import rejected_shot
 from ..verdict import Verdict
 from .description import Description
+from .evidence import by_pose_words
 from .tables import (
     Cell,
     Facts,
@@ -158,6 +159,7 @@ def facts(result: "SurveyCalibration", verdict: Verdict) -> Facts:
     if math.isfinite(turn):
         how = " (estimated)" if result.pose_sigma_estimated else ""
         noise.append(said("noise:hand", shift=shift, turn=turn, how=how))
+    noise += by_pose_words(result.errors_by_pose)
     found.append(("noise, one standard deviation", ", ".join(noise)))
     for sensor in result.sensors.values():
         if sensor.range_error:

@@ -1,0 +1,162 @@
+"""Errors of the hand that change with its pose: sizes, covariances and tests, against dense algebra."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import codes
+
+import handlaser_gtsam as hl
+from benchmarks.arm_errors import Case, Scene, run_once
+from benchmarks.repeated_programme import ACROSS, NOISE, Robot
+from benchmarks.robot_cell import Scene as Cell
+from benchmarks.robot_cell import cell
+from handlaser_gtsam.data.parameters import Parameters
+from handlaser_gtsam.estimation.errors_by_pose import (
+    ErrorsByPose,
+    poses_from_mean,
+    sizes_by_pose,
+)
+from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.results.errors_by_pose import _likelihood
+from handlaser_gtsam.results.projection import LinearRows
+from handlaser_gtsam.results.score_tests import ScoreTests
+from handlaser_gtsam.results.shared_errors import NOTHING_SHARED, with_errors_by_pose
+
+SIZE = np.repeat([2e-4, 1e-4], 3)
+"""Of errors by metre and radian."""
+
+
+def at_truth(part=1.0, seed=0):
+    """Return linear rows of a robot at its true parameters, and unit errors by pose."""
+    robot = Robot(seed)
+    recording = robot.recording(ACROSS)
+    readings = recording.readings()
+    readings = readings.subset(np.arange(len(readings))[3:])  # one beam misses a few
+    at = Parameters(robot.r, robot.v, np.zeros((2, 2)), robot.n, np.full(4, -0.45))
+    pose = part * NOISE.pose_covariances(len(ACROSS))
+    how = whitening(at, readings, Variances(np.full(2, 5e-5), pose=pose))
+    prior = np.array([[0.0, 0.0], [0.01, 0.0]])
+    rows = LinearRows(at, readings, how, prior, readings.station)
+    unit = ErrorsByPose(poses_from_mean(recording, rows.position), rows.linear.pose)
+    return rows, unit, pose
+
+
+def dense(rows, unit, pose):
+    """Return J, V, F and e of the same as plain matrices; the last row is the prior's."""
+    count = len(rows.residual)
+    J = np.zeros((count + 1, 23))
+    J[:-1] = rows.sparse.toarray()[:, np.r_[0:5, 7:13, 14:26]]
+    J[-1, 10] = 1.0
+    P, station = rows.linear.pose, rows.readings.station
+    V = np.diag(np.append(np.full(count, 5e-5**2), 0.01**2))
+    V[:-1, :-1] += (station[:, None] == station) * (P @ pose[0] @ P.T)
+    F = np.vstack((np.concatenate(list(unit.columns), axis=1), np.zeros(36)))
+    return J, V, F, np.append(rows.residual, 0.0)
+
+
+def restricted(J, V, e):
+    """Return the logarithm of the restricted likelihood, but for a constant."""
+    W = np.linalg.inv(V)
+    H = J.T @ W @ J
+    unit = 1.0 / np.sqrt(np.diagonal(H))
+    left = e @ W @ e - e @ W @ J @ np.linalg.solve(H, J.T @ W @ e)
+    log_det = np.linalg.slogdet(V)[1] + np.linalg.slogdet(H * np.outer(unit, unit))[1]
+    return -0.5 * (log_det - 2.0 * np.log(unit).sum() + left)
+
+
+def test_the_likelihood_is_that_of_dense_algebra():
+    """Of errors by pose, and of less errors of single stations beside them."""
+    S, ours, theirs = np.tile(SIZE, 6), [], []
+    for part in (1.0, 0.09):
+        rows, unit, pose = at_truth(part)
+        J, V, F, e = dense(rows, unit, pose)
+        likelihood = _likelihood(rows, unit, np.empty((len(rows.residual), 0)), len(e) - J.shape[1])
+        for size in (0.0 * S, S):
+            ours.append(likelihood.of_known_noise(size[:6]))
+            theirs.append(restricted(J, V + (F * size**2) @ F.T, e))
+    assert np.subtract(ours, ours[0]) == pytest.approx(np.subtract(theirs, theirs[0]), abs=1e-5)
+
+
+def test_the_covariance_is_k_c_k():
+    rows, unit, pose = at_truth()
+    J, V, F, _ = dense(rows, unit, pose)
+    W = np.linalg.inv(V)
+    K = np.linalg.solve(J.T @ W @ J, J.T @ W)
+    moved = K @ (F * np.tile(SIZE, 6))
+    before = np.linalg.inv(J.T @ W @ J)
+    shared = with_errors_by_pose(NOTHING_SHARED, rows, unit.of_sizes(SIZE, 20.0, learned=True))
+    beams = slice(0, 11)
+    L = np.linalg.cholesky(before[beams, beams])
+    assert L @ shared.beams @ L.T == pytest.approx((moved @ moved.T)[beams, beams], rel=1e-6)
+    ratio = 1.0 + np.diagonal(moved @ moved.T)[beams] / np.diagonal(before)[beams]
+    assert shared.sizes_by_pose.growth == pytest.approx(np.sqrt(ratio.max()))
+
+
+def test_score_tests_count_them():
+    rows, unit, pose = at_truth()
+    J, V, F, _ = dense(rows, unit, pose)
+    W = np.linalg.inv(V)
+    M = W - W @ J @ np.linalg.solve(J.T @ W @ J, J.T @ W)
+    shared = with_errors_by_pose(NOTHING_SHARED, rows, unit.of_sizes(SIZE, 20.0, learned=True))
+    alone = ScoreTests(rows, None)
+    growth = alone.judged_by(shared).growth / alone.growth
+    for member in (0, 5, len(growth) - 1):
+        A = np.append(alone.column(member), np.zeros(len(V) - len(rows.residual)))
+        more = np.square(A @ M @ F * np.tile(SIZE, 6)).sum() / (A @ M @ A)
+        assert growth[member] == pytest.approx(np.sqrt(1.0 + more), rel=1e-4)
+
+
+def test_stated_errors_change_with_the_pose_only_where_readings_say_so():
+    rows, unit, _ = at_truth()
+    found = np.empty((len(rows.residual), 0))
+    one = _likelihood(rows, unit, found, 70)._replace(dof=int(1e6))
+    assert not sizes_by_pose(lambda _: one, (), SIZE**2)[0].any()
+
+    def quiet(part):
+        """Smooth errors leave hardly any residuals, which less noise of single stations suits."""
+        return one._replace(q=0.0 * one.q, square=0.0, constant=-20.0 * part)
+
+    size, excess = sizes_by_pose(quiet, (), SIZE**2)
+    assert size == pytest.approx(0.99 * SIZE, rel=0.02)
+    assert excess < 13.0  # they may be stated too large as well
+    # Large residuals are of other errors.
+    assert not sizes_by_pose(lambda part: quiet(part)._replace(square=71.0, dof=70), (), SIZE**2)[
+        0
+    ].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sensor", ["beams", "profiler", "camera"])
+@pytest.mark.parametrize("is_same", [False, True])
+def test_standard_deviations_are_right_where_errors_of_the_hand_are_stated(sensor, is_same):
+    """The mean squares were 1.4 to 7 where each station was taken to err by itself."""
+    squares = [run_once(Case(sensor, is_same, True), seed)[0] for seed in range(8)]
+    assert 0.2 < np.mean(squares) < 2.0
+
+
+def test_errors_of_an_arm_are_named_where_nothing_is_stated():
+    scene = Scene(Case("camera", False, False), 100)
+    assert scene.squares()[2] == "usable-with-care"
+    stated = Scene(Case("camera", False, True), 100)
+    assert stated.squares()[2] == "usable"
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_errors_of_single_stations_are_not_accused(given):
+    for seed in range(4):
+        found = hl.calibrate(Robot(seed).recording(ACROSS, repeats=False), NOISE if given else None)
+        assert "errors-by-pose" not in codes(found)
+        if given:
+            assert found.errors_by_pose.growth == 1.0
+
+
+def test_an_error_that_explains_all_is_named_itself():
+    """A robot that turns more than it records errs smoothly with the pose, too."""
+    scene = replace(Cell(4), motion=0.3, code="turn-scale", size=5e-3)
+    recording, _ = cell(scene, np.random.default_rng(2))
+    found = hl.calibrate(recording)
+    assert [one.code for one in found.systematic if one.found and not one.explained_by] == [
+        "turn-scale"
+    ]
+    assert "errors-by-pose" not in codes(found)
