@@ -17,9 +17,9 @@ from handlaser_gtsam.estimation.errors_by_pose import (
     poses_from_mean,
     sizes_by_pose,
 )
-from handlaser_gtsam.model.weighting import Variances, whitening
+from handlaser_gtsam.model.weighting import Variances, coupled, moved_with_poses, whitening
 from handlaser_gtsam.results.errors_by_pose import _likelihood
-from handlaser_gtsam.results.projection import LinearRows
+from handlaser_gtsam.results.projection import CoupledProjection, LinearRows, Projection
 from handlaser_gtsam.results.score_tests import ScoreTests
 from handlaser_gtsam.results.shared_errors import NOTHING_SHARED, with_errors_by_pose
 
@@ -42,15 +42,19 @@ def at_truth(part=1.0, seed=0):
     return rows, unit, pose
 
 
-def dense(rows, unit, pose):
-    """Return J, V, F and e of the same as plain matrices; the last row is the prior's."""
+def dense(rows, unit, pose, stop=None):
+    """Return J, V, F and e of the same as plain matrices; the last row is the prior's.
+
+    Poses err once a station, or once at each `stop` (N,) of the rows.
+    """
     count = len(rows.residual)
     J = np.zeros((count + 1, 23))
     J[:-1] = rows.sparse.toarray()[:, np.r_[0:5, 7:13, 14:26]]
     J[-1, 10] = 1.0
     P, station = rows.linear.pose, rows.readings.station
     V = np.diag(np.append(np.full(count, 5e-5**2), 0.01**2))
-    V[:-1, :-1] += (station[:, None] == station) * (P @ pose[0] @ P.T)
+    at = station if stop is None else stop
+    V[:-1, :-1] += (at[:, None] == at) * (P @ pose[0] @ P.T)
     F = np.vstack((np.concatenate(list(unit.columns), axis=1), np.zeros(36)))
     return J, V, F, np.append(rows.residual, 0.0)
 
@@ -65,13 +69,22 @@ def restricted(J, V, e):
     return -0.5 * (log_det - 2.0 * np.log(unit).sum() + left)
 
 
-def test_the_likelihood_is_that_of_dense_algebra():
-    """Of errors by pose, and of less errors of single stations beside them."""
+@pytest.mark.parametrize("comes_again", [False, True])
+def test_the_likelihood_is_that_of_dense_algebra(comes_again):
+    """Of errors by pose, and of less errors of single stations, or of stops, beside them."""
     S, ours, theirs = np.tile(SIZE, 6), [], []
     for part in (1.0, 0.09):
         rows, unit, pose = at_truth(part)
-        J, V, F, e = dense(rows, unit, pose)
-        likelihood = _likelihood(rows, unit, np.empty((len(rows.residual), 0)), len(e) - J.shape[1])
+        stop = np.array(ACROSS)[rows.readings.station, 1] if comes_again else None
+        J, V, F, e = dense(rows, unit, pose, stop)
+        projection = Projection(rows, rows.prior)
+        if comes_again:
+            moved = moved_with_poses(rows.linear.pose, pose, rows.readings.station)
+            own = np.full(len(rows.residual), 5e-5**2)
+            projection = CoupledProjection(rows, rows.prior, coupled(own, moved, stop))
+        likelihood = _likelihood(
+            projection, rows, unit, np.empty((len(rows.residual), 0)), len(e) - J.shape[1]
+        )
         for size in (0.0 * S, S):
             ours.append(likelihood.of_known_noise(size[:6]))
             theirs.append(restricted(J, V + (F * size**2) @ F.T, e))
@@ -110,7 +123,7 @@ def test_score_tests_count_them():
 def test_stated_errors_change_with_the_pose_only_where_readings_say_so():
     rows, unit, _ = at_truth()
     found = np.empty((len(rows.residual), 0))
-    one = _likelihood(rows, unit, found, 70)._replace(dof=int(1e6))
+    one = _likelihood(Projection(rows, rows.prior), rows, unit, found, 70)._replace(dof=int(1e6))
     assert not sizes_by_pose(lambda _: one, (), SIZE**2)[0].any()
 
     def quiet(part):

@@ -136,6 +136,15 @@ class Whitening(Value):
         weighed: FloatArray = self.root[:, None] * (scaled - self._V @ (self._V.T @ scaled))
         return weighed
 
+    def information(self, rows: csr_array) -> FloatArray:
+        """Return J' sigma^2 inv(C) J (n, n) for sparse rows J (N, n)."""
+        scaled = rows.multiply(self.root[:, None]).tocsr()
+        whole = (scaled.T @ scaled).toarray()
+        if self.common is None:
+            return np.asarray(whole)
+        common = self._V.T @ scaled
+        return np.asarray(whole - (common.T @ common).toarray())
+
     def log_det(self) -> float:
         """Return log det of C, in units of sigma^2."""
         own = -2.0 * float(np.log(self.root).sum())
@@ -221,7 +230,15 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
     linear = equation.linearize(
         equation.scene(parameters, readings), readings.distance, with_pose=True
     )
-    moved = moved_with_poses(linear.pose, variances.pose, readings.station)
+    return coupled(sensor, moved_with_poses(linear.pose, variances.pose, readings.station), station)
+
+
+def coupled(sensor: FloatArray, moved: FloatArray, station: IntArray) -> Whitening:
+    """Return the whitening of readings with variances (N,) of their own, and common errors.
+
+    `moved` (N, 6) is how residuals follow errors of unit variance that those of a station (N,) have in
+    common; stations are numbered without gaps.
+    """
     variance = sensor + (moved**2).sum(axis=1)
     typical = float(np.median(variance))
     if int(station.max()) + 1 == len(station):

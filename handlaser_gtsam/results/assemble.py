@@ -60,6 +60,7 @@ from .moved_beam import moved_beam
 from .problem import Problem, fit_of, linear_rows, named_estimates, unit_sigma
 from .projection import LinearRows
 from .shared_errors import (
+    COUPLED_PLANES,
     NOTHING_SHARED,
     SharedErrors,
     Stops,
@@ -293,8 +294,9 @@ def _tested(
     if pose is not None and stops is not None and solution.observability.full:
         shared = shared_errors(rows, pose, stops)
     learn = None
-    if pose is not None and solution.observability.full:
-        learn = partial(errors_by_pose, rows, problem.recording, solution, dof)
+    many = shared.any and rows.readings.planes > COUPLED_PLANES
+    if pose is not None and solution.observability.full and not many:
+        learn = partial(errors_by_pose, rows, problem.recording, solution, dof, shared)
     found, together, shared = systematic_errors(
         rows,
         names,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, renumbered
 from ..data.recording import Recording
 from ..estimation.errors_by_pose import (
     ErrorsByPose,
@@ -14,9 +14,9 @@ from ..estimation.errors_by_pose import (
     sizes_by_pose,
 )
 from ..estimation.solution import Solution
-from ..model.families import PLANE
-from ..model.weighting import whitening
-from .projection import LinearRows, Projection
+from ..model.weighting import coupled, own_variances, whitening
+from .projection import CoupledProjection, LinearRows, Projection
+from .shared_errors import SharedErrors
 
 
 def errors_by_pose(
@@ -24,6 +24,7 @@ def errors_by_pose(
     stations: Recording,
     solution: Solution,
     dof: int,
+    shared: SharedErrors,
     found: FloatArray,
 ) -> ErrorsByPose:
     """Return what the residuals at a solution say of errors that change with the pose.
@@ -36,6 +37,8 @@ def errors_by_pose(
         With errors of the hand, learned or stated.
     dof : int
         Degrees of freedom of the residuals.
+    shared : SharedErrors
+        Errors that stations of one stop share: beside these, stops err by themselves, not stations.
     found : (N, q)
         Columns of systematic errors that were found, which are taken out before.
     """
@@ -49,12 +52,19 @@ def errors_by_pose(
         found = found[:, :0]
     pose = variances.pose
 
-    def likelihood(part: float) -> Likelihood:
+    def projection(part: float) -> Projection:
+        if shared.any:
+            own = own_variances(rows.at, rows.readings, variances)
+            how = coupled(own, part * shared.moved, renumbered(shared.stop))
+            return CoupledProjection(rows, rows.prior, how)
         if part == 1.0:
-            return _likelihood(rows, unit, found, dof)
+            return Projection(rows, rows.prior)
         how = whitening(rows.at, rows.readings, replace(variances, pose=part**2 * pose))
         of = rows.prior, rows.position, rows.channel, rows.freed
-        return _likelihood(LinearRows(rows.at, rows.readings, how, *of), unit, found, dof)
+        return Projection(LinearRows(rows.at, rows.readings, how, *of), rows.prior)
+
+    def likelihood(part: float) -> Likelihood:
+        return _likelihood(projection(part), rows, unit, found, dof)
 
     read, first = np.unique(rows.readings.station, return_index=True)
     stated = by_metre_and_radian(pose[read], unit.pose[first], unknown)
@@ -62,9 +72,11 @@ def errors_by_pose(
     return unit.of_sizes(*sizes, learned=bool(unknown))
 
 
-def _likelihood(rows: LinearRows, unit: ErrorsByPose, found: FloatArray, dof: int) -> Likelihood:
+def _likelihood(
+    projection: Projection, rows: LinearRows, unit: ErrorsByPose, found: FloatArray, dof: int
+) -> Likelihood:
     """Return what rows say of errors by pose beside columns (N, q) of errors that were found."""
-    projection, sigma = Projection(rows, rows.prior), rows.how.sigma
+    sigma = projection.how.sigma
     residual, priors = rows.residual[:, None], projection.prior_residuals(rows.at)
     _, heavy, square, _ = projection.perpendicular(residual, priors)
     _, beside, _, _ = projection.perpendicular(found)
@@ -73,9 +85,8 @@ def _likelihood(rows: LinearRows, unit: ErrorsByPose, found: FloatArray, dof: in
     rest = [projection.weighed_rest(F) for F in unit.columns]
     G = np.concatenate([unit.products(F) for F in rest], axis=1) - along @ inverse @ along.T
     left = float(square[0] - (found.T @ heavy * size).sum())
-    constant = projection.log_det_inverse() - rows.how.log_det()
-    unknowns = projection.beam_inverse.any(axis=0).sum() + PLANE.dim * rows.readings.planes
-    unknowns += found.shape[1]
+    constant = projection.log_det_inverse() - projection.how.log_det()
+    unknowns = projection.unknowns + found.shape[1]
     constant -= 2.0 * float(len(rows.residual) - unknowns) * np.log(sigma)
     constant += float(np.linalg.slogdet(inverse)[1])
     return Likelihood(

@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, MOUNT_DIM, PLANE
+from ..model.reduction import Normal
 from ..model.weighting import Whitening
 from ..solvers.beam_problem import jacobian_columns, linearized
 
@@ -108,29 +109,17 @@ class Projection:
     """Takes out of columns what the unknowns explain; planes are eliminated first, then beams.
 
     Unknowns are scaled by the square roots of their own information, so that their units do not
-    matter. `prior` is the one of the rows, or another one.
+    matter. `prior` is the one of the rows, or another one; so is `how`.
     """
 
-    def __init__(self, rows: LinearRows, prior: FloatArray) -> None:
-        self.J, self.how = rows.sparse, rows.how
-        self.readings, readings, normal = rows.readings, rows.readings, rows.normal
-        self.pull = np.zeros((readings.beams, BEAM.dim))
+    def __init__(self, rows: LinearRows, prior: FloatArray, how: Whitening | None = None) -> None:
+        self.J, self.how, self.readings = rows.sparse, how or rows.how, rows.readings
+        self.pull = np.zeros((rows.readings.beams, BEAM.dim))
         finite = np.isfinite(prior) & (prior > 0.0)
         self.pull[:, MOUNT_DIM:][finite] = self.how.sigma / prior[finite]
         active = np.ones_like(self.pull, dtype=bool)
         active[:, MOUNT_DIM:] = prior > 0.0
-        diagonal = np.diagonal(normal.matrix[0]) + self.pull.ravel() ** 2
-        used = active.ravel() & (diagonal > 0.0)
-        unit = 1.0 / np.sqrt(np.where(used, diagonal, np.inf))
-        plane_unit = 1.0 / np.sqrt(np.einsum("pii->i", normal.local[0]) / readings.planes)
-        known = (self.pull.ravel() * unit) ** 2
-        reduced = normal.reduced(unit, plane_unit, used, known)
-        inverse = reduced.covariance(SQUARE_ROUNDING * float(used.sum()))
-        self.beam_inverse = np.zeros((len(unit), len(unit)))
-        self.beam_inverse[np.ix_(used, used)] = inverse * np.outer(unit[used], unit[used])
-        self.plane_inverse = reduced.local_inverse * np.outer(plane_unit, plane_unit)
-        self.response = np.zeros((readings.planes, PLANE.dim, len(unit)))
-        self.response[:, :, used] = plane_unit[:, None] * reduced.local_response / unit[used]
+        self._invert(rows.normal, active.ravel())
         # Of the freed errors: what beams and planes leave of them, weighed, and their own information.
         self.freed, freed = rows.freed, rows.freed.columns
         self.freed_rest, self.freed_pulled, self.freed_moved = self.beside(freed)
@@ -141,6 +130,22 @@ class Projection:
         self.freed_inverse = np.linalg.inv(
             self.freed_information + self.how.sigma**2 * np.eye(freed.shape[1])
         )
+
+    def _invert(self, normal: Normal, active: BoolArray) -> None:
+        """Invert the information of beams, whose unknowns (7 B,) are `active`, and planes."""
+        diagonal = np.diagonal(normal.matrix[0]) + self.pull.ravel() ** 2
+        used = active & (diagonal > 0.0)
+        self.unknowns = int(used.sum()) + PLANE.dim * self.readings.planes
+        unit = 1.0 / np.sqrt(np.where(used, diagonal, np.inf))
+        plane_unit = 1.0 / np.sqrt(np.einsum("pii->i", normal.local[0]) / self.readings.planes)
+        known = (self.pull.ravel() * unit) ** 2
+        reduced = normal.reduced(unit, plane_unit, used, known)
+        inverse = reduced.covariance(SQUARE_ROUNDING * float(used.sum()))
+        self.beam_inverse = np.zeros((len(unit), len(unit)))
+        self.beam_inverse[np.ix_(used, used)] = inverse * np.outer(unit[used], unit[used])
+        self.plane_inverse = reduced.local_inverse * np.outer(plane_unit, plane_unit)
+        self.response = np.zeros((self.readings.planes, PLANE.dim, len(unit)))
+        self.response[:, :, used] = plane_unit[:, None] * reduced.local_response / unit[used]
 
     def log_det_inverse(self) -> float:
         """Return log det of the covariance of all unknowns: of beams and planes in units of sigma^2."""
@@ -254,3 +259,32 @@ class Projection:
         following = freed @ self.freed_inverse
         left -= (following * freed).sum(axis=1)
         return moved - following @ self.freed_moved[: self.pull.size].T, left
+
+
+class CoupledProjection(Projection):
+    """The same for a whitening that couples readings before several planes: nothing is eliminated."""
+
+    def _invert(self, normal: Normal, active: BoolArray) -> None:
+        """Invert the information of beams and planes together; `normal` is of other weights."""
+        del normal
+        own = self.pull.size
+        information = self.how.information(self.J)
+        information[np.arange(own), np.arange(own)] += self.pull.ravel() ** 2
+        diagonal = np.diagonal(information)
+        active = np.append(active, np.ones(len(diagonal) - own, dtype=bool))
+        used = np.flatnonzero(active & (diagonal > 0.0))
+        self.unknowns = len(used)
+        unit = 1.0 / np.sqrt(diagonal[used])
+        scaled = np.linalg.inv(information[np.ix_(used, used)] * np.outer(unit, unit))
+        self.inverse = np.zeros_like(information)
+        self.inverse[np.ix_(used, used)] = scaled * np.outer(unit, unit)
+
+    def following(self, gradient: FloatArray) -> FloatArray:
+        """Return the beams and planes (7 B + 3 P, c) that follow from gradients by them."""
+        return np.asarray(self.inverse @ gradient)
+
+    def log_det_inverse(self) -> float:
+        """Return log det of the covariance of all unknowns: of beams and planes in units of sigma^2."""
+        used = np.flatnonzero(self.inverse.any(axis=0))
+        of_freed = np.linalg.slogdet(self.how.sigma**2 * self.freed_inverse)[1]
+        return float(np.linalg.slogdet(self.inverse[np.ix_(used, used)])[1] + of_freed)
