@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import handlaser_gtsam as hl
+from benchmarks.repeated_programme import ACROSS, NOISE, Robot
 from benchmarks.session_chaos import run_once
 from handlaser_gtsam.factors import RangeBlock, evaluated_together
 from handlaser_gtsam.model import tangent_basis
@@ -298,13 +299,25 @@ def test_the_calibration_is_that_of_everything_at_once(noise, options, k):
         own = found.beams[name]
         assert own.terms == beam.terms
         assert (np.abs(own.location - beam.location) < 0.01 * beam.location_sigma).all()
-        assert own.sigma == pytest.approx(beam.sigma, rel=0.01)
+        # Errors that change with the pose are learned again, from scales that agree within a hundredth.
+        assert own.sigma == pytest.approx(beam.sigma, rel=0.02)
     for name, plane_ in batch.planes.items():
         own = found.planes[name]
         assert (np.abs(own.normal - plane_.normal) < 0.02 * plane_.sigma[:3]).all()
         assert own.sigma == pytest.approx(plane_.sigma, rel=0.02)
     assert found.fit.residuals.shape == batch.fit.residuals.shape
     assert np.abs(found.fit.residuals - batch.fit.residuals).max() < 0.01 * SIGMA
+
+
+def test_live_numbers_count_errors_that_stations_have_in_common():
+    """A robot that errs alike at the stops of a programme before each plane."""
+    recording = Robot(1).recording(ACROSS)
+    session = filled(recording, NOISE)
+    session.recalibrate()
+    live = session.beams().sigma
+    for own, beam in zip(live, session.calibration().beams.values(), strict=True):
+        assert own == pytest.approx(beam.sigma, rel=0.01)
+    assert (live[:, :3] > 1.05 * session.state.integrated.sigmas()[:, :3]).any()
 
 
 @pytest.mark.slow

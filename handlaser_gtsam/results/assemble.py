@@ -135,6 +135,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     if status == "converged" and solution.at.loss == GAUSSIAN:
         rows, shared, systematic, together = _tested(problem, selection, fit, freed, stops)
     joint, effects, by_pose = None, tuple[FreedEffect, ...](), shared.sizes_by_pose
+    growth, less = 1.0, None
     learned = solution.scales_estimated or not fit.range_sigma_given
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
@@ -156,6 +157,10 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         again = stops if learned or solution.at.loss != GAUSSIAN else None
         signs = _signs(problem, used, fit, solution, why, again, as_one, known=known)
     whole = joint if determined.rank == determined.unknowns else None
+    in_common = None
+    if whole is not None and (shared.any or growth > 1.0):
+        alone = joint_covariance(problem, solution, fit, less)
+        in_common = whole.matrix(planes=[]) - alone.matrix(planes=[])
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
     if rows is not None and not mistaken:
@@ -188,6 +193,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         solution.at.iterations,
         solution.at.status == "interrupted",
         covariance=whole,
+        shared=in_common,
         correlations=() if whole is None else strong_correlations(whole),
         systematic=systematic,
         sensor_kind=problem.sensor.kind,

@@ -341,6 +341,7 @@ class CalibrationData(Value):
     variances: Variances | None = None
     noise_estimate: tuple[NoiseComponent, ...] = ()
     covariance: JointCovariance | None = None
+    shared: FloatArray | None = None
     correlations: tuple[Correlation, ...] = ()
     at_scales: ScaledSolution | None = None
     learned: LearnedScales | None = None

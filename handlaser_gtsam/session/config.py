@@ -45,6 +45,9 @@ class SessionConfig:
         Of the first calibration, and of every batch solution.
     learned : LearnedScales or None
         Scales that are integrated over; None where all are given but the range sigma.
+    shared : (8 B, 8 B), optional
+        What errors that stations have in common add to the covariance of the beams, as the last batch
+        solution says.
     """
 
     names: tuple[str, ...]
@@ -55,6 +58,7 @@ class SessionConfig:
     poses: Literal["exact", "marginalised", "estimated"]
     options: CalibrationOptions
     learned: LearnedScales | None
+    shared: FloatArray | None = None
 
     @classmethod
     def of(cls, batch: Calibration, noise: Noise, options: CalibrationOptions) -> "SessionConfig":
@@ -62,7 +66,9 @@ class SessionConfig:
         fit = batch.fit
         dof = np.inf if fit.range_sigma_given else float(max(fit.dof, 1))
         of_fit = fit.typical_range, fit.range_sigma, dof
-        return cls(tuple(batch.beams), *of_fit, noise, fit.poses, options, batch.learned)
+        return cls(
+            tuple(batch.beams), *of_fit, noise, fit.poses, options, batch.learned, batch.shared
+        )
 
     @property
     def terms(self) -> int:

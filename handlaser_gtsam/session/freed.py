@@ -64,8 +64,8 @@ class FreedState:
         return cls(contents.with_planes(planes), config, batch)
 
     @cached_property
-    def integrated(self) -> BeamState:
-        """The beams with all scales integrated over, and what is not known of the errors."""
+    def with_shared(self) -> BeamState:
+        """The beams with all scales integrated over, and all errors: it is of the calibration."""
         joint = self.batch.covariance
         assert joint is not None, "what is converged has a covariance"
         _, log_det = np.linalg.slogdet(joint.matrix(planes=[], ambient=False))
@@ -91,7 +91,7 @@ class FreedState:
 
     def moved(self, *, recently: bool = False) -> BeamDrift | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
-        beams, used = self.integrated.beams, self.batch.used_in(self.contents.recording())
+        beams, used = self.with_shared.beams, self.batch.used_in(self.contents.recording())
         every = {
             name: fit_plane(self.config, used.plane(name), beams) for name in self.contents.inside
         }
@@ -101,7 +101,7 @@ class FreedState:
     def compare(self) -> Comparison:
         """Compare with a calibration of the same planes from the beginning."""
         batch = self._calibrated(self.contents, list(self.contents.inside))
-        return Comparison(*self.config.apart(self.integrated, batch))
+        return Comparison(*self.config.apart(self.with_shared, batch))
 
     def recalibrated(self) -> tuple["FreedState", Comparison]:
         """Calibrate everything, with planes that were excluded, and compare."""
@@ -114,7 +114,7 @@ class FreedState:
         if self.contents.excluded:
             changes = {"excluded-planes": "planes that did not fit taken in again"}
         new = FreedState.of(batch, contents, self.config.noise, self.config.options)
-        return new, Comparison(*self.config.apart(self.integrated, batch), changes)
+        return new, Comparison(*self.config.apart(self.with_shared, batch), changes)
 
     def changed(
         self, contents: Contents, planes: tuple[str, ...]
@@ -144,7 +144,7 @@ class FreedState:
 
     def _determined(self, contents: Contents) -> list[str]:
         """Return the planes that readings and beams determine, and that are not excluded."""
-        return list(fitted_planes(contents, self.config, self.integrated.beams).inside)
+        return list(fitted_planes(contents, self.config, self.with_shared.beams).inside)
 
     def _calibrated(self, contents: Contents, planes: list[str]) -> Calibration:
         """Return the calibration of some planes, in the order in which their stations came."""

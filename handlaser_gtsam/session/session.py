@@ -249,7 +249,7 @@ class Session:
         A range sigma that was not given is taken from the last comparison, or from `recalibrate`.
         """
         now = self.state
-        state, config = now.integrated, now.config
+        state, config = now.with_shared, now.config
         terms = (config.terms,) * len(config.names)
         pose = config.variances(1).pose
         mounts = Mounts(
@@ -344,7 +344,7 @@ def started(
         tuple(new.contents.inside),
         new.contents.waiting,
         UNKNOWN,
-        new.integrated.sigmas(),
+        new.with_shared.sigmas(),
         None,
         rejected=new.contents.rejected,
         moved=new.moved(),
@@ -374,14 +374,14 @@ def changed(now: AnyState, contents: Contents, planes: tuple[str, ...]) -> tuple
                 joined, inconsistent = tuple(new.contents.inside), ()
         new, comparison = new.compared_if_due()
     begun_again = message or (comparison is not None and comparison.changes)
-    gain = 0.5 * (new.integrated.information - now.integrated.information)
+    gain = 0.5 * (new.with_shared.information - now.with_shared.information)
     old = set(now.contents.rejected)
     return new, Update(
         joined,
         new.contents.waiting,
         UNKNOWN if begun_again else gain,
-        new.integrated.sigmas(),
-        now.integrated.sigmas(),
+        new.with_shared.sigmas(),
+        now.with_shared.sigmas(),
         message,
         tuple(reading for reading in new.contents.rejected if reading not in old),
         new.moved(recently=True),

@@ -105,6 +105,12 @@ class SessionState:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
+    def with_shared(self) -> BeamState:
+        """The beams with all scales integrated over, and errors that stations have in common."""
+        state, shared = self.integrated, self.config.shared
+        return state if shared is None else replace(state, covariance=state.covariance + shared)
+
+    @cached_property
     def integrated(self) -> BeamState:
         """The beams with all scales integrated over, which the graph has at the most probable ones."""
         state, config, learned = self.state, self.config, self.config.learned
@@ -230,7 +236,8 @@ class SessionState:
             beams = new.solution.parameters.beams
             new = self._begun_with(new.contents, new.config, beams)
         planes = len(new.contents.inside)
-        new = replace(new, compared=new.state, changes=0, learned_with=planes)
+        config = replace(new.config, shared=new.calibration().shared)
+        new = replace(new, config=config, compared=new.state, changes=0, learned_with=planes)
         return new, replace(comparison, changes=changes)
 
     def rejudged(self) -> "SessionState":
@@ -278,8 +285,9 @@ class SessionState:
             order = [self.config.names.index(name) for name in batch.beams]
             r, v, k = (array[order] for array in self.state.beams)
             new = begun_or_refused(contents, config, (r, v, k))
-        new = replace(new, learned_with=len(new.contents.inside))
-        return new, Comparison(*new.config.apart(new.integrated, batch), changes)
+        config = replace(new.config, shared=config.shared)
+        new = replace(new, config=config, learned_with=len(new.contents.inside))
+        return new, Comparison(*config.apart(new.with_shared, batch), changes)
 
     def moved(self, *, recently: bool = False) -> BeamDrift | None:
         """Return the beam that has moved; `recently`: in one of the epochs tested after a change."""
