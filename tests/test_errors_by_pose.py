@@ -106,6 +106,18 @@ def test_the_covariance_is_k_c_k():
     assert shared.sizes_by_pose.growth == pytest.approx(np.sqrt(ratio.max()))
 
 
+def test_the_order_of_beams_changes_nothing():
+    """Scales of the noise are integrated over, which changes the covariance without these errors."""
+    robot = Robot(3)
+    recording = robot.recording(ACROSS)
+    names, turned = recording.beam_names[::-1], recording.ranges[:, ::-1]
+    found = hl.calibrate(recording)
+    other = hl.calibrate(replace(recording, ranges=turned, beam_names=names))
+    assert found.errors_by_pose.growth > 1.05
+    for name, beam in found.beams.items():
+        assert other.beams[name].sigma == pytest.approx(beam.sigma, rel=1e-5)
+
+
 def test_score_tests_count_them():
     rows, unit, pose = at_truth()
     J, V, F, _ = dense(rows, unit, pose)

@@ -299,8 +299,7 @@ def test_the_calibration_is_that_of_everything_at_once(noise, options, k):
         own = found.beams[name]
         assert own.terms == beam.terms
         assert (np.abs(own.location - beam.location) < 0.01 * beam.location_sigma).all()
-        # Errors that change with the pose are learned again, from scales that agree within a hundredth.
-        assert own.sigma == pytest.approx(beam.sigma, rel=0.02)
+        assert own.sigma == pytest.approx(beam.sigma, rel=0.01)
     for name, plane_ in batch.planes.items():
         own = found.planes[name]
         assert (np.abs(own.normal - plane_.normal) < 0.02 * plane_.sigma[:3]).all()

@@ -70,6 +70,9 @@ class SharedErrors(NamedTuple):
         How residuals follow errors of unit variance of their poses [m].
     station, stop : (N,)
         Where each was read.
+    root : (nb, nb)
+        These columns of the beams: any multiple of a root of their covariance for independent errors at
+        the most probable scales of the noise.
     taken : float
         How many degrees of freedom more the unknowns take of chi2, because they follow errors of stops.
     by_pose : ErrorsByPose or None
@@ -86,6 +89,7 @@ class SharedErrors(NamedTuple):
     moved: FloatArray = np.empty((0, 6))
     station: IntArray = np.empty(0, np.intp)
     stop: IntArray = np.empty(0, np.intp)
+    root: FloatArray = np.empty((0, 0))
     taken: float = 0.0
     by_pose: ErrorsByPose | None = None
 
@@ -123,7 +127,7 @@ class SharedErrors(NamedTuple):
         """Return the covariance with what stations share; `joint` is for independent errors."""
         if not self.any:
             return joint
-        L, own = _root(joint.beams), np.linalg.cholesky(joint.planes)
+        L, own = _carried(self.root, joint.beams), np.linalg.cholesky(joint.planes)
         P, nb = len(own), len(L)
         beams, across = joint.beams + L @ self.beams @ L.T, own @ self.across @ L.T
         known = np.linalg.solve(beams, across.reshape(-1, nb).T).T.reshape(across.shape)
@@ -171,6 +175,17 @@ def _root(covariance: FloatArray) -> FloatArray:
     unit = np.sqrt(np.diagonal(covariance))
     root: FloatArray = cholesky(covariance / np.outer(unit, unit), lower=True)
     return unit[:, None] * root
+
+
+def _carried(root: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the root of another covariance to which a root is carried, in whatever order numbers are.
+
+    It is T root, with the symmetric T that makes T root root' T the other covariance, in units of its
+    standard deviations. With a root K of that, it is K times the orthogonal part of K' root.
+    """
+    unit, K = np.sqrt(np.diagonal(covariance)), _root(covariance)
+    U, _, V = np.linalg.svd((K / unit[:, None]).T @ (root / unit[:, None]))
+    return np.asarray(K @ U @ V)
 
 
 class Stops(NamedTuple):
@@ -314,7 +329,7 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
         of_freed = float(np.sqrt(1.0 + max(ratios.max() / rows.how.sigma**2, 0.0)))
     parts = beams, across, planes, coupling, _growth(root, beams), of_planes, of_freed
     taken = float(np.trace(beams) + np.einsum("paa->", planes))
-    return SharedErrors(*parts, moved, *at, taken)
+    return SharedErrors(*parts, moved, *at, root, taken)
 
 
 def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPose) -> SharedErrors:
@@ -355,6 +370,7 @@ def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPo
         coupling=coupling,
         growth=_growth(root, beams) if seen else shared.growth,
         freed_growth=of_freed,
+        root=root,
         by_pose=more,
     )
 
