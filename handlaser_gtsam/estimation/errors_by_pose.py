@@ -92,6 +92,11 @@ class ErrorsByPose(NamedTuple):
     sizes: SizesByPose | None = None
 
     @property
+    def is_seen(self) -> bool:
+        """Whether the readings show them."""
+        return self.sizes is not None and self.sizes.is_seen
+
+    @property
     def columns(self) -> Iterator[FloatArray]:
         """What errors that change with one coordinate of the pose do to the rows: six of (N, 6)."""
         return (along[:, None] * self.moved for along in self.pose.T)
@@ -135,7 +140,7 @@ class Likelihood(NamedTuple):
         F' Q e.
     square : float
         e' Q e.
-    dof : int
+    dof : float
         Numbers in it.
     constant : float
         Logarithm of the likelihood without them, but for what depends on `square`.
@@ -144,8 +149,13 @@ class Likelihood(NamedTuple):
     G: FloatArray
     q: FloatArray
     square: float
-    dof: int
+    dof: float
     constant: float
+
+    def of_fewer(self, times: float) -> "Likelihood":
+        """Return it where so many numbers say no more than one that is independent."""
+        G, q, square, dof, constant = self
+        return Likelihood(G / times, q / times, square / times, dof / times, constant / times)
 
     def at(self, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return logarithms (J,) of the likelihood, and the most probable factor (J,) on the noise.

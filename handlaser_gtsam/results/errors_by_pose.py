@@ -26,6 +26,7 @@ def errors_by_pose(
     dof: int,
     shared: SharedErrors,
     found: FloatArray,
+    times: float,
 ) -> ErrorsByPose:
     """Return what the residuals at a solution say of errors that change with the pose.
 
@@ -41,6 +42,8 @@ def errors_by_pose(
         Errors that stations of one stop share: beside these, stops err by themselves, not stations.
     found : (N, q)
         Columns of systematic errors that were found, which are taken out before.
+    times : float
+        So many readings say no more than one that is independent.
     """
     variances = solution.variances
     assert variances is not None, "there is noise"
@@ -64,7 +67,7 @@ def errors_by_pose(
         return Projection(LinearRows(rows.at, rows.readings, how, *of), rows.prior)
 
     def likelihood(part: float) -> Likelihood:
-        return _likelihood(projection(part), rows, unit, found, dof)
+        return _likelihood(projection(part), rows, unit, found, dof).of_fewer(times)
 
     read, first = np.unique(rows.readings.station, return_index=True)
     stated = by_metre_and_radian(pose[read], unit.pose[first], unknown)

@@ -332,8 +332,17 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
     return SharedErrors(*parts, moved, *at, root, taken)
 
 
-def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPose) -> SharedErrors:
-    """Return what stations share, errors that change with the pose of the hand included."""
+def with_errors_by_pose(
+    shared: SharedErrors,
+    rows: LinearRows,
+    more: ErrorsByPose,
+    together: Dependence = INDEPENDENT,
+) -> SharedErrors:
+    """Return what stations share, errors that change with the pose of the hand included.
+
+    They are smaller by as much as standard deviations will grow because errors go `together` in time,
+    which these do not.
+    """
     if not more.moved.any():
         return shared._replace(by_pose=more)
     projection, sigma = Projection(rows, rows.prior), rows.how.sigma
@@ -344,11 +353,10 @@ def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPo
     moved = projection.following(np.concatenate(gradient, axis=1))
     x, y = np.split(moved, [projection.pull.size])
     y = y.reshape(P, PLANE.dim, -1) + projection.response @ x
-    b = solve_triangular(root, x[used], lower=True) / sigma
-    c = np.linalg.solve(own, y) / sigma
+    b = solve_triangular(root, x[used], lower=True) / (sigma * together.growth)
+    c = np.linalg.solve(own, y) / (sigma * together.plane_growth)
     beams, across, planes = b @ b.T, c @ b.T, c @ np.swapaxes(c, 1, 2)
     more = more.grown(_growth(root, beams))
-    seen = more.sizes is not None and more.sizes.is_seen
     coupling = None
     if P <= COUPLED_PLANES:
         flat = c.reshape(P * PLANE.dim, -1)
@@ -368,7 +376,7 @@ def with_errors_by_pose(shared: SharedErrors, rows: LinearRows, more: ErrorsByPo
         across=across,
         planes=planes,
         coupling=coupling,
-        growth=_growth(root, beams) if seen else shared.growth,
+        growth=_growth(root, beams) if more.is_seen else shared.growth,
         freed_growth=of_freed,
         root=root,
         by_pose=more,

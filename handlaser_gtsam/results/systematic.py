@@ -138,12 +138,15 @@ def systematic_errors(
     dof: int,
     plausible: Mapping[str, float],
     shared: SharedErrors = NOTHING_SHARED,
-    learn: Callable[[FloatArray], ErrorsByPose] | None = None,
+    learn: Callable[[FloatArray, float], ErrorsByPose] | None = None,
 ) -> tuple[tuple[SystematicError, ...], Dependence, SharedErrors]:
     """Test the residuals at a solution for systematic errors, and for correlation in time.
 
     Errors that change with the pose are learned beside systematic errors that were found. Where they
     are seen nevertheless, they may be what was found, and are learned alone.
+
+    Where neighbouring residuals go together, and errors that change with the pose do not explain it, as
+    many fewer stations tell of these.
 
     Where neighbouring residuals go together, errors that vary slowly are judged by as much noise as
     those have in common.
@@ -162,7 +165,8 @@ def systematic_errors(
     shared : SharedErrors
         What follows from errors of the hand that stations share.
     learn : callable, optional
-        Learns errors that change with the pose, beside errors of some columns (N, q).
+        Learns errors that change with the pose, beside errors of some columns (N, q), where as many
+        stations say no more than one that is independent.
 
     Returns
     -------
@@ -177,15 +181,25 @@ def systematic_errors(
     if dof < (1 if known else 2):
         return (), INDEPENDENT, shared
     tests = ScoreTests(rows, None if known else dof, plausible, shared=shared)
+    found = tests.found_columns()
+    together = dependence(rows, tests.projection, known=known, found=found)
     if learn is not None:
-        found = tests.found_columns()
-        by_pose = learn(found)
-        seen = by_pose.sizes is not None and by_pose.sizes.is_seen
-        if found.size and seen:
-            by_pose = learn(found[:, :0])
-        shared = with_errors_by_pose(shared, rows, by_pose)
+        by_pose, times = learn(found, 1.0), 1.0
+        if together != INDEPENDENT and by_pose.moved.any():
+            columns = np.concatenate((found, *by_pose.columns), axis=1)
+            left = dependence(rows, tests.projection, known=known, found=columns)
+            times = left.plane_growth**2
+            by_pose = learn(found, times) if times > 1.0 else by_pose
+        if found.size and by_pose.is_seen:
+            by_pose = learn(found[:, :0], times)
+        of_stops, shared = shared, with_errors_by_pose(shared, rows, by_pose)
         tests = tests.judged_by(shared)
-    together = dependence(rows, tests.projection, known=known, found=tests.found_columns())
+        beside = tests.found_columns()
+        if beside.shape != found.shape:
+            together = dependence(rows, tests.projection, known=known, found=beside)
+        more = shared.beyond(together)
+        if more != INDEPENDENT and not by_pose.is_seen:
+            shared = with_errors_by_pose(of_stops, rows, by_pose, more)
     if together != INDEPENDENT:
         tests = tests.judged_by(shared, together.plane_growth)
     first, reports = tests.representatives(), []
