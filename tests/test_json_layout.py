@@ -81,7 +81,8 @@ def test_a_calibration_is_written_as_ever(name):
                 assert np.ptp(rows[0]) > (1.0 - CLOSE) * np.ptp(rows[1])
             for field in ("along_sigma_m", "across_sigma_m", "reading_sigma_m"):
                 own = mine["spot"][field] / kept["spot"][field]
-                assert 1.0 - CLOSE < own < larger + CLOSE
+                # A spot follows several numbers, whose errors go together: it may be more.
+                assert 1.0 - CLOSE < own < larger**2 + CLOSE
             assert mine["spot"]["reading_m"] == pytest.approx(kept["spot"]["reading_m"], rel=CLOSE)
 
 
