@@ -38,7 +38,8 @@ def at_truth(part=1.0, seed=0):
     how = whitening(at, readings, Variances(np.full(2, 5e-5), pose=pose))
     prior = np.array([[0.0, 0.0], [0.01, 0.0]])
     rows = LinearRows(at, readings, how, prior, readings.station)
-    unit = ErrorsByPose(poses_from_mean(recording, rows.position), rows.linear.pose)
+    pose_at = poses_from_mean(recording.world_R_hand, recording.world_t_hand)
+    unit = ErrorsByPose(pose_at[rows.position], rows.linear.pose)
     return rows, unit, pose
 
 

@@ -83,8 +83,10 @@ def test_the_share_of_the_poses_is_the_logarithmic_derivative(recording):
     step = 1.05
 
     def variance(poses, ranges):
-        noise = hl.Noise(3e-5 * ranges, 5e-5 * poses, 5e-4 * poses)
-        return hl.calibrate(recording, noise, replace(BOTH, outliers="keep"))
+        noise = hl.Noise(3e-5 * ranges, 3e-5 * poses, 3e-4 * poses)
+        found = hl.calibrate(recording, noise, replace(BOTH, outliers="keep"))
+        assert found.shared is None
+        return found
 
     middle = variance(1.0, 1.0)
     found = variance_shares(middle, "2", 0.015)
@@ -98,6 +100,12 @@ def test_the_share_of_the_poses_is_the_logarithmic_derivative(recording):
     # The optimum itself moves a little with the sigmas, and the package's step is larger.
     assert poses + ranges == pytest.approx(1.0, abs=0.02)
     assert found.poses == pytest.approx(poses, abs=0.03)
+    # Errors of the hand that stations have in common are of the poses.
+    noise = hl.Noise(3e-5, 5e-5, 5e-4)
+    smooth = hl.calibrate(recording, noise, replace(BOTH, outliers="keep"))
+    assert smooth.errors_by_pose.growth > 1.5
+    alone = variance_shares(replace(smooth, shared=None), "2", 0.015).poses
+    assert alone + 0.05 < variance_shares(smooth, "2", 0.015).poses < 1.0
 
 
 def test_exact_poses_have_no_share_and_unknown_ones_no_number(calibration):

@@ -31,9 +31,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from ..arrays import FloatArray, IntArray
-from ..data.recording import Recording
-from ..data.station_list import StationList
+from ..arrays import FloatArray
 from ..model.distributions import UNLIKELY_EXCESS
 from ..model.families import POSE
 from ..quantities import TINY
@@ -122,11 +120,10 @@ class ErrorsByPose(NamedTuple):
         return self._replace(sizes=self.sizes._replace(growth=growth))
 
 
-def poses_from_mean(stations: Recording | StationList, station: IntArray) -> FloatArray:
-    """Return the poses (N, 6) of some stations from the mean of all: turn [rad], shift [m]."""
-    turns = Rotation.from_matrix(stations.world_R_hand)
-    shift = stations.world_t_hand - stations.world_t_hand.mean(axis=0)
-    return np.hstack(((turns.mean().inv() * turns).as_rotvec(), shift))[station]
+def poses_from_mean(R: FloatArray, t: FloatArray) -> FloatArray:
+    """Return poses (M, 6) from the mean one: turn [rad], shift [m]; R (M, 3, 3), t (M, 3) [m]."""
+    turns = Rotation.from_matrix(R)
+    return np.hstack(((turns.mean().inv() * turns).as_rotvec(), t - t.mean(axis=0)))
 
 
 class Likelihood(NamedTuple):

@@ -300,13 +300,14 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         found = replace(found, status="contradicted", message=message)
     tests, spread = _tested(state), _spread(state, found)
     covariance, by_pose = found.covariance * np.outer(spread, spread), None
-    if found.status in ("converged", "contradicted"):
+    false = any(test.contradicted for test in tests)  # then large residuals are of that
+    if found.status in ("converged", "contradicted", "undetermined") and not false:
         usual = usual_noise(state.rows, state.noise).pose
         learned = survey_errors_by_pose(state, usual, _beside_rows(state))
         if learned is not None:
             by_pose, more = learned
             growth = np.sqrt(1.0 + np.diagonal(more) / np.diagonal(covariance))
-            by_pose = by_pose.grown(float(growth.max()))
+            by_pose = by_pose.grown(float(np.nanmax(growth)))
             spread, covariance = spread * growth, covariance + more
     found = replace(found, covariance=covariance)
     found, images = with_images(found, others)

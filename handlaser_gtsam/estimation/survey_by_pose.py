@@ -44,22 +44,33 @@ def survey_errors_by_pose(
         return _likelihood(replace(state, sizes=sizes), inside)
 
     read = np.unique([item.station for item in state.rows.counted(state.used)])
-    pose = poses_from_mean(state.rows.survey.stations, read)
+    pose = _poses(state)[read]
     stated = by_metre_and_radian(state.pose_covariance()[read], pose, unknown)
     sizes = sizes_by_pose(likelihood, unknown, stated)
     errors = _unit(state).of_sizes(*sizes, learned=bool(unknown))
+    return errors, covariance_of(errors, state)
+
+
+def covariance_of(errors: ErrorsByPose, state: SurveyState) -> FloatArray:
+    """Return by what errors, as the rows of a state see them, enlarge the covariance (n, n)."""
     J, _ = state.dense()[0].whitened()
     scale = _scale(J)
     F = np.concatenate(list(errors.columns), axis=1)
     moved = np.linalg.pinv(J / scale, rcond=NEGLIGIBLE) @ F / scale[:, None]
-    return errors, moved @ moved.T
+    return np.asarray(moved @ moved.T)
+
+
+def _poses(state: SurveyState) -> FloatArray:
+    """Return the poses (M, 6) of all stations from the mean one."""
+    stations = state.rows.survey.stations
+    return poses_from_mean(stations.world_R_hand, stations.world_t_hand)
 
 
 def _unit(state: SurveyState) -> ErrorsByPose:
     """Return errors of one by metre and radian, as the whitened rows of a state see them."""
     rows, owner = state.dense()
     stop = state.stops(owner)
-    pose = poses_from_mean(state.rows.survey.stations, stop)
+    pose = _poses(state)[stop]
     return ErrorsByPose(pose * (stop >= 0)[:, None], rows.how.apply_rows(rows.by_pose))
 
 

@@ -553,6 +553,7 @@ def with_scales(
         problem.in_world(solution.parameters),
         joint_covariance(problem, replace(solution, posterior=None), fit, freed),
         solution.prior,
+        np.empty(0) if freed is None else freed.sigmas,
     )
     return replace(result, at_scales=at_scales)
 

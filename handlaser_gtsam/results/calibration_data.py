@@ -278,11 +278,14 @@ class ScaledSolution(Value):
         In the order of the recording, world frame.
     covariance : JointCovariance
     range_error_prior : RangeErrorPrior or None
+    effect_sigmas : (q,)
+        Standard deviations of the freed errors, in the order of `Calibration.effects`.
     """
 
     parameters: Parameters
     covariance: JointCovariance
     range_error_prior: RangeErrorPrior | None
+    effect_sigmas: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

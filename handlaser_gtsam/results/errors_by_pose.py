@@ -48,12 +48,15 @@ def errors_by_pose(
     variances = solution.variances
     assert variances is not None, "there is noise"
     assert variances.pose is not None, "the hand errs"
-    unit = ErrorsByPose(poses_from_mean(stations, rows.position), rows.linear.pose)
+    read, first, at = np.unique(rows.readings.station, return_index=True, return_inverse=True)
+    where = rows.position[first]  # in an order that the file has no part in
+    pose = poses_from_mean(stations.world_R_hand[where], stations.world_t_hand[where])
+    unit = ErrorsByPose(pose[at], rows.linear.pose)
     learned = None if solution.posterior is None else solution.posterior.learned
     unknown = () if learned is None else learned.scales.of_hand
     if not unknown:  # residuals that systematic errors make large are none of smooth ones
         found = found[:, :0]
-    pose = variances.pose
+    of_poses = variances.pose
 
     def projection(part: float) -> Projection:
         if shared.any:
@@ -62,15 +65,14 @@ def errors_by_pose(
             return CoupledProjection(rows, rows.prior, how)
         if part == 1.0:
             return Projection(rows, rows.prior)
-        how = whitening(rows.at, rows.readings, replace(variances, pose=part**2 * pose))
+        how = whitening(rows.at, rows.readings, replace(variances, pose=part**2 * of_poses))
         of = rows.prior, rows.position, rows.channel, rows.freed
         return Projection(LinearRows(rows.at, rows.readings, how, *of), rows.prior)
 
     def likelihood(part: float) -> Likelihood:
         return _likelihood(projection(part), rows, unit, found, dof).of_fewer(times)
 
-    read, first = np.unique(rows.readings.station, return_index=True)
-    stated = by_metre_and_radian(pose[read], unit.pose[first], unknown)
+    stated = by_metre_and_radian(of_poses[read], pose, unknown)
     sizes = sizes_by_pose(likelihood, unknown, stated)
     return unit.of_sizes(*sizes, learned=bool(unknown))
 

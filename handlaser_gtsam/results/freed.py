@@ -90,6 +90,11 @@ class Freed(NamedTuple):
         """Return a covariance for known sizes with what these add, in the order of the readings."""
         return joint.following(self.beams[modelled(joint.terms)], self.planes, self.covariance)
 
+    @property
+    def sigmas(self) -> FloatArray:
+        """Standard deviations (q,) of the sizes."""
+        return np.asarray(self.prior * np.sqrt(np.diagonal(self.covariance)))
+
     def less_certain(self, growth: float) -> "Freed":
         """Return the same with standard deviations of the sizes `growth` times as large."""
         return self._replace(covariance=growth**2 * self.covariance)

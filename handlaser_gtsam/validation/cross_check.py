@@ -153,9 +153,11 @@ def cross_check(
     rows = [((BEAM.name, i), f"beam {name}", *of) for i, (name, *of) in enumerate(beams)]
     rows += [((PLANE.name, i), f"plane {name}", *of) for i, (name, *of) in enumerate(planes)]
     members = [] if problem.errors is None else problem.errors.members
-    sizes = {(effect.code, effect.subject): effect for effect in calibration.effects}
+    effects = calibration.effects
+    sigmas = [one.sigma for one in effects] if scaled is None else scaled.effect_sigmas
+    known = {(e.code, e.subject): (e.size, s) for e, s in zip(effects, sigmas, strict=True)}
     for i, member in enumerate(members):
-        size, variance = np.array([sizes[member].size]), np.array([[sizes[member].sigma ** 2]])
+        size, variance = np.array([known[member][0]]), np.array([[known[member][1] ** 2]])
         rows.append((("size", i), " ".join(member).strip(), size, variance))
     return compared(rows, solve(problem))
 
