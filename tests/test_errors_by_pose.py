@@ -99,7 +99,7 @@ def test_the_covariance_is_k_c_k():
     K = np.linalg.solve(J.T @ W @ J, J.T @ W)
     moved = K @ (F * np.tile(SIZE, 6))
     before = np.linalg.inv(J.T @ W @ J)
-    shared = with_errors_by_pose(NOTHING_SHARED, rows, unit.of_sizes(SIZE, 20.0, learned=True))
+    shared = with_errors_by_pose(NOTHING_SHARED, rows, unit.of_sizes(SIZE, 20.0, 0.0, learned=True))
     beams = slice(0, 11)
     L = np.linalg.cholesky(before[beams, beams])
     assert L @ shared.beams @ L.T == pytest.approx((moved @ moved.T)[beams, beams], rel=1e-6)
@@ -124,7 +124,7 @@ def test_score_tests_count_them():
     J, V, F, _ = dense(rows, unit, pose)
     W = np.linalg.inv(V)
     M = W - W @ J @ np.linalg.solve(J.T @ W @ J, J.T @ W)
-    shared = with_errors_by_pose(NOTHING_SHARED, rows, unit.of_sizes(SIZE, 20.0, learned=True))
+    shared = with_errors_by_pose(NOTHING_SHARED, rows, unit.of_sizes(SIZE, 20.0, 0.0, learned=True))
     alone = ScoreTests(rows, None)
     growth = alone.judged_by(shared).growth / alone.growth
     for member in (0, 5, len(growth) - 1):
@@ -143,7 +143,7 @@ def test_stated_errors_change_with_the_pose_only_where_readings_say_so():
         """Smooth errors leave hardly any residuals, which less noise of single stations suits."""
         return one._replace(q=0.0 * one.q, square=0.0, constant=-20.0 * part)
 
-    size, excess = sizes_by_pose(quiet, (), SIZE**2)
+    size, excess, _ = sizes_by_pose(quiet, (), SIZE**2)
     assert size == pytest.approx(0.99 * SIZE, rel=0.02)
     assert excess < 13.0  # they may be stated too large as well
     # Large residuals are of other errors.

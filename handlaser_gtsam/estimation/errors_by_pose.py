@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
 from ..arrays import FloatArray
-from ..model.distributions import UNLIKELY_EXCESS
+from ..model.distributions import SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_cdf
 from ..model.families import POSE
 from ..quantities import TINY
 from .scales import AXES, Scale, design, find_mode
@@ -58,6 +58,9 @@ class SizesByPose(NamedTuple):
     growth : float
         The largest ratio of a standard deviation of a beam, or of any unknown of a survey, to that
         without them.
+    smaller : float
+        Probability of smaller residuals, with the stated errors that are left to single stations; zero
+        where some were learned.
     """
 
     shift: float
@@ -65,11 +68,17 @@ class SizesByPose(NamedTuple):
     excess: float
     learned: bool
     growth: float = 1.0
+    smaller: float = 0.0
 
     @property
     def is_seen(self) -> bool:
         """Whether the readings show them."""
         return self.excess > UNLIKELY_EXCESS
+
+    @property
+    def explain_small_residuals(self) -> bool:
+        """Whether residuals are small because beams and planes follow these errors."""
+        return self.is_seen or (self.growth > 1.0 and self.smaller > SINGLE_LEVEL)
 
 
 class ErrorsByPose(NamedTuple):
@@ -109,10 +118,13 @@ class ErrorsByPose(NamedTuple):
         U, size, _ = np.linalg.svd(F, full_matrices=False)
         return rows - (U * (1.0 - 1.0 / np.sqrt(1.0 + size**2))) @ (U.T @ rows)
 
-    def of_sizes(self, size: FloatArray, excess: float, *, learned: bool) -> "ErrorsByPose":
+    def of_sizes(
+        self, size: FloatArray, excess: float, smaller: float, *, learned: bool
+    ) -> "ErrorsByPose":
         """Return the same with standard deviations (6,) of turns and shifts, where they were one."""
         turn, shift = np.sqrt((size**2).reshape(2, -1).mean(axis=1)).tolist()
-        return ErrorsByPose(self.pose, self.moved * size, SizesByPose(shift, turn, excess, learned))
+        sizes = SizesByPose(shift, turn, excess, learned, smaller=smaller)
+        return ErrorsByPose(self.pose, self.moved * size, sizes)
 
     def grown(self, growth: float) -> "ErrorsByPose":
         """Return the same, which make standard deviations larger by a factor."""
@@ -165,7 +177,7 @@ class Likelihood(NamedTuple):
     def of_known_noise(self, size: FloatArray) -> float:
         """Return the logarithm of the likelihood of sizes (6,), without a factor on the noise."""
         log_det, left = self._explained(size[None])
-        return self.constant - float(log_det[0] + 0.5 * left[0])
+        return float(self.constant - log_det[0] - 0.5 * left[0])
 
     def _explained(self, size: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return log det (I + S F'Q F S) / 2, and what is left of e'Q e (J,)."""
@@ -180,8 +192,8 @@ class Likelihood(NamedTuple):
 
 def sizes_by_pose(
     likelihood: Callable[[float], Likelihood], unknown: Sequence[Scale], stated: FloatArray
-) -> tuple[FloatArray, float]:
-    """Return the standard deviations (6,) of errors by metre and radian, and their `excess`.
+) -> tuple[FloatArray, float, float]:
+    """Return the standard deviations (6,) of errors by metre and radian, `excess` and `smaller`.
 
     Parameters
     ----------
@@ -222,32 +234,35 @@ def sizes_by_pose(
         without.append(of.at(np.zeros((1, POSE.dim)))[0][0])
     log_weight = np.concatenate(weights)
     weight = np.exp(log_weight - logsumexp(log_weight))
-    return np.sqrt(weight @ np.concatenate(squares)), 2.0 * float(max(most) - max(without))
+    excess = 2.0 * float(max(most) - max(without))
+    return np.sqrt(weight @ np.concatenate(squares)), excess, 0.0
 
 
 def _sizes_as_stated(
     likelihood: Callable[[float], Likelihood], stated: FloatArray
-) -> tuple[FloatArray, float]:
+) -> tuple[FloatArray, float, float]:
     """Do as `sizes_by_pose` where all errors of the hand are stated.
 
     Where residuals are small, and smaller errors of single stations clearly more likely, the rest of
     what is stated is taken to change with the pose, seen or not: who states errors knows of them.
     """
     squares = np.array([(1.0 - part**2) * stated for part in OF_STATED])
-    values, without = list[float](), list[float]()
+    values, without, smaller = list[float](), list[float](), list[float]()
     for part, square in zip(OF_STATED, squares, strict=True):
         of = likelihood(part)
         if part == 1.0 and of.square > of.dof:
-            return np.zeros(POSE.dim), 0.0  # errors that change with the pose leave small residuals
+            return np.zeros(POSE.dim), 0.0, 0.0  # these errors leave small residuals
         values.append(of.of_known_noise(np.sqrt(square)))
         without.append(of.of_known_noise(np.zeros(POSE.dim)))
+        smaller.append(float(chi2_cdf(of.square, of.dof)))
         if values[-1] < values[0]:
             break
     excess = 2.0 * (max(values) - max(without))
     if 2.0 * (max(values) - values[0]) < UNLIKELY_EXCESS:
-        return np.zeros(POSE.dim), excess
+        return np.zeros(POSE.dim), excess, 0.0
     weight = np.exp(np.array(values) - logsumexp(values))
-    return np.sqrt(weight @ squares[: len(values)]), excess
+    best = int(np.argmax(values))
+    return np.sqrt(weight @ squares[: len(values)]), excess, smaller[best]
 
 
 def by_metre_and_radian(

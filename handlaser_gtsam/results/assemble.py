@@ -151,7 +151,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
-        if by_pose is not None and by_pose.is_seen:
+        if by_pose is not None and by_pose.explain_small_residuals:
             as_one = max(as_one, by_pose.growth**2)
         known = not determined.undetermined
         again = stops if learned or solution.at.loss != GAUSSIAN else None

@@ -412,7 +412,9 @@ def _sigmas(found: SurveyEstimate) -> Iterator[CalibrationWarning]:
     learned = np.isnan([*found.stated.sigma, *found.stated.pose]).any()
     if learned or dof < 1 or not math.isfinite(chi2):
         return
-    times = math.sqrt(chi2 / dof)
+    times, by_pose = math.sqrt(chi2 / dof), None if found.by_pose is None else found.by_pose.sizes
+    if times < 1.0 and by_pose is not None and by_pose.explain_small_residuals:
+        return
     for how, p in (("small", float(chi2_sf(chi2, dof))), ("large", float(chi2_cdf(chi2, dof)))):
         if p < SINGLE_LEVEL:
             values = {"times": times, "p": p}

@@ -142,12 +142,6 @@ def systematic_errors(
 ) -> tuple[tuple[SystematicError, ...], Dependence, SharedErrors]:
     """Test the residuals at a solution for systematic errors, and for correlation in time.
 
-    Errors that change with the pose are learned beside systematic errors that were found. Where they
-    are seen nevertheless, they may be what was found, and are learned alone.
-
-    Where neighbouring residuals go together, and errors that change with the pose do not explain it, as
-    many fewer stations tell of these.
-
     Where neighbouring residuals go together, errors that vary slowly are judged by as much noise as
     those have in common.
 
@@ -184,14 +178,7 @@ def systematic_errors(
     found = tests.found_columns()
     together = dependence(rows, tests.projection, known=known, found=found)
     if learn is not None:
-        by_pose, times = learn(found, 1.0), 1.0
-        if together != INDEPENDENT and by_pose.moved.any():
-            columns = np.concatenate((found, *by_pose.columns), axis=1)
-            left = dependence(rows, tests.projection, known=known, found=columns)
-            times = left.plane_growth**2
-            by_pose = learn(found, times) if times > 1.0 else by_pose
-        if found.size and by_pose.is_seen:
-            by_pose = learn(found[:, :0], times)
+        by_pose = _learned_by_pose(learn, tests, found, together, known=known)
         of_stops, shared = shared, with_errors_by_pose(shared, rows, by_pose)
         tests = tests.judged_by(shared)
         beside = tests.found_columns()
@@ -225,6 +212,29 @@ def systematic_errors(
         *(_confounded(tests, code, names, plausible) for code in confounded),
     )
     return found_errors, together, shared
+
+
+def _learned_by_pose(
+    learn: Callable[[FloatArray, float], ErrorsByPose],
+    tests: ScoreTests,
+    found: FloatArray,
+    together: Dependence,
+    *,
+    known: bool,
+) -> ErrorsByPose:
+    """Return errors that change with the pose, learned beside columns (N, q) of errors that were found.
+
+    Where they are seen nevertheless, they may be what was found, and are learned alone. Where
+    neighbouring residuals go together, and errors that change with the pose do not explain that, as
+    many fewer stations tell of these.
+    """
+    by_pose, times = learn(found, 1.0), 1.0
+    if together != INDEPENDENT and by_pose.moved.any():
+        columns = np.concatenate((found, *by_pose.columns), axis=1)
+        left = dependence(tests.rows, tests.projection, known=known, found=columns)
+        times = left.plane_growth**2
+        by_pose = learn(found, times) if times > 1.0 else by_pose
+    return learn(found[:, :0], times) if found.size and by_pose.is_seen else by_pose
 
 
 def _report(
