@@ -164,6 +164,16 @@ class Scene:
             return hl.Noise()
         return hl.Noise(pose_translation_sigma=self.shift, pose_rotation_sigma=self.turn)
 
+    def survey(self) -> Survey:
+        """Return what a sensor of many rays saw."""
+        R, t = self.believed[:, :3, :3], self.believed[:, :3, 3]
+        _, _, across = self._rays()
+        station = np.repeat(np.arange(len(R)), len(across))
+        every_ray = np.tile(across, (len(R), 1))
+        shots = Shots("s", KIND[self.case.sensor], station, every_ray, self.readings[0].ravel())
+        labels = tuple(f"plane:p{plate}" for plate in self.plate)
+        return Survey(StationList(R, t, labels), (shots,))
+
     def squares(self) -> tuple[float, float, str]:
         """Return the mean square error of the mounts, the largest error of r, and the verdict."""
         R, t = self.believed[:, :3, :3], self.believed[:, :3, 3]
@@ -183,12 +193,7 @@ class Scene:
                 squares.append(e @ np.linalg.pinv(C[:6, :6], rcond=1e-9) @ e / 5.0)
                 far.append(np.abs(beam.location - at) / beam.location_sigma)
             return float(np.mean(squares)), float(np.max(far)), found.verdict.code
-        _, _, across = self._rays()
-        station = np.repeat(np.arange(len(R)), len(across))
-        every_ray = np.tile(across, (len(R), 1))
-        shots = Shots("s", KIND[self.case.sensor], station, every_ray, self.readings[0].ravel())
-        labels = tuple(f"plane:p{plate}" for plate in self.plate)
-        survey = hl.calibrate(Survey(StationList(R, t, labels), (shots,)), self.noise)
+        survey = hl.calibrate(self.survey(), self.noise)
         mount = survey.sensors["s"]
         own = Rotation.from_matrix(mount.rotation)
         e = np.concatenate(

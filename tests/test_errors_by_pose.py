@@ -7,6 +7,7 @@ import pytest
 from helpers import codes
 
 import handlaser_gtsam as hl
+from benchmarks import moving_robot
 from benchmarks.arm_errors import Case, Scene, run_once
 from benchmarks.repeated_programme import ACROSS, NOISE, Robot
 from benchmarks.robot_cell import Scene as Cell
@@ -17,11 +18,15 @@ from handlaser_gtsam.estimation.errors_by_pose import (
     poses_from_mean,
     sizes_by_pose,
 )
+from handlaser_gtsam.model.geometry import tangent_basis
+from handlaser_gtsam.model.joint import JointCovariance
 from handlaser_gtsam.model.weighting import Variances, coupled, moved_with_poses, whitening
 from handlaser_gtsam.results.errors_by_pose import _likelihood
 from handlaser_gtsam.results.projection import CoupledProjection, LinearRows, Projection
 from handlaser_gtsam.results.score_tests import ScoreTests
 from handlaser_gtsam.results.shared_errors import NOTHING_SHARED, with_errors_by_pose
+from handlaser_gtsam.results.spots import variance_shares
+from handlaser_gtsam.validation.cross_check import cross_check
 
 SIZE = np.repeat([2e-4, 1e-4], 3)
 """Of errors by metre and radian."""
@@ -38,7 +43,8 @@ def at_truth(part=1.0, seed=0):
     how = whitening(at, readings, Variances(np.full(2, 5e-5), pose=pose))
     prior = np.array([[0.0, 0.0], [0.01, 0.0]])
     rows = LinearRows(at, readings, how, prior, readings.station)
-    pose_at = poses_from_mean(recording.world_R_hand, recording.world_t_hand)
+    R, t = recording.world_R_hand, recording.world_t_hand
+    pose_at = poses_from_mean(R, t, np.arange(len(t)))
     unit = ErrorsByPose(pose_at[rows.position], rows.linear.pose)
     return rows, unit, pose
 
@@ -92,19 +98,41 @@ def test_the_likelihood_is_that_of_dense_algebra(comes_again):
     assert np.subtract(ours, ours[0]) == pytest.approx(np.subtract(theirs, theirs[0]), abs=1e-5)
 
 
-def test_the_covariance_is_k_c_k():
+def counted(rows, unit):
+    """Return what errors of the sizes do to beams and planes."""
+    more = unit.of_sizes(SIZE, 20.0, 0.0, learned=True)
+    return with_errors_by_pose(NOTHING_SHARED, Projection(rows, rows.prior), more)
+
+
+@pytest.mark.parametrize("coupled", [True, False])
+def test_the_covariance_is_k_c_k(coupled, monkeypatch):
     rows, unit, pose = at_truth()
     J, V, F, _ = dense(rows, unit, pose)
     W = np.linalg.inv(V)
     K = np.linalg.solve(J.T @ W @ J, J.T @ W)
     moved = K @ (F * np.tile(SIZE, 6))
-    before = np.linalg.inv(J.T @ W @ J)
-    shared = with_errors_by_pose(NOTHING_SHARED, rows, unit.of_sizes(SIZE, 20.0, 0.0, learned=True))
-    beams = slice(0, 11)
-    L = np.linalg.cholesky(before[beams, beams])
-    assert L @ shared.beams @ L.T == pytest.approx((moved @ moved.T)[beams, beams], rel=1e-6)
-    ratio = 1.0 + np.diagonal(moved @ moved.T)[beams] / np.diagonal(before)[beams]
+    before, projection = np.linalg.inv(J.T @ W @ J), Projection(rows, rows.prior)
+    shared, used = counted(rows, unit), np.r_[0:5, 7:13]
+    ratio = 1.0 + np.diagonal(moved @ moved.T)[:11] / np.diagonal(before)[:11]
     assert shared.sizes_by_pose.growth == pytest.approx(np.sqrt(ratio.max()))
+    bases = tangent_basis(rows.at.directions), tangent_basis(rows.at.normals)
+    parts = projection.response[:, :, used], rows.how.sigma**2 * projection.plane_inverse
+    joint = JointCovariance(
+        ("0", "1"), tuple("ABCD"), (0, 1), before[:11, :11], *parts, *bases, rows.centres
+    )
+    scale = np.sqrt(np.diagonal(before))
+    found = joint.matrix(ambient=False)
+    assert np.abs((found - before) / np.outer(scale, scale)).max() < 1e-6
+    if not coupled:
+        monkeypatch.setattr("handlaser_gtsam.results.shared_errors.COUPLED_PLANES", 3)
+    found, true = shared.following_poses(joint).matrix(ambient=False), before + moved @ moved.T
+    if not coupled:
+        for plane in range(4):  # alone and with the beams
+            rest = np.r_[0:11, 11 + 3 * plane : 14 + 3 * plane]
+            off = (found - true)[np.ix_(rest, rest)]
+            assert np.abs(off / np.outer(scale[rest], scale[rest])).max() < 1e-6
+        return
+    assert np.abs((found - true) / np.outer(scale, scale)).max() < 1e-6
 
 
 def test_the_order_of_beams_changes_nothing():
@@ -124,7 +152,9 @@ def test_score_tests_count_them():
     J, V, F, _ = dense(rows, unit, pose)
     W = np.linalg.inv(V)
     M = W - W @ J @ np.linalg.solve(J.T @ W @ J, J.T @ W)
-    shared = with_errors_by_pose(NOTHING_SHARED, rows, unit.of_sizes(SIZE, 20.0, 0.0, learned=True))
+    shared = with_errors_by_pose(
+        NOTHING_SHARED, Projection(rows, rows.prior), unit.of_sizes(SIZE, 20.0, 0.0, learned=True)
+    )
     alone = ScoreTests(rows, None)
     growth = alone.judged_by(shared).growth / alone.growth
     for member in (0, 5, len(growth) - 1):
@@ -190,3 +220,30 @@ def test_an_error_that_explains_all_is_named_itself():
         "turn-scale"
     ]
     assert "errors-by-pose" not in codes(found)
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_scipy_repeats_a_survey_without_them(given):
+    scene = Scene(Case("profiler", False, given), 101)
+    found = hl.calibrate(scene.survey(), scene.noise)
+    assert found.errors_by_pose.growth > 1.2
+    check = cross_check(found)
+    assert check.largest < 1e-3
+    assert check.largest_sigma < 1e-3
+
+
+def test_robots_that_do_not_err_have_no_share_in_what_goes_together_in_time():
+    recording, _, _ = moving_robot.recorded(20, 1)
+    exact = hl.calibrate(recording, hl.Noise(5e-5, 0.0, 0.0))
+    assert "correlated-in-time" in codes(exact)
+    assert exact.shared is not None
+    assert variance_shares(exact, "1", 0.3).poses == 0.0
+
+
+@pytest.mark.parametrize("stations", [[0], [0, 1]])
+def test_surveys_that_tell_hardly_anything_have_none_or_finite_ones(stations):
+    survey = Scene(Case("profiler", False, True), 100).survey()
+    found = hl.calibrate(survey.part(np.isin(np.arange(len(survey.stations)), stations)))
+    assert found.status == "undetermined"
+    sizes = found.errors_by_pose
+    assert sizes is None or np.isfinite([sizes.shift, sizes.turn, sizes.growth]).all()

@@ -68,7 +68,7 @@ def test_a_calibration_is_written_as_ever(name):
     if name == "determined":
         # Errors that change with the pose have come since, and make standard deviations larger.
         assert by_pose.keys() == {"shift", "turn", "excess", "learned", "growth", "smaller"}
-        larger = by_pose["growth"]
+        larger = 1.05 * by_pose["growth"]  # which is at the most probable scales of the noise
         for mine, kept in zip(now["beams"], before["beams"], strict=True):
             off = math.dist(mine["location_m"], kept["location_m"])
             assert off < CLOSE * max(kept["sigma"]["location_m"])

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import handlaser_gtsam as hl
 from benchmarks.repeated_programme import ACROSS, NOISE, Robot
@@ -317,6 +318,28 @@ def test_live_numbers_count_errors_that_stations_have_in_common():
     for own, beam in zip(live, session.calibration().beams.values(), strict=True):
         assert own == pytest.approx(beam.sigma, rel=0.01)
     assert (live[:, :3] > 1.05 * session.state.integrated.sigmas()[:, :3]).any()
+
+
+def test_live_numbers_stay_a_covariance_as_planes_come_and_beams_change_places():
+    """What stops have in common is indefinite by itself, and was added to less and less."""
+    robot = Robot(0, stops=8)
+    robot.n = Rotation.from_rotvec(np.random.default_rng(0).uniform(-0.4, 0.4, (9, 3))).apply(
+        [0.0, 0.0, 1.0]
+    )
+    recording = robot.recording([(place, stop) for place in range(9) for stop in range(8)])
+    session = hl.Session(NOISE, NONE)
+    for name in recording.plane_names:
+        own = recording.plane(name)
+        if name != recording.plane_names[0]:  # columns in another order
+            own = replace(own, ranges=own.ranges[:, ::-1], beam_names=own.beam_names[::-1])
+        session.add(own)
+        if session.started:
+            assert np.isfinite(session.beams().sigma).all()
+    session.remove_plane(recording.plane_names[0])
+    session.recalibrate()
+    beams = session.beams()
+    for name, own in zip(beams.names, beams.sigma, strict=True):
+        assert own == pytest.approx(session.calibration().beams[name].sigma, rel=0.01)
 
 
 @pytest.mark.slow

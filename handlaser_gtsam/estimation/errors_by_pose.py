@@ -31,7 +31,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..model.distributions import SINGLE_LEVEL, UNLIKELY_EXCESS, chi2_cdf
 from ..model.families import POSE
 from ..quantities import TINY
@@ -132,10 +132,10 @@ class ErrorsByPose(NamedTuple):
         return self._replace(sizes=self.sizes._replace(growth=growth))
 
 
-def poses_from_mean(R: FloatArray, t: FloatArray) -> FloatArray:
-    """Return poses (M, 6) from the mean one: turn [rad], shift [m]; R (M, 3, 3), t (M, 3) [m]."""
+def poses_from_mean(R: FloatArray, t: FloatArray, read: IntArray) -> FloatArray:
+    """Return poses R (M, 3, 3), t (M, 3) [m] from the mean of some: turn [rad], shift [m] (M, 6)."""
     turns = Rotation.from_matrix(R)
-    return np.hstack(((turns.mean().inv() * turns).as_rotvec(), t - t.mean(axis=0)))
+    return np.hstack(((turns[read].mean().inv() * turns).as_rotvec(), t - t[read].mean(axis=0)))
 
 
 class Likelihood(NamedTuple):
@@ -162,7 +162,7 @@ class Likelihood(NamedTuple):
     constant: float
 
     def of_fewer(self, times: float) -> "Likelihood":
-        """Return it where so many numbers say no more than one that is independent."""
+        """Return it for numbers of which each `times` say what one independent number does."""
         G, q, square, dof, constant = self
         return Likelihood(G / times, q / times, square / times, dof / times, constant / times)
 

@@ -149,6 +149,8 @@ class SurveyEstimate:
     first : FirstFit
     spread : (n,)
         By what the standard deviation of each unknown of `estimate` was multiplied (`_spread`).
+    more : (n, n)
+        What errors of the hand that change with its pose add to the covariance of `estimate`.
     by_pose : ErrorsByPose, optional
         Errors of the hand that change with its pose, of the whitened rows; None where it does not err.
     contradicted : (Survey, Noise), optional
@@ -165,6 +167,7 @@ class SurveyEstimate:
     images: Mapping[tuple[str, int], float]
     first: FirstFit
     spread: FloatArray
+    more: FloatArray
     by_pose: ErrorsByPose | None = None
     contradicted: tuple[Survey, Noise] | None = None
 
@@ -300,16 +303,17 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         found = replace(found, status="contradicted", message=message)
     tests, spread = _tested(state), _spread(state, found)
     covariance, by_pose = found.covariance * np.outer(spread, spread), None
+    more = np.zeros_like(covariance)
     false = any(test.contradicted for test in tests)  # then large residuals are of that
     if found.status in ("converged", "contradicted", "undetermined") and not false:
         usual = usual_noise(state.rows, state.noise).pose
         learned = survey_errors_by_pose(state, usual, _beside_rows(state))
         if learned is not None:
             by_pose, more = learned
-            growth = np.sqrt(1.0 + np.diagonal(more) / np.diagonal(covariance))
-            by_pose = by_pose.grown(float(np.nanmax(growth)))
-            spread, covariance = spread * growth, covariance + more
-    found = replace(found, covariance=covariance)
+            known = np.isfinite(np.diagonal(covariance))
+            growth = 1.0 + np.diagonal(more)[known] / np.diagonal(covariance)[known]
+            by_pose = by_pose.grown(float(np.sqrt(growth.max(initial=1.0))))
+    found = replace(found, covariance=covariance + more)
     found, images = with_images(found, others)
     sizes, stated, used = state.sizes, state.stated, state.used
     return SurveyEstimate(
@@ -323,6 +327,7 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         images,
         first,
         spread,
+        more,
         by_pose,
     )
 

@@ -30,15 +30,18 @@ def survey_errors_by_pose(
     covariance : (n, n)
         By which the covariance of the unknowns is larger.
     None
-        Where the hand does not err.
+        Where the hand does not err, or nothing is left to tell it.
     """
     learned = np.isnan(state.stated.pose)
-    if not any(state.sizes.pose):
+    whole = _likelihood(state, inside) if any(state.sizes.pose) else None
+    if whole is None or whole.dof < 1.0:
         return None
     names = zip((ROTATION, TRANSLATION), usual, learned.tolist(), strict=True)
     unknown = [Scale(name, None, 1.0, prior) for name, prior, one in names if one]
 
     def likelihood(part: float) -> Likelihood:
+        if part == 1.0:
+            return whole
         turn, shift = (part * size for size in state.sizes.pose)
         sizes = replace(state.sizes, pose=(turn, shift), again=part * state.sizes.again)
         return _likelihood(replace(state, sizes=sizes), inside)
@@ -48,22 +51,18 @@ def survey_errors_by_pose(
     stated = by_metre_and_radian(state.pose_covariance()[read], pose, unknown)
     sizes = sizes_by_pose(likelihood, unknown, stated)
     errors = _unit(state).of_sizes(*sizes, learned=bool(unknown))
-    return errors, covariance_of(errors, state)
-
-
-def covariance_of(errors: ErrorsByPose, state: SurveyState) -> FloatArray:
-    """Return by what errors, as the rows of a state see them, enlarge the covariance (n, n)."""
     J, _ = state.dense()[0].whitened()
     scale = _scale(J)
     F = np.concatenate(list(errors.columns), axis=1)
     moved = np.linalg.pinv(J / scale, rcond=NEGLIGIBLE) @ F / scale[:, None]
-    return np.asarray(moved @ moved.T)
+    return errors, moved @ moved.T
 
 
 def _poses(state: SurveyState) -> FloatArray:
-    """Return the poses (M, 6) of all stations from the mean one."""
+    """Return the poses (M, 6) of all stations from the mean one of those that count."""
     stations = state.rows.survey.stations
-    return poses_from_mean(stations.world_R_hand, stations.world_t_hand)
+    read = np.unique([item.station for item in state.rows.counted(state.used)])
+    return poses_from_mean(stations.world_R_hand, stations.world_t_hand, read)
 
 
 def _unit(state: SurveyState) -> ErrorsByPose:

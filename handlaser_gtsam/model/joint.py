@@ -94,7 +94,12 @@ class JointCovariance(Value):
         return replace(scaled, planes=planes**2 * self.planes)
 
     def following(
-        self, beams: FloatArray, planes: FloatArray, covariance: FloatArray
+        self,
+        beams: FloatArray,
+        planes: FloatArray,
+        covariance: FloatArray,
+        *,
+        coupled: bool = True,
     ) -> "JointCovariance":
         r"""Return the covariance where a few further unknowns a are known with some covariance only.
 
@@ -112,6 +117,8 @@ class JointCovariance(Value):
             M_p of (n, b), ambient.
         covariance : (q, q)
             A.
+        coupled : bool
+            Whether to couple planes with each other for known beams, whose number is squared then.
         """
         offsets = planes[:, 3] + np.einsum("pi,piq->pq", self.origins, planes[:, :3])
         tilts = np.einsum("pij,piq->pjq", self.plane_bases, planes[:, :3])
@@ -121,12 +128,13 @@ class JointCovariance(Value):
         inverse = np.linalg.pinv(self.beams / np.outer(unit, unit), rcond=SINGULAR, hermitian=True)
         known = (inverse @ (beams / unit[:, None])) / unit[:, None]
         T = np.linalg.inv(np.linalg.inv(covariance) + beams.T @ known)
-        coupling = np.einsum("paq,qr,sbr->pasb", own, T, own)
-        if self.coupling is not None:
-            coupling += self.coupling
-        each = np.arange(len(own))
-        alone = coupling[each, :, each].copy()
-        coupling[each, :, each] = 0.0
+        alone, coupling = own @ T @ np.swapaxes(own, 1, 2), self.coupling
+        if coupled:
+            flat = own.reshape(-1, len(T))
+            coupling = (flat @ T @ flat.T).reshape(len(own), PLANE.dim, len(own), PLANE.dim)
+            if self.coupling is not None:
+                coupling += self.coupling
+            coupling[np.arange(len(own)), :, np.arange(len(own))] = 0.0
         return replace(
             self,
             beams=self.beams + beams @ covariance @ beams.T,

@@ -236,8 +236,8 @@ def whitening(parameters: Parameters, readings: Readings, variances: Variances) 
 def coupled(sensor: FloatArray, moved: FloatArray, station: IntArray) -> Whitening:
     """Return the whitening of readings with variances (N,) of their own, and common errors.
 
-    `moved` (N, 6) is how residuals follow errors of unit variance that those of a station (N,) have in
-    common; stations are numbered without gaps.
+    `moved` (N, 6) is how residuals follow errors of unit variance, which are the same for all readings
+    of a station (N,); stations are numbered without gaps.
     """
     variance = sensor + (moved**2).sum(axis=1)
     typical = float(np.median(variance))

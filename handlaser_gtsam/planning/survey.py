@@ -173,7 +173,7 @@ class _Known(Aim):
         size, own = np.linalg.eigh(H * np.outer(scale, scale))
         root = own / np.sqrt(np.maximum(size, np.finfo(float).eps))
         spread = scale * unit * found.spread
-        covariance = (root @ root.T) * np.outer(spread, spread)
+        covariance = (root @ root.T) * np.outer(spread, spread) + found.more
         mounts = list(_mounts(calibration, planned))
         super().__init__(covariance, mounts, replace(goal, criterion="spot"), np.nan)
 

@@ -62,6 +62,7 @@ from .projection import LinearRows
 from .shared_errors import (
     COUPLED_PLANES,
     NOTHING_SHARED,
+    InCommon,
     SharedErrors,
     Stops,
     shared_errors,
@@ -141,12 +142,11 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
     if status == "converged" or partly:
-        less = None if freed is None else freed.less_certain(shared.freed_growth)
-        joint = joint_covariance(problem, solution, fit, less, shared)
-        joint = joint.grown(together.growth, together.plane_growth)
+        less = None if freed is None else freed.less_certain(shared.freed)
         # Of an estimated noise the unknowns took more than one degree of freedom each.
-        times = shared.understated(fit.dof) if learned else 1.0
-        joint, growth = joint.scaled(times), together.growth * math.sqrt(times)
+        times = math.sqrt(shared.understated(fit.dof)) if learned else 1.0
+        growth, of_planes = times * together.growth, times * together.plane_growth
+        joint = joint_covariance(problem, solution, fit, less, shared, (growth, of_planes))
         effects = () if less is None else less.reports(problem, joint, growth)
     signs: tuple[CalibrationWarning, ...] = ()
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
@@ -158,9 +158,12 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         signs = _signs(problem, used, fit, solution, why, again, as_one, known=known)
     whole = joint if determined.rank == determined.unknowns else None
     in_common = None
-    if whole is not None and (shared.any or growth > 1.0):
-        alone = joint_covariance(problem, solution, fit, less)
-        in_common = whole.matrix(planes=[]) - alone.matrix(planes=[])
+    if whole is not None and (shared.any or shared.moves is not None or growth > 1.0):
+        alone, of_stops = (
+            joint_covariance(problem, solution, fit, less, one)
+            for one in (NOTHING_SHARED, shared._replace(moves=None))
+        )
+        in_common = InCommon.of(alone, of_stops, whole, growth**2)
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
     if rows is not None and not mistaken:
@@ -200,7 +203,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         effects=effects,
         errors_by_pose=by_pose,
     )
-    return with_scales(result, problem, solution, freed, is_shared=shared.any)
+    return with_scales(result, problem, solution, freed)
 
 
 def _signs(
@@ -487,10 +490,12 @@ def joint_covariance(
     fit: Fit,
     freed: "Freed | None" = None,
     shared: SharedErrors = NOTHING_SHARED,
+    growth: tuple[float, float] = (1.0, 1.0),
 ) -> JointCovariance:
     """Return the covariance of what is determined, in the order of the recording, world frame.
 
-    Freed errors add theirs, and errors that stations share.
+    Freed errors add theirs, and errors that stations share. Standard deviations grow by a factor for
+    beams and another one for planes, before errors are added that change with the pose.
     """
     at, origins = solution.at, problem.origins
     sigma = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
@@ -508,6 +513,7 @@ def joint_covariance(
         joint = covariance_of_determined(solution.observability, solution.parameters, sigma, none)
     joint = shared.grown(joint)
     joint = joint if freed is None else freed.grown(joint)
+    joint = shared.following_poses(joint.grown(*growth))
     joint = replace(joint, origins=joint.origins + origins)
     return joint.arranged(problem.names.beams, problem.names.planes)
 
@@ -517,8 +523,6 @@ def with_scales(
     problem: Problem,
     solution: Solution,
     freed: "Freed | None" = None,
-    *,
-    is_shared: bool = False,
 ) -> Calibration:
     """Return a result with the scales of noise and range errors, and what follows from them.
 
@@ -529,8 +533,6 @@ def with_scales(
     solution : Solution
     freed : Freed, optional
         Systematic errors that were unknowns.
-    is_shared : bool
-        Whether the covariance of the result has errors that stations share.
     """
     fit, found, at, prior = result.fit, solution.posterior, solution.at, solution.prior
     unit = unit_sigma(solution, fit.range_sigma_given, fit.sigma0)
@@ -547,7 +549,7 @@ def with_scales(
         cost=at.cost * (at.sigma / unit) ** 2 if unit else at.cost,
     )
     result = replace(result, learned=None if found is None else found.learned)
-    if result.covariance is None or (found is None and not is_shared):
+    if result.covariance is None or (found is None and result.shared is None):
         return result
     at_scales = ScaledSolution(
         problem.in_world(solution.parameters),

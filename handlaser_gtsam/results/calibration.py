@@ -52,7 +52,7 @@ class Calibration(CalibrationData, Result):
         Standard deviations of the noise that were estimated with the mounts.
     covariance : JointCovariance or None
         Of all beams and planes together; None unless everything is determined.
-    shared : (8 B, 8 B) or None
+    shared : InCommon or None
         What errors that stations have in common add to the covariance of the beams; None where they
         have none, or where it is not known.
     correlations : tuple of Correlation

@@ -33,6 +33,7 @@ from ..observability.wording import OpenPart
 from ..quantities import IN_MM, IN_PERCENT
 from .lines import decimals
 from .messages import said
+from .shared_errors import InCommon
 from .systematic import SystematicError
 
 Status = Literal["converged", "unobservable", "not_converged"]
@@ -344,7 +345,7 @@ class CalibrationData(Value):
     variances: Variances | None = None
     noise_estimate: tuple[NoiseComponent, ...] = ()
     covariance: JointCovariance | None = None
-    shared: FloatArray | None = None
+    shared: InCommon | None = None
     correlations: tuple[Correlation, ...] = ()
     at_scales: ScaledSolution | None = None
     learned: LearnedScales | None = None

@@ -35,7 +35,7 @@ from ..arrays import FloatArray, IntArray
 from ..data.recording import Readings
 from ..errors import CalibrationWarning
 from ..model.families import BEAM
-from ..quantities import FAR_SIGMAS, NO_GROWTH, NUMBERS_AT_ONCE
+from ..quantities import FAR_SIGMAS, NEGLIGIBLE, NO_GROWTH, NUMBERS_AT_ONCE
 from .messages import warned
 from .projection import LinearRows, Projection
 
@@ -103,7 +103,8 @@ def dependence(
 
     explained = np.empty((len(rows.readings), 0))
     if found.size:
-        explained = np.linalg.qr(left(found))[0]
+        U, size, _ = np.linalg.svd(left(found), full_matrices=False)
+        explained = U[:, size > NEGLIGIBLE * size[0]]
     # 300 draws give the spread of a sum to 4 %. Larger recordings get fewer: four arrays of draws, the
     # white ones and what is made of them, stand beside each other.
     count = int(np.clip(NUMBERS_AT_ONCE // (4 * len(rows.readings)), LEAST_DRAWS, 300))

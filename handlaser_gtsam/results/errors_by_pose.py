@@ -43,14 +43,15 @@ def errors_by_pose(
     found : (N, q)
         Columns of systematic errors that were found, which are taken out before.
     times : float
-        So many readings say no more than one that is independent.
+        Of how many readings one says as much as one that is independent.
     """
     variances = solution.variances
     assert variances is not None, "there is noise"
     assert variances.pose is not None, "the hand errs"
     read, first, at = np.unique(rows.readings.station, return_index=True, return_inverse=True)
     where = rows.position[first]  # in an order that the file has no part in
-    pose = poses_from_mean(stations.world_R_hand[where], stations.world_t_hand[where])
+    R, t = stations.world_R_hand[where], stations.world_t_hand[where]
+    pose = poses_from_mean(R, t, np.arange(len(t)))
     unit = ErrorsByPose(pose[at], rows.linear.pose)
     learned = None if solution.posterior is None else solution.posterior.learned
     unknown = () if learned is None else learned.scales.of_hand

@@ -35,8 +35,8 @@ from ..model.effects import EFFECTS
 from ..model.effects.effect import OnPlanes, SeenStations
 from ..model.effects.plausible import how_to_state
 from ..model.equation import residuals_or_infinite
-from ..model.families import BEAM, PLANE, modelled
-from ..model.geometry import skew, tangent_basis
+from ..model.families import modelled
+from ..model.geometry import skew
 from ..model.joint import JointCovariance
 from ..model.sensor_limits import Sensor
 from ..quantities import MOST_ROUNDS
@@ -44,7 +44,7 @@ from ..text import count
 from .calibration_data import FreedEffect
 from .messages import warned
 from .problem import Problem, linear_rows
-from .projection import FreedColumns, Projection
+from .projection import FreedColumns, Moves, Projection
 from .systematic import subject_in_words
 
 MOST_FREED = 200
@@ -67,8 +67,8 @@ class Freed(NamedTuple):
         Sigmas of the priors [m, or a part].
     covariance : (q, q)
         Of the sizes.
-    beams : (B, 7, q), planes : (P, 4, q)
-        How beams, tangent, and planes (n, b) follow the sizes; in the order of the readings.
+    moves : Moves
+        How beams and planes follow the sizes; in the order of the readings.
     settled : bool
         Whether the sizes came to rest.
     """
@@ -77,8 +77,7 @@ class Freed(NamedTuple):
     subjects: tuple[str, ...]
     prior: FloatArray
     covariance: FloatArray
-    beams: FloatArray
-    planes: FloatArray
+    moves: Moves
     settled: bool
 
     @property
@@ -88,16 +87,17 @@ class Freed(NamedTuple):
 
     def grown(self, joint: JointCovariance) -> JointCovariance:
         """Return a covariance for known sizes with what these add, in the order of the readings."""
-        return joint.following(self.beams[modelled(joint.terms)], self.planes, self.covariance)
+        beams, planes = self.moves
+        return joint.following(beams[modelled(joint.terms)], planes, self.covariance)
 
     @property
     def sigmas(self) -> FloatArray:
         """Standard deviations (q,) of the sizes."""
         return np.asarray(self.prior * np.sqrt(np.diagonal(self.covariance)))
 
-    def less_certain(self, growth: float) -> "Freed":
-        """Return the same with standard deviations of the sizes `growth` times as large."""
-        return self._replace(covariance=growth**2 * self.covariance)
+    def less_certain(self, more: FloatArray) -> "Freed":
+        """Return the same with `more` covariance (q, q) of the sizes; none where it is empty."""
+        return self._replace(covariance=self.covariance + more) if more.size else self
 
     def reports(
         self, problem: Problem, joint: JointCovariance, growth: float
@@ -110,11 +110,11 @@ class Freed(NamedTuple):
         i, p = (
             [index for _, index in part] for part in (problem.names.beams, problem.names.planes)
         )
-        planes, centres = self.planes[p], joint.origins - problem.origins[p]
+        planes, centres = self.moves.planes[p], joint.origins - problem.origins[p]
         tilts = np.einsum("pij,piq->pjq", joint.plane_bases, planes[:, :3])
         offsets = planes[:, 3] + np.einsum("pi,piq->pq", centres, planes[:, :3])
         follow = np.concatenate((tilts, offsets[:, None]), axis=1).reshape(-1, len(covariance))
-        follow = np.concatenate((self.beams[i][modelled(joint.terms)], follow))
+        follow = np.concatenate((self.moves.beams[i][modelled(joint.terms)], follow))
         # A size is determined where the readings lower the variance of its prior to below this part:
         # then they say more of it than the prior.
         determined = np.diagonal(self.covariance) < 0.5
@@ -305,7 +305,7 @@ class _Errors:
 
         The readings determined `rank` of the sizes.
         """
-        solution, problem = self.selection.solution, self.problem
+        problem = self.problem
         used = self.selection.used[self.rows]
         at = np.array([size.get(member, 0.0) for member in self.members])
         codes, subjects = zip(*self.members, strict=True)
@@ -323,19 +323,8 @@ class _Errors:
         score = heavy.T @ rows.residual + pulled.T @ projection.prior_residuals(rows.at)[:, 0]
         covariance = np.asarray(np.linalg.inv(information + np.eye(len(at))), dtype=np.float64)
         step = -covariance @ (score / sigma**2 + at)
-        beams, planes = np.split(-moved, [BEAM.dim * rows.readings.beams])
-        planes = planes.reshape(-1, PLANE.dim, len(at))
-        normals = tangent_basis(solution.parameters.normals) @ planes[:, :2]
-        offsets = planes[:, 2] - np.einsum("pi,piq->pq", rows.centres, normals)
-        return Freed(
-            columns,
-            subjects,
-            self.prior,
-            covariance,
-            beams.reshape(-1, BEAM.dim, len(at)),
-            np.concatenate((normals, offsets[:, None]), axis=1),
-            False,
-        ), step
+        moves = projection.moves(-moved)
+        return Freed(columns, subjects, self.prior, covariance, moves, False), step
 
     def corrected(self, size: Mapping[Member, float]) -> Problem:
         """Return the recorded problem without errors of these sizes."""

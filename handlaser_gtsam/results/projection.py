@@ -15,6 +15,7 @@ from ..data.parameters import Parameters
 from ..data.recording import Readings
 from ..model.effects.effect import SeenStations
 from ..model.families import BEAM, MOUNT_DIM, PLANE
+from ..model.geometry import tangent_basis
 from ..model.reduction import Normal
 from ..model.weighting import Whitening
 from ..solvers.beam_problem import jacobian_columns, linearized
@@ -39,6 +40,13 @@ class FreedColumns(NamedTuple):
     codes: tuple[str, ...]
     columns: FloatArray
     size: FloatArray
+
+
+class Moves(NamedTuple):
+    """How beams (B, 7, c), tangent, and planes (P, 4, c) by (n, b) follow further unknowns."""
+
+    beams: FloatArray
+    planes: FloatArray
 
 
 class LinearRows(SeenStations):
@@ -114,6 +122,7 @@ class Projection:
 
     def __init__(self, rows: LinearRows, prior: FloatArray, how: Whitening | None = None) -> None:
         self.J, self.how, self.readings = rows.sparse, how or rows.how, rows.readings
+        self.normals, self.centres = rows.at.normals, rows.centres
         self.pull = np.zeros((rows.readings.beams, BEAM.dim))
         finite = np.isfinite(prior) & (prior > 0.0)
         self.pull[:, MOUNT_DIM:][finite] = self.how.sigma / prior[finite]
@@ -214,6 +223,17 @@ class Projection:
         x = self.beam_inverse @ (beams - response.T @ planes.reshape(len(response), -1))
         y = (self.plane_inverse @ planes).reshape(len(response), -1) - response @ x
         return np.concatenate((x, y))
+
+    def moves(self, unknowns: FloatArray) -> "Moves":
+        """Return moves of beams and planes (7 B + 3 P, c) with planes by (n, b)."""
+        beams, planes = np.split(unknowns, [self.pull.size])
+        planes = planes.reshape(self.readings.planes, PLANE.dim, -1)
+        normals = tangent_basis(self.normals) @ planes[:, :2]
+        offsets = planes[:, 2] - np.einsum("pi,piq->pq", self.centres, normals)
+        return Moves(
+            beams.reshape(self.readings.beams, BEAM.dim, -1),
+            np.concatenate((normals, offsets[:, None]), axis=1),
+        )
 
     def weighed_rest(self, columns: FloatArray) -> FloatArray:
         """Return what the unknowns leave of columns (N, c), times sigma^2 inv(C), but for rounding."""

@@ -15,25 +15,27 @@ independent errors, because these may be integrated over scales of the noise.
 """
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.sparse import coo_array, csr_array
 
 from ..arrays import FloatArray, IntArray, renumbered
 from ..data.recording import Recording
 from ..data.station_list import StationList
+from ..data.value import Value
 from ..errors import CalibrationWarning
 from ..estimation.errors_by_pose import ErrorsByPose, SizesByPose
-from ..model.families import BEAM, PLANE, POSE
+from ..model.families import BEAM, OF_DIRECTION, PLANE, POSE, modelled
 from ..model.joint import JointCovariance
 from ..model.weighting import moved_with_poses
-from ..quantities import MANY_OUTLIERS, TINY
+from ..quantities import KNOWN, MANY_OUTLIERS, TINY
 from .dependence import INDEPENDENT, Dependence
 from .messages import warned
-from .projection import LinearRows, Projection
+from .projection import LinearRows, Moves, Projection
 
 COUPLED_PLANES = 100
 """With more planes their covariance with each other for known beams, which grows with the square of
@@ -64,8 +66,9 @@ class SharedErrors(NamedTuple):
     plane_growth : float
         By how much means before a plane are less certain, because its stops are visited again: of all
         stops together, by the typical part of the hand in the errors.
-    freed_growth : float
-        As `growth`, of systematic errors that are unknowns.
+    freed : (q, q) or empty
+        By what the covariance of systematic errors that are unknowns is larger, in units of the sigmas
+        of their priors.
     moved : (N, 6)
         How residuals follow errors of unit variance of their poses [m].
     station, stop : (N,)
@@ -76,7 +79,9 @@ class SharedErrors(NamedTuple):
     taken : float
         How many degrees of freedom more the unknowns take of chi2, because they follow errors of stops.
     by_pose : ErrorsByPose or None
-        Errors that change with the pose, which are counted here, too.
+        Errors that change with the pose. All above is without these.
+    moves : Moves or None
+        How beams and planes follow them, in columns of unit variance.
     """
 
     beams: FloatArray
@@ -85,17 +90,18 @@ class SharedErrors(NamedTuple):
     coupling: FloatArray | None = None
     growth: float = 1.0
     plane_growth: float = 1.0
-    freed_growth: float = 1.0
+    freed: FloatArray = np.empty((0, 0))
     moved: FloatArray = np.empty((0, 6))
     station: IntArray = np.empty(0, np.intp)
     stop: IntArray = np.empty(0, np.intp)
     root: FloatArray = np.empty((0, 0))
     taken: float = 0.0
     by_pose: ErrorsByPose | None = None
+    moves: Moves | None = None
 
     @property
     def any(self) -> bool:
-        """Whether any stations share errors."""
+        """Whether any stations share errors of their stop."""
         return self.beams.size > 0
 
     @property
@@ -110,7 +116,10 @@ class SharedErrors(NamedTuple):
 
     def beyond(self, together: Dependence) -> Dependence:
         """Return what errors that go together in time are more than this, which explains some of it."""
-        growth = max(together.growth / self.growth, 1.0)
+        explained = self.growth
+        if self.by_pose is not None and self.by_pose.is_seen and self.sizes_by_pose is not None:
+            explained = math.hypot(explained, math.sqrt(self.sizes_by_pose.growth**2 - 1.0))
+        growth = max(together.growth / explained, 1.0)
         of_planes = max(together.plane_growth / self.plane_growth, growth)
         if of_planes == 1.0:
             return INDEPENDENT
@@ -123,8 +132,17 @@ class SharedErrors(NamedTuple):
         """
         return max(dof / max(dof - self.taken, 1.0), 1.0)
 
+    def following_poses(self, joint: JointCovariance) -> JointCovariance:
+        """Return a covariance with what errors add that change with the pose."""
+        if self.moves is None:
+            return joint
+        beams, planes = self.moves
+        coupled = len(planes) <= COUPLED_PLANES
+        active = beams[modelled(joint.terms)]
+        return joint.following(active, planes, np.eye(beams.shape[2]), coupled=coupled)
+
     def grown(self, joint: JointCovariance) -> JointCovariance:
-        """Return the covariance with what stations share; `joint` is for independent errors."""
+        """Return the covariance with what stops share; `joint` is for independent errors."""
         if not self.any:
             return joint
         L, own = _carried(self.root, joint.beams), np.linalg.cholesky(joint.planes)
@@ -147,6 +165,74 @@ class SharedErrors(NamedTuple):
             planes=joint.planes + alone,
             coupling=coupling,
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class InCommon(Value):
+    """What errors that stations have in common add to the covariance of beams alone.
+
+    Attributes
+    ----------
+    lift : (B, 8, nb)
+        From tangent coordinates of the beams to their numbers.
+    root : (nb, nb)
+        Of the covariance without these errors.
+    stops : (nb, nb)
+        What stops have in common, along the columns of the root.
+    factor : float
+        On both: because errors go together in time, or because the noise was estimated too small.
+    more : (nb, nb)
+        What errors add that change with the pose.
+    """
+
+    lift: FloatArray
+    root: FloatArray
+    stops: FloatArray
+    factor: float
+    more: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        alone: JointCovariance,
+        with_stops: JointCovariance,
+        whole: JointCovariance,
+        factor: float,
+    ) -> "InCommon":
+        """Return what is between the covariance for independent errors and the `whole` one."""
+        root = _root(alone.beams)
+        half = solve_triangular(root, with_stops.beams - alone.beams, lower=True)
+        stops = solve_triangular(root, half.T, lower=True)
+        lift = block_diag(*alone.beam_lifts()).reshape(-1, BEAM.size, len(root))
+        return cls(lift, root, stops, factor, whole.beams - factor * with_stops.beams)
+
+    def arranged(self, order: Sequence[int]) -> "InCommon":
+        """Return the same with the numbers of the beams in another order."""
+        return replace(self, lift=self.lift[order])
+
+    def grown(self, covariance: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return a covariance (8 B, 8 B) of beams with directions (B, 3), and these errors.
+
+        What stops have in common is a part of the errors that stations would have by themselves, and
+        becomes smaller with them; what changes with the pose stays.
+        """
+        lift = self.lift.copy()
+        for of_beam, v in zip(lift[:, OF_DIRECTION], directions, strict=True):
+            # The nearest tangent bases of directions that have moved since.
+            U, size, V = np.linalg.svd(of_beam - np.outer(v, v @ of_beam), full_matrices=False)
+            of_beam[:] = U[:, size > KNOWN] @ V[size > KNOWN]
+        flat = lift.reshape(-1, len(self.root))
+        own = flat.T @ covariance @ flat
+        root = _carried(self.root, own)
+        whole = self.factor * (own + root @ self.stops @ root.T) + self.more
+        return np.asarray(flat @ whole @ flat.T)
+
+    @property
+    def of_poses(self) -> FloatArray:
+        """What errors of the hand poses in common make of the covariance (8 B, 8 B)."""
+        whole = self.factor * self.root @ self.stops @ self.root.T + self.more
+        flat = self.lift.reshape(-1, len(whole))
+        return np.asarray(flat @ whole @ flat.T)
 
 
 def warnings_of(sizes: SizesByPose | None) -> tuple[CalibrationWarning, ...]:
@@ -321,65 +407,36 @@ def _shared(rows: LinearRows, moved: FloatArray, row_stop: IntArray, visits: flo
     of_pose = np.median((moved**2).sum(axis=1) / _variances(rows, moved))
     of_planes = float(np.sqrt(1.0 + (visits - 1.0) * of_pose))
     at = rows.readings.station, row_stop
-    of_freed = 1.0
+    of_freed = np.empty((0, 0))
     if rows.freed.codes:
         inverse, heavy = projection.freed_inverse, projection.freed_heavy
         differ = _products(heavy, moved, row_stop) - _products(heavy, moved, at[0])
-        ratios = np.diagonal(inverse @ differ @ inverse) / np.diagonal(inverse)
-        of_freed = float(np.sqrt(1.0 + max(ratios.max() / rows.how.sigma**2, 0.0)))
+        of_freed = inverse @ differ @ inverse
     parts = beams, across, planes, coupling, _growth(root, beams), of_planes, of_freed
     taken = float(np.trace(beams) + np.einsum("paa->", planes))
     return SharedErrors(*parts, moved, *at, root, taken)
 
 
 def with_errors_by_pose(
-    shared: SharedErrors,
-    rows: LinearRows,
-    more: ErrorsByPose,
-    together: Dependence = INDEPENDENT,
+    shared: SharedErrors, projection: Projection, more: ErrorsByPose
 ) -> SharedErrors:
-    """Return what stations share, errors that change with the pose of the hand included.
-
-    They are smaller by as much as standard deviations will grow because errors go `together` in time,
-    which these do not.
-    """
+    """Return what stations share, errors that change with the pose of the hand beside it."""
     if not more.moved.any():
         return shared._replace(by_pose=more)
-    projection, sigma = Projection(rows, rows.prior), rows.how.sigma
-    used = np.flatnonzero(projection.beam_inverse.any(axis=0))
-    root = _root(projection.beam_inverse[np.ix_(used, used)])
-    own, P = np.linalg.cholesky(projection.plane_inverse), rows.readings.planes
     gradient = [projection.J.T @ projection.how.weighed(F) for F in more.columns]
     moved = projection.following(np.concatenate(gradient, axis=1))
-    x, y = np.split(moved, [projection.pull.size])
-    y = y.reshape(P, PLANE.dim, -1) + projection.response @ x
-    b = solve_triangular(root, x[used], lower=True) / (sigma * together.growth)
-    c = np.linalg.solve(own, y) / (sigma * together.plane_growth)
-    beams, across, planes = b @ b.T, c @ b.T, c @ np.swapaxes(c, 1, 2)
-    more = more.grown(_growth(root, beams))
-    coupling = None
-    if P <= COUPLED_PLANES:
-        flat = c.reshape(P * PLANE.dim, -1)
-        coupling = (flat @ flat.T).reshape(P, PLANE.dim, P, PLANE.dim)
-    if shared.any:
-        beams, across, planes = shared.beams + beams, shared.across + across, shared.planes + planes
-        if coupling is not None and shared.coupling is not None:
-            coupling = coupling + shared.coupling
-    of_freed = shared.freed_growth
-    if rows.freed.codes:
-        inverse, heavy = projection.freed_inverse, projection.freed_heavy
-        gains = np.concatenate([inverse @ (heavy.T @ F) for F in more.columns], axis=1)
-        ratios = (gains**2).sum(axis=1) / np.diagonal(inverse) / sigma**2
-        of_freed = float(np.sqrt(of_freed**2 + ratios.max()))
+    alone = projection.how.sigma**2 * np.diagonal(projection.beam_inverse)
+    used = np.flatnonzero(alone)
+    ratios = (moved[used] ** 2).sum(axis=1) / alone[used]
+    freed = shared.freed
+    if projection.freed.codes:
+        gains = [projection.freed_inverse @ (projection.freed_heavy.T @ F) for F in more.columns]
+        whole = np.concatenate(gains, axis=1)
+        freed = whole @ whole.T + (freed if freed.size else 0.0)
     return shared._replace(
-        beams=beams,
-        across=across,
-        planes=planes,
-        coupling=coupling,
-        growth=_growth(root, beams) if more.is_seen else shared.growth,
-        freed_growth=of_freed,
-        root=root,
-        by_pose=more,
+        by_pose=more.grown(float(np.sqrt(1.0 + ratios.max()))),
+        moves=projection.moves(moved),
+        freed=freed,
     )
 
 

@@ -186,12 +186,11 @@ def variance_shares(
     values, axes = eigh(S / np.outer(unit, unit), subset_by_index=[len(S) - 1, len(S) - 1])
     along = J @ (unit * axes[:, -1])
     parts = np.split(axes[:, -1].reshape(-1, 8) ** 2, [3, 6], axis=1)
-    # Errors that stations have in common are of the poses, too.
-    alone = 1.0
-    if calibration.shared is not None:
-        alone -= float(np.trace(J @ calibration.shared @ J.T)) / whole
+    poses, alone = _pose_share(calibration, J), 1.0
+    if poses and calibration.shared is not None:  # errors in common are of the poses, too
+        alone -= float(np.trace(J @ calibration.shared.of_poses @ J.T)) / whole
     return VarianceShares(
-        1.0 - (1.0 - _pose_share(calibration, J)) * alone,
+        _part(1.0 - (1.0 - poses) * alone),
         _part(1.0 - float(np.trace(J @ known @ J.T)) / whole),
         _part(float(values[-1] * (along @ along)) / whole),
         QUANTITIES[int(np.argmax([part.sum() for part in parts]))],

@@ -24,7 +24,6 @@ from ..estimation.estimate import (
     tested_columns,
 )
 from ..estimation.survey import RelationTest, SurveyEstimate
-from ..estimation.survey_by_pose import covariance_of
 from ..estimation.survey_trials import ALIKE, BOTH_AXES, too_small_alike
 from ..model.distributions import FAMILY_LEVEL
 from ..model.families import (
@@ -440,9 +439,7 @@ def _sensor(found: SurveyEstimate, member: int, errors: Mapping[str, TestedEffec
         # An undetermined direction of the hand has a part along each axis of the sensor.
         shift = int(found.rows.places().place[SENSOR.name][member]) + 3
         located = covariance_along(_information(found), R, shift)
-        if found.by_pose is not None:
-            more = covariance_of(found.by_pose, found.ended())
-            located += R @ more[shift : shift + 3, shift : shift + 3] @ R.T
+        located += R @ found.more[shift : shift + 3, shift : shift + 3] @ R.T
     used, rejected = _taken(found, SENSOR.name, member)
     return SensorMount(
         shots.name,

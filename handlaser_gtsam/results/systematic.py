@@ -179,14 +179,11 @@ def systematic_errors(
     together = dependence(rows, tests.projection, known=known, found=found)
     if learn is not None:
         by_pose = _learned_by_pose(learn, tests, found, together, known=known)
-        of_stops, shared = shared, with_errors_by_pose(shared, rows, by_pose)
+        shared = with_errors_by_pose(shared, tests.projection, by_pose)
         tests = tests.judged_by(shared)
         beside = tests.found_columns()
-        if beside.shape != found.shape:
+        if not np.array_equal(beside, found):
             together = dependence(rows, tests.projection, known=known, found=beside)
-        more = shared.beyond(together)
-        if more != INDEPENDENT and not by_pose.is_seen:
-            shared = with_errors_by_pose(of_stops, rows, by_pose, more)
     if together != INDEPENDENT:
         tests = tests.judged_by(shared, together.plane_growth)
     first, reports = tests.representatives(), []

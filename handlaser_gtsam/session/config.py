@@ -18,6 +18,7 @@ from ..model.families import BEAM, modelled
 from ..model.weighting import Variances
 from ..quantities import IN_MM, KNOWN, SAME_OPTIMUM
 from ..results.calibration import Calibration
+from ..results.shared_errors import InCommon
 from ..solvers.graph import range_error_priors, start_values
 from ..solvers.isam import BeamState, GraphPart, IncrementalGraph
 from .reports import ChangeCode
@@ -45,7 +46,7 @@ class SessionConfig:
         Of the first calibration, and of every batch solution.
     learned : LearnedScales or None
         Scales that are integrated over; None where all are given but the range sigma.
-    shared : (8 B, 8 B), optional
+    shared : InCommon, optional
         What errors that stations have in common add to the covariance of the beams, as the last batch
         solution says.
     """
@@ -58,7 +59,7 @@ class SessionConfig:
     poses: Literal["exact", "marginalised", "estimated"]
     options: CalibrationOptions
     learned: LearnedScales | None
-    shared: FloatArray | None = None
+    shared: InCommon | None = None
 
     @classmethod
     def of(cls, batch: Calibration, noise: Noise, options: CalibrationOptions) -> "SessionConfig":

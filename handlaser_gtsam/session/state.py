@@ -108,7 +108,9 @@ class SessionState:
     def with_shared(self) -> BeamState:
         """The beams with all scales integrated over, and errors that stations have in common."""
         state, shared = self.integrated, self.config.shared
-        return state if shared is None else replace(state, covariance=state.covariance + shared)
+        if shared is None:
+            return state
+        return replace(state, covariance=shared.grown(state.covariance, state.directions))
 
     @cached_property
     def integrated(self) -> BeamState:
@@ -285,7 +287,10 @@ class SessionState:
             order = [self.config.names.index(name) for name in batch.beams]
             r, v, k = (array[order] for array in self.state.beams)
             new = begun_or_refused(contents, config, (r, v, k))
-        config = replace(new.config, shared=config.shared)
+        shared = config.shared
+        if shared is not None:
+            shared = shared.arranged([config.names.index(name) for name in new.config.names])
+        config = replace(new.config, shared=shared)
         new = replace(new, config=config, learned_with=len(new.contents.inside))
         return new, Comparison(*config.apart(new.with_shared, batch), changes)
 

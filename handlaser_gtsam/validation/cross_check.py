@@ -319,7 +319,7 @@ def _variables(
     # SciPy states what follows from the noise alone.
     plain = replace(
         found.estimate,
-        covariance=found.estimate.covariance / np.outer(found.spread, found.spread),
+        covariance=(found.estimate.covariance - found.more) / np.outer(found.spread, found.spread),
     )
     free, unknown = _free(rows), rows.unknown()
     for kind, members in found.estimate.values.items():
