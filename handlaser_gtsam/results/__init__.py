@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .limits import LimitCheck as LimitCheck
     from .mounts import PlacedMount as PlacedMount
     from .result import Result as Result
+    from .shared_errors import InCommon as InCommon
     from .spots import MeasuredPlane as MeasuredPlane
     from .spots import Spot as Spot
     from .spots import VarianceShares as VarianceShares
