@@ -10,8 +10,9 @@ the beams, and c_i = K_p U_i of the plane p of station i for known beams, these 
     cov(p, beams), for known beams    by sum c_i b_j',   i before p,
     cov(p, q), for known beams        by sum c_i c_j',   i before p, j before q.
 
-All is counted in units of the covariances for
-independent errors, because these may be integrated over scales of the noise.
+All is counted in units of the covariances for independent errors, because these may be integrated over
+scales of the noise. Errors that change with the pose (`errors_by_pose`) are added beside, as columns
+that beams and planes follow.
 """
 
 import math
@@ -79,7 +80,7 @@ class SharedErrors(NamedTuple):
     taken : float
         How many degrees of freedom more the unknowns take of chi2, because they follow errors of stops.
     by_pose : ErrorsByPose or None
-        Errors that change with the pose. All above is without these.
+        Errors that change with the pose. But for `freed`, all above is without these.
     moves : Moves or None
         How beams and planes follow them, in columns of unit variance.
     """
@@ -116,9 +117,9 @@ class SharedErrors(NamedTuple):
 
     def beyond(self, together: Dependence) -> Dependence:
         """Return what errors that go together in time are more than this, which explains some of it."""
-        explained = self.growth
-        if self.by_pose is not None and self.by_pose.is_seen and self.sizes_by_pose is not None:
-            explained = math.hypot(explained, math.sqrt(self.sizes_by_pose.growth**2 - 1.0))
+        explained, sizes = self.growth, self.sizes_by_pose
+        if sizes is not None and sizes.is_seen:
+            explained = math.sqrt(explained**2 + sizes.growth**2 - 1.0)
         growth = max(together.growth / explained, 1.0)
         of_planes = max(together.plane_growth / self.plane_growth, growth)
         if of_planes == 1.0:

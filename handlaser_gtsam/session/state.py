@@ -110,7 +110,9 @@ class SessionState:
         state, shared = self.integrated, self.config.shared
         if shared is None:
             return state
-        return replace(state, covariance=shared.grown(state.covariance, state.directions))
+        # The covariance is in the tangents of the graph's directions, as that of a batch solution is.
+        grown = shared.grown(state.covariance, self.state.directions)
+        return replace(state, covariance=grown)
 
     @cached_property
     def integrated(self) -> BeamState:
