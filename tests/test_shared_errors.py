@@ -92,9 +92,7 @@ def test_what_stations_share_is_put_into_the_covariance():
     assert hl.calibrate(found.recording, hl.Noise(SIGMA), exact).at_scales is None
 
 
-@pytest.mark.parametrize(
-    ("visits", "flicker"), [(ACROSS, 0.0), (AGAIN, 5e-6), (AGAIN, 0.0), (STAYS, 5e-6)]
-)
+@pytest.mark.parametrize(("visits", "flicker"), [(ACROSS, 0.0), (AGAIN, 5e-6), (STAYS, 5e-6)])
 @pytest.mark.parametrize("noise", [NOISE, None])
 @pytest.mark.slow
 def test_standard_deviations_are_right_where_a_programme_is_repeated(visits, flicker, noise):
@@ -218,7 +216,7 @@ def test_correlation_in_time_that_stops_explain_is_not_counted_twice():
 def test_planes_that_are_left_out_agree_with_the_rest(visits):
     """Where all is right: what is read on several visits to a stop says less than as many stations."""
     planes, codes = [], []
-    for seed in range(8):
+    for seed in range(5):
         found = hl.validate(Robot(seed).recording(visits, 5e-6), NOISE)
         planes += [one.p_value for one in found.targets]
         codes.append(found.verdict.code)
