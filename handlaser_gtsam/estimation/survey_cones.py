@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from ..arrays import FloatArray
 from ..model.families import BEAM
@@ -17,10 +18,6 @@ from ..model.range_blocks import Ranges
 from ..quantities import FAR_SIGMAS
 from .survey_rows import blocks_of
 from .survey_state import SurveyState
-
-STEPS_TO_THE_MIDDLE = 1000
-"""Steps towards the direction farthest away, each a smaller part of the way: they end within 0.1 % of
-the angle that the directions span."""
 
 
 def aim_freely(state: SurveyState) -> bool:
@@ -52,10 +49,10 @@ def _free_axes(state: SurveyState) -> Iterator[tuple[int, FloatArray]]:
         if not towards:
             continue
         nearest = np.hstack(towards)
-        axis = nearest.mean(axis=1)
-        for step in range(STEPS_TO_THE_MIDDLE):
-            axis /= np.linalg.norm(axis)
-            axis += (nearest[:, np.argmin(axis @ nearest)] - axis) / (step + 2)
+        # The point of their convex hull that is nearest to the origin is along the axis from which the
+        # farthest of them is as near as can be.
+        sums = np.vstack((nearest, np.ones(nearest.shape[1])))
+        axis = nearest @ nnls(sums, np.array([0.0, 0.0, 0.0, 1.0]))[0]
         axis /= np.linalg.norm(axis)
         if (axis @ nearest).min() >= np.cos(survey.cones[member]):
             yield member, axis

@@ -173,7 +173,8 @@ class Ranges:
         R, t = self.robot.pose(values)
         origin = turned(R, rays.origin) + t
         if rays.towards is not None:
-            rays = replace(rays, direction=rays.towards(rays.direction, self.nearest(values)))
+            nearest = turned_back(R, self.target.nearest(values, origin))
+            rays = replace(rays, direction=rays.towards(rays.direction, nearest))
         hits = self.target.hit(values, origin, turned(R, rays.direction))
         a = turned_back(R, hits.covector)
         s = hits.range

@@ -159,10 +159,8 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     whole = joint if determined.rank == determined.unknowns else None
     in_common = None
     if whole is not None and (shared.any or shared.moves is not None or growth > 1.0):
-        alone, of_stops = (
-            joint_covariance(problem, solution, fit, less, one)
-            for one in (NOTHING_SHARED, shared._replace(moves=None))
-        )
+        parts = (NOTHING_SHARED, shared._replace(moves=None))
+        alone, of_stops = (joint_covariance(problem, solution, fit, less, one) for one in parts)
         in_common = InCommon.of(alone, of_stops, whole, growth**2)
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
