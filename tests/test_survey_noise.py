@@ -111,6 +111,34 @@ def test_what_is_stated_is_not_learned():
     assert learned(rows_of(8, 3, 12, 1e-4, (2e-4, 5e-5)), stated) is stated
 
 
+@pytest.mark.parametrize("rows", [3, 25, 50])
+def test_the_likelihood_is_that_of_dense_contrasts(rows):
+    """Of two sources, two items a station and rows without a source; but for a constant."""
+    made = rows_of(6, rows, 9, 1e-4, (2e-4, 5e-5))
+    place = np.arange(len(made.station)) % rows
+    source, item = place % 3 - 1, 2 * made.station + (place > rows // 2)
+    again, own = np.where(made.station > 2, item, -1), (3e-4, 1e-4)
+    inside, now = (
+        (np.array([3e-8, 2e-8]), np.array([4.0, 7.0])),
+        Components(np.array([NOW] * 2), (1, 1)),
+    )
+    P, K, same = made.by_pose, null_space(made.derivatives.T), made.station[:, None] == made.station
+    together = (again[:, None] == again) & (again >= 0)
+    by_dense, found = [], []
+    for sigma, pose, part in (([1e-4, 3e-4], (2e-4, 5e-5), 0.5), ([5e-4, 1e-5], (1e-5, 3e-4), 0.0)):
+        stated = Components(np.array(sigma), pose, part)
+        found.append(components(made, source, inside, now, stated, USUAL, FINEST, again, own)[1])
+        variance = np.append((stated.sigma / NOW) ** 2, 1.0)
+        S, new = (np.diag(np.repeat(size, 3) ** 2) for size in (pose, own))
+        V = np.diag(variance[source]) + same * (P @ S @ P.T)
+        V = K.T @ (V + part**2 * together * (P @ new @ P.T)) @ K
+        y = K.T @ made.residuals
+        value = np.linalg.slogdet(V)[1] + y @ np.linalg.solve(V, y)
+        value += (inside[1] * np.log(variance[:2]) + inside[0] / NOW**2 / variance[:2]).sum()
+        by_dense.append(value)
+    assert np.diff(found) == pytest.approx(np.diff(by_dense), rel=1e-9)
+
+
 @pytest.mark.slow
 def test_a_beam_with_fewer_readings_than_unknowns_is_not_usable():
     rig = few_readings(10, rigs_by_rays, 2e-5)

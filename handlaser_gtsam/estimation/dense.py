@@ -190,7 +190,7 @@ def filled(rows: FloatArray, group: IntArray) -> FloatArray:
     count = np.bincount(group[group >= 0])
     order = np.flatnonzero(group >= 0)[np.argsort(group[group >= 0], kind="stable")]
     place = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
-    whole = np.zeros((len(count), int(count.max()), rows.shape[1]))
+    whole = np.zeros((len(count), int(count.max(initial=0)), rows.shape[1]))
     whole[group[order], place] = rows[order]
     return whole
 

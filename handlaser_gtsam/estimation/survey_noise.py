@@ -23,7 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray, IntArray, renumbered
+from ..model.families import POSE
 from ..quantities import NEGLIGIBLE, TINY
 from .dense import DenseRows, filled
 from .scales import RANGE, ROTATION, TRANSLATION, Scale, design, find_mode
@@ -70,7 +71,10 @@ class Components:
 
 
 class _Likelihood:
-    """-2 log of the restricted likelihood, over stations that are filled up to one number of rows."""
+    """-2 log of the restricted likelihood, over stations that are filled up to one number of rows.
+
+    Rows that do not see the pose of their station are summed up, those of each source.
+    """
 
     def __init__(
         self,
@@ -83,12 +87,14 @@ class _Likelihood:
         self.inside = inside
         scale = np.sqrt((rows.derivatives**2).sum(axis=0))
         scale = np.where(scale > 0.0, scale, 1.0)
-        X: FloatArray = np.column_stack((rows.derivatives / scale, rows.residuals))
-        self.X, self.P = filled(X, rows.station), filled(rows.by_pose, rows.station)
+        every = np.column_stack((rows.by_pose, rows.derivatives / scale, rows.residuals))
+        numbers: IntArray = np.column_stack((rows.station, again, source))
+        every, numbers, self.rest, self.left = _turned(every, numbers, len(inside[0]) + 1)
+        station = renumbered(numbers[:, 0])
+        self.P, self.X = np.split(filled(every, station), [POSE.dim], axis=2)
         # Rows that fill up have no source, and are of no item.
-        numbered: FloatArray = np.column_stack((source, again)).astype(np.float64) + 1.0
-        numbers = filled(numbered, rows.station).astype(int) - 1
-        self.source, item = numbers[..., 0], numbers[..., 1]
+        numbered: FloatArray = numbers[:, 1:].astype(np.float64) + 1.0
+        item, self.source = np.moveaxis(filled(numbered, station).astype(int) - 1, 2, 0)
         same = (item[..., None] == item[:, None]) & (item >= 0)[:, None]
         self.own = (self.P * np.repeat(own, 3) ** 2) @ np.swapaxes(self.P, 1, 2) * same
 
@@ -102,7 +108,8 @@ class _Likelihood:
         # where errors of the hand are far above those of readings.
         rounding = V.shape[1] * np.finfo(np.float64).eps * np.einsum("sii->s", V)
         # Rows without a sensor, as of relations, have unit variance; so have those that fill up.
-        diagonal = np.where(self.source >= 0, np.append(factor, 1.0)[self.source], 1.0)
+        variance = np.append(np.maximum(factor, TINY), 1.0)
+        diagonal = variance[self.source]
         np.einsum("sii->si", V)[:] += diagonal + rounding[:, None]
         L = np.linalg.cholesky(V)
         # Forward substitution, one row of all stations at a time: they have a few rows each.
@@ -111,17 +118,58 @@ class _Likelihood:
             known = (L[:, i, None, :i] @ white[:, :i])[:, 0]
             white[:, i] = (self.X[:, i] - known) / L[:, i, i, None]
         white = white.reshape(-1, white.shape[2])
-        N = white.T @ white
+        N = white.T @ white + np.tensordot(1.0 / variance, self.rest, 1)
         H, g = N[:-1, :-1], N[:-1, -1]
         values, axes = np.linalg.eigh(H)
         some = values > NEGLIGIBLE**2 * values.max()
         value = 2.0 * float(np.log(np.einsum("sii->si", L)).sum())
+        value += float((self.left * np.log(variance)).sum())
         value += float(np.log(values[some]).sum())
         value += float(N[-1, -1] - ((axes.T @ g)[some] ** 2 / values[some]).sum())
-        phi = np.maximum(factor, TINY)
         squares, dof = self.inside
-        value += float((dof * np.log(phi) + squares / phi).sum())
+        value += float((dof * np.log(variance[:-1]) + squares / variance[:-1]).sum())
         return value
+
+
+def _turned(
+    rows: FloatArray, numbers: IntArray, sources: int
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
+    """Turn rows that differ in no number, so that six of them at most see the pose.
+
+    Parameters
+    ----------
+    rows : (R, 6 + c)
+        Derivatives by the pose first.
+    numbers : (R, 3)
+        Of each row its station, its item and its source.
+    sources : int
+        With rows without a source, whose number is -1, as the last one.
+
+    Returns
+    -------
+    rows : (r, 6 + c)
+    numbers : (r, 3)
+    squares : (sources, c, c)
+        Products of the columns of rows that do not see the pose.
+    count : (sources,)
+        How many these are.
+    """
+    alike, group, count = np.unique(numbers, axis=0, return_inverse=True, return_counts=True)
+    large = np.flatnonzero(count > POSE.dim)
+    number: IntArray = np.full(len(count), -1)
+    number[large] = np.arange(len(large))
+    number = number[group.ravel()]
+    turned = np.asarray(np.linalg.qr(filled(rows, number), mode="r"))
+    seen, rest = turned[:, : POSE.dim], turned[:, POSE.dim :, POSE.dim :]
+    source = alike[large, 2] % sources
+    of_each = [rest[source == k].reshape(-1, rest.shape[2]) for k in range(sources)]
+    few = number < 0
+    return (
+        np.concatenate((rows[few], seen.reshape(-1, rows.shape[1]))),
+        np.concatenate((numbers[few], np.repeat(alike[large], POSE.dim, axis=0))),
+        np.stack([R.T @ R for R in of_each]),
+        np.asarray(np.bincount(source, count[large] - POSE.dim, sources), dtype=np.float64),
+    )
 
 
 def components(

@@ -105,28 +105,11 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     more = 0 if freed is None else freed.rank
     fit, why = fit_of(problem, selection, more)
     determined, image, up = _determined_by(names, used, solution, fit, more)
-    wrong = misfit(problem.recording, used, solution.best, fit)
-    if wrong is not None and wrong.code == IMPLAUSIBLE:
-        # Where the motion is poor and leaves free range errors undetermined, k1 = -1 fits, too.
-        free = solution.terms > 0 and solution.prior is None
-        if free and not solution.observability.full and poor_motion(used) is not None:
-            wrong = None
-    if wrong is None and determined.undetermined:
-        # Readings that scatter as much as is stated of them do fit, however little they spread. Others
-        # do not fit where readings that fitted would determine everything.
-        expected = fit.range_sigma_given and fit.sigma0 <= TEN_TIMES
-        if not expected and suspicious(used, fit) and _motion_determines(used, solution):
-            wrong = poor_fit(used, fit)
-    elif wrong is None:
-        wrong = implausible_mounts(used, solution.best, names)
-    way = _way(problem, used, fit, solution, wrong, why)
-    lost = lost_of_beams(fit, problem.recording.beam_names)
-    # Where readings of beams are exchanged and one of them loses more than this part of its own, it is
-    # not sure which of the two mounts is whose, or whether both are one. Nor is it where a mistake
-    # parts the first stations from the last ones, and either part may be the wrong one.
-    unsure = any(out > (1.0 / 3.0) * every and every > out for out, every in lost)
-    unsure = unsure or (way is not None and "parts" in way.values)
-    mistaken = way is not None and (wrong is not None or suspicious(used, fit) or unsure)
+    wrong, way = _wrong_and_way(problem, used, fit, solution, determined, why)
+    # Another way to read the file in place of what is wrong says what the residuals are signs of.
+    mistaken = way is not None and (
+        wrong is not None or suspicious(used, fit) or _unsure(problem, fit, way)
+    )
     if mistaken:
         wrong, way = way, None
     status, message = _status_of(solution, determined, wrong)
@@ -135,33 +118,22 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     stops = None if solution.variances is None else _stops(problem, used, solution.variances)
     if status == "converged" and solution.at.loss == GAUSSIAN:
         rows, shared, systematic, together = _tested(problem, selection, fit, freed, stops)
-    joint, effects, by_pose = None, tuple[FreedEffect, ...](), shared.sizes_by_pose
-    growth, less = 1.0, None
-    learned = solution.scales_estimated or not fit.range_sigma_given
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
+    joint, effects, in_common = None, tuple[FreedEffect, ...](), None
     if status == "converged" or partly:
-        less = None if freed is None else freed.less_certain(shared.freed)
-        # Of an estimated noise the unknowns took more than one degree of freedom each.
-        times = math.sqrt(shared.understated(fit.dof)) if learned else 1.0
-        growth, of_planes = times * together.growth, times * together.plane_growth
-        joint = joint_covariance(problem, solution, fit, less, shared, (growth, of_planes))
-        effects = () if less is None else less.reports(problem, joint, growth)
-    signs: tuple[CalibrationWarning, ...] = ()
+        joint, effects, in_common = _covariance(problem, solution, fit, freed, shared, together)
+    signs, by_pose = tuple[CalibrationWarning, ...](), shared.sizes_by_pose
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
         if by_pose is not None and by_pose.explain_small_residuals:
             as_one = max(as_one, by_pose.growth**2)
         known = not determined.undetermined
-        again = stops if learned or solution.at.loss != GAUSSIAN else None
+        counted = solution.at.loss == GAUSSIAN and not _noise_learned(solution, fit)
+        again = None if counted else stops
         signs = _signs(problem, used, fit, solution, why, again, as_one, known=known)
     whole = joint if determined.rank == determined.unknowns else None
-    in_common = None
-    if whole is not None and (shared.any or shared.moves is not None or growth > 1.0):
-        parts = (NOTHING_SHARED, shared._replace(moves=None))
-        alone, of_stops = (joint_covariance(problem, solution, fit, less, one) for one in parts)
-        in_common = InCommon.of(alone, of_stops, whole, growth**2)
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
     if rows is not None and not mistaken:
@@ -202,6 +174,77 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
         errors_by_pose=by_pose,
     )
     return with_scales(result, problem, solution, freed)
+
+
+def _wrong_and_way(
+    problem: Problem,
+    used: Readings,
+    fit: Fit,
+    solution: Solution,
+    determined: Determined,
+    why: Reasons,
+) -> tuple[CalibrationWarning | None, CalibrationWarning | None]:
+    """Return why the readings do not fit at all, if so, and how else the file could be read."""
+    wrong = misfit(problem.recording, used, solution.best, fit)
+    if wrong is not None and wrong.code == IMPLAUSIBLE:
+        # Where the motion is poor and leaves free range errors undetermined, k1 = -1 fits, too.
+        free = solution.terms > 0 and solution.prior is None
+        if free and not solution.observability.full and poor_motion(used) is not None:
+            wrong = None
+    if wrong is None and determined.undetermined:
+        # Readings that scatter as much as is stated of them do fit, however little they spread. Others
+        # do not fit where readings that fitted would determine everything.
+        expected = fit.range_sigma_given and fit.sigma0 <= TEN_TIMES
+        if not expected and suspicious(used, fit) and _motion_determines(used, solution):
+            wrong = poor_fit(used, fit)
+    elif wrong is None:
+        wrong = implausible_mounts(used, solution.best, problem.names)
+    return wrong, _way(problem, used, fit, solution, wrong, why)
+
+
+def _unsure(problem: Problem, fit: Fit, way: CalibrationWarning) -> bool:
+    """Tell whether the mounts are unsure where the file could be read another way.
+
+    Where readings of beams are exchanged and one of them loses more than a third of its own, it is not
+    sure which of the two mounts is whose, or whether both are one. Nor is it where a mistake parts the
+    first stations from the last ones, and either part may be the wrong one.
+    """
+    lost = lost_of_beams(fit, problem.recording.beam_names)
+    return "parts" in way.values or any(
+        out > (1.0 / 3.0) * every and every > out for out, every in lost
+    )
+
+
+def _noise_learned(solution: Solution, fit: Fit) -> bool:
+    """Tell whether any scale of the noise was learned from the residuals."""
+    return solution.scales_estimated or not fit.range_sigma_given
+
+
+def _covariance(
+    problem: Problem,
+    solution: Solution,
+    fit: Fit,
+    freed: "Freed | None",
+    shared: SharedErrors,
+    together: Dependence,
+) -> tuple[JointCovariance, tuple[FreedEffect, ...], InCommon | None]:
+    """Return the covariance of beams and planes, freed errors, and what stations have in common.
+
+    The last is None where each station errs for itself, and where not everything is determined.
+    """
+    less = None if freed is None else freed.less_certain(shared.freed)
+    # Of an estimated noise the unknowns took more than one degree of freedom each.
+    times = math.sqrt(shared.understated(fit.dof)) if _noise_learned(solution, fit) else 1.0
+    growth = times * together.growth
+    grown = (growth, times * together.plane_growth)
+    joint = joint_covariance(problem, solution, fit, less, shared, grown)
+    effects = () if less is None else less.reports(problem, joint, growth)
+    beside = shared.any or shared.moves is not None or growth > 1.0
+    if not (beside and solution.observability.full):
+        return joint, effects, None
+    parts = (NOTHING_SHARED, shared._replace(moves=None))
+    alone, of_stops = (joint_covariance(problem, solution, fit, less, one) for one in parts)
+    return joint, effects, InCommon.of(alone, of_stops, joint, growth**2)
 
 
 def _signs(

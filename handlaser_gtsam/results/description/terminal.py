@@ -44,8 +44,8 @@ def screen_lines(
 def _above_warnings(described: "CalibrationDescription", evidence: int, width: int) -> list[str]:
     """Return the screen up to the warnings.
 
-    Observability and systematic errors have `evidence` lines each, at most, and other facts at most two
-    of them; freed errors, which warnings are of, have three.
+    Noise, observability and systematic errors have `evidence` lines each, at most, and other facts at
+    most two of them; freed errors, which warnings are of, have three.
     """
     calibration, verdict = described.calibration, described.verdict
     lines = wrapped(verdict.sentence, None, width)
@@ -58,9 +58,10 @@ def _above_warnings(described: "CalibrationDescription", evidence: int, width: i
         lines += text_table(described.beams, width, ROWS_ON_SCREEN)
     fit = dict(described.fit)
     if any(beam.sigma is not None for beam in calibration.beams.values()):
-        for name in ("range errors", "freed errors", "noise"):
+        of = {"range errors": min(2, evidence), "freed errors": 3, "noise": evidence}
+        for name, most in of.items():
             if name in fit:
-                add(name, fit[name], 3 if name == "freed errors" else min(2, evidence))
+                add(name, fit[name], most)
     add("fit", ", ".join(f"{name} {fit[name]}" for name in BRIEF if name in fit))
     add("observability", " ".join(described.observability[:3]), evidence)
     if verdict.exceeded:
