@@ -56,7 +56,8 @@ def leave_out_gross(state: SurveyState) -> None:
     """
     planes: Planes = {}
     for turn in range(MOST_ROUNDS):
-        if not state.minimize():
+        # What is gross shows long before a minimum, to which a search with gross shots may creep.
+        if not state.minimize(STEPS_IN_VAIN):
             return
         if turn < MOST_ROUNDS // 2 and other_planes_taken(state, GROSS, planes):
             continue
