@@ -202,6 +202,20 @@ def test_errors_of_an_arm_are_named_where_nothing_is_stated():
     assert stated.squares()[2] == "usable"
 
 
+@pytest.mark.parametrize("scale", [0.0, 1.0])
+def test_a_guess_that_decides_the_standard_deviations_is_said(scale):
+    """One programme shows nothing of the arm to a precise camera, whether it errs or not."""
+    scene = Scene(Case("camera", True, False, scale), 101)
+    found = hl.calibrate(scene.survey())
+    assert found.errors_by_pose.are_guessed
+    (said,) = (one for one in found.warnings if one.code == "errors-by-pose")
+    assert "nothing states how the hand errs" in said.message
+    assert (found.verdict.code, found.verdict.best.code) == ("usable-with-care", "errors-by-pose")
+    assert said.message.partition(",")[0] in found.verdict.sentence
+    stated = hl.Noise(pose_translation_sigma=2e-4, pose_rotation_sigma=2e-4)
+    assert "errors-by-pose" not in codes(hl.calibrate(scene.survey(), stated))
+
+
 @pytest.mark.parametrize("given", [True, False])
 def test_errors_of_single_stations_are_not_accused(given):
     for seed in range(4):

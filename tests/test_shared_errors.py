@@ -97,15 +97,15 @@ def test_what_stations_share_is_put_into_the_covariance():
 @pytest.mark.slow
 def test_standard_deviations_are_right_where_a_programme_is_repeated(visits, flicker, noise):
     squares, alone = [], []
-    for seed in range(24):
+    for seed in range(12):
         robot = Robot(seed)
         found = hl.calibrate(robot.recording(visits, flicker), noise)
         assert found.verdict.code in ("usable", "usable-with-care"), seed
         squares.append(robot.squares(found, found.covariance))
         if found.at_scales is not None:
             alone.append(robot.squares(found, found.at_scales.covariance))
-    # Of 24 x 10 squares of mean 1, the mean of Gaussian errors is within 0.3 of it; learned scales are
-    # a little small.
+    # Of 12 x 10 squares of mean 1, the mean of Gaussian errors is within 0.3 of it but in two of a
+    # hundred cases; learned scales are a little small.
     assert 0.5 < np.mean(squares) < (1.3 if noise else 1.5)
     assert np.mean(alone) > 1.2 * np.mean(squares)
 

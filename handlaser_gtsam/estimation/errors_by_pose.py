@@ -42,6 +42,9 @@ OF_STATIONS = (1.0, 0.3, 0.0)
 OF_STATED = (1.0, 0.8, 0.55, 0.3, 0.1)
 """Parts of stated errors that are tried as errors of single stations."""
 
+GUESSED = 2.0
+"""From this growth of a standard deviation on, three quarters of its variance are of errors by pose."""
+
 
 class SizesByPose(NamedTuple):
     """How large errors of the hand are that change with its pose, and what they do.
@@ -74,6 +77,11 @@ class SizesByPose(NamedTuple):
     def is_seen(self) -> bool:
         """Whether the readings show them."""
         return self.excess > UNLIKELY_EXCESS
+
+    @property
+    def are_guessed(self) -> bool:
+        """Whether they make most of a standard deviation, though nothing states or shows them."""
+        return self.learned and not self.is_seen and self.growth > GUESSED
 
     @property
     def explain_small_residuals(self) -> bool:

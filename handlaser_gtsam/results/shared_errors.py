@@ -41,6 +41,8 @@ from .projection import LinearRows, Moves, Projection
 COUPLED_PLANES = 100
 """With more planes their covariance with each other for known beams, which grows with the square of
 their number, stays that for independent errors."""
+BY_POSE = "errors-by-pose"
+"""Code of the warning that errors of the hand change with its pose, or may."""
 FLICKER = 3.0
 """Poses that differ by less than this multiple of the errors of the hand are of one stop: an arm errs
 alike over centimetres, and recorded poses flicker by less than it errs."""
@@ -237,11 +239,11 @@ class InCommon(Value):
 
 
 def warnings_of(sizes: SizesByPose | None) -> tuple[CalibrationWarning, ...]:
-    """Return what to say of errors by pose that are seen, and were learned: few of them show."""
-    if sizes is None or not (sizes.learned and sizes.is_seen):
+    """Return what to say of errors by pose that were learned: few of them show."""
+    if sizes is None or not sizes.learned or not (sizes.is_seen or sizes.are_guessed):
         return ()
     values = {"shift": sizes.shift, "turn": sizes.turn, "growth": sizes.growth}
-    return (warned("errors-by-pose", values),)
+    return (warned(BY_POSE + ":guessed" * sizes.are_guessed, values),)
 
 
 def _products(heavy: FloatArray, moved: FloatArray, at: IntArray) -> FloatArray:

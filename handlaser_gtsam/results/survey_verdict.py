@@ -21,6 +21,7 @@ from ..text import some
 from .limits import LimitCheck, Limits, sigmas_checked
 from .lines import NAMES_IN_LINE
 from .messages import said
+from .shared_errors import BY_POSE
 from .survey_misfit import FALSE_RELATION, MISREAD, NO_FIT
 from .survey_motion import MORE_STATIONS
 from .verdict import (
@@ -205,6 +206,8 @@ def _improvement(
             return better_sigmas(float(warnings[f"sigmas-too-{how}"].values["times"]))
     if FEW in warnings:
         return improvement_of("more-stations:few", dof=f"{warnings[FEW].values['spare']:.1f}")
+    if BY_POSE in warnings:
+        return improvement_of(BY_POSE)
     share = _pose_share(result)
     if share > 0.5:  # a cause of more than half of the variance is worth the first word
         return improvement_of("poses", share, percent=IN_PERCENT * min(share, 0.99))

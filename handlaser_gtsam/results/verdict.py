@@ -29,6 +29,7 @@ from .calibration_data import CalibrationData
 from .limits import LimitCheck, Limits, checked, hidden_errors, worst_of_each
 from .lines import NAMES_IN_LINE
 from .messages import MESSAGES, said
+from .shared_errors import BY_POSE
 from .spots import VarianceShares, freedom, spot_radii, variance_shares
 from .systematic import SystematicError
 from .warnings import DISPLACED, RIVAL, ambiguous
@@ -58,9 +59,9 @@ class Improvement:
     ----------
     code : str
         `systematic`, `another-mount`, `effect-undetermined`, `hidden`, `outliers`, `sigmas`,
-        `limit-rms`, `stops`, `poses`, `range-span`, `motion`, `more-stations`, `more-motion`,
-        `recording`, `displaced`, `column-twice`, `far-beam` or `file-mistake`; of surveys codes of
-        warnings that say what to do, too.
+        `limit-rms`, `stops`, `errors-by-pose`, `poses`, `range-span`, `motion`, `more-stations`,
+        `more-motion`, `recording`, `displaced`, `column-twice`, `far-beam` or `file-mistake`; of
+        surveys codes of warnings that say what to do, too.
     words : str
         What to do, without a full stop.
     number : float or None
@@ -129,6 +130,8 @@ def improvement(
         return improvement_of("hidden", reveal=EFFECTS[doubtful.code].reveal)
     if "correlated-in-time" in codes:
         return improvement_of("stops")
+    if BY_POSE in codes:
+        return improvement_of(BY_POSE)
     few = freedom(calibration) < FEW_DEGREES
     if shares is not None and not few:  # what would lower the largest share
         condition = calibration.observability.condition
