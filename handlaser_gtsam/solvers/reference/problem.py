@@ -29,6 +29,9 @@ DENSE_UNKNOWNS = 200
 """Above this many unknowns the Jacobian is kept sparse."""
 TOLERANCE = 1e-11
 """SciPy's; a Gauss-Newton step at the end takes its solution beyond."""
+FROM_BESIDE = 100
+"""Steps after which SciPy begins again at the start, where it does not arrive from beside it: it takes
+about ten, unless rays miss their sphere there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,12 +228,15 @@ def by_poses(
 
 
 def minimize(
-    residuals: Residuals, x0: FloatArray, differences: Literal["2-point", "3-point"] = "3-point"
+    residuals: Residuals,
+    x0: FloatArray,
+    differences: Literal["2-point", "3-point"] = "3-point",
+    most: int | None = None,
 ) -> OptimizeResult:
-    """Return SciPy's least-squares solution from `x0`, derivatives by differences.
+    """Return SciPy's least-squares solution from `x0`, or where it is after `most` steps.
 
-    Central differences cost twice as much as forward ones and agree with exact derivatives to a
-    millionth of a standard deviation and better.
+    Derivatives are differences: central ones cost twice as much as forward ones and agree with exact
+    derivatives to a millionth of a standard deviation and better.
     """
     sparsity = residuals.sparsity()
     return least_squares(
@@ -245,6 +251,7 @@ def minimize(
         ftol=TOLERANCE,
         xtol=TOLERANCE,
         gtol=TOLERANCE,
+        max_nfev=most,
     )
 
 
@@ -252,7 +259,8 @@ def solve(problem: ReferenceProblem) -> ReferenceSolution:
     """Solve a problem, from its start or beside it."""
     residuals = Residuals(problem)
     first = residuals.unknowns.x0
-    found = minimize(residuals, first + problem.beside * (-1.0) ** np.arange(len(first)))
+    beside = first + problem.beside * (-1.0) ** np.arange(len(first))
+    found = minimize(residuals, beside, most=FROM_BESIDE)
     if 2.0 * found.cost > (residuals(first) ** 2).sum():  # caught where rays miss a sphere, say
         found = minimize(residuals, first)
     iterations = int(found.njev)
