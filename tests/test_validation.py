@@ -151,14 +151,14 @@ def test_a_part_that_is_not_predicted_has_a_reason_and_null_for_its_numbers():
 
 @pytest.mark.slow
 def test_spots_move_by_chance_as_far_as_is_said():
-    """Of 47 parts and random splits, which overlap, 95 % are expected within what holds 95 %."""
+    """Of 32 parts and random splits, which overlap, 95 % are expected within what holds 95 %."""
     found = [
         hl.validate(survey_of(rigs_by_rays.profiler(seed, hand_sigma=HAND)), STATED, splits=4)
-        for seed in range(8)
+        for seed in range(5)
     ]
     parts = [one.result for each in found for one in (*each.targets, *each.splits)]
     ratio = np.array([one.shift / one.by_chance for one in parts if one is not None])
-    assert len(ratio) > 40
+    assert len(ratio) > 25
     assert (ratio < 1.0).mean() > 0.85
     assert 0.2 < np.median(ratio) < 0.6  # 0.34 along one axis, 0.55 along three alike
 
