@@ -209,7 +209,7 @@ def test_a_guess_that_decides_the_standard_deviations_is_said(scale):
     found = hl.calibrate(scene.survey())
     assert found.errors_by_pose.are_guessed
     (said,) = (one for one in found.warnings if one.code == "errors-by-pose")
-    assert "nothing states how the hand errs" in said.message
+    assert "nothing that holds is stated of how the hand errs" in said.message
     assert (found.verdict.code, found.verdict.best.code) == ("usable-with-care", "errors-by-pose")
     assert said.message.partition(",")[0] in found.verdict.sentence
     stated = hl.Noise(pose_translation_sigma=2e-4, pose_rotation_sigma=2e-4)

@@ -338,7 +338,11 @@ def test_readings_about_a_reference_give_the_same_beams(name, given):
     noise = hl.Noise(SIGMA, 0.0, 0.0) if given else hl.Noise()
     none = hl.CalibrationOptions("none")
     found, usual = hl.calibrate(shifted, noise, none), hl.calibrate(recording, noise, none)
-    assert (found.status, found.warnings) == ("converged", usual.warnings)
+    # A guess about the arm makes sigmas just twice as large, or hardly so.
+    named = [
+        {one.code for one in result.warnings} - {"errors-by-pose"} for result in (found, usual)
+    ]
+    assert (found.status, named[0]) == ("converged", named[1])
     for name, beam in found.beams.items():
         other = usual.beams[name]
         right = other.location + reference * other.direction
