@@ -111,8 +111,12 @@ def test_sensors_and_beams_of_a_survey_are_written_as_documented():
     profiler = hl.read_survey(
         ROOT / "examples" / "profiler" / "poses.csv", ROOT / "examples" / "profiler" / "rig.toml"
     )
-    (sensor,) = json.loads(calibration_text(hl.calibrate(profiler)))["sensors"]
+    found = hl.calibrate(profiler)
+    text = json.loads(calibration_text(found))
+    (sensor,) = text["sensors"]
     assert set(sensor) == set(rows["`sensors[]`"][1])
+    assert text["errors_by_pose"] == found.errors_by_pose._asdict()
+    assert text["errors_by_pose"]["growth"] > 1.2
 
 
 @pytest.mark.parametrize("kind", ["plan", "survey-plan"])

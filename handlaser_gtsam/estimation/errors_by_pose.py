@@ -59,8 +59,7 @@ class SizesByPose(NamedTuple):
     learned : bool
         Whether errors of the hand were learned, of a kind at least; else they are stated.
     growth : float
-        The largest ratio of a standard deviation of a beam, or of any unknown of a survey, to that
-        without them.
+        The largest ratio of a standard deviation of a mount to that without them.
     smaller : float
         Probability of smaller residuals, with the stated errors that are left to single stations; zero
         where some were learned.
@@ -79,9 +78,13 @@ class SizesByPose(NamedTuple):
         return self.excess > UNLIKELY_EXCESS
 
     @property
-    def are_guessed(self) -> bool:
-        """Whether they make most of a standard deviation, though nothing states or shows them."""
+    def guess_decides(self) -> bool:
+        """Whether they make most of a standard deviation, though little states or shows them."""
         return self.learned and not self.is_seen and self.growth > GUESSED
+
+    def beside(self, growth: float) -> "SizesByPose":
+        """Return the same where standard deviations without them are larger by a factor."""
+        return self._replace(growth=float(np.sqrt(1.0 + (self.growth**2 - 1.0) / growth**2)))
 
     @property
     def explain_small_residuals(self) -> bool:

@@ -310,7 +310,8 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         learned = survey_errors_by_pose(state, usual, _beside_rows(state))
         if learned is not None:
             by_pose, more = learned
-            known = np.isfinite(np.diagonal(covariance))
+            mounts = [name.partition("[")[0] in (SENSOR.name, BEAM.name) for name in found.names]
+            known = np.isfinite(np.diagonal(covariance)) & mounts
             growth = 1.0 + np.diagonal(more)[known] / np.diagonal(covariance)[known]
             by_pose = by_pose.grown(float(np.sqrt(growth.max(initial=1.0))))
     found = replace(found, covariance=covariance + more)
@@ -386,7 +387,7 @@ def state_of(rows: SurveyRows, noise: Noise) -> SurveyState:
 def first_state(
     rows: SurveyRows, noise: Noise, earlier: SurveyEstimate | None = None
 ) -> SurveyState:
-    """Return where an estimate begins: a minimum that most shots agree with, before noise is learned.
+    """Return where an estimate begins, near what most shots agree with, before noise is learned.
 
     Where shots do not surely fit the start of a quick search, a thorough one follows. Where most do not
     fit that either, shots that see several planes may begin with wrong ones, and wrong labels pull a

@@ -73,7 +73,7 @@ class Components:
 class _Likelihood:
     """-2 log of the restricted likelihood, over stations that are filled up to one number of rows.
 
-    Rows that do not see the pose of their station are summed up, those of each source.
+    Of more than six rows alike, those that do not see the pose are summed up (`_turned`).
     """
 
     def __init__(

@@ -83,9 +83,7 @@ def _of_beams(calibration: Calibration, reading: float) -> Record:
             max_at=record(fit.max_residual_at, "station beam"),
             pose_covariance=calibration.pose_covariance,
             noise_estimate=records(calibration.noise_estimate, "name sigma error prior_carries"),
-            errors_by_pose=None
-            if calibration.errors_by_pose is None
-            else calibration.errors_by_pose._asdict(),
+            errors_by_pose=_by_pose(calibration),
             rejected=[
                 record(one, "station beam target reason residual_m", beam=one.sensor)
                 for one in fit.rejected
@@ -162,6 +160,7 @@ def _of_survey(result: "SurveyCalibration") -> Record:
             "translation_m": translation,
             "estimated": result.pose_sigma_estimated,
         },
+        "errors_by_pose": _by_pose(result),
         "known": [
             record(one.known, "relation of") | record(one, "p_value contradicted")
             for one in result.relations
@@ -170,6 +169,11 @@ def _of_survey(result: "SurveyCalibration") -> Record:
         "rejected": records(result.rejected, "sensor station target reason"),
         **record(result, "undetermined advice chi2 dof"),
     }
+
+
+def _by_pose(result: "Calibration | SurveyCalibration") -> Record | None:
+    """Return errors of the hand that change with its pose; None where it does not err."""
+    return None if result.errors_by_pose is None else result.errors_by_pose._asdict()
 
 
 def _mounts(result: "SurveyCalibration") -> Record:

@@ -108,7 +108,7 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     wrong, way = _wrong_and_way(problem, used, fit, solution, determined, why)
     # Another way to read the file in place of what is wrong says what the residuals are signs of.
     mistaken = way is not None and (
-        wrong is not None or suspicious(used, fit) or _unsure(problem, fit, way)
+        wrong is not None or suspicious(used, fit) or _mounts_are_unsure(problem, fit, way)
     )
     if mistaken:
         wrong, way = way, None
@@ -118,21 +118,25 @@ def assemble(problem: Problem, selection: Selection, freed: "Freed | None" = Non
     stops = None if solution.variances is None else _stops(problem, used, solution.variances)
     if status == "converged" and solution.at.loss == GAUSSIAN:
         rows, shared, systematic, together = _tested(problem, selection, fit, freed, stops)
+    # Of an estimated noise the unknowns took more than one degree of freedom each.
+    times = math.sqrt(shared.understated(fit.dof)) if _noise_is_learned(solution, fit) else 1.0
+    grown = (times * together.growth, times * together.plane_growth)
     # Standard deviations mean something although not everything is determined.
     settled = solution.at.status == "converged" and fit.range_sigma > 0.0
     partly = status == "unobservable" and settled and not solution.observability.full
     joint, effects, in_common = None, tuple[FreedEffect, ...](), None
     if status == "converged" or partly:
-        joint, effects, in_common = _covariance(problem, solution, fit, freed, shared, together)
+        joint, effects, in_common = _covariance(problem, solution, fit, freed, shared, grown)
     signs, by_pose = tuple[CalibrationWarning, ...](), shared.sizes_by_pose
     if not mistaken:  # then single readings, and the residuals of all, are signs of something
         as_one = together.plane_growth**2 * max(shared.plane_growth**2, shared.understated(fit.dof))
         if by_pose is not None and by_pose.explain_small_residuals:
             as_one = max(as_one, by_pose.growth**2)
         known = not determined.undetermined
-        counted = solution.at.loss == GAUSSIAN and not _noise_learned(solution, fit)
+        counted = solution.at.loss == GAUSSIAN and not _noise_is_learned(solution, fit)
         again = None if counted else stops
         signs = _signs(problem, used, fit, solution, why, again, as_one, known=known)
+    by_pose = None if by_pose is None else by_pose.beside(grown[0])
     whole = joint if determined.rank == determined.unknowns else None
     beams_and_planes = _estimates(problem, solution, joint, image, up)
     moved = None
@@ -202,7 +206,7 @@ def _wrong_and_way(
     return wrong, _way(problem, used, fit, solution, wrong, why)
 
 
-def _unsure(problem: Problem, fit: Fit, way: CalibrationWarning) -> bool:
+def _mounts_are_unsure(problem: Problem, fit: Fit, way: CalibrationWarning) -> bool:
     """Tell whether the mounts are unsure where the file could be read another way.
 
     Where readings of beams are exchanged and one of them loses more than a third of its own, it is not
@@ -215,7 +219,7 @@ def _unsure(problem: Problem, fit: Fit, way: CalibrationWarning) -> bool:
     )
 
 
-def _noise_learned(solution: Solution, fit: Fit) -> bool:
+def _noise_is_learned(solution: Solution, fit: Fit) -> bool:
     """Tell whether any scale of the noise was learned from the residuals."""
     return solution.scales_estimated or not fit.range_sigma_given
 
@@ -226,25 +230,22 @@ def _covariance(
     fit: Fit,
     freed: "Freed | None",
     shared: SharedErrors,
-    together: Dependence,
+    grown: tuple[float, float],
 ) -> tuple[JointCovariance, tuple[FreedEffect, ...], InCommon | None]:
     """Return the covariance of beams and planes, freed errors, and what stations have in common.
 
-    The last is None where each station errs for itself, and where not everything is determined.
+    Standard deviations of beams and planes have `grown` by two factors. The last is None where each
+    station errs for itself, and where not everything is determined.
     """
     less = None if freed is None else freed.less_certain(shared.freed)
-    # Of an estimated noise the unknowns took more than one degree of freedom each.
-    times = math.sqrt(shared.understated(fit.dof)) if _noise_learned(solution, fit) else 1.0
-    growth = times * together.growth
-    grown = (growth, times * together.plane_growth)
     joint = joint_covariance(problem, solution, fit, less, shared, grown)
-    effects = () if less is None else less.reports(problem, joint, growth)
-    beside = shared.any or shared.moves is not None or growth > 1.0
+    effects = () if less is None else less.reports(problem, joint, grown[0])
+    beside = shared.any or shared.moves is not None or grown[0] > 1.0
     if not (beside and solution.observability.full):
         return joint, effects, None
     parts = (NOTHING_SHARED, shared._replace(moves=None))
     alone, of_stops = (joint_covariance(problem, solution, fit, less, one) for one in parts)
-    return joint, effects, InCommon.of(alone, of_stops, joint, growth**2)
+    return joint, effects, InCommon.of(alone, of_stops, joint, grown[0] ** 2)
 
 
 def _signs(

@@ -240,10 +240,12 @@ class InCommon(Value):
 
 def warnings_of(sizes: SizesByPose | None) -> tuple[CalibrationWarning, ...]:
     """Return what to say of errors by pose that were learned: few of them show."""
-    if sizes is None or not sizes.learned or not (sizes.is_seen or sizes.are_guessed):
+    if sizes is None or not sizes.learned:
         return ()
     values = {"shift": sizes.shift, "turn": sizes.turn, "growth": sizes.growth}
-    return (warned(BY_POSE + ":guessed" * sizes.are_guessed, values),)
+    if sizes.is_seen:
+        return (warned("errors-by-pose", values),)
+    return (warned("errors-by-pose:guessed", values),) if sizes.guess_decides else ()
 
 
 def _products(heavy: FloatArray, moved: FloatArray, at: IntArray) -> FloatArray:

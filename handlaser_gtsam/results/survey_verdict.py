@@ -204,10 +204,10 @@ def _improvement(
     for how in ("small", "large"):
         if f"sigmas-too-{how}" in warnings:
             return better_sigmas(float(warnings[f"sigmas-too-{how}"].values["times"]))
-    if FEW in warnings:
-        return improvement_of("more-stations:few", dof=f"{warnings[FEW].values['spare']:.1f}")
     if BY_POSE in warnings:
         return improvement_of(BY_POSE)
+    if FEW in warnings:
+        return improvement_of("more-stations:few", dof=f"{warnings[FEW].values['spare']:.1f}")
     share = _pose_share(result)
     if share > 0.5:  # a cause of more than half of the variance is worth the first word
         return improvement_of("poses", share, percent=IN_PERCENT * min(share, 0.99))

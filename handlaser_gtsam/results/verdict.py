@@ -8,9 +8,10 @@ systematic error that was found or may hide (usable with care); usable.
 Of improvements, what makes the stated numbers wrong comes first: a mistake of the file, a beam that was
 moved, a systematic error, another mount that is as probable, many outliers, given sigmas that the
 residuals contradict, a limit of the residuals, a freed error that the readings do not determine, a
-systematic error that may hide, noise that is correlated in time. Then what the error
-is made of that exceeds its limit most, or else that of the spot: its largest share, where that is more
-than half; otherwise, and where too few residuals alone say how noisy the readings are, more stations.
+systematic error that may hide, noise that is correlated in time, a robot whose errors change with the
+pose of the hand. Then what the error is made of that exceeds its limit most, or else that of the spot:
+its largest share, where that is more than half; otherwise, and where too few residuals alone say how
+noisy the readings are, more stations.
 """
 
 import math

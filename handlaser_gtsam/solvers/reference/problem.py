@@ -30,8 +30,8 @@ DENSE_UNKNOWNS = 200
 TOLERANCE = 1e-11
 """SciPy's; a Gauss-Newton step at the end takes its solution beyond."""
 FROM_BESIDE = 100
-"""Steps after which SciPy begins again at the start, where it does not arrive from beside it: it takes
-about ten, unless rays miss their sphere there."""
+"""Evaluations after which SciPy begins again at the start, where it does not arrive from beside it: it
+takes about ten, unless rays miss their sphere there."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +233,7 @@ def minimize(
     differences: Literal["2-point", "3-point"] = "3-point",
     most: int | None = None,
 ) -> OptimizeResult:
-    """Return SciPy's least-squares solution from `x0`, or where it is after `most` steps.
+    """Return SciPy's least-squares solution from `x0`, or where it is after `most` evaluations.
 
     Derivatives are differences: central ones cost twice as much as forward ones and agree with exact
     derivatives to a millionth of a standard deviation and better.
@@ -261,7 +261,8 @@ def solve(problem: ReferenceProblem) -> ReferenceSolution:
     first = residuals.unknowns.x0
     beside = first + problem.beside * (-1.0) ** np.arange(len(first))
     found = minimize(residuals, beside, most=FROM_BESIDE)
-    if 2.0 * found.cost > (residuals(first) ** 2).sum():  # caught where rays miss a sphere, say
+    # Where rays miss a sphere, say, it is caught.
+    if found.status == 0 or 2.0 * found.cost > (residuals(first) ** 2).sum():
         found = minimize(residuals, first)
     iterations = int(found.njev)
     # Each update of the weights leaves about a thousandth of the error that the one before left.
