@@ -37,9 +37,9 @@ from ..model.families import POSE
 from ..quantities import TINY
 from .scales import AXES, Scale, design, find_mode
 
-OF_STATIONS = (1.0, 0.3, 0.0)
+PARTS_OF_LEARNED = (1.0, 0.3, 0.0)
 """Parts of the learned errors of single stations that are tried beside errors by pose."""
-OF_STATED = (1.0, 0.8, 0.55, 0.3, 0.1)
+PARTS_OF_STATED = (1.0, 0.8, 0.55, 0.3, 0.1)
 """Parts of stated errors that are tried as errors of single stations."""
 
 GUESSED = 2.0
@@ -221,7 +221,7 @@ def sizes_by_pose(
     bounds = np.array([scale.bounds for scale in unknown])
     start = np.log([scale.prior for scale in unknown])
     squares, weights, most, without = [], [], [], []
-    for part in OF_STATIONS:
+    for part in PARTS_OF_LEARNED:
         of, known = likelihood(part), np.sqrt((1.0 - part**2) * stated)
 
         def sizes(points: FloatArray, known: FloatArray = known) -> FloatArray:
@@ -257,9 +257,9 @@ def _sizes_as_stated(
     Where residuals are small, and smaller errors of single stations clearly more likely, the rest of
     what is stated is taken to change with the pose, seen or not: who states errors knows of them.
     """
-    squares = np.array([(1.0 - part**2) * stated for part in OF_STATED])
+    squares = np.array([(1.0 - part**2) * stated for part in PARTS_OF_STATED])
     values, without, smaller = list[float](), list[float](), list[float]()
-    for part, square in zip(OF_STATED, squares, strict=True):
+    for part, square in zip(PARTS_OF_STATED, squares, strict=True):
         of = likelihood(part)
         if part == 1.0 and of.square > of.dof:
             return np.zeros(POSE.dim), 0.0, 0.0  # these errors leave small residuals

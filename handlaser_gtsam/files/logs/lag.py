@@ -92,7 +92,7 @@ OPTIONS = LevenbergOptions(max_iterations=60, step_tolerance=1e-3)
 motion that repeats leaves undetermined would take all steps."""
 LEAST_READINGS = 264
 """Readings of a beam before a plane: twelve for each coefficient."""
-MOST_READINGS = 1500
+ENOUGH_READINGS = 1500
 """Readings of one plane and beam that are looked at, evenly spread."""
 
 
@@ -342,7 +342,7 @@ def _parts(
             if len(rows) < LEAST_READINGS:
                 continue
             covered += len(rows) * len(beams)
-            rows = rows[evenly(len(rows), MOST_READINGS)]
+            rows = rows[evenly(len(rows), ENOUGH_READINGS)]
             parts.append((index, beams, time[rows], d[rows][:, beams]))
     return parts, covered
 
