@@ -163,7 +163,7 @@ def test_the_drift_is_the_difference_of_two_fits():
     apart = [hl.calibrate(r, NOISE, options) for r in bare]
     together = hl.calibrate(both, NOISE, options)
     expected = together.fit.chi2 - sum(one.fit.chi2 for one in apart)
-    found = hl.hold_out(hl.Mounts.of(apart[0]), second, NOISE)
+    found = hl.hold_out(apart[0], second, NOISE)
     assert found.drift_dof == 15
     # Linearised at the beams of the first recording, tenths of a sigma from the joint ones.
     assert found.drift == pytest.approx(expected, rel=0.05)

@@ -36,7 +36,7 @@ def test_what_has_not_moved_differs_by_what_chance_allows():
     statistics = {"sensor": [], "beam": []}
     for number in range(8):
         before = hl.calibrate(drawn(2 * number), NOISE)
-        found = hl.validation.hold_out_survey(before, drawn(2 * number + 1), NOISE)
+        found = hl.hold_out(before, drawn(2 * number + 1), NOISE)
         assert found.holds
         assert found.moved == ()
         for one in found.mounts:
@@ -54,7 +54,7 @@ def test_a_mount_that_moved_is_named_with_how_far():
     turned = profiler.turned @ Rotation.from_rotvec([0.0, 0.005, 0.0]).as_matrix()
     there = profiler.location + np.array([0.0, 0.0, 1e-3])
     knocked = [profiler._replace(turned=turned, location=there), beam]
-    found = hl.validation.hold_out_survey(knocked, drawn(1), NOISE)
+    found = hl.hold_out(knocked, drawn(1), NOISE)
     assert not found.holds
     (moved,) = found.moved
     assert moved.subject == f"sensor {profiler.name}"
@@ -62,7 +62,7 @@ def test_a_mount_that_moved_is_named_with_how_far():
     assert moved.shift == pytest.approx([0.0, 0.0, -1e-3], abs=2e-4)
     nodded = Rotation.from_rotvec(0.005 * bases(beam.turned)[:, 0]).as_matrix()
     knocked = [profiler, beam._replace(turned=nodded @ beam.turned)]
-    (moved,) = hl.validation.hold_out_survey(knocked, drawn(1), NOISE).moved
+    (moved,) = hl.hold_out(knocked, drawn(1), NOISE).moved
     assert moved.subject == f"beam {beam.name}"
     assert moved.turn == pytest.approx(0.005, abs=1e-3)
 
@@ -70,13 +70,17 @@ def test_a_mount_that_moved_is_named_with_how_far():
 def test_what_cannot_be_compared_is_refused():
     before = hl.calibrate(drawn(0), NOISE)
     with pytest.raises(hl.InputError, match="which was not calibrated"):
-        hl.validation.hold_out_survey(placed_mounts(before)[:1], drawn(1), NOISE)
+        hl.hold_out(placed_mounts(before)[:1], drawn(1), NOISE)
     whole = drawn(1)
     few = whole.part(np.arange(len(whole.stations)) < 2)
     with pytest.raises(hl.HandlaserError, match=r"station|determine"):
-        hl.validation.hold_out_survey(before, few, NOISE)
+        hl.hold_out(before, few, NOISE)
     with pytest.raises(hl.InputError, match="PlacedMount"):
-        hl.validation.hold_out_survey([before], whole, NOISE)
+        hl.hold_out([before], whole, NOISE)
+    with pytest.raises(hl.InputError, match="as the calibration of a survey"):
+        hl.hold_out(whole, whole)
+    with pytest.raises(hl.InputError, match="each_beam or explain with a survey"):
+        hl.hold_out(before, whole, explain=True)
 
 
 def test_a_beam_turned_back_to_front_has_moved():

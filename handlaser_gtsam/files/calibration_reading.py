@@ -183,7 +183,7 @@ class SurveyFile(ResultFile):
     beams: Many[SurveyBeamRecord]
 
     def placed(self) -> list[PlacedMount]:
-        """Return where its sensors and beams sit, for `hl.validation.hold_out_survey`.
+        """Return where its sensors and beams sit, for `hl.hold_out`.
 
         Raises
         ------

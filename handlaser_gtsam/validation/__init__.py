@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from .other_recording import HoldOut as HoldOut
     from .other_survey import MovedMount as MovedMount
     from .other_survey import SurveyHoldOut as SurveyHoldOut
-    from .other_survey import hold_out_survey as hold_out_survey
     from .prediction import Prediction as Prediction
     from .prediction import SurveyPrediction as SurveyPrediction
     from .runs import Estimated as Estimated

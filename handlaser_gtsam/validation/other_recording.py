@@ -21,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -32,6 +32,7 @@ from ..checks import require_kind
 from ..data.noise import Noise
 from ..data.parameters import Beams, Parameters
 from ..data.recording import Readings, Recording
+from ..data.survey import Survey
 from ..data.value import Value
 from ..errors import CalibrationWarning, GrazingBeamError, HandlaserError, InputError
 from ..model.distributions import FEW_DEGREES, SINGLE_LEVEL, f_sf, squares_sf
@@ -41,6 +42,7 @@ from ..model.joint import beams_lift
 from ..model.weighting import Variances, Whitening, covariance_roots, whitening
 from ..progress import tell
 from ..quantities import IN_DEG, IN_MM, KNOWN, MOST_ROUNDS, SINGULAR, TEN_TIMES
+from ..results.calibration import Calibration
 from ..results.file_mistakes import ALL_LENGTHS, HYPOTHESES
 from ..results.messages import Values, warned
 from ..results.mounts import Mounts
@@ -48,6 +50,11 @@ from ..results.rereading import Change
 from ..results.shared_errors import stops_of
 from ..solvers.beam_problem import linearized, moved
 from ..starts.growing import PartialStart, grow
+
+if TYPE_CHECKING:
+    from ..results.mounts import PlacedMount
+    from ..results.survey import SurveyCalibration
+    from .other_survey import SurveyHoldOut
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -143,44 +150,76 @@ class HoldOut(Value):
         return self.fits and not self.p_value < SINGLE_LEVEL
 
 
+@overload
 def hold_out(
-    mounts: Mounts,
+    calibration: "Mounts | Calibration",
     recording: Recording,
     noise: Noise | None = None,
     *,
     each_beam: bool = True,
     explain: bool = False,
-) -> HoldOut:
-    """Compare calibrated beams with a recording of the same beams.
+) -> HoldOut: ...
+
+
+@overload
+def hold_out(
+    calibration: "SurveyCalibration | Sequence[PlacedMount]",
+    recording: Survey,
+    noise: Noise | None = None,
+) -> "SurveyHoldOut": ...
+
+
+def hold_out(
+    calibration: "Mounts | Calibration | SurveyCalibration | Sequence[PlacedMount]",
+    recording: Recording | Survey,
+    noise: Noise | None = None,
+    *,
+    each_beam: bool = True,
+    explain: bool = False,
+) -> "HoldOut | SurveyHoldOut":
+    """Compare a calibration with another recording, or survey, of the same sensors.
 
     Parameters
     ----------
-    mounts : Mounts
-    recording : Recording
-        Its beams must be among the beams of `mounts`; its planes may be any.
+    calibration : Calibration, SurveyCalibration, Mounts or sequence of PlacedMount
+        The last two of a file: `hl.Mounts.of(file)`, and `placed()` of that of a survey.
+    recording : Recording or Survey
+        With some of the calibrated beams and sensors; its planes and other targets may be any.
     noise : Noise, optional
-        An unknown range sigma is taken from the calibration, and what the recording shows where it has
-        readings enough. Unknown errors of the poses are taken from the calibration.
+        Of the new recording. Of beams before planes, an unknown range sigma is taken from the
+        calibration, and what the recording shows where it has readings enough, and unknown errors of
+        the poses are taken from the calibration. A survey is calibrated by itself.
     each_beam : bool
-        Whether each beam is tested alone, too; that takes long for dozens of beams.
+        Whether each beam is tested alone, too; that takes long for dozens of beams. Mounts of a survey
+        are compared one by one.
     explain : bool
-        Whether to look for what by itself explains that it does not hold. That solves dozens of times.
+        Whether to look for what by itself explains that it does not hold. That solves dozens of times;
+        nothing is looked for with a survey.
+
+    Returns
+    -------
+    HoldOut or SurveyHoldOut
 
     Raises
     ------
     InputError
-        A beam that was not calibrated, or pose covariances of another number of stations; with
-        `explain`, readings that the calibrated beams cannot have, too.
+        A sensor or beam that was not calibrated, or pose covariances of another number of stations;
+        with `explain`, readings that the calibrated beams cannot have, too.
     GrazingBeamError
         A beam grazes the plane that its readings would have.
+    NotConvergedError
+        A calibration does not determine a mount.
     """
+    if isinstance(recording, Survey):
+        from .other_survey import hold_out_survey  # few have sensors of many rays
+
+        if explain or not each_beam:
+            raise InputError("each_beam or explain with a survey", "neither of them")
+        return hold_out_survey(calibration, recording, noise)
     noise = Noise() if noise is None else noise
-    require_kind(
-        "mounts",
-        mounts,
-        Mounts,
-        "Mounts: hl.Mounts.of(calibration); of a survey, hl.validation.hold_out_survey",
-    )
+    mounts = Mounts.of(calibration) if isinstance(calibration, Calibration) else calibration
+    require_kind("the calibration of a recording", mounts, Mounts, "Mounts or Calibration")
+    assert isinstance(mounts, Mounts), "checked above"
     require_kind("recording", recording, Recording)
     require_kind("noise", noise, Noise)
     tell("hold-out")

@@ -96,31 +96,12 @@ def placed_mounts(result: SurveyCalibration) -> list[PlacedMount]:
     ]
 
 
-def hold_out_survey(
-    calibration: SurveyCalibration | Sequence[PlacedMount],
-    survey: Survey,
-    noise: Noise | None = None,
-) -> SurveyHoldOut:
-    """Compare a calibration with what another survey says of the same sensors and beams by itself.
-
-    Parameters
-    ----------
-    calibration : SurveyCalibration, or mounts of a file
-        `hl.files.SurveyFile.placed()` gives these.
-    survey : Survey
-        With some of its sensors and beams, before any targets.
-    noise : Noise, optional
-        Of the new survey.
-
-    Raises
-    ------
-    InputError
-        A sensor or beam that was not calibrated.
-    NotConvergedError
-        One of the two calibrations does not determine a mount.
-    """
-    require_kind("survey", survey, Survey)
+def hold_out_survey(calibration: object, survey: Survey, noise: Noise | None) -> SurveyHoldOut:
+    """Do as `hold_out` for a survey, given its calibration or placed mounts."""
+    if not isinstance(calibration, Sequence):
+        require_kind("the calibration of a survey", calibration, SurveyCalibration)
     old = placed_mounts(calibration) if isinstance(calibration, SurveyCalibration) else calibration
+    assert isinstance(old, Sequence), "checked above"
     for one in old:
         require_kind("a calibrated mount", one, PlacedMount)
     before = {(one.kind, one.name): one for one in old}
