@@ -125,8 +125,6 @@ def survey_warnings(
             for name, sigma, expected, known in of_hand
             if np.isnan(known)
         )
-    if found.by_pose is not None:
-        yield from warnings_of(found.by_pose.sizes)
     yield from _too_few(found)
     yield from _few(found)
     yield from rival_mounts(found)
@@ -146,6 +144,8 @@ def survey_warnings(
     if found.fits:  # else noise that was learned, or a wrong minimum, decides which they are
         yield from many_rejected(found, rejected)
     yield from (one for one in unread if one not in gone)
+    if found.by_pose is not None:
+        yield from warnings_of(found.by_pose.sizes)
     yield from found.rows.survey.warnings
 
 
