@@ -79,6 +79,8 @@ def test_what_cannot_be_compared_is_refused():
         hl.hold_out([before], whole, NOISE)
     with pytest.raises(hl.InputError, match="as the calibration of a survey"):
         hl.hold_out(whole, whole)
+    with pytest.raises(hl.InputError, match=r"'result\.json' of type str as the calibration"):
+        hl.hold_out("result.json", whole)
     with pytest.raises(hl.InputError, match="each_beam or explain with a survey"):
         hl.hold_out(before, whole, explain=True)
 

@@ -182,7 +182,7 @@ def hold_out(
     Parameters
     ----------
     calibration : Calibration, SurveyCalibration, Mounts or sequence of PlacedMount
-        The last two of a file: `hl.Mounts.of(file)`, and `placed()` of that of a survey.
+        A file gives the last two: `hl.Mounts.of(file)`, and of a survey `file.placed()`.
     recording : Recording or Survey
         With some of the calibrated beams and sensors; its planes and other targets may be any.
     noise : Noise, optional
@@ -218,7 +218,9 @@ def hold_out(
         return hold_out_survey(calibration, recording, noise)
     noise = Noise() if noise is None else noise
     mounts = Mounts.of(calibration) if isinstance(calibration, Calibration) else calibration
-    require_kind("the calibration of a recording", mounts, Mounts, "Mounts or Calibration")
+    require_kind(
+        "the calibration of a recording", mounts, Mounts, "Calibration, or Mounts.of(file)"
+    )
     assert isinstance(mounts, Mounts), "checked above"
     require_kind("recording", recording, Recording)
     require_kind("noise", noise, Noise)

@@ -6,7 +6,6 @@ nothing has moved. Where range errors are known by their prior alone, which both
 smaller.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -98,10 +97,11 @@ def placed_mounts(result: SurveyCalibration) -> list[PlacedMount]:
 
 def hold_out_survey(calibration: object, survey: Survey, noise: Noise | None) -> SurveyHoldOut:
     """Do as `hold_out` for a survey, given its calibration or placed mounts."""
-    if not isinstance(calibration, Sequence):
-        require_kind("the calibration of a survey", calibration, SurveyCalibration)
+    if not isinstance(calibration, list | tuple):
+        expected = "SurveyCalibration, or placed() of its file"
+        require_kind("the calibration of a survey", calibration, SurveyCalibration, expected)
     old = placed_mounts(calibration) if isinstance(calibration, SurveyCalibration) else calibration
-    assert isinstance(old, Sequence), "checked above"
+    assert isinstance(old, list | tuple), "checked above"
     for one in old:
         require_kind("a calibrated mount", one, PlacedMount)
     before = {(one.kind, one.name): one for one in old}
