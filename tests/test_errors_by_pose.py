@@ -202,10 +202,14 @@ def test_errors_of_an_arm_are_named_where_nothing_is_stated():
     assert stated.squares()[2] == "usable"
 
 
-@pytest.mark.parametrize("scale", [0.0, 1.0])
-def test_a_guess_that_decides_the_standard_deviations_is_said(scale):
-    """One programme shows nothing of the arm to a precise camera, whether it errs or not."""
-    scene = Scene(Case("camera", True, False, scale), 101)
+@pytest.mark.parametrize(("sensor", "scale"), [("camera", 1.0), ("profiler", 0.0)])
+def test_a_guess_that_decides_the_standard_deviations_is_said(sensor, scale):
+    """One programme shows nothing of the arm to a precise sensor, whether it errs or not.
+
+    The planes of the profiler grow by more than two, and its mount by less: wrong mounts of arms that
+    err are among such.
+    """
+    scene = Scene(Case(sensor, True, False, scale), 101)
     found = hl.calibrate(scene.survey())
     assert found.errors_by_pose.guess_decides
     (said,) = (one for one in found.warnings if one.code == "errors-by-pose")

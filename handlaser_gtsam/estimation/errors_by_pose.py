@@ -59,7 +59,8 @@ class SizesByPose(NamedTuple):
     learned : bool
         Whether errors of the hand were learned, of a kind at least; else they are stated.
     growth : float
-        The largest ratio of a standard deviation of a mount to that without them.
+        The largest ratio of a standard deviation of a beam, or of any unknown of a survey, to that
+        without them.
     smaller : float
         Probability of smaller residuals, with the stated errors that are left to single stations; zero
         where some were learned.

@@ -310,8 +310,7 @@ def _estimated(state: SurveyState) -> SurveyEstimate:
         learned = survey_errors_by_pose(state, usual, _beside_rows(state))
         if learned is not None:
             by_pose, more = learned
-            mounts = [name.partition("[")[0] in (SENSOR.name, BEAM.name) for name in found.names]
-            known = np.isfinite(np.diagonal(covariance)) & mounts
+            known = np.isfinite(np.diagonal(covariance))
             growth = 1.0 + np.diagonal(more)[known] / np.diagonal(covariance)[known]
             by_pose = by_pose.grown(float(np.sqrt(growth.max(initial=1.0))))
     found = replace(found, covariance=covariance + more)
