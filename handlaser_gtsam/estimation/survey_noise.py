@@ -25,6 +25,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray, renumbered
 from ..model.families import POSE
+from ..model.reduction import COMMON_NUMBERS
 from ..quantities import NEGLIGIBLE, TINY
 from .dense import DenseRows, filled
 from .scales import RANGE, ROTATION, TRANSLATION, Scale, design, find_mode
@@ -85,50 +86,73 @@ class _Likelihood:
         own: tuple[float, float],
     ) -> None:
         self.inside = inside
-        scale = np.sqrt((rows.derivatives**2).sum(axis=0))
-        scale = np.where(scale > 0.0, scale, 1.0)
-        every = np.column_stack((rows.by_pose, rows.derivatives / scale, rows.residuals))
+        X, self.constant = _of_full_rank(rows.derivatives)
+        every = np.column_stack((rows.by_pose, X, rows.residuals))
         numbers: IntArray = np.column_stack((rows.station, again, source))
         every, numbers, self.rest, self.left = _turned(every, numbers, len(inside[0]) + 1)
         station = renumbered(numbers[:, 0])
-        self.P, self.X = np.split(filled(every, station), [POSE.dim], axis=2)
+        P, self.X = np.split(filled(every, station), [POSE.dim], axis=2)
         # Rows that fill up have no source, and are of no item.
         numbered: FloatArray = numbers[:, 1:].astype(np.float64) + 1.0
         item, self.source = np.moveaxis(filled(numbered, station).astype(int) - 1, 2, 0)
         same = (item[..., None] == item[:, None]) & (item >= 0)[:, None]
-        self.own = (self.P * np.repeat(own, 3) ** 2) @ np.swapaxes(self.P, 1, 2) * same
+        turns, shifts = (half @ np.swapaxes(half, 1, 2) for half in np.split(P, 2, axis=2))
+        new = (own[0] ** 2 * turns + own[1] ** 2 * shifts) * same
+        self.by_variance = np.stack((turns, shifts, new))
 
-    def __call__(
-        self, factor: FloatArray, rotation: float, translation: float, again: float
-    ) -> float:
-        """Return it for factors on the variances of the rows, and for sizes of pose errors."""
-        S = np.array([rotation**2] * 3 + [translation**2] * 3)
-        V = (self.P * S) @ np.swapaxes(self.P, 1, 2) + again**2 * self.own
+    def __call__(self, factor: FloatArray, pose: FloatArray) -> FloatArray:
+        """Return it (J,) of J sizes, not of many more at once than a processor keeps near.
+
+        Parameters
+        ----------
+        factor : (J, n)
+            On the variances of the rows of each source.
+        pose : (J, 3)
+            Standard deviations of rotation and translation, and how much of what is stated is new
+            where a stop is visited again.
+        """
+        each = 1 + int(COMMON_NUMBERS // max(self.X.size, 1))
+        parts = [slice(i, i + each) for i in range(0, len(factor), each)]
+        return np.concatenate([self._of(factor[part], pose[part]) for part in parts])
+
+    def _of(self, factor: FloatArray, pose: FloatArray) -> FloatArray:
+        # Rows without a sensor, as of relations, have unit variance; so have those that fill up.
+        variance = np.column_stack((np.maximum(factor, TINY), np.ones(len(factor))))
+        V = np.tensordot(pose**2, self.by_variance, 1)
         # Rounding, at most so large (Higham 2002, theorem 10.7), must not make a factor impossible
         # where errors of the hand are far above those of readings.
-        rounding = V.shape[1] * np.finfo(np.float64).eps * np.einsum("sii->s", V)
-        # Rows without a sensor, as of relations, have unit variance; so have those that fill up.
-        variance = np.append(np.maximum(factor, TINY), 1.0)
-        diagonal = variance[self.source]
-        np.einsum("sii->si", V)[:] += diagonal + rounding[:, None]
+        rounding = V.shape[-1] * np.finfo(np.float64).eps * np.einsum("jsii->js", V)
+        np.einsum("jsii->jsi", V)[:] += variance[:, self.source] + rounding[..., None]
         L = np.linalg.cholesky(V)
         # Forward substitution, one row of all stations at a time: they have a few rows each.
-        white = np.empty_like(self.X)
-        for i in range(white.shape[1]):
-            known = (L[:, i, None, :i] @ white[:, :i])[:, 0]
-            white[:, i] = (self.X[:, i] - known) / L[:, i, i, None]
-        white = white.reshape(-1, white.shape[2])
-        N = white.T @ white + np.tensordot(1.0 / variance, self.rest, 1)
-        H, g = N[:-1, :-1], N[:-1, -1]
-        values, axes = np.linalg.eigh(H)
-        some = values > NEGLIGIBLE**2 * values.max()
-        value = 2.0 * float(np.log(np.einsum("sii->si", L)).sum())
-        value += float((self.left * np.log(variance)).sum())
-        value += float(np.log(values[some]).sum())
-        value += float(N[-1, -1] - ((axes.T @ g)[some] ** 2 / values[some]).sum())
+        white = np.empty((*V.shape[:2], *self.X.shape[1:]))
+        for i in range(white.shape[2]):
+            known = (L[:, :, i, None, :i] @ white[:, :, :i])[:, :, 0]
+            white[:, :, i] = (self.X[:, i] - known) / L[:, :, i, i, None]
+        white = white.reshape(len(V), -1, white.shape[3])
+        N = np.swapaxes(white, 1, 2) @ white + np.tensordot(1.0 / variance, self.rest, 1)
+        diagonal = np.einsum("jii->ji", N)
+        diagonal[:] = diagonal * (1.0 + N.shape[1] * np.finfo(np.float64).eps) + TINY
+        # The last entry of the root is what the unknowns leave of the residuals.
+        root = np.einsum("jii->ji", np.linalg.cholesky(N))
+        value = 2.0 * np.log(np.einsum("jsii->jsi", L)).sum(axis=(1, 2)) + self.constant
+        value += np.log(variance) @ self.left
+        value += 2.0 * np.log(root[:, :-1]).sum(axis=1) + root[:, -1] ** 2
         squares, dof = self.inside
-        value += float((dof * np.log(variance[:-1]) + squares / variance[:-1]).sum())
-        return value
+        value += np.log(variance[:, :-1]) @ dof + (1.0 / variance[:, :-1]) @ squares
+        return np.asarray(value)
+
+
+def _of_full_rank(derivatives: FloatArray) -> tuple[FloatArray, float]:
+    """Return columns with the same span that are orthonormal, and the logarithm of det(X'X) of theirs.
+
+    Columns of X are taken by their lengths.
+    """
+    scale = np.sqrt((derivatives**2).sum(axis=0))
+    X = derivatives / np.where(scale > 0.0, scale, 1.0)
+    values, axes = np.linalg.eigh(X.T @ X)
+    some = values > NEGLIGIBLE**2 * values.max(initial=0.0)
+    return X @ (axes[:, some] / np.sqrt(values[some])), float(np.log(values[some]).sum())
 
 
 def _turned(
@@ -210,26 +234,25 @@ def components(
     likelihood = _Likelihood(rows, source, (squares / now.sigma**2, dof), again, own)
     learned = np.flatnonzero(np.isnan(stated.vector()))
 
-    def minus_twice(one: Components) -> float:
-        return likelihood((one.sigma / now.sigma) ** 2, *one.pose, one.again)
+    def minus_twice(sizes: FloatArray) -> FloatArray:
+        sigma, pose = np.split(sizes, [len(stated.sigma)], axis=1)
+        return likelihood((sigma / now.sigma) ** 2, pose)
 
     if not len(learned):
-        return stated, minus_twice(stated)
+        return stated, float(minus_twice(stated.vector()[None])[0])
     names = [*[RANGE] * len(stated.sigma), ROTATION, TRANSLATION, TRANSLATION]
     scales = [Scale(names[i], None, 1.0, float(usual.vector()[i])) for i in learned]
     prior = np.array([math.log(scale.prior) for scale in scales])
 
-    def with_sizes(values: FloatArray) -> Components:
-        sizes = stated.vector()
-        sizes[learned] = values
-        *sigma, rotation, translation, anew = sizes.tolist()
-        return Components(np.array(sigma), (rotation, translation), anew)
+    def with_sizes(values: FloatArray) -> FloatArray:
+        sizes = np.tile(stated.vector(), (len(values), 1))
+        sizes[:, learned] = values
+        return sizes
 
     def log_posterior(points: FloatArray) -> FloatArray:
         """Return it for logarithms (J, d) of the sizes that are learned."""
         density = [scale.log_prior(u) for scale, u in zip(scales, points.T, strict=True)]
-        of_sizes = [minus_twice(with_sizes(values)) for values in np.exp(points)]
-        return np.asarray(np.sum(density, axis=0) - 0.5 * np.array(of_sizes))
+        return np.asarray(np.sum(density, axis=0) - 0.5 * minus_twice(with_sizes(np.exp(points))))
 
     start = np.log(now.vector()[learned])
     bounds = np.column_stack((np.log(finest[learned]), prior + LARGEST))
@@ -248,5 +271,7 @@ def components(
     points = beside(points)
     log_weight = log_weight + log_posterior(points)
     weight = np.exp(log_weight - log_weight.max())
-    sizes = with_sizes(np.sqrt(weight @ np.exp(2.0 * points) / weight.sum()))
-    return sizes, minus_twice(sizes)
+    sizes = with_sizes(np.sqrt(weight @ np.exp(2.0 * points) / weight.sum())[None])
+    *sigma, rotation, translation, anew = sizes[0].tolist()
+    found = Components(np.array(sigma), (rotation, translation), anew)
+    return found, float(minus_twice(sizes)[0])
