@@ -92,8 +92,10 @@ def test_what_stations_share_is_put_into_the_covariance():
     assert hl.calibrate(found.recording, hl.Noise(SIGMA), exact).at_scales is None
 
 
-@pytest.mark.parametrize(("visits", "flicker"), [(ACROSS, 0.0), (AGAIN, 5e-6), (STAYS, 5e-6)])
-@pytest.mark.parametrize("noise", [NOISE, None])
+@pytest.mark.parametrize(
+    ("visits", "flicker", "noise"),
+    [(ACROSS, 0.0, None), (AGAIN, 5e-6, NOISE), (STAYS, 5e-6, None)],
+)
 @pytest.mark.slow
 def test_standard_deviations_are_right_where_a_programme_is_repeated(visits, flicker, noise):
     squares, alone = [], []

@@ -134,7 +134,8 @@ def test_flat_sensors_take_the_mirror_image_that_the_others_have(seed):
     assert found.status == "undetermined"  # one common height
     assert 0.7 * found.dof < found.chi2 < 1.3 * found.dof
     assert not found.rejected
-    assert found.warnings == ()
+    # A guess about the arm may decide standard deviations where sensors are as precise.
+    assert {one.code for one in found.warnings} <= {"errors-by-pose"}
     for name, kind, tilt in (
         ("eye", "profiler", 20.0),
         ("scanner", "scanner", -15.0),

@@ -376,13 +376,12 @@ def relabelled(survey, right, wrong):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [5, 8])
-def test_wrong_labels_are_found_beside_beams(seed):
+def test_wrong_labels_are_found_beside_beams():
     """Halves of the stations are without them; halves of all shots and readings never were."""
     rig = rigs_by_rays.mixed(
-        seed, sensors=("profiler", "beam", "beam"), targets="planes+sphere", planes=2, stations=11
+        5, sensors=("profiler", "beam", "beam"), targets="planes+sphere", planes=2, stations=11
     )
-    survey, rng = survey_of(rig), np.random.default_rng(seed)
+    survey, rng = survey_of(rig), np.random.default_rng(5)
     labels = np.array(survey.stations.plane_labels, dtype=object)
     wrong = rng.choice(np.flatnonzero(labels == "plane:A"), 4, replace=False)
     labels[wrong] = "plane:B"

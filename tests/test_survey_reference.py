@@ -153,7 +153,7 @@ K1, SCALE = 0.03, 0.02
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["profiler", "scanner", "points"])
+@pytest.mark.parametrize("kind", ["profiler", "points"])
 def test_range_errors_that_bend_shapes_are_found(kind):
     """Shots were condensed without their errors: k1 and the scale were 5 to 10 sigmas off."""
     far = []

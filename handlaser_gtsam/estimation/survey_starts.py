@@ -132,7 +132,7 @@ def _searched_or_drawn(
 ) -> tuple[float, dict[Entity, FloatArray]] | None:
     """Do as `_searched`, as the last resort from random mounts of a sensor, too."""
     own = [item for item in rows.items if item.mount == entity]
-    found = _searched(rows, entity, own, candidates, sigmas, held)
+    found = _searched(rows, entity, own, candidates, sigmas, thorough=last_resort, held=held)
     # A mean square misfit beyond this [squared standard deviations] is no good fit; of few shots a
     # false minimum fits well, too.
     poor = found is None or found[0] > 25.0 or _redundancy(own, found[1]) < FEW_DEGREES
@@ -140,7 +140,7 @@ def _searched_or_drawn(
         rng = np.random.default_rng(RANDOM)
         turns = Rotation.random(RANDOM, random_state=rng).as_matrix()
         drawn = list(map(_mount, turns, rng.normal(scale=0.1, size=(RANDOM, 3))))
-        more = _searched(rows, entity, own, drawn, sigmas, held)
+        more = _searched(rows, entity, own, drawn, sigmas, thorough=True, held=held)
         if more is not None and (found is None or more[0] < found[0]):
             found = more
     return found
@@ -269,7 +269,7 @@ def search_again(
         candidates += _random_beams()
         if all(item.target[0] == SPHERE.name for item in own):
             candidates += _beams_on_spheres(rows, own, values[SPHERE.name][0])
-    found = _searched(rows, entity, own, candidates, sigmas, values)
+    found = _searched(rows, entity, own, candidates, sigmas, thorough=True, held=values)
     if found is not None:
         values[entity[0]][0, entity[1]] = found[1][entity]
 
@@ -593,6 +593,8 @@ def _searched(
     own: Sequence[Item],
     candidates: Sequence[FloatArray],
     sigmas: Mapping[Entity, float],
+    *,
+    thorough: bool,
     held: Values | None = None,
 ) -> tuple[float, dict[Entity, FloatArray]] | None:
     """Return how well one sensor or beam fits at its best minimum, and where it and its targets are.
@@ -622,12 +624,13 @@ def _searched(
     every = [*blocks, *priors_of(rows), *ties]
     reduction = Reduction(every, rows.counts(), unknown)
     task = LeastSquares(tuple(every), reduction, np.ones(K), np.zeros(K), max(len(own), 1))
-    ended = search(task, values, LevenbergOptions(FIRST_STEPS, least_damping=SINGULAR))
-    # The promising ones to the end.
-    some = np.argsort(ended.cost, kind="stable")[: max(FINALISTS, K // 4)]
-    values = {name: x if len(x) == 1 else x[some] for name, x in ended.values.items()}
-    options = LevenbergOptions(LAST_STEPS, least_damping=SINGULAR)
-    ended = search(task.picked(some), values, options)
+    steps = LAST_STEPS if thorough else FIRST_STEPS
+    ended = search(task, values, LevenbergOptions(steps, least_damping=SINGULAR))
+    if not thorough:  # the promising ones to the end
+        some = np.argsort(ended.cost, kind="stable")[: max(FINALISTS, K // 4)]
+        values = {name: x if len(x) == 1 else x[some] for name, x in ended.values.items()}
+        options = LevenbergOptions(LAST_STEPS, least_damping=SINGULAR)
+        ended = search(task.picked(some), values, options)
     # The mean square misfits of the shots, those that fit worst left out.
     white = [whitened(block.evaluate(ended.values), block.weights)[-1] for block in blocks]
     e = np.concatenate([of_block.reshape(len(of_block), -1) for of_block in white], axis=1)

@@ -88,9 +88,12 @@ def eliminated_sums(normal: Normal, unit: float) -> EliminatedSums:
     """
     H, g, L, h = normal.matrix[0], normal.gradient[0], normal.local[0], normal.local_gradient[0]
     n, (m, d) = len(g), h.shape
+    of_unknowns, of_members = np.einsum("ii->i", H), np.einsum("mii->mi", L)
+    # Where errors of the hand are far above those of readings, rows have little but these.
+    if min(of_unknowns.min(initial=0.0), of_members.min(initial=0.0)) < 0.0:
+        raise np.linalg.LinAlgError("the information is rounding")
     # GTSAM compares pivots: every unknown in the unit of its own information.
-    u = 1.0 / np.sqrt(np.maximum(np.einsum("ii->i", H), TINY))
-    w = 1.0 / np.sqrt(np.maximum(np.einsum("mii->mi", L), TINY))
+    u, w = (1.0 / np.sqrt(np.maximum(own, TINY)) for own in (of_unknowns, of_members))
     together, number = members_of_key(n), np.arange(m)
     keys = -(-m // together)  # the last one has idle members, with a one on the diagonal
     size, width = keys * together, together * d
