@@ -149,6 +149,17 @@ def test_gtsam_eliminates_sums_of_a_few_members_at_once(monkeypatch, planes, bea
     )
 
 
+@pytest.mark.parametrize("place", ["matrix", "local"])
+def test_information_that_is_below_zero_by_rounding_is_singular(place):
+    """In units of a negative information GTSAM's sums overflow."""
+    H, g, local = 1e16 * np.eye(3)[None], np.zeros((1, 3)), 1e16 * np.eye(3)[None, None]
+    parts = {"matrix": H, "local": local}
+    parts[place][..., 1, 1] = -1e-2
+    normal = Normal(H, g, local, np.zeros((1, 1, 3, 3)), g[None], np.zeros(1))
+    with pytest.raises(np.linalg.LinAlgError, match="rounding"):
+        eliminated_sums(normal, 1.0)
+
+
 def test_patterns_that_tile_what_stays_are_added_at_once():
     """As one after the other: the normal equations are the same."""
     truth = bench(3, 2)

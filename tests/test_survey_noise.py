@@ -14,7 +14,7 @@ import handlaser_gtsam as hl
 from benchmarks import rigs, rigs_by_distance, rigs_by_rays
 from benchmarks.few_readings import SIGMAS, few_readings
 from handlaser_gtsam.estimation import survey as survey_estimates
-from handlaser_gtsam.estimation import survey_trials
+from handlaser_gtsam.estimation import survey_noise, survey_trials
 from handlaser_gtsam.estimation.dense import DenseRows
 from handlaser_gtsam.estimation.survey import estimate_survey
 from handlaser_gtsam.estimation.survey_noise import Components, components
@@ -113,8 +113,13 @@ def test_what_is_stated_is_not_learned():
 
 @pytest.mark.parametrize("rows", [3, 25, 50])
 def test_the_likelihood_is_that_of_dense_contrasts(rows):
-    """Of two sources, two items a station and rows without a source; but for a constant."""
+    """Of two sources, two items a station and rows without a source; but for a constant.
+
+    Unknowns that depend on others, or that no row sees, change nothing.
+    """
     made = rows_of(6, rows, 9, 1e-4, (2e-4, 5e-5))
+    known, nothing = made.derivatives, np.zeros((6 * rows, 1))
+    made = replace(made, derivatives=np.hstack((known, known[:, :2] @ [[3.0], [0.1]], nothing)))
     place = np.arange(len(made.station)) % rows
     source, item = place % 3 - 1, 2 * made.station + (place > rows // 2)
     again, own = np.where(made.station > 2, item, -1), (3e-4, 1e-4)
@@ -137,6 +142,13 @@ def test_the_likelihood_is_that_of_dense_contrasts(rows):
         value += (inside[1] * np.log(variance[:2]) + inside[0] / NOW**2 / variance[:2]).sum()
         by_dense.append(value)
     assert np.diff(found) == pytest.approx(np.diff(by_dense), rel=1e-9)
+
+
+def test_sizes_are_the_same_one_after_the_other(monkeypatch):
+    made = rows_of(8, 3, 12, 1e-4, (2e-4, 5e-5))
+    at_once = learned(made, UNKNOWN)
+    monkeypatch.setattr(survey_noise, "COMMON_NUMBERS", 0)
+    assert learned(made, UNKNOWN).vector() == pytest.approx(at_once.vector(), rel=1e-9)
 
 
 @pytest.mark.slow

@@ -101,7 +101,7 @@ class _Likelihood:
         self.by_variance = np.stack((turns, shifts, new))
 
     def __call__(self, factor: FloatArray, pose: FloatArray) -> FloatArray:
-        """Return it (J,) of J sizes, not of many more at once than a processor keeps near.
+        """Return it (J,) of J sizes, at once as long as they stay in the processor's cache.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class _Likelihood:
             Standard deviations of rotation and translation, and how much of what is stated is new
             where a stop is visited again.
         """
-        each = 1 + int(COMMON_NUMBERS // max(self.X.size, 1))
+        each = 1 + COMMON_NUMBERS // max(self.X.size, 1)
         parts = [slice(i, i + each) for i in range(0, len(factor), each)]
         return np.concatenate([self._of(factor[part], pose[part]) for part in parts])
 
@@ -144,9 +144,9 @@ class _Likelihood:
 
 
 def _of_full_rank(derivatives: FloatArray) -> tuple[FloatArray, float]:
-    """Return columns with the same span that are orthonormal, and the logarithm of det(X'X) of theirs.
+    """Return orthonormal columns with the span of derivatives, and log det(X'X) of these.
 
-    Columns of X are taken by their lengths.
+    X has columns of unit length; those that depend on others do not count.
     """
     scale = np.sqrt((derivatives**2).sum(axis=0))
     X = derivatives / np.where(scale > 0.0, scale, 1.0)
@@ -272,6 +272,6 @@ def components(
     log_weight = log_weight + log_posterior(points)
     weight = np.exp(log_weight - log_weight.max())
     sizes = with_sizes(np.sqrt(weight @ np.exp(2.0 * points) / weight.sum())[None])
-    *sigma, rotation, translation, anew = sizes[0].tolist()
-    found = Components(np.array(sigma), (rotation, translation), anew)
+    *sigma, rotation, translation, new = sizes[0].tolist()
+    found = Components(np.array(sigma), (rotation, translation), new)
     return found, float(minus_twice(sizes)[0])

@@ -89,7 +89,7 @@ def eliminated_sums(normal: Normal, unit: float) -> EliminatedSums:
     H, g, L, h = normal.matrix[0], normal.gradient[0], normal.local[0], normal.local_gradient[0]
     n, (m, d) = len(g), h.shape
     of_unknowns, of_members = np.einsum("ii->i", H), np.einsum("mii->mi", L)
-    # Where errors of the hand are far above those of readings, rows have little but these.
+    # Errors of the hand far above those of readings take out of the sums all but rounding.
     if min(of_unknowns.min(initial=0.0), of_members.min(initial=0.0)) < 0.0:
         raise np.linalg.LinAlgError("the information is rounding")
     # GTSAM compares pivots: every unknown in the unit of its own information.
